@@ -45,9 +45,10 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
 def test_the_account_has_what_predictions_saved_and_what_they_cost(ended: Ended) -> None:
     account = Accounting.model_validate(ended.api.http.get(ended.campaign.links["results"]).json()["accounting"])
     assert sum(scenario.predicted for scenario in account.scenarios) == ended.campaign.cells.predicted
-    assert account.predicted_saved_seconds > 0
-    assert account.predictor_seconds == pytest.approx(sum(lots.seconds for lots in ended.campaign.released.values()))
-    assert account.net_seconds == pytest.approx(account.saved_seconds - sum(account.deductions.values()))
+    balance = {item.name: item.seconds for item in account.balance}
+    assert balance["predicted"] > 0
+    assert balance["predictor"] == pytest.approx(-sum(lots.seconds for lots in ended.campaign.released.values()))
+    assert account.net_seconds == pytest.approx(sum(balance.values()))
 
 
 def test_no_ranked_set_has_a_predicted_score(ended: Ended) -> None:

@@ -34,7 +34,7 @@ def test_a_sleeping_simulator_saves_the_workers_time(database: Database) -> None
         occupied, _ = evaluations.occupied(connection, again.sequence, after=0)
     assert [each.clock for each in accounts] == ["wall", "wall"]
     assert accounts[0].simulated_seconds == 90 * first.cells.simulated
-    assert accounts[1].repeated_saved_seconds == 90 * again.cells.repeated
+    assert accounts[1].saved_seconds == 90 * again.cells.repeated
     assert abs(first.simulating_seconds - 0.005 * first.cells.simulated) < 1e-9, "CPU time stays CPU time"
     assert expected == 90_000.0
     assert {name: seconds / cells for name, (cells, seconds) in occupied.items()} == {"city": 90e6, "road": 90e6}

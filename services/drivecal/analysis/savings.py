@@ -8,7 +8,7 @@ scenario's simulations, and all that reuse itself takes is deducted: the sensiti
 like any other: they are a saving forgone, already missing among the reused, and not a cost on top; so are the samples of predicted lots.
 Reused cells that were simulated after the search to confirm its best set save nothing either.
 
-A further outcome that saves simulations goes into `SAVING`, with its fields of the contract; a further cost into `_deductions`.
+A further outcome that saves simulations goes into `SAVING`; a further cost into the balance.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from math import ceil
 
 from drivecal.contracts.accounting import (
-    DEDUCTIONS,
     Accounting,
     BalanceItem,
     BreakEven,
@@ -28,7 +27,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, OutcomeCosts
 
 SAVING = (Outcome.REPEATED, Outcome.REUSED, Outcome.PREDICTED)
-"""Outcomes without a simulation. `ScenarioAccount` has a count NAME and `NAME_saved_seconds` for each, `Accounting` the latter."""
+"""Outcomes without a simulation. `ScenarioAccount` has a count of each."""
 WAITING = 2.0
 """Quotient of wall-clock and CPU time of the runs above which an account is in wall-clock time."""
 LEAST_WAIT = 0.05
@@ -89,10 +88,13 @@ def account(
     used = None if origin is None else _map_cost(origin, campaign)
     requested, reused = sum(row.requested for row in rows), sum(row.reused for row in rows)
     answered = sum(getattr(row, outcome) for row in rows for outcome in SAVING)
-    totals = {name: sum(getattr(row, name) for row in rows) for name in _SECONDS}
-    savings = {outcome.value: totals[_saved(outcome)] for outcome in SAVING}
-    deductions = _deductions(sensitivity, rows)
-    saved = sum(savings.values())
+    savings = {outcome.value: sum(row.saved[outcome] for row in rows) for outcome in SAVING}
+    saved, saved_by_reuse = sum(savings.values()), savings[Outcome.REUSED]
+    balance = [
+        *(BalanceItem(name=name, label=f"{name} cells", seconds=seconds) for name, seconds in savings.items()),
+        BalanceItem(name="sensitivity", label="sensitivity stage", seconds=-sensitivity.seconds),
+        BalanceItem(name="predictor", label="predictor", seconds=-sum(row.predictor_seconds for row in rows)),
+    ]
     accounting = Accounting(
         campaign=campaign,
         state=state,
@@ -109,25 +111,16 @@ def account(
         audited=sum(row.audited for row in rows),
         share_without_simulation=answered / requested if requested else None,
         share_reused=reused / requested if requested else None,
-        **totals,
+        simulated_seconds=sum(row.simulated_seconds for row in rows),
+        audited_seconds=sum(row.audited_seconds for row in rows),
         saved_seconds=saved,
-        savings=savings,
-        deductions=deductions,
-        net_seconds=saved - sum(deductions.values()),
-        map_net_seconds=None if used is None else totals["reused_saved_seconds"] - used.seconds,
-        break_even=None if used is None else break_even(used.seconds, totals["reused_saved_seconds"], requested),
+        net_seconds=sum(item.seconds for item in balance),
+        map_net_seconds=None if used is None else saved_by_reuse - used.seconds,
+        break_even=None if used is None else break_even(used.seconds, saved_by_reuse, requested),
+        balance=[item for item in balance if item.seconds],
         sentence="",
     )
-    balance = [
-        *(BalanceItem(name=name, label=f"{name} cells", seconds=seconds) for name, seconds in savings.items() if seconds),
-        *(
-            BalanceItem(name=name, label=DEDUCTIONS.get(name, name), seconds=-seconds)
-            for name, seconds in deductions.items()
-            if seconds
-        ),
-    ]
-    texts = {"sentence": _sentence(accounting), "balance": balance, "remarks": _remarks(accounting)}
-    return accounting.model_copy(update=texts)
+    return accounting.model_copy(update={"sentence": _sentence(accounting), "remarks": _remarks(accounting)})
 
 
 def _by_the_wall(costs: Iterable[OutcomeCosts]) -> list[OutcomeCosts]:
@@ -135,13 +128,6 @@ def _by_the_wall(costs: Iterable[OutcomeCosts]) -> list[OutcomeCosts]:
     return [
         replace(cost, seconds=max(cost.seconds, cost.occupied_seconds), run_seconds=cost.occupied_run_seconds) for cost in costs
     ]
-
-
-def _saved(outcome: Outcome) -> str:
-    return f"{outcome.value}_saved_seconds"
-
-
-_SECONDS = ("simulated_seconds", "audited_seconds", "predictor_seconds", *map(_saved, SAVING))
 
 
 def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
@@ -167,14 +153,6 @@ def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) 
     return BreakEven(requested_cells=ceil(campaigns * requested - ROUNDING), campaigns=whole, reruns=whole - 1)
 
 
-def _deductions(sensitivity: SensitivityCost, scenarios: Iterable[ScenarioAccount]) -> dict[str, float]:
-    """Returns the CPU time that saving took, by the keys of `contracts.accounting.DEDUCTIONS`."""
-    return {
-        "sensitivity": sensitivity.seconds,
-        "predictor": sum(scenario.predictor_seconds for scenario in scenarios),
-    }
-
-
 def _scenario(
     name: str,
     costs: Sequence[OutcomeCosts],
@@ -187,8 +165,6 @@ def _scenario(
     if mean is None:
         mean = _mean_seconds(costs)
     audited = [cell for cell in simulated if cell.audited]
-    saving = {outcome: max(0, cells[outcome] - confirmed.get(outcome, 0)) for outcome in SAVING}
-    saved = {_saved(outcome): number * (mean or 0.0) for outcome, number in saving.items()}
     return ScenarioAccount(
         scenario=name,
         requested=sum(cells.values()),
@@ -198,7 +174,7 @@ def _scenario(
         mean_seconds=mean,
         simulated_seconds=sum(cell.seconds for cell in simulated),
         audited_seconds=sum(cost.seconds for cost in audited),
-        **saved,
+        saved={outcome.value: max(0, cells[outcome] - confirmed.get(outcome, 0)) * (mean or 0.0) for outcome in SAVING},
         predictor_seconds=predictor_seconds,
     )
 
@@ -263,9 +239,9 @@ def _sentence(accounting: Accounting) -> str:
     balance = f"that saved {accounting.saved_seconds:,.1f} s of {clock}"
     runs = f" ({accounting.sensitivity.simulated:,} runs)"
     costs = [
-        f"{DEDUCTIONS.get(name, name)} {seconds:,.1f} s{runs * (name == 'sensitivity')}"
-        for name, seconds in accounting.deductions.items()
-        if seconds
+        f"{item.label} {-item.seconds:,.1f} s{runs * (item.name == 'sensitivity')}"
+        for item in accounting.balance
+        if item.seconds < 0
     ]
     if costs:
         verb = "net saving" if accounting.net_seconds >= 0 else "net loss"

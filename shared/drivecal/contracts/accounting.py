@@ -1,17 +1,10 @@
 """Answers about the savings and costs of reuse."""
 
-from collections.abc import Mapping
-from typing import Final, Literal
+from typing import Literal
 
 from pydantic import Field
 
 from drivecal.contracts.campaign import Answer, OutcomeCounts
-
-DEDUCTIONS: Final[Mapping[str, str]] = {
-    "sensitivity": "sensitivity stage",
-    "predictor": "predictor",
-}
-"""Names of known deductions, by key, for readers; others are shown by their key."""
 
 
 class SensitivityCost(OutcomeCounts):
@@ -31,24 +24,19 @@ class MapCost(Answer):
     seconds: float
 
 
-class _Scenario(Answer):
-    scenario: str
-
-
-class ScenarioAccount(OutcomeCounts, _Scenario):
+class ScenarioAccount(OutcomeCounts):
     """The calibration stage in one scenario. `mean_seconds`: CPU time of a simulation, over the simulated cells; if
-    there is none, over the simulated runs that answered cells; null if there is neither. Savings are numbers of cells times it.
-    `predictor_seconds`: CPU time of the predictor. `confirmed`: of the reused cells, those that were simulated after the search to confirm
-    its best set, and so save nothing."""
+    there is none, over the simulated runs that answered cells; null if there is neither. `saved`: seconds by outcome, the number of its
+    cells times the mean. `predictor_seconds`: CPU time of the predictor. `confirmed`: of the reused cells, those that were simulated after
+    the search to confirm its best set, and so save nothing."""
 
+    scenario: str
     audited: int
     confirmed: int = 0
     mean_seconds: float | None
     simulated_seconds: float
     audited_seconds: float
-    repeated_saved_seconds: float
-    reused_saved_seconds: float
-    predicted_saved_seconds: float = 0.0
+    saved: dict[str, float]
     predictor_seconds: float = 0.0
 
 
@@ -65,8 +53,8 @@ class BreakEven(Answer):
 
 
 class BalanceItem(Answer):
-    """An addend of the net, in seconds: positive if saved, negative if spent. `name`: a key of `savings` or `deductions`; `label`: the same
-    in words."""
+    """An addend of the net, in seconds: positive if saved, negative if spent. `name`: an outcome of cells, or what saving took; `label`:
+    the same in words."""
 
     name: str
     label: str
@@ -78,11 +66,10 @@ class Accounting(Answer):
 
     `saved_seconds`: by repeated, reused and predicted cells, without those that were `confirmed`. `audited_seconds` is
     the price of the self-check: audited cells could have been reused but were simulated, so they are not among the saved, and are not
-    taken off once more. `savings`: the addends of `saved_seconds`, by outcome. `deductions`: CPU seconds that saving took in this
-    campaign, by cause (`DEDUCTIONS`). Later releases may add outcomes and causes. `net_seconds` = sum of `savings` - sum of
-    `deductions`: an estimate of the CPU time of the same campaign without reuse, less its own. `map_net_seconds` = saved by reuse alone -
-    cost of the map, in any campaign; null without a map. `share_without_simulation`: (repeated + reused + predicted) /
-    requested; `share_reused`: reused / requested; null before the first.
+    taken off once more. `net_seconds`, the sum of the `balance`: what was saved less what saving took in this campaign, an estimate of the
+    CPU time of the same campaign without reuse, less its own. `map_net_seconds` = saved by reuse alone - cost of the map, in any campaign;
+    null without a map. `share_without_simulation`: (repeated + reused + predicted) / requested; `share_reused`: reused / requested; null
+    before the first.
 
     `clock`: `cpu`, or `wall` if runs take more than twice their CPU time: then all seconds of simulations are wall-clock time of the
     workers, because CPU time would say nothing about what was saved. `cpu_seconds`, `wall_seconds`: what the runs that answered
@@ -109,13 +96,7 @@ class Accounting(Answer):
     share_reused: float | None
     simulated_seconds: float
     audited_seconds: float
-    repeated_saved_seconds: float
-    reused_saved_seconds: float
-    predicted_saved_seconds: float = 0.0
-    predictor_seconds: float = 0.0
     saved_seconds: float
-    savings: dict[str, float] = Field(default_factory=dict)
-    deductions: dict[str, float] = Field(default_factory=dict)
     net_seconds: float
     map_net_seconds: float | None
     break_even: BreakEven | None

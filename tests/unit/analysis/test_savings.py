@@ -56,11 +56,11 @@ def test_the_account_of_a_campaign_with_its_own_map() -> None:
     first, second = found.scenarios
     assert (first.requested, first.simulated, first.audited) == (500, 100, 10)
     assert first.mean_seconds == pytest.approx(0.01)
-    assert first.repeated_saved_seconds == pytest.approx(0.4)
-    assert first.reused_saved_seconds == pytest.approx(3.6)
+    assert first.saved["repeated"] == pytest.approx(0.4)
+    assert first.saved["reused"] == pytest.approx(3.6)
     assert (second.requested, second.failed) == (500, 5)
     assert second.mean_seconds == pytest.approx(0.02)
-    assert second.reused_saved_seconds == pytest.approx(0.9)
+    assert second.saved["reused"] == pytest.approx(0.9)
     assert (found.requested, found.answered_without_simulation, found.simulated, found.audited) == (1000, 445, 550, 10)
     assert (found.share_without_simulation, found.share_reused) == (0.445, 0.405)
     assert found.simulated_seconds == pytest.approx(10.0)
@@ -84,11 +84,10 @@ def test_predictions_save_and_their_predictor_costs() -> None:
     found = account("c", "running", ["S1", "S2"], costs, None, predictors={"S1": 0.5, "S2": 0.25})
     first, second = found.scenarios
     assert (first.predicted, first.predictor_seconds, second.predicted, second.predictor_seconds) == (40, 0.5, 0, 0.25)
-    assert first.predicted_saved_seconds == pytest.approx(0.8)
+    assert first.saved["predicted"] == pytest.approx(0.8)
     assert (found.answered_without_simulation, found.share_without_simulation, found.share_reused) == (40, 0.2, 0.0)
-    assert found.predictor_seconds == 0.75
-    assert found.saved_seconds == found.predicted_saved_seconds == pytest.approx(0.8)
-    assert (found.savings["predicted"], found.deductions["predictor"]) == (found.predicted_saved_seconds, 0.75)
+    assert found.saved_seconds == pytest.approx(0.8)
+    assert {item.name: item.seconds for item in found.balance} == {"predicted": found.saved_seconds, "predictor": -0.75}
     assert found.net_seconds == pytest.approx(0.05)
 
 
@@ -101,8 +100,8 @@ def test_confirmed_answers_are_taken_off_those_that_they_replace() -> None:
     confirmed = {"S1": {Outcome.REUSED: 1, Outcome.PREDICTED: 3}}
     (only,) = account("c", "running", ["S1"], costs, None, confirmed=confirmed).scenarios
     assert only.confirmed == 4
-    assert only.reused_saved_seconds == pytest.approx(0.1)
-    assert only.predicted_saved_seconds == pytest.approx(0.5)
+    assert only.saved["reused"] == pytest.approx(0.1)
+    assert only.saved["predicted"] == pytest.approx(0.5)
 
 
 def test_a_rerun_pays_nothing_for_the_map_and_counts_what_answered_it() -> None:
@@ -120,7 +119,7 @@ def test_a_map_of_a_user_costs_nothing_and_has_no_break_even() -> None:
     found = account("c", "running", ["S1", "S2"], CALIBRATION, MapOrigin("m", None))
     assert found.map is not None
     assert (found.map.made_by, found.map.seconds, found.break_even) == (None, 0.0, None)
-    assert found.map_net_seconds == found.reused_saved_seconds
+    assert found.map_net_seconds == sum(scenario.saved["reused"] for scenario in found.scenarios)
 
 
 def test_a_campaign_without_answers_saves_nothing_yet() -> None:
@@ -163,8 +162,8 @@ def test_a_simulator_that_waits_is_accounted_by_the_wall_clock() -> None:
     found = account("c", "succeeded", ["S1"], costs, MapOrigin("m", "other", analysis))
     assert found.clock == "wall"
     assert found.scenarios[0].mean_seconds == pytest.approx(90.0)
-    assert (found.simulated_seconds, found.repeated_saved_seconds) == pytest.approx((360.0, 540.0))
-    assert found.deductions["sensitivity"] == pytest.approx(180.0)
+    assert found.simulated_seconds == pytest.approx(360.0)
+    assert {item.name: item.seconds for item in found.balance} == pytest.approx({"repeated": 540.0, "sensitivity": -180.0})
     assert found.map is not None
     assert found.map.seconds == pytest.approx(180.0)
     assert found.net_seconds == pytest.approx(360.0)
