@@ -109,7 +109,7 @@ class Earlier:
 
 
 @dataclass(frozen=True, slots=True)
-class Search:
+class SearchCourse:
     """The course of an ended search. `course`: by finished iteration; empty with several objectives, which have no single course.
     `ranges`: lower and upper value of the searched parameters with an order. `grid`: number of
     all sets of the space, 0 if it is no grid; `requested`: number of those that the search asked for, an upper limit unless `is_exact`."""
@@ -137,7 +137,7 @@ class Evidence:
     both have the same problem. `front`: of several objectives, in the place of a best set. `chosen`: a set to judge instead."""
 
     studies: Sequence[StudyResult] = ()
-    search: Search | None = None
+    search: SearchCourse | None = None
     front: Compromises | None = None
     chosen: Chosen | None = None
     earlier: Earlier | None = None
@@ -297,7 +297,7 @@ def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
         yield verdict("better_than_baseline", "green", gain=gain)
 
 
-def _course(campaign: Campaign, search: Search | None) -> Iterator[ResultVerdict]:
+def _course(campaign: Campaign, search: SearchCourse | None) -> Iterator[ResultVerdict]:
     if search is None or campaign.best is None:
         return
     yield from _seen(campaign, search)
@@ -332,7 +332,7 @@ def _convergence(course: Course) -> Iterator[ResultVerdict]:
         yield verdict(code, "neutral", of=of, iteration=iteration, iterations=len(course), unchanged=unchanged)
 
 
-def _seen(campaign: Campaign, search: Search | None) -> Iterator[ResultVerdict]:
+def _seen(campaign: Campaign, search: SearchCourse | None) -> Iterator[ResultVerdict]:
     """Yields the share of the space that the search saw."""
     if search is None or not search.grid or campaign.best is None:
         return

@@ -19,7 +19,7 @@ from drivecal.client.transport import Answer, Transport, harmless, named, path_o
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
 from drivecal.contracts.comparison import Comparison, ExpectedComparison
-from drivecal.contracts.evaluation import CellAnswer, Evaluation, SeriesAnswer, TraceAnswer
+from drivecal.contracts.evaluation import CellNumber, Evaluation, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import (
@@ -380,7 +380,7 @@ class Client(Transport):
             scenario: Name of the scenario.
         """
         query = {"iteration": iteration, "individual": individual, "scenario": scenario}
-        return self._get(CellAnswer, "campaigns", identifier, "cell", **query).evaluation
+        return self._get(CellNumber, "campaigns", identifier, "cell", **query).evaluation
 
     def trace(self, evaluation: str) -> TraceAnswer | SeriesAnswer | None:
         """Returns the time series of an evaluation, None while they are being made; of a bundle's, those of its simulator.

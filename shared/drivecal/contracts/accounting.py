@@ -14,8 +14,8 @@ class SensitivityCost(OutcomeCounts):
 
 
 class MapCost(Answer):
-    """The influence map in use and its cost. `paid_here`: by this campaign's own sensitivity stage; else by `made_by`, an
-    earlier campaign's id (null: expert knowledge)."""
+    """The influence map in use and its cost. `paid_here` is true if this campaign's own sensitivity stage made it. `made_by` is the id of
+    the campaign that made it, null for expert knowledge."""
 
     id: str
     made_by: str | None
@@ -25,10 +25,10 @@ class MapCost(Answer):
 
 
 class ScenarioAccount(OutcomeCounts):
-    """The calibration stage in one scenario. `mean_seconds`: CPU time of a simulation, over the simulated cells; if
-    there is none, over the simulated runs that answered cells; null if there is neither. `saved`: seconds by outcome, the number of its
-    cells times the mean. `predictor_seconds`: CPU time of the predictor. `confirmed`: of the reused cells, those that were simulated after
-    the search to confirm its best set, and so save nothing."""
+    """The calibration stage in one scenario. `mean_seconds` is the mean CPU time of its simulated cells; without such cells, of the
+    earlier simulations that answered its cells; null without either. `saved` has the saved seconds by outcome: number of cells times the
+    mean. `predictor_seconds` is CPU time. `confirmed` counts cells that were simulated after the search to confirm the best set, and
+    therefore save nothing."""
 
     scenario: str
     audited: int
@@ -43,8 +43,8 @@ class ScenarioAccount(OutcomeCounts):
 class BreakEven(Answer):
     """Break-even of a map: its cost against the savings of reuse at the share observed in this campaign.
 
-    `requested_cells`: from so many requested cells on; `campaigns`: from so many campaigns like this one on the same map, the first
-    included; `reruns`: the same without the first. All null if nothing was reused, so that the map never pays at that share.
+    `requested_cells` is the number of cells at which the map has paid. `campaigns` is the number of such campaigns on the same map, the
+    first included; `reruns` the same without the first. All are null if nothing was reused: the map then never pays.
     """
 
     requested_cells: int | None
@@ -53,8 +53,8 @@ class BreakEven(Answer):
 
 
 class BalanceItem(Answer):
-    """An addend of the net, in seconds: positive if saved, negative if spent. `name`: an outcome of cells, or what saving took; `label`:
-    the same in words."""
+    """An addend of the net, in seconds: positive if saved, negative if spent. Its `name` is an outcome of cells, or the part of a campaign
+    that cost time; `label` is the same in words."""
 
     name: str
     label: str
@@ -64,19 +64,17 @@ class BalanceItem(Answer):
 class Accounting(Answer):
     """Savings and costs of a campaign, in cells and in CPU seconds of the workers.
 
-    `saved_seconds`: by repeated, reused and predicted cells, without those that were `confirmed`. `audited_seconds` is
-    the price of the self-check: audited cells could have been reused but were simulated, so they are not among the saved, and are not
-    taken off once more. `net_seconds`, the sum of the `balance`: what was saved less what saving took in this campaign, an estimate of the
-    CPU time of the same campaign without reuse, less its own. `map_net_seconds` = saved by reuse alone - cost of the map, in any campaign;
-    null without a map. `share_without_simulation`: (repeated + reused + predicted) / requested; `share_reused`: reused / requested; null
-    before the first.
+    Repeated, reused and predicted cells save `saved_seconds`, unless they were `confirmed`. Audited cells are simulated: they took
+    `audited_seconds`, and save nothing. `net_seconds` is the sum of the `balance`: an estimate of the CPU time of the same campaign without
+    reuse, less its own. `map_net_seconds` is the time that reused cells saved, less the cost of the map in any campaign; null without a
+    map. `share_without_simulation` is the share of repeated, reused and predicted cells among the requested ones, `share_reused` that of
+    reused cells; both are null before the first.
 
-    `clock`: `cpu`, or `wall` if runs take more than twice their CPU time: then all seconds of simulations are wall-clock time of the
-    workers, because CPU time would say nothing about what was saved. `cpu_seconds`, `wall_seconds`: what the runs that answered
-    cells took by either.
+    `clock` is `wall` if runs take more than twice their CPU time, else `cpu`. With `wall` all seconds of simulations are wall-clock
+    time of the workers. The runs that answered cells took `cpu_seconds` and `wall_seconds`.
 
-    `pruned`: most cells of the campaign were removed. The account then counts only those that are left, without the map. `map` is null as
-    well if the campaign that made it was pruned.
+    `pruned` is true if most cells of the campaign were removed. The account then counts the remaining cells, without the map. `map` is
+    also null if the campaign that made it was pruned.
     """
 
     campaign: str

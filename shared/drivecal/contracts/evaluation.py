@@ -48,7 +48,7 @@ class EvaluationDetail(EvaluationRow):
     campaign: CampaignOfEvaluation
 
 
-class CellAnswer(Answer):
+class CellNumber(Answer):
     """The number of the evaluation by which a set is ranked in a scenario."""
 
     evaluation: int

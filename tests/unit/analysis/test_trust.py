@@ -7,7 +7,7 @@ import pytest
 from tests.support.scales import COST
 
 from drivecal.analysis.convergence import CoursePoint
-from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Earlier, Evidence, Later, Search, trust
+from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Earlier, Evidence, Later, SearchCourse, trust
 from drivecal.analysis.verdicts import SENTENCES, sentence
 from drivecal.contracts.campaign import (
     Baseline,
@@ -266,20 +266,20 @@ def test_later_simulations_that_change_the_best_set_are_amber(gain: float, param
     ],
 )
 def test_a_search_that_its_first_iteration_decided_is_amber(course: Any, given: dict[str, Any], is_doubted: bool) -> None:
-    assert ("stood_still" in lights(campaign(**given), search=Search(stalled(*course), {}))) is is_doubted
+    assert ("stood_still" in lights(campaign(**given), search=SearchCourse(stalled(*course), {}))) is is_doubted
 
 
 @pytest.mark.parametrize(
     ("requested", "grid", "is_doubted"), [(54, 54, False), (48, 54, False), (30, 54, True), (9, 10**400, True)]
 )
 def test_a_search_that_saw_nearly_all_sets_missed_little(requested: int, grid: int, is_doubted: bool) -> None:
-    found = verdicts(campaign(), search=Search(stalled(*[(6.0, 6.0)] * 5), {}, requested, grid))
+    found = verdicts(campaign(), search=SearchCourse(stalled(*[(6.0, 6.0)] * 5), {}, requested, grid))
     assert ("stood_still" in found) is is_doubted
     assert found["seen"].numbers["asked"] == str(requested)
 
 
 def test_the_highest_score_in_steps_is_not_doubted() -> None:
-    best, search = BEST.model_copy(update={"objective": 7.0}), Search(stalled(*[(7.0, None)] * 5), {})
+    best, search = BEST.model_copy(update={"objective": 7.0}), SearchCourse(stalled(*[(7.0, None)] * 5), {})
     assert "stood_still" not in lights(campaign(best=best), search=search)
     assert "stood_still" in lights(campaign(best=best, scale=COST), search=search)
 
@@ -287,25 +287,27 @@ def test_the_highest_score_in_steps_is_not_doubted() -> None:
 def test_convergence_is_told_by_both_criteria_of_the_paper() -> None:
     rising = [CoursePoint(4.0, 4.0, 1), CoursePoint(6.0, 6.0, 1), *[CoursePoint(6.0, 6.0, 3)] * 8, CoursePoint(6.0, 6.0, 4)]
     found = [
-        each for each in trust(campaign(), Evidence(search=Search(rising, {}))).verdicts if each.code.endswith("converged")
+        each
+        for each in trust(campaign(), Evidence(search=SearchCourse(rising, {}))).verdicts
+        if each.code.endswith("converged")
     ]
     assert [(each.code, each.numbers["of"], each.numbers["iteration"]) for each in found] == [
         ("not_converged", "best objective", 2),
         ("not_converged", "number of alternative optima", 11),
     ]
     rested = [*rising, *[CoursePoint(6.0, 6.0, 4)] * 6]
-    found = [each for each in trust(campaign(), Evidence(search=Search(rested, {}))).verdicts if each.code == "converged"]
+    found = [each for each in trust(campaign(), Evidence(search=SearchCourse(rested, {}))).verdicts if each.code == "converged"]
     assert [(each.light, each.numbers["iteration"]) for each in found] == [("neutral", 2), ("neutral", 11)]
 
 
 def test_values_at_an_end_of_their_range_are_named() -> None:
     best = BEST.model_copy(update={"parameters": {"P1": 0.5, "P2": 3.0, "P3": 1.0, "mode": "eco"}})
     ranges = {"P1": (0.5, 2.0), "P2": (1.0, 3.0), "P3": (0.0, 2.0)}
-    found = verdicts(campaign(best=best), search=Search([], ranges))["at_ends"]
+    found = verdicts(campaign(best=best), search=SearchCourse([], ranges))["at_ends"]
     assert found.numbers["values"] == {"P1": 0.5, "P2": 3.0}
-    assert "at_ends" not in lights(campaign(best=best), search=Search([], {"P3": (0.0, 2.0)}))
+    assert "at_ends" not in lights(campaign(best=best), search=SearchCourse([], {"P3": (0.0, 2.0)}))
     chosen = Chosen({"P1": 0.7, "P2": 3.0})
-    assert verdicts(campaign(), search=Search([], ranges), chosen=chosen)["at_ends"].numbers["values"] == {"P2": 3.0}
+    assert verdicts(campaign(), search=SearchCourse([], ranges), chosen=chosen)["at_ends"].numbers["values"] == {"P2": 3.0}
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from drivecal.analysis.convergence import CoursePoint
 from drivecal.analysis.goals import Objective
 from drivecal.analysis.savings import MapOrigin, account
 from drivecal.analysis.solutions import EvaluatedSet
-from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidence, Search, trust
+from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidence, SearchCourse, trust
 from drivecal.api.responses import campaign_answer
 from drivecal.api.tables.front import bound_text, summary
 from drivecal.api.tables.ranking import earlier_best, later_best
@@ -232,7 +232,7 @@ def has_several_objectives(campaign: StoredCampaign) -> bool:
     return goals is not None and len(goals.objectives) > 1
 
 
-def _search(connection: Connection, campaign: StoredCampaign) -> Search | None:
+def _search(connection: Connection, campaign: StoredCampaign) -> SearchCourse | None:
     """Returns the course of an ended search; None before its end."""
     if not campaign.state.ended or campaign.resolution is None:
         return None
@@ -247,7 +247,7 @@ def _search(connection: Connection, campaign: StoredCampaign) -> Search | None:
     if is_exact:
         scenario = next(iter(begun_with.weights))
         requested = results.number_of_sets(connection, campaign.sequence, StageName.CALIBRATION, scenario)
-    return Search([CoursePoint(*each) for each in course], ranges, requested, grid, is_exact)
+    return SearchCourse([CoursePoint(*each) for each in course], ranges, requested, grid, is_exact)
 
 
 def _searched(parameter: Parameter, fixed: Mapping[str, Value], descriptions: Mapping[str, str]) -> SearchedParameter:

@@ -9,7 +9,7 @@ from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import Parameters, Place, ViewsQuery
 from drivecal.api.responses import ROOT
-from drivecal.contracts.evaluation import CellAnswer
+from drivecal.contracts.evaluation import CellNumber
 from drivecal.contracts.organising import SavedView, SavedViewChanges, SavedViewList, SavedViewSpecification
 from drivecal.storage import campaigns, results, saved_views
 from drivecal.storage.saved_views import StoredView
@@ -26,12 +26,12 @@ class CellOf(Parameters):
 
 
 @router.get("/campaigns/{campaign_id}/cell")
-def find_cell(campaign_id: str, query: Annotated[CellOf, Query()], database: DatabaseDependency) -> CellAnswer:
+def find_cell(campaign_id: str, query: Annotated[CellOf, Query()], database: DatabaseDependency) -> CellNumber:
     """The evaluation by which the set at a place of the calibration stage is ranked."""
     with database.read() as connection:
         campaign = campaigns.get(connection, campaign_id)
         evaluation = results.number_at(connection, campaign.sequence, query.iteration, query.individual, query.scenario)
-    return CellAnswer(evaluation=evaluation)
+    return CellNumber(evaluation=evaluation)
 
 
 @router.get("/views")

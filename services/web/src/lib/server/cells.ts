@@ -2,7 +2,7 @@
 
 import { get } from "./api";
 import { go } from "../route.svelte";
-import type { Best, CellAnswer, EvaluationDetail, PageSolution } from "./types";
+import type { Best, CellNumber, EvaluationDetail, PageSolution } from "./types";
 
 /** A set as a view shows it beside another. */
 export interface SetSide {
@@ -19,7 +19,7 @@ export interface SetSide {
 
 /** The number of the evaluation at a place of the calibration. */
 export async function cellAt(campaign: string, iteration: number, individual: number, scenario: string): Promise<number> {
-  return (await get<CellAnswer>(`/campaigns/${campaign}/cell?iteration=${iteration}&individual=${individual}&scenario=${encodeURIComponent(scenario)}`)).evaluation;
+  return (await get<CellNumber>(`/campaigns/${campaign}/cell?iteration=${iteration}&individual=${individual}&scenario=${encodeURIComponent(scenario)}`)).evaluation;
 }
 
 /** Opens the evaluation, with its replay, at a place of the calibration. */
