@@ -1,7 +1,7 @@
 """Values of parameter sets as tests compute with them."""
 
 from drivecal.cli.commands.demo import BASELINE
-from drivecal.domain.parameter_sets import ParameterSet
+from drivecal.domain.parameters import ParameterSet
 
 MIDDLE = BASELINE
 """Middle of the highway's parameter space, but for P1, which is 0 dB."""

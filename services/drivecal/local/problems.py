@@ -23,17 +23,17 @@ from drivecal.bundles.manifest import Manifest, ParameterEntry
 from drivecal.bundles.scoring import cut_text
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.workbench import find_workbench
+from drivecal.campaigns.resolve.workbench import constraints_of, find_workbench, parameters_of
 from drivecal.contracts.specification import EvaluationSpecification
+from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
+from drivecal.domain.parameters import ParameterSpace
 from drivecal.domain.values import Setting
 from drivecal.plugins.runners import Runner
 from drivecal.plugins.simulators import PROBE_SECONDS, Declared, NoMeasuresError, RunOutcome, SimulatorSession, start_limit
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.runners import RefusedError, make_runner
 
-DRAWN = 10_000
-"""Sets among which one is searched that keeps all constraints."""
 SEED = 20261121
 SECONDS_BETWEEN_SIGNS = 10.0
 """Longest silence while a simulator is waited for."""
@@ -98,13 +98,14 @@ def trial_set(manifest: Manifest) -> dict[str, Setting]:
 
 def other_set(manifest: Manifest) -> dict[str, Setting] | None:
     """Returns a set of the space that keeps all constraints, drawn with a fixed seed; None if nothing that was drawn does."""
-    drawing = np.random.default_rng(SEED)
-    constraints = [Constraint(text, choices_of(manifest)) for text in manifest.constraints]
-    for _ in range(DRAWN):
-        values = {name: _drawn(entry, drawing) for name, entry in manifest.parameters.items()}
-        if all(constraint.holds(values) for constraint in constraints):
-            return values
-    return None
+    constraints = Constraints(ParameterSpace(parameters_of(manifest)), constraints_of(manifest))
+    last = constraints.space.n_values - 1
+    try:
+        [row] = constraints.region(0 * last, last).sample(1, np.random.default_rng(SEED))
+    except InvalidInputError:
+        return None
+    values = constraints.space.parameter_set(row.tolist()).floats
+    return {name: _typed(entry, values[name]) for name, entry in manifest.parameters.items()}
 
 
 def run_problem(
@@ -348,16 +349,6 @@ def _middle(entry: ParameterEntry) -> Setting:
     step = 1.0 if entry.integer else entry.step
     value = (lower + upper) / 2 if step is None else lower + round((upper - lower) / step) // 2 * step
     return _typed(entry, round(value, 9))
-
-
-def _drawn(entry: ParameterEntry, drawing: np.random.Generator) -> Setting:
-    if entry.choices is not None:
-        return entry.choices[int(drawing.integers(len(entry.choices)))]
-    lower, upper = entry.lower or 0.0, entry.upper or 0.0
-    step = 1.0 if entry.integer else entry.step
-    if step is None:
-        return round(float(drawing.uniform(lower, upper)), 9)
-    return _typed(entry, round(lower + int(drawing.integers(round((upper - lower) / step) + 1)) * step, 9))
 
 
 def _typed(entry: ParameterEntry, value: Setting) -> Setting:

@@ -1,11 +1,11 @@
 """Abilities of optimizers, checks of what they are given and propose, and constraints kept by repair.
 
-An infeasible individual is replaced by a feasible one near it. The replacement is a pure function of the individual and the space, so
-that a resumed campaign repairs as before, and an individual that is carried over is not requested again. The optimizer is told the
-replacement's result.
+An infeasible individual is replaced by a feasible one near it, see `drivecal.domain.regions`. An individual that is carried over is not
+requested again. The optimizer is told the replacement's result.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,7 +18,7 @@ from drivecal.plugins.ports import UNDECLARED, Ability, DeclaringOptimizerPlugin
 
 
 def supported(plugin: OptimizerPlugin) -> frozenset[Ability]:
-    """Returns the abilities of a plug-in; one that declares none has `UNDECLARED`."""
+    """Returns the abilities of a plug-in; without a declaration `UNDECLARED`."""
     return plugin.supports if isinstance(plugin, DeclaringOptimizerPlugin) else UNDECLARED
 
 
@@ -99,103 +99,28 @@ def fitting(saved: Individuals, own: npt.NDArray[Any]) -> Individuals:
     return saved
 
 
-Feasible = Callable[[Indices], npt.NDArray[np.bool_]]
-"""Returns which rows of grid indices, shape (n, n_searched), keep the constraints, shape (n,)."""
+@dataclass(frozen=True, slots=True)
+class RepairCount:
+    """Number of different infeasible proposals, and of the new sets that they became."""
 
-NEIGHBOURS = 16
-"""Points that are tried around an individual in each of SCALES, shares of the ranges."""
-SCALES = (1 / 256, 1 / 64, 1 / 16, 1 / 4)
-SEED = 20261121
-CELLS = 2_000_000
-"""Grid indices that are in memory at a time."""
+    proposed: int = 0
+    distinct: int = 0
 
+    @classmethod
+    def counted(cls, proposed: Indices, repaired: Indices, known: Indices) -> "RepairCount":
+        """Counts the rows of a population, shape (n, n_searched), that repair replaced. `known`: sets that were asked for before."""
+        broken = (proposed != repaired).any(axis=1)
+        before = set(map(tuple, known.tolist())) | set(map(tuple, repaired[~broken].tolist()))
+        became = set(map(tuple, repaired[broken].tolist())) - before
+        return cls(len(set(map(tuple, proposed[broken].tolist()))), len(became))
 
-class Repair:
-    """Replaces infeasible rows of grid indices, shape (n, n_searched); feasible rows stay as they are.
+    def __add__(self, other: "RepairCount") -> "RepairCount":
+        return RepairCount(self.proposed + other.proposed, self.distinct + other.distinct)
 
-    Candidates are the first feasible point on the line to the nearest anchor, the first on the way that moves one parameter alone, and
-    points around the row. The nearest candidate is taken, in shares of the ranges; another choice is as far as a whole range.
-    """
-
-    def __init__(self, n_values: Indices, kinds: Sequence[Kind], feasible: Feasible, anchors: Indices) -> None:
-        """`anchors`: feasible rows, shape (n_anchors, n_searched), at least one."""
-        if not len(anchors):
-            raise ValueError("nothing is feasible: there is no anchor")
-        self._last = n_values - 1
-        self._unordered = np.array([kind == "choice" for kind in kinds], dtype=np.bool_)
-        self._halvings = int(self._last.max(initial=0)).bit_length() + 1
-        """Steps of a bisection, the same for every row: a row's replacement must not depend on the rows beside it."""
-        self._feasible = feasible
-        self._anchors = anchors
-        drawing = np.random.Generator(np.random.PCG64(SEED))
-        self._steps: Floats = np.concatenate([scale * drawing.uniform(-1, 1, (NEIGHBOURS, len(n_values))) for scale in SCALES])
-
-    def __call__(self, population: Indices) -> Indices:
-        """Returns the population with feasible rows only."""
-        broken = np.flatnonzero(~self._feasible(population))
-        repaired = population.copy()
-        at_once = max(1, CELLS // max(1, population.shape[1]))
-        for start in range(0, len(broken), at_once):
-            rows = broken[start : start + at_once]
-            repaired[rows] = self._replaced(population[rows])
-        return repaired
-
-    def _replaced(self, rows: Indices) -> Indices:
-        """Returns a feasible row for each infeasible one."""
-        best, away = rows.copy(), np.full(len(rows), np.inf)
-        for candidates in self._candidates(rows):
-            distance = np.where(self._feasible(candidates), self._distances(rows, candidates), np.inf)
-            nearer = distance < away
-            best[nearer], away[nearer] = candidates[nearer], distance[nearer]
-        return best
-
-    def _candidates(self, rows: Indices) -> Iterator[Indices]:
-        """Yields a candidate for each row at a time; the first is feasible."""
-        anchors = self._nearest_anchors(rows)
-        yield self._first_feasible(rows, anchors)
-        for column in range(rows.shape[1]):
-            target = rows.copy()
-            target[:, column] = anchors[:, column]
-            reached = self._feasible(target)
-            if reached.any():
-                candidates = target.copy()
-                candidates[reached] = self._first_feasible(rows[reached], target[reached])
-                yield candidates
-        for step in self._steps:
-            moved = rows + np.rint(step * self._last).astype(np.int64)
-            yield np.clip(moved, 0, self._last)
-
-    def _nearest_anchors(self, rows: Indices) -> Indices:
-        chosen, away = np.zeros(len(rows), dtype=np.int64), np.full(len(rows), np.inf)
-        for number, anchor in enumerate(self._anchors):
-            distance = self._distances(rows, anchor[np.newaxis])
-            nearer = distance < away
-            chosen[nearer], away[nearer] = number, distance[nearer]
-        return self._anchors[chosen]
-
-    def _first_feasible(self, rows: Indices, targets: Indices) -> Indices:
-        """Returns feasible points on the lines from rows to feasible targets, by bisection; the first ones if each line crosses the border
-        once."""
-        near, far = np.zeros(len(rows)), np.ones(len(rows))
-        for _ in range(self._halvings):
-            middle = (near + far) / 2
-            allowed = self._feasible(self._between(rows, targets, middle))
-            far, near = np.where(allowed, middle, far), np.where(allowed, near, middle)
-        return self._between(rows, targets, far)
-
-    def _between(self, rows: Indices, targets: Indices, shares: Floats) -> Indices:
-        """Returns points at `shares` of the way, shape (n,). A choice changes at the half."""
-        way = shares[:, np.newaxis]
-        moved = rows + np.rint((targets - rows) * way).astype(np.int64)
-        return np.where(self._unordered, np.where(way < 0.5, rows, targets), moved)
-
-    def _distances(self, rows: Indices, others: Indices) -> Floats:
-        shares = (others - rows) / self._last
-        differs: Floats = np.where(self._unordered, (shares != 0).astype(np.float64), shares)
-        total: Floats = np.zeros(len(differs))
-        for column in differs.T:  # one column after the other: the same bits whatever the number of rows
-            total += column * column
-        return total
+    @property
+    def collapses(self) -> bool:
+        """True if fewer than a tenth of the proposals lead to new sets."""
+        return 10 * self.distinct < self.proposed
 
 
 class RepairingOptimizer:

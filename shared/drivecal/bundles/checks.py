@@ -233,7 +233,7 @@ def _remainder(manifest: Manifest) -> Iterator[Problem]:
         return
     space = ParameterSpace(known)
     try:
-        Constraints(space, {constraint.text: constraint.holds_in for constraint in constraints}).anchors(
+        Constraints(space, {constraint.text: constraint for constraint in constraints}).region(
             0 * space.n_values, space.n_values - 1
         )
     except InvalidInputError as error:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any, NoReturn
 
@@ -19,6 +19,7 @@ import numpy.typing as npt
 from drivecal.bundles.arithmetic import ARRAY, SCALAR, Arithmetic
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
+from drivecal.domain.constraints import Inequality
 from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem
 
 LONGEST = 2000
@@ -52,7 +53,7 @@ Evaluation = Callable[[Mapping[str, Any]], Any]
 
 
 class UndefinedError(DrivecalError):
-    """An expression has no value, e.g. because it divides by zero. `values`: those of its names."""
+    """An expression has no value, e.g. because it divides by zero. `values`: numbers of its names."""
 
     def __init__(self, expression: str, reason: str, values: Mapping[str, float]) -> None:
         super().__init__(expression, reason, dict(values))
@@ -64,7 +65,7 @@ class UndefinedError(DrivecalError):
 
 
 class Formula:
-    """Arithmetic over named numbers. `names`: those that it uses."""
+    """Arithmetic over named numbers. `names`: the numbers that it uses."""
 
     __slots__ = ("_evaluation", "names", "text")
 
@@ -99,7 +100,7 @@ class Formula:
 class Constraint:
     """A condition on parameters. A comparison of something undefined does not hold; numbers within 1e-12 of each other are equal."""
 
-    __slots__ = ("_array", "_scalar", "names", "text")
+    __slots__ = ("_array", "_scalar", "inequalities", "names", "text")
 
     def __init__(self, text: str, known: Mapping[str, Sequence[str]] | None = None, field: str = "constraint") -> None:
         """Parses a constraint over `known` parameters with their choices, empty for numbers; None allows any.
@@ -114,19 +115,20 @@ class Constraint:
         parser.finish()
         self.text, self.names = text, frozenset(parser.names)
         self._scalar, self._array = _compiled(tree, SCALAR), _compiled(tree, ARRAY)
+        self.inequalities = tuple(_inequalities(tree))
 
     def holds(self, values: Mapping[str, float | str]) -> bool:
         """Returns whether a parameter set keeps the constraint. `values`: numbers, and choices as their text."""
         return bool(self._scalar(values))
 
-    def holds_in(self, columns: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.bool_]:
+    def __call__(self, columns: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.bool_]:
         """Returns whether each row of a population keeps the constraint, shape (n,), exactly as `holds` says of each.
 
         `columns`: values of shape (n,) by name: floats, and choices as arrays of text.
         """
         with np.errstate(all="ignore"):
             result = self._array(columns)
-        return np.broadcast_to(np.asarray(result, dtype=bool), next(iter(columns.values())).shape)
+        return np.broadcast_to(np.asarray(result, dtype=bool), columns[next(iter(self.names))].shape)
 
     def __repr__(self) -> str:
         return f"Constraint({self.text!r})"
@@ -304,6 +306,64 @@ def _name(node: ast.expr) -> str | None:
         owner = _name(node.value)
         return None if owner is None else f"{owner}.{node.attr}"
     return None
+
+
+def _inequalities(node: ast.expr) -> Iterator[Inequality]:
+    """Yields linear inequalities that a condition implies: of all its parts if `and` joins them."""
+    if isinstance(node, ast.BoolOp) and isinstance(node.op, ast.And):
+        for part in node.values:
+            yield from _inequalities(part)
+    if isinstance(node, ast.Compare):
+        sides = [_linear(side) for side in (node.left, *node.comparators)]
+        for operator, left, right in zip(node.ops, sides, sides[1:], strict=False):
+            if left is None or right is None or isinstance(operator, ast.NotEq):
+                continue
+            strict = isinstance(operator, ast.Lt | ast.Gt)
+            if not isinstance(operator, ast.Gt | ast.GtE):
+                yield from _inequality(_combined(left, right, -1.0), strict=strict)
+            if not isinstance(operator, ast.Lt | ast.LtE):
+                yield from _inequality(_combined(right, left, -1.0), strict=strict)
+
+
+def _inequality(terms: Mapping[str, float], *, strict: bool) -> Iterator[Inequality]:
+    """Yields the inequality that a sum is at most 0, if its squares are finite; the constant stands under ""."""
+    coefficients = {name: factor for name, factor in terms.items() if name and factor}
+    usable = all(1e-60 < abs(factor) < 1e60 for factor in coefficients.values()) and abs(terms.get("", 0.0)) < 1e60
+    if coefficients and usable:
+        yield Inequality(coefficients, -terms.get("", 0.0), strict)
+
+
+def _linear(node: ast.expr) -> dict[str, float] | None:
+    """Returns the coefficients of a linear expression by name, its constant under ""; None for others."""
+    name = _name(node)
+    if name is not None:
+        return {name: 1.0}
+    match node:
+        case ast.Constant(value=int() | float() as value):
+            return {"": float(value)}
+        case ast.UnaryOp(op=operator, operand=operand) if (inner := _linear(operand)) is not None:
+            return inner if isinstance(operator, ast.UAdd) else _combined({}, inner, -1.0)
+        case ast.BinOp(op=operator, left=one, right=other):
+            left, right = _linear(one), _linear(other)
+            if left is None or right is None:
+                return None
+            match operator:
+                case ast.Add():
+                    return _combined(left, right, 1.0)
+                case ast.Sub():
+                    return _combined(left, right, -1.0)
+                case ast.Mult() if left.keys() <= {""}:
+                    return _combined({}, right, left.get("", 0.0))
+                case ast.Mult() if right.keys() <= {""}:
+                    return _combined({}, left, right.get("", 0.0))
+                case ast.Div() if right.keys() <= {""} and right.get(""):
+                    return _combined({}, left, 1 / right[""])
+    return None
+
+
+def _combined(left: Mapping[str, float], right: Mapping[str, float], factor: float) -> dict[str, float]:
+    """Returns left + factor * right."""
+    return {name: left.get(name, 0.0) + factor * right.get(name, 0.0) for name in (*left, *right)}
 
 
 def _compiled(node: ast.expr, arithmetic: Arithmetic) -> Evaluation:

@@ -1,16 +1,17 @@
 """Constraints of a search space: combinations of values that must not be simulated."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.parameters import BILLION, Indices, ParameterSet, ParameterSpace
+from drivecal.domain.parameters import BILLION, Indices, ParameterSet, ParameterSpace, billionths
+from drivecal.domain.regions import ANCHORS, FeasibleRegion, HalfSpace, Polytope
 
 Columns = Mapping[str, npt.NDArray[Any]]
 """Values of n sets by parameter, shape (n,): floats, or the texts of choices."""
@@ -19,15 +20,31 @@ Constraint = Callable[[Columns], npt.NDArray[np.bool_]]
 
 DRAWN = 2**16
 """Points among which feasible ones are searched."""
-BATCH = 2**12
 MOST_OPERATIONS = 2**25
 """Operations of a search for feasible points: up to five seconds of a core. Constraints of more than 512 words and signs together get fewer
 points: 100 constraints of 2,000 characters would take a quarter of an hour."""
-ANCHORS = 32
-"""Feasible points to which infeasible ones are moved: the nearest is chosen."""
-SEED = 20261121
+MOST_TERMS = 1_000
+"""Inequalities that repair uses; the others are constraints like any."""
 _OPERATION = re.compile(r"\w+|[^\w\s]")
 """A word or sign of a constraint's text, which counts as an operation per point."""
+
+
+@dataclass(frozen=True, slots=True)
+class Inequality:
+    """The sum of `coefficients` times parameters is at most `bound`, or below it if it `is_strict`."""
+
+    coefficients: Mapping[str, float]
+    bound: float
+    is_strict: bool = False
+
+
+@runtime_checkable
+class LinearConstraint(Protocol):
+    """Optional protocol of a constraint that implies linear inequalities: repair sorts or projects."""
+
+    @property
+    def inequalities(self) -> Sequence[Inequality]:
+        """Inequalities that hold in all sets that the constraint allows."""
 
 
 @dataclass(frozen=True)
@@ -65,33 +82,70 @@ class Constraints:
         operations = sum(len(_OPERATION.findall(text)) for text in self.listed)
         return min(DRAWN, max(ANCHORS, MOST_OPERATIONS // max(operations, 1)))
 
-    def anchors(self, lower: Indices, upper: Indices) -> Indices:
-        """Returns feasible rows of grid indices in the box from `lower` to `upper`, shape (n, n_searched), at most ANCHORS: the middle, the
-        corners and `drawn` points with a fixed seed. Raises InvalidInputError naming the constraints that leave nothing.
+    def region(self, lower: Indices, upper: Indices) -> FeasibleRegion:
+        """Returns the feasible part of the box from `lower` to `upper`, shape (n_searched,).
+
+        Raises InvalidInputError naming the constraints that leave nothing.
         """
-        drawing, allowed = np.random.Generator(np.random.PCG64(SEED)), np.zeros(len(self.listed), dtype=np.int64)
-        kept = np.empty((0, len(lower)), dtype=np.int64)
-        batch = np.stack([(lower + upper) // 2, lower, upper])
-        left = self.drawn
-        while True:
-            columns = self._columns(batch)
-            rows = np.stack([_allowed(constraint, columns) for constraint in self.listed.values()])
-            allowed += rows.sum(axis=1)
-            kept = np.concatenate([kept, batch[rows.all(axis=0)]])
-            if len(kept) >= ANCHORS or not left:
-                break
-            size = min(BATCH, left)
-            batch, left = drawing.integers(lower, upper + 1, size=(size, len(lower))), left - size
-        if not len(kept):
-            raise self._nothing_left([text for text, count in zip(self.listed, allowed, strict=True) if count == 0])
-        return kept[:ANCHORS]
+        held = np.zeros(len(self.listed), dtype=np.bool_)
+
+        def feasible(population: Indices) -> npt.NDArray[np.bool_]:
+            allowed, columns = np.ones(len(population), dtype=np.bool_), self._columns(population)
+            for number, constraint in enumerate(self.listed.values()):
+                each = _allowed(constraint, columns)
+                held[number] |= each.any()
+                allowed &= each
+            return allowed
+
+        searched = self.space.searched
+        origins, steps = self._numbers
+        region = FeasibleRegion(
+            Polytope(origins, steps, lower, upper, list(self._half_spaces())),
+            feasible,
+            read=np.flatnonzero([parameter.name in self.names for parameter in searched]),
+            unordered=np.array([bool(parameter.choices) for parameter in searched], dtype=np.bool_),
+            drawn=self.drawn,
+        )
+        if region.is_empty:
+            raise self._nothing_left([text for text, ever in zip(self.listed, held, strict=True) if not ever])
+        return region
+
+    @property
+    def _numbers(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """The first values and the steps of the searched parameters, in billionths, which are exact in floats."""
+        bounds = [(billionths(parameter.lower), billionths(parameter.upper)) for parameter in self.space.searched]
+        low, high = np.array(bounds, dtype=np.float64).reshape(-1, 2).T
+        return low, (high - low) / (self.space.n_values - 1)
+
+    def _half_spaces(self) -> Iterator[HalfSpace]:
+        """Yields the inequalities between searched parameters, at most MOST_TERMS."""
+        origins, steps = self._numbers
+        places = {parameter.name: column for column, parameter in enumerate(self.space.searched) if not parameter.choices}
+        constraints: Collection[object] = self.listed.values()
+        listed = {
+            (tuple(sorted(each.coefficients.items())), each.bound, each.is_strict): each
+            for constraint in constraints
+            if isinstance(constraint, LinearConstraint)
+            for each in constraint.inequalities
+        }
+        for each in list(listed.values())[:MOST_TERMS]:
+            fixed = {name: value for name, value in self.space.fixed.items() if name in each.coefficients}
+            if not each.coefficients.keys() <= places.keys() | fixed.keys() or any(isinstance(v, str) for v in fixed.values()):
+                continue
+            bound = BILLION * (each.bound - sum(each.coefficients[name] * float(value) for name, value in fixed.items()))
+            factors = {places[name]: factor for name, factor in each.coefficients.items() if name in places}
+            if factors:
+                columns = np.array(list(factors), dtype=np.int64)
+                row = HalfSpace(columns, np.array(list(factors.values())), bound)
+                yield _whole(row, origins[columns], steps[columns], is_strict=each.is_strict)
 
     def allow_any(self, lower: Indices, upper: Indices) -> bool:
-        """Returns whether feasible points are found in a box, see `anchors`."""
+        """Returns whether feasible points are found in a box, see `region`."""
         try:
-            return not self or len(self.anchors(lower, upper)) > 0
+            self.region(lower, upper)
         except InvalidInputError:
             return False
+        return True
 
     def check(self, parameters: ParameterSet, field_name: str) -> None:
         """Raises InvalidInputError naming the constraints that a set breaks."""
@@ -142,6 +196,19 @@ class _ReadColumns(Mapping[str, npt.NDArray[Any]]):
 
     def __len__(self) -> int:
         return len(self._columns)
+
+
+def _whole(row: HalfSpace, origins: npt.NDArray[np.float64], steps: npt.NDArray[np.float64], *, is_strict: bool) -> HalfSpace:
+    """Returns a row whose bound sets on the grid can meet. A strict one excludes its bound by the smallest step of a parameter."""
+    smallest = np.abs(row.factors * steps).min()
+    ratios = np.abs(row.factors * steps) / smallest
+    offset = float((row.factors * origins).sum())
+    room = (row.bound - offset) / smallest
+    if np.abs(ratios - np.rint(ratios)).max() < 1e-9:
+        room = np.ceil(room - 1e-6) - 1 if is_strict else np.floor(room + 1e-6)
+    elif is_strict:
+        room -= 1
+    return replace(row, bound=float(offset + room * smallest))
 
 
 def _allowed(constraint: Constraint, columns: Columns) -> npt.NDArray[np.bool_]:

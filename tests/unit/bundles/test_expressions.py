@@ -168,7 +168,7 @@ def test_a_constraint_holds_or_not_in_a_set_and_in_a_population(text: str, value
     constraint = Constraint(text, PARAMETERS)
     assert constraint.holds(values) is holds
     columns = {name: np.array([value] * 3) for name, value in values.items()}
-    assert constraint.holds_in(columns).tolist() == [holds] * 3
+    assert constraint(columns).tolist() == [holds] * 3
     assert set(constraint.names) == set(values)
 
 
@@ -253,4 +253,36 @@ def test_a_population_is_judged_as_each_of_its_rows(text: str, population: list[
     keys = ("a", "b", "v0", "mode")
     columns = {key: np.array(column) for key, column in zip(keys, zip(*population, strict=True), strict=True)}
     alone = [constraint.holds(dict(zip(keys, row, strict=True))) for row in population]
-    assert constraint.holds_in(columns).tolist() == alone
+    assert constraint(columns).tolist() == alone
+
+
+linear = st.recursive(
+    st.sampled_from(["a", "b", "v0", "0", "1", "2.5"]),
+    lambda inner: (
+        st.tuples(inner, st.sampled_from(["+", "-"]), inner).map(lambda parts: f"({' '.join(parts)})")
+        | st.tuples(st.sampled_from(["2 * ", "-", "-0.5 * ", "+"]), inner).map(lambda parts: f"{parts[0]}({parts[1]})")
+        | st.tuples(inner, st.sampled_from([" / 4", " * (1 - 3)"])).map("".join)
+    ),
+    max_leaves=6,
+)
+chains = st.tuples(linear, st.sampled_from(["<=", "<", ">=", ">", "=="]), linear, st.sampled_from(["<", ">="]), linear)
+
+
+@settings(deadline=None, max_examples=examples(150))
+@given(text=chains.map(" ".join), a=grid, b=grid, v0=grid)
+def test_linear_comparisons_are_known_as_inequalities(text: str, a: float, b: float, v0: float) -> None:
+    constraint = Constraint(f"{text} and a <= 99", PARAMETERS)
+    values = {"a": a, "b": b, "v0": v0}
+    sums = [
+        sum(factor * values[name] for name, factor in each.coefficients.items()) - each.bound
+        for each in constraint.inequalities
+    ]
+    if constraint.holds(values):
+        assert max(sums) <= 1e-9
+    elif all(abs(total) > 1e-9 for total in sums) and len(sums) == 3 + ("==" in text):  # a comparison of constants is none
+        assert max(sums) > 0
+
+
+def test_conditions_of_which_one_suffices_imply_no_inequality() -> None:
+    assert Constraint("a <= b or b <= 1", PARAMETERS).inequalities == ()
+    assert len(Constraint("a <= b and (a <= 1 or b <= 1) and a*b <= 1 and abs(a) < 3", PARAMETERS).inequalities) == 1

@@ -50,13 +50,13 @@ def test_the_search_behind_long_constraints_tries_fewer_sets(monkeypatch: pytest
     """A push of a hundred long constraints kept the server at them for a quarter of an hour."""
     longest = "x + y >= 3" + " or x + y >= 3" * 60
     sets: list[int] = []
-    evaluate = Constraint.holds_in
+    evaluate = Constraint.__call__
 
     def counted(self: Constraint, columns: Mapping[str, Any]) -> Any:
         sets.append(len(columns["x"]))
         return evaluate(self, columns)
 
-    monkeypatch.setattr(Constraint, "holds_in", counted)
+    monkeypatch.setattr(Constraint, "__call__", counted)
     with pytest.raises(InvalidInputError) as caught:
         checked(constrained([f"{longest} or x >= {number}" for number in range(3, 103)]))
     [problem] = caught.value.problems
@@ -64,7 +64,7 @@ def test_the_search_behind_long_constraints_tries_fewer_sets(monkeypatch: pytest
     assert "baseline" in problem.remedy
     words = 7 * 61 + 4
     assert sum(sets) >= 32 * 100
-    assert sum(sets) * words <= MOST_OPERATIONS + 3 * 100 * words
+    assert sum(sets) * words <= MOST_OPERATIONS + 2 * 3 * 100 * words  # the middle and two corners, for the names as well
 
 
 def test_a_baseline_proves_that_constraints_leave_something() -> None:

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.domain.parameter_sets import ParameterSet
-from drivecal.domain.parameters import Parameter, ParameterSpace
+from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace
 from drivecal.reduction.forest import Forest
 from drivecal.reduction.lots import MOST_ACCEPTED, outgoing_errors, smallest_plan
 from drivecal.reduction.prediction import FINENESS, ROOM, ConfidenceRecord, FeatureSpace, Floats, choose_lot, lot_sizes

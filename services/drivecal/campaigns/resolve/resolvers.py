@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from drivecal.analysis.goals import Goals
@@ -18,10 +19,11 @@ from drivecal.contracts.specification import (
 )
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace, Setting
+from drivecal.domain.regions import FeasibleRegion
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.vehicles import VehicleParameter
-from drivecal.optimizers.repair import Repair, RepairingOptimizer, create_optimizer, lacking, restore_optimizer, supported
+from drivecal.optimizers.repair import RepairingOptimizer, create_optimizer, lacking, restore_optimizer, supported
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Ability, ConstrainedFunction, Optimizer, OptimizerPlugin
 from drivecal.reduction.narrowing import SearchArea
@@ -46,22 +48,26 @@ class Optimization:
     seed: int
 
     def begin(self, area: SearchArea, constraints: Constraints, start: Indices | None) -> Optimizer:
-        """Returns a new optimizer of an area whose proposals keep the constraints; `start`: rows of its first population."""
+        """Returns a new optimizer of an area whose proposals keep the constraints; `start`: rows of its first population.
+
+        Constraints fill the population up with feasible rows, for the optimizer's own start design knows none.
+        """
+        if not constraints:
+            return create_optimizer(self.plugin, self.settings, area.n_values, area.kinds, start)
+        region = constraints.region(area.first, area.last)
+        drawn = area.contract(region.sample(self.population, np.random.Generator(np.random.PCG64(self.seed))))
+        start = drawn if start is None else np.concatenate([start, drawn])[: self.population]
         optimizer = create_optimizer(self.plugin, self.settings, area.n_values, area.kinds, start)
-        return _repairing(optimizer, area, constraints)
+        return _repairing(optimizer, area, region)
 
     def restore(self, area: SearchArea, constraints: Constraints, state: Mapping[str, Any]) -> Optimizer:
         """Returns the optimizer that continues from `state`."""
         optimizer = restore_optimizer(self.plugin, self.settings, area.n_values, area.kinds, state)
-        return _repairing(optimizer, area, constraints)
+        return _repairing(optimizer, area, constraints.region(area.first, area.last)) if constraints else optimizer
 
 
-def _repairing(optimizer: Optimizer, area: SearchArea, constraints: Constraints) -> Optimizer:
-    if not constraints:
-        return optimizer
-    anchors = area.contract(constraints.anchors(area.first, area.last))
-    repair = Repair(area.n_values, area.kinds, lambda population: constraints.feasible(area.expand(population)), anchors)
-    return RepairingOptimizer(optimizer, repair)
+def _repairing(optimizer: Optimizer, area: SearchArea, region: FeasibleRegion) -> Optimizer:
+    return RepairingOptimizer(optimizer, lambda population: area.contract(region.repair(area.expand(population))))
 
 
 def find_scenarios(
@@ -247,7 +253,7 @@ def find_constraints(function: Parameterised | None, space: ParameterSpace, diag
     constraints = constraints_of(function, space)
     if constraints:
         last = space.n_values - 1
-        if diagnostics.attempt(lambda: constraints.anchors(0 * last, last)) is None:
+        if diagnostics.attempt(lambda: constraints.region(0 * last, last)) is None:
             return None
     return constraints
 

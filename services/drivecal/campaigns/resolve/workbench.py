@@ -128,7 +128,7 @@ def parameters_of(manifest: Manifest) -> tuple[Parameter, ...]:
 def constraints_of(manifest: Manifest) -> dict[str, Allows]:
     """Returns the constraints of a manifest by their text."""
     known = choices_of(manifest)
-    return {text: Constraint(text, known).holds_in for text in manifest.constraints}
+    return {text: Constraint(text, known) for text in manifest.constraints}
 
 
 def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostics) -> Workbench:

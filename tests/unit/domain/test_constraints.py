@@ -1,0 +1,79 @@
+"""Constraints of a space: the names that they read, the sets that they allow, and errors that name them."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.domain.constraints import Constraint, Constraints
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
+
+SPACE = ParameterSpace(
+    (
+        Parameter.from_step("a", Decimal(0), Decimal(10), None),
+        Parameter.from_step("b", Decimal(0), Decimal(10), Decimal("0.1")),
+        Parameter.integer("n", Decimal(-5), Decimal(5)),
+        Parameter.choice("mode", ["eco", "sport", "winter"]),
+        Parameter.from_step("held", Decimal(0), Decimal(1), Decimal("0.5")),
+    ),
+    {"held": Decimal("0.5")},
+)
+LISTED: dict[str, Constraint] = {
+    "a <= b": lambda values: values["a"] <= values["b"],
+    "a + n * held >= 1": lambda values: values["a"] + values["n"] * values["held"] >= 1,
+    "mode != winter or n > 0": lambda values: (values["mode"] != "winter") | (values["n"] > 0),
+    "a / n is no number": lambda values: np.isfinite(values["a"] / values["n"]),
+}
+CONSTRAINTS = Constraints(SPACE, LISTED)
+LAST = SPACE.n_values - 1
+
+rows = st.tuples(*(st.integers(0, last) for last in LAST.tolist()))
+populations: st.SearchStrategy[Indices] = st.lists(rows, min_size=1, max_size=8).map(np.array)
+
+
+def holds(row: list[int]) -> bool:
+    values = SPACE.parameter_set(row).floats
+    a, b, n = (float(values[name]) for name in ("a", "b", "n"))
+    return a <= b and a + n * 0.5 >= 1 and (values["mode"] != "winter" or n > 0) and n != 0
+
+
+def test_the_names_of_constraints_are_what_their_functions_read() -> None:
+    assert CONSTRAINTS.names == {"a", "b", "n", "held", "mode"}
+    assert Constraints(SPACE, {"a <= b": LISTED["a <= b"]}).names == {"a", "b"}
+    assert Constraints(SPACE, {"all": lambda values: np.ones(len(dict(values)["a"]), dtype=bool)}).names == set(SPACE.names) | {
+        "held"
+    }
+    assert Constraints(SPACE).names == frozenset()
+
+
+@given(populations)
+def test_feasible_rows_are_those_that_keep_every_constraint(population: Indices) -> None:
+    assert CONSTRAINTS.feasible(population).tolist() == [holds(row) for row in population.tolist()]
+
+
+def test_constraints_that_leave_nothing_are_named() -> None:
+    never = Constraints(SPACE, LISTED | {"a > 11": lambda values: values["a"] > 11})
+    with pytest.raises(InvalidInputError) as refused:
+        never.region(0 * LAST, LAST)
+    (problem,) = refused.value.problems
+    assert problem.field == "constraints"
+    assert "a > 11" in problem.message
+    assert "a <= b" not in problem.message
+    assert not never.allow_any(0 * LAST, LAST)
+    conflict = {"a < 5": lambda values: values["a"] < 5, "a > 6": lambda values: values["a"] > 6}
+    with pytest.raises(InvalidInputError, match="a < 5, a > 6"):
+        Constraints(SPACE, conflict).region(0 * LAST, LAST)
+
+
+def test_a_set_that_breaks_constraints_is_refused_with_each_of_them() -> None:
+    values: dict[str, Decimal | str] = {"a": Decimal(7), "b": Decimal(6), "n": Decimal(-1), "mode": "winter"}
+    with pytest.raises(InvalidInputError) as refused:
+        CONSTRAINTS.check(ParameterSet.of(values | {"held": Decimal("0.5")}), "baseline")
+    assert [problem.field for problem in refused.value.problems] == ["baseline", "baseline"]
+    assert ["a <= b" in problem.message for problem in refused.value.problems] == [True, False]
+    CONSTRAINTS.check(ParameterSet.of(values | {"a": Decimal(2), "mode": "eco", "held": Decimal("0.5")}), "baseline")
