@@ -35,16 +35,10 @@ PLANTED = {
     "Only the backends and drivecal.local reach the workers": ("services/drivecal/cli", "import drivecal.runtime"),
     "The workers do not know the coordinator": ("workers/drivecal/runtime", "from drivecal.reduction import keys"),
     "One module speaks to SUMO": ("workers/drivecal/highway/episode", "import libsumo"),
-    "The adapters import no simulator": (
-        "workers/drivecal/adapters",
-        "import numba",
-    ),
+    "The adapters import no simulator": ("workers/drivecal/adapters", "import numba"),
     "Only the FMU's child imports FMPy": ("workers/drivecal/adapters", "import fmpy.fmi2"),
     "Only drivecal.highway.training needs the multi-body model": ("workers/drivecal/highway/vehicle", "import vehiclemodels"),
-    "Only forests, importance and training learn by scikit-learn": (
-        "services/drivecal/sensitivity",
-        "import sklearn",
-    ),
+    "Only forests, importance and training learn by scikit-learn": ("services/drivecal/sensitivity", "import sklearn"),
     "No database and no web server beside the simulation": (
         "workers/drivecal/highway/planner",
         "def late():\n    import sqlalchemy.orm",

@@ -25,9 +25,7 @@ WEAK = {
     "traci": "EPL-2.0",
 }
 """Copyleft of single files or libraries, which are shipped unchanged; `security.md` lists them."""
-NOT_DECLARED = {
-    "fmpy": "BSD-2-Clause, in its file LICENSE.txt",
-}
+NOT_DECLARED = {"fmpy": "BSD-2-Clause, in its file LICENSE.txt"}
 """Packages whose metadata name no licence."""
 
 

@@ -46,10 +46,7 @@ KINDS: dict[str, dict[str, Any]] = {
 }
 PAPER = 1000, 20
 """The paper's size: individuals and iterations."""
-WANTED = {
-    "predicted": {"runs": 0.60},
-    "predicted, a point off": {"runs": 0.40},
-}
+WANTED = {"predicted": {"runs": 0.60}, "predicted, a point off": {"runs": 0.40}}
 """Largest mean ratios to `off`, at the paper's size."""
 WANTED_ELSEWHERE = {"wall": 1.05}
 """Largest mean ratios of every kind with predictions, at any other size: a small search may save less, but not lose."""

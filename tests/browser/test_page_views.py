@@ -303,7 +303,7 @@ def test_a_comparison_is_submitted_and_shows_all_of_its_runs(shown: Shown, openi
     expect(page.get_by_role("heading", level=1)).to_contain_text("comparison-")
     made = shown.api.http.get(f"/api/v1/comparisons/{page.url.rpartition('/')[2]}").json()["runs"]
     assert [(run["optimizer"], run["population"]) for run in made[::3]] == [
-        *(("genetic", 10), ("genetic", 20), ("swarm", 10), ("swarm", 20)),
+        *(("genetic", 10), ("genetic", 20), ("swarm", 10), ("swarm", 20))
     ]
     page.goto(f"{shown.api.url}/#/campaigns?tag={shown.tag}")
     page.get_by_role("link", name="Compare all with this tag").click()

@@ -11,14 +11,7 @@ import pytest
 from sqlalchemy import func, make_url, select
 from tests.support.faults.coordinator import READY_SECONDS, Coordinator, coordinator, suspended
 from tests.support.faults.findings import Found
-from tests.support.faults.lives import (
-    PATIENCE_SECONDS,
-    Life,
-    Moment,
-    assert_as_without_faults,
-    live,
-    wait_until_ended,
-)
+from tests.support.faults.lives import PATIENCE_SECONDS, Life, Moment, assert_as_without_faults, live, wait_until_ended
 from tests.support.faults.report import noted
 from tests.support.faults.workload import ANALYSING, draw_alike, post, submit
 from tests.support.serve import alive

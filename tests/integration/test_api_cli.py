@@ -185,8 +185,7 @@ def test_workers_says_when_there_are_none(run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [["list"], ["show", "x"], ["submit", "-"], ["evaluate", *SETS], ["workers"], ["influence-maps", "list"]],
+    "arguments", [["list"], ["show", "x"], ["submit", "-"], ["evaluate", *SETS], ["workers"], ["influence-maps", "list"]]
 )
 def test_a_server_that_is_not_there_is_named_with_what_to_do(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     url = f"http://127.0.0.1:{free_port()}"

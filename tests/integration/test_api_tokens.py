@@ -29,12 +29,7 @@ def routes() -> list[tuple[str, str]]:
     app = create_app(load_settings(database_url="sqlite:///never-made.db", tokens_file=None))
     known = [(method.upper(), path) for path, methods in app.openapi()["paths"].items() for method in methods]
     known += [("GET", str(path)) for path in (getattr(route, "path", None) for route in app.routes) if path is not None]
-    unknown = [
-        ("GET", "/nothing"),
-        ("POST", "/api/v1/nothing"),
-        ("DELETE", "/api/v1/campaigns"),
-        ("OPTIONS", "/api/v1"),
-    ]
+    unknown = [("GET", "/nothing"), ("POST", "/api/v1/nothing"), ("DELETE", "/api/v1/campaigns"), ("OPTIONS", "/api/v1")]
     assert len(known) > 25
     return [
         (method, path) for method, path in [*known, *unknown] if path not in OPEN and path != "/" and not path.startswith(PAGE)

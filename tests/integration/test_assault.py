@@ -21,10 +21,7 @@ from tests.support.serve import Server, environment, serving
 
 from drivecal.client import Client
 
-NAMES = {
-    "formula": '=HYPERLINK("http://elsewhere","x")',
-    "script": "<script>alert(1)</script><img src=x onerror=alert(1)>",
-}
+NAMES = {"formula": '=HYPERLINK("http://elsewhere","x")', "script": "<script>alert(1)</script><img src=x onerror=alert(1)>"}
 REFUSED = {
     "right to left": "abc\u202egnp.exe",
     "isolated": "\u2066abc\u2069",

@@ -8,14 +8,7 @@ from typing import Any
 
 import pytest
 from sqlalchemy import select, update
-from tests.support.comparisons import (
-    TWO_OPTIMIZERS,
-    finish_comparison,
-    have_ended,
-    read_comparison,
-    runs_of,
-    submit_comparison,
-)
+from tests.support.comparisons import TWO_OPTIMIZERS, finish_comparison, have_ended, read_comparison, runs_of, submit_comparison
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.problems import LIMITS

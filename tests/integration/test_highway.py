@@ -6,15 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.support.motorways import (
-    CONTROLLERS,
-    PARAMETERS,
-    compile_fmu,
-    compile_program,
-    drive,
-    driven,
-    motorway,
-)
+from tests.support.motorways import CONTROLLERS, PARAMETERS, compile_fmu, compile_program, drive, driven, motorway
 from tests.support.simulators import lost
 
 from drivecal.domain.errors import UnavailableError

@@ -82,10 +82,7 @@ def made(name: str, folder: Path) -> Path:
         "problem": name,
         "parameters": parameters,
         "simulator": {"kind": "highway", "controller": dict(controller), "timeout": 60, "deterministic": True},
-        "scenarios": {
-            "braking": drive([BRAKING], 10.0, ego={"s": 500}),
-            "random": drive(RANDOM, 10.0, ego={"s": 500}, seed=5),
-        },
+        "scenarios": {"braking": drive([BRAKING], 10.0, ego={"s": 500}), "random": drive(RANDOM, 10.0, ego={"s": 500}, seed=5)},
         "measures": {"rms_lane_offset_m": "m", "min_gap_m": "m"},
         "scores": {"gap": {"formula": "min_gap_m - rms_lane_offset_m", "direction": "maximise", "range": [0, 1000]}},
     }

@@ -38,11 +38,7 @@ class Told:
 
 
 campaigns_of_a_history = st.builds(
-    Told,
-    kind=st.sampled_from(KINDS),
-    seed=st.integers(1, 2),
-    old=st.booleans(),
-    reruns=st.none() | st.integers(0, 3),
+    Told, kind=st.sampled_from(KINDS), seed=st.integers(1, 2), old=st.booleans(), reruns=st.none() | st.integers(0, 3)
 )
 
 
@@ -97,12 +93,7 @@ def test_whatever_is_pruned_and_killed_the_rest_is_whole_and_answers_as_before(
 
 
 def prune_a_history(
-    database: Database,
-    history: list[Told],
-    keep_best: int,
-    killed_after: int | None,
-    *,
-    is_killed: bool = False,
+    database: Database, history: list[Told], keep_best: int, killed_after: int | None, *, is_killed: bool = False
 ) -> int:
     """Carries a history out and prunes it, in small portions, killed once unless it has too few (`is_killed`: it has not); everything
     that stays has to answer as before. Returns the number of cells that the first plan removes."""

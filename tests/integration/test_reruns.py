@@ -16,11 +16,7 @@ from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.configuration.settings import load_settings
-from drivecal.contracts.specification import (
-    CampaignSpecification,
-    EvaluationSpecification,
-    RerunSpecification,
-)
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, Rating

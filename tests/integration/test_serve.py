@@ -32,11 +32,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     folder = tmp_path_factory.mktemp("serve")
     (folder / "tokens").write_text(f"writer write {TOKEN}\nreader read {READER}\n")
     with serving(
-        folder,
-        DRIVECAL_TOKENS_FILE="tokens",
-        DRIVECAL_TOKEN=MINE,
-        DRIVECAL_LOG_FORMAT="json",
-        DRIVECAL_LOG_LEVEL="debug",
+        folder, DRIVECAL_TOKENS_FILE="tokens", DRIVECAL_TOKEN=MINE, DRIVECAL_LOG_FORMAT="json", DRIVECAL_LOG_LEVEL="debug"
     ) as started:
         yield started
 

@@ -48,17 +48,5 @@ def bare(scenario: str = "S1", evaluator: str | None = "reference", fingerprint:
     mark = fingerprint or f"fingerprint of {scenario}"
     names: tuple[str, ...] = ()
     return SetupRequest(
-        digest,
-        "highway",
-        scenario,
-        {},
-        section,
-        names,
-        names,
-        names,
-        names,
-        names,
-        mark,
-        evaluator=evaluator,
-        is_driven=True,
+        digest, "highway", scenario, {}, section, names, names, names, names, names, mark, evaluator=evaluator, is_driven=True
     )

@@ -30,11 +30,7 @@ def test_one_that_fails_does_not_stop_the_others_but_shows_at_the_end(folder: Pa
     assert "table of b" in done.stdout
     assert "table of c" in done.stdout
     summary = [(line.split()[0], line.split("  ")[-1]) for line in done.stdout.splitlines()[-3:]]
-    assert summary == [
-        ("a_breaks", "not good enough (exit 1)"),
-        ("b_bad", "not good enough (exit 3)"),
-        ("c_good", "good"),
-    ]
+    assert summary == [("a_breaks", "not good enough (exit 1)"), ("b_bad", "not good enough (exit 3)"), ("c_good", "good")]
 
 
 def test_benchmarks_can_be_chosen_by_name(folder: Path) -> None:

@@ -15,14 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 
-from drivecal.contracts.accounting import (
-    Accounting,
-    BalanceItem,
-    BreakEven,
-    MapCost,
-    ScenarioAccount,
-    SensitivityCost,
-)
+from drivecal.contracts.accounting import Accounting, BalanceItem, BreakEven, MapCost, ScenarioAccount, SensitivityCost
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, OutcomeCosts
 
@@ -154,10 +147,7 @@ def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) 
 
 
 def _scenario(
-    name: str,
-    costs: Sequence[OutcomeCosts],
-    confirmed: Mapping[Outcome, int],
-    predictor_seconds: float,
+    name: str, costs: Sequence[OutcomeCosts], confirmed: Mapping[Outcome, int], predictor_seconds: float
 ) -> ScenarioAccount:
     cells = _cells(costs)
     simulated = [cost for cost in costs if cost.outcome is Outcome.SIMULATED]
@@ -194,11 +184,7 @@ def _mean_seconds(costs: Sequence[OutcomeCosts]) -> float | None:
 def _map_cost(origin: MapOrigin, campaign: str) -> MapCost:
     made = sensitivity_cost(origin.costs)
     return MapCost(
-        id=origin.id,
-        made_by=origin.made_by,
-        paid_here=origin.made_by == campaign,
-        runs=made.simulated,
-        seconds=made.seconds,
+        id=origin.id, made_by=origin.made_by, paid_here=origin.made_by == campaign, runs=made.simulated, seconds=made.seconds
     )
 
 

@@ -19,12 +19,7 @@ from drivecal.campaigns.stages.validation import check_predictions, runs_at_most
 from drivecal.contracts.campaign import STUDIES, ExpectedRuns
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
 from drivecal.contracts.input_errors import validated
-from drivecal.contracts.specification import (
-    CampaignSpecification,
-    EvaluationSpecification,
-    MapReference,
-    RerunSpecification,
-)
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, MapReference, RerunSpecification
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem, TooLargeError
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.storage import admission, campaigns, processes
@@ -119,10 +114,9 @@ def _checked(database: Database, limits: Limits, specification: CampaignSpecific
     """Returns the resolved campaign. Raises TooLargeError if its stages propose too many cells."""
     problem, largest = resolved(database, specification), limits.largest_campaign
     runs = problem.expected_runs()
-    stages = {
-        "optimizer": runs.calibration_proposed,
-        "sensitivity": runs.sensitivity_at_most,
-    } | {study: getattr(runs, study) for study in STUDIES}
+    stages = {"optimizer": runs.calibration_proposed, "sensitivity": runs.sensitivity_at_most} | {
+        study: getattr(runs, study) for study in STUDIES
+    }
     total = sum(stages.values())
     if total <= largest:
         return problem

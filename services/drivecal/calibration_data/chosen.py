@@ -42,11 +42,7 @@ def characteristics_of(
 
 
 def quality_of(
-    known: CampaignResults,
-    chosen: Solution | FrontRow,
-    figures: Iterable[tuple[str, str]],
-    *,
-    judged: bool,
+    known: CampaignResults, chosen: Solution | FrontRow, figures: Iterable[tuple[str, str]], *, judged: bool
 ) -> Quality:
     """Returns the quality data of a chosen set. It is preliminary while a score is a reference's, the campaign has not succeeded or did not
     evaluate the set, the set breaks constraints, or its light is red.

@@ -108,12 +108,7 @@ def _campaign(
     seed: int,
     reduction: ReductionSpecification,
 ) -> CampaignSpecification:
-    common = {
-        "population": population,
-        "iterations": specification.iterations,
-        "start": specification.start,
-        "seed": seed,
-    }
+    common = {"population": population, "iterations": specification.iterations, "start": specification.start, "seed": seed}
     document = {
         **specification.model_dump(include=_SHARED),
         "name": name,

@@ -33,15 +33,7 @@ from drivecal.contracts.inventory import (
 from drivecal.contracts.organising import Archived, Deletion, SavedView, SavedViewList
 from drivecal.contracts.results import CampaignResults, FrontSummary, TradeOff
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.tables import (
-    FrontRow,
-    InfluenceRow,
-    JudgedSet,
-    OptimumRow,
-    RobustnessRow,
-    TableName,
-    ValidationRow,
-)
+from drivecal.contracts.tables import FrontRow, InfluenceRow, JudgedSet, OptimumRow, RobustnessRow, TableName, ValidationRow
 from drivecal.domain.errors import OverloadError
 
 Action = Literal["pause", "resume", "cancel"]

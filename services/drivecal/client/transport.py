@@ -151,14 +151,7 @@ SECONDS_TO_CONNECT = 0.5
 BROKEN_ANSWERS = 2
 """Broken connections in a call before the server counts as unreachable; a restart breaks some."""
 SECONDS_TO_RESTART = 1.0
-LOST = (
-    httpx.ReadError,
-    httpx.WriteError,
-    httpx.CloseError,
-    httpx.RemoteProtocolError,
-    httpx.ReadTimeout,
-    httpx.WriteTimeout,
-)
+LOST = (httpx.ReadError, httpx.WriteError, httpx.CloseError, httpx.RemoteProtocolError, httpx.ReadTimeout, httpx.WriteTimeout)
 """Errors after which a call may have reached the server."""
 ASKING = {HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE}
 SLOW_SECONDS = 300.0

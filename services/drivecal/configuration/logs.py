@@ -36,10 +36,7 @@ _Line = MutableMapping[str, Any]
 _ALWAYS = ("time", "level", "process", "message")
 _OURS = ("drivecal", "__main__")
 _INTERNAL = ("event", "_record", "_from_structlog", "_ray_timestamp_ns")
-_SECRETS = (
-    (re.compile(r"(\w://[^\s:/@]*):[^\s@]+@"), r"\1:***@"),
-    (re.compile(r"(?i)\b(bearer\s+)[\w.~+/=-]+"), r"\1***"),
-)
+_SECRETS = ((re.compile(r"(\w://[^\s:/@]*):[^\s@]+@"), r"\1:***@"), (re.compile(r"(?i)\b(bearer\s+)[\w.~+/=-]+"), r"\1***"))
 _CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _COLOURS = {"warning": "\x1b[33m", "error": "\x1b[31m", "critical": "\x1b[31m"}
 _PLAIN = "\x1b[0m"

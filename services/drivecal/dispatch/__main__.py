@@ -108,10 +108,7 @@ def _dispatch(settings: Settings, database: Database, heartbeat: Heartbeat, stop
 
 def _backend(settings: Settings, database: Database) -> Backend:
     """Starts the workers that the settings name: on Ray if it is installed, else as processes. Raises UnavailableError."""
-    limits: dict[str, Any] = {
-        "workers": settings.workers,
-        "archive": partial(_archive, database),
-    }
+    limits: dict[str, Any] = {"workers": settings.workers, "archive": partial(_archive, database)}
     with_ray = find_spec("ray") is not None
     if settings.backend == "processes" or (settings.backend is None and not with_ray and settings.ray_address is None):
         from drivecal.execution.processes.backend import ProcessBackend

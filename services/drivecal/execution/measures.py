@@ -24,11 +24,7 @@ Happening = Literal["breakdowns", "retries", "late_results"]
 """`breakdowns`: of cells or workers, by kind. `retries`: cells sent again, by kind. `late_results`: rejected results without a lease."""
 
 DURATIONS: tuple[Duration, ...] = ("lookup", "evaluation", "batch", "lease", "record")
-KINDS: dict[Happening, tuple[str, ...]] = {
-    "breakdowns": tuple(Breakdown),
-    "retries": tuple(Breakdown),
-    "late_results": ("",),
-}
+KINDS: dict[Happening, tuple[str, ...]] = {"breakdowns": tuple(Breakdown), "retries": tuple(Breakdown), "late_results": ("",)}
 """Series shown as 0 from the start."""
 BOUNDS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
 """Inclusive upper ends of the buckets, s; a last bucket holds longer durations."""

@@ -121,10 +121,7 @@ class SupervisedBackend(Backend, ABC):
         chosen = self._named(worker)
         if not chosen.room(alone=alone):
             raise RuntimeError(f"{worker} has no slot; ask `slots` first")
-        allowed = max(
-            self._limits.deadline_seconds + _limits_of_simulators(batch),
-            DEADLINE_FACTOR * (expected_seconds or 0.0),
-        )
+        allowed = max(self._limits.deadline_seconds + _limits_of_simulators(batch), DEADLINE_FACTOR * (expected_seconds or 0.0))
         self._ship(chosen, batch.setup.bundle)
         unknown = 0.0 if batch.setup.timeout is None else math.inf
         expected = unknown if expected_seconds is None else expected_seconds

@@ -206,11 +206,7 @@ class SensitivityAnalysis:
         n_p, r, counts = len(self._space.searched), self._settings.samples, self._counts()
         paper = self._settings.design == "paper"
         first = sum(counts) * r * (n_p + 1) if paper else r * (1 + sum(2 * count - 1 for count in counts))
-        return {
-            "intervals": first,
-            "confirmation": 2 * r * sum(map(most_confirmations, counts)),
-            "global": r * (n_p + 1),
-        }
+        return {"intervals": first, "confirmation": 2 * r * sum(map(most_confirmations, counts)), "global": r * (n_p + 1)}
 
     def ask(self) -> Phase | None:
         """Returns the next phase, the same until its scores arrive; None when the analysis is finished."""

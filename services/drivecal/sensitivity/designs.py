@@ -220,12 +220,7 @@ def radial_design(
 
 
 def add_radial(
-    builder: DesignBuilder,
-    rows: SobolRows,
-    lower: Indices,
-    upper: Indices,
-    samples: int,
-    shortest: float | Floats = SHORTEST,
+    builder: DesignBuilder, rows: SobolRows, lower: Indices, upper: Indices, samples: int, shortest: float | Floats = SHORTEST
 ) -> list[tuple[int, Indices, Indices]]:
     """Adds the runs of a radial design; gives per parameter its column and the rows of its pairs, each of shape (samples,)."""
     base, auxiliary = radial_points(rows, lower, upper, samples, shortest)

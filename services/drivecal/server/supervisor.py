@@ -96,10 +96,7 @@ class Supervisor:
     """
 
     def __init__(
-        self,
-        children: Sequence[ChildProcess],
-        missing: Callable[[], Sequence[str]],
-        announce: Callable[[], None],
+        self, children: Sequence[ChildProcess], missing: Callable[[], Sequence[str]], announce: Callable[[], None]
     ) -> None:
         self._children = [_Child(child) for child in children]
         self._missing, self._announce = missing, announce

@@ -32,16 +32,7 @@ from sqlalchemy.sql.compiler import SQLCompiler
 from sqlalchemy.sql.functions import GenericFunction
 from sqlalchemy.types import TypeDecorator
 
-from drivecal.contracts.campaign import (
-    Baseline,
-    Best,
-    CellCounts,
-    Confirmation,
-    ErrorRate,
-    Narrowed,
-    Progress,
-    Released,
-)
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, Confirmation, ErrorRate, Narrowed, Progress, Released
 from drivecal.domain.actions import Action
 from drivecal.domain.actions import change as change_by
 from drivecal.domain.campaigns import CampaignState, StageName

@@ -108,11 +108,7 @@ def sums(connection: Connection, campaign_sequence: int, iterations: int) -> Gen
 
 
 def finish(
-    connection: Connection,
-    campaign_sequence: int,
-    iteration: int,
-    figures: Figures,
-    objectives: Sequence[float | None],
+    connection: Connection, campaign_sequence: int, iteration: int, figures: Figures, objectives: Sequence[float | None]
 ) -> None:
     """Stores the results of a generation; NaN among `objectives` becomes None."""
     connection.execute(

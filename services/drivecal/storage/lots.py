@@ -192,11 +192,7 @@ def known_answers(
         )
         .join(parameter_sets)
         .outerjoin(lots, lots.c.id == cell.lot)
-        .where(
-            *stored_after(campaign_sequence, after),
-            cell.setup_id.in_(list(setup_ids)),
-            cell.outcome == Outcome.SIMULATED,
-        )
+        .where(*stored_after(campaign_sequence, after), cell.setup_id.in_(list(setup_ids)), cell.outcome == Outcome.SIMULATED)
         .order_by(cell.stage, cell.iteration, cell.individual, cell.scenario)
     )
     rows = connection.execute(query).all()

@@ -39,7 +39,7 @@ FUNCTIONS: Mapping[str, tuple[int, int]] = {
 """Fewest and most arguments; `log` is the natural logarithm, `clip(x, lower, upper)` limits x."""
 _TOKEN = re.compile(
     r"\s+|(?P<number>(?>\d+\.?\d*|\.\d+)(?>[eE][+-]?\d+)?+)(?![\w.])|(?P<name>[^\W\d]\w*)(?!['\"])"
-    r"|'[^'\\\n]*'|\"[^\"\\\n]*\"|\*\*(?!\*)|[<>=!]=|[-+*/(),<>.]",
+    r"|'[^'\\\n]*'|\"[^\"\\\n]*\"|\*\*(?!\*)|[<>=!]=|[-+*/(),<>.]"
 )
 _REMEDIES = {
     "=": "write == for equality",

@@ -71,11 +71,7 @@ _OWN = {
     "curvature_2s": Quantity("1/m", "curvature of the own lane at the place reached in 2 s"),
     "curvature_4s": Quantity("1/m", "curvature of the own lane at the place reached in 4 s"),
 }
-_OF = {
-    "": "in the own lane",
-    "left_": "in the lane to the left",
-    "right_": "in the lane to the right",
-}
+_OF = {"": "in the own lane", "left_": "in the lane to the left", "right_": "in the lane to the right"}
 
 
 def _neighbours(prefix: str, place: str) -> dict[str, Quantity]:

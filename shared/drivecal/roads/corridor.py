@@ -215,11 +215,7 @@ def _track(chain: Chain, lanes: Lanes, places: _Places, line: Floats) -> tuple[T
     end = stations[-1] if chain.last == len(lanes.edges) - 1 else min(stations[-1], pieces[-1][2])
     there = (stations >= begin) & (stations <= end)
     at = np.clip(np.searchsorted([piece[1] for piece in pieces], stations, side="right") - 1, 0, None)
-    columns = (
-        np.interp(stations, s, d),
-        _widths(measured, at, stations),
-        _limits(measured, at, stations),
-    )
+    columns = (np.interp(stations, s, d), _widths(measured, at, stations), _limits(measured, at, stations))
     centre, width, limit = (np.where(there, column, np.nan) for column in columns)
     stops = [max(stop, following[1]) for (_, _, stop), following in pairwise(pieces)] + [pieces[-1][2]]
     named = tuple(LanePiece(lane.edge, lane.index, start, stop) for (lane, start, _), stop in zip(pieces, stops, strict=True))

@@ -247,10 +247,7 @@ class Coordinator:
 
 @contextmanager
 def coordinator(
-    folder: Path,
-    database_url: str | None = None,
-    settings: Mapping[str, str] | None = None,
-    plugins: Path | None = None,
+    folder: Path, database_url: str | None = None, settings: Mapping[str, str] | None = None, plugins: Path | None = None
 ) -> Iterator[Coordinator]:
     """A server that is not started yet; whatever runs of it at the end is killed."""
     folder.mkdir(parents=True, exist_ok=True)

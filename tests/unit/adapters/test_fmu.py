@@ -196,10 +196,7 @@ def test_a_parameter_has_the_unit_of_its_variable(folder: Path, tmp_path: Path) 
 
 
 def test_wrong_names_in_the_data_cannot_be_opened(folder: Path) -> None:
-    with (
-        pytest.raises(UnavailableError, match=r"\bgap\b"),
-        run(folder, "trial2.fmu", data={"gap": 1}),
-    ):
+    with pytest.raises(UnavailableError, match=r"\bgap\b"), run(folder, "trial2.fmu", data={"gap": 1}):
         pass
 
 

@@ -70,14 +70,7 @@ def bearer(token: bytes, scheme: bytes = b"Bearer ") -> list[Header]:
 
 
 @pytest.mark.parametrize(
-    "headers",
-    [
-        bearer(ANNA),
-        bearer(ANNA, b"bearer "),
-        bearer(ANNA, b"BEARER   "),
-        bearer(ANNA + b"  "),
-        bearer(PLANT),
-    ],
+    "headers", [bearer(ANNA), bearer(ANNA, b"bearer "), bearer(ANNA, b"BEARER   "), bearer(ANNA + b"  "), bearer(PLANT)]
 )
 def test_who_shows_a_token_is_let_in(headers: list[Header]) -> None:
     status, _, token = ask(Fixed(), headers=headers)

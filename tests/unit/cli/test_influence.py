@@ -7,12 +7,7 @@ from drivecal.contracts.tables import InfluenceRow
 
 
 def row(
-    parameter: str,
-    intervals: list[float | None] | None,
-    *,
-    influential: bool,
-    unknown: bool = False,
-    reason: str | None = None,
+    parameter: str, intervals: list[float | None] | None, *, influential: bool, unknown: bool = False, reason: str | None = None
 ) -> InfluenceRow:
     return InfluenceRow(
         scenario="S1",

@@ -14,15 +14,7 @@ from typer.testing import CliRunner
 
 from drivecal.cli.commands.campaigns import counted, kind_text
 from drivecal.cli.main import app
-from drivecal.cli.views.output import (
-    cells_text,
-    duration,
-    print_campaign,
-    print_columns,
-    print_solutions,
-    saved,
-    when,
-)
+from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, print_solutions, saved, when
 from drivecal.cli.views.progress import Bar, Lines
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
 from drivecal.contracts.tables import Solution

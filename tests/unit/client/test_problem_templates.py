@@ -207,12 +207,7 @@ def test_a_damaged_description_is_refused_or_read(position: int, text: str) -> N
 
 @pytest.mark.parametrize(
     ("kind", "name", "field"),
-    [
-        ("processes", "a", "kind"),
-        ("python", "no name", "name"),
-        ("python", "../a", "name"),
-        ("python", "highway", "problem"),
-    ],
+    [("processes", "a", "kind"), ("python", "no name", "name"), ("python", "../a", "name"), ("python", "highway", "problem")],
 )
 def test_a_faulty_request_is_refused_before_anything_is_written(kind: str, name: str, field: str, tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError) as refusal:

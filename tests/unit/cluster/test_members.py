@@ -18,12 +18,7 @@ HEAD = Node("head", "a" * 56, 0, release(), is_head=True)
 
 @pytest.mark.parametrize(
     ("content", "named"),
-    [
-        (None, "No such file"),
-        (b"", "0 characters.* 16"),
-        (b"short\n", "5 characters.* 16"),
-        (b"\xff" * 20, "text"),
-    ],
+    [(None, "No such file"), (b"", "0 characters.* 16"), (b"short\n", "5 characters.* 16"), (b"\xff" * 20, "text")],
 )
 def test_an_unusable_token_is_named_with_its_file_and_never_quoted(tmp_path: Path, content: bytes | None, named: str) -> None:
     if content is not None:
@@ -102,10 +97,7 @@ def test_a_node_has_as_many_workers_as_configured() -> None:
     assert not [word for word in node.worker_command("h:1", None, 0, {}) if word.startswith(("--num-cpus", "--node-ip"))]
 
 
-@pytest.mark.parametrize(
-    ("address", "named"),
-    [("127.0.0.1:9", "127.0.0.1:9"), ("nonsense", "'nonsense'.* HOST:PORT")],
-)
+@pytest.mark.parametrize(("address", "named"), [("127.0.0.1:9", "127.0.0.1:9"), ("nonsense", "'nonsense'.* HOST:PORT")])
 def test_an_unreachable_head_is_named_at_once(address: str, named: str) -> None:
     with pytest.raises(UnavailableError, match=named):
         ask(address)

@@ -51,10 +51,7 @@ def test_any_bytes_are_either_read_or_refused(content: bytes) -> None:
         (b"[" * (DEEPEST + 1) + b"]" * (DEEPEST + 1), "32 levels"),
         (b'{"a":' * 40 + b"1" + b"}" * 40, "32 levels"),
         (b"[" + b"0," * 300_000 + b"0]", "300,001 values.*100,000"),
-        (
-            json.dumps({"a": {str(key): 0 for key in range(3000)}}).encode(),
-            "^a: .*3,000 entries.*2,000",
-        ),
+        (json.dumps({"a": {str(key): 0 for key in range(3000)}}).encode(), "^a: .*3,000 entries.*2,000"),
     ],
 )
 def test_surprises_are_refused_with_what_is_wrong(content: bytes, said: str) -> None:

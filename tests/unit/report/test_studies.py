@@ -9,18 +9,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from tests.support.scales import COST
-from tests.unit.report.rows import (
-    OPTIMA,
-    PARAMETERS,
-    ROBUST,
-    VALIDATED,
-    findings,
-    optimum,
-    robust,
-    study,
-    trial,
-    validated,
-)
+from tests.unit.report.rows import OPTIMA, PARAMETERS, ROBUST, VALIDATED, findings, optimum, robust, study, trial, validated
 
 from drivecal.analysis.robustness import vehicles_text
 from drivecal.contracts.campaign import Campaign

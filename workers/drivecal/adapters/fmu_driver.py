@@ -25,13 +25,9 @@ from drivecal.domain.errors import Problem, UnavailableError
 FATAL = 4
 """FMI's status after which no function of the FMU may be called."""
 _MEASURE = re.compile(r"\s*(last|min|max|mean|integral)\s*\(\s*(.+?)\s*\)\s*")
-_ACCESS = {
-    "Real": "Real",
-    "Boolean": "Boolean",
-    "String": "String",
-    "Float32": "Float32",
-    "Float64": "Float64",
-} | {name: name for name in INTEGERS}
+_ACCESS = {"Real": "Real", "Boolean": "Boolean", "String": "String", "Float32": "Float32", "Float64": "Float64"} | {
+    name: name for name in INTEGERS
+}
 """Type of a variable and the end of the names of the functions that read and write it."""
 
 

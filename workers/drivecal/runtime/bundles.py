@@ -55,9 +55,7 @@ class Tools:
     """Answers of probes, by bundle."""
 
     def __init__(
-        self,
-        run: Callable[[Mapping[str, Any], Path], str] = run_probe,
-        clock: Callable[[], float] = time.monotonic,
+        self, run: Callable[[Mapping[str, Any], Path], str] = run_probe, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._run, self._clock = run, clock
         self._answers: dict[str, tuple[str, float]] = {}

@@ -12,13 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivecal.contracts.work import (
-    Batch,
-    BatchResult,
-    Cell,
-    CellResult,
-    SetupRequest,
-)
+from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.scales import plain
@@ -49,10 +43,7 @@ class Worker:
     """Runs batches in its own process (a Ray actor), because a process can hold only one SUMO simulation."""
 
     def __init__(
-        self,
-        name: str,
-        make: Callable[[SetupRequest, Path], Runner] = make_runner,
-        bundles: BundleSessions | None = None,
+        self, name: str, make: Callable[[SetupRequest, Path], Runner] = make_runner, bundles: BundleSessions | None = None
     ) -> None:
         """Creates a worker.
 

@@ -32,9 +32,4 @@ def evaluate(parameters: dict, scenario: dict) -> dict:
         smallest, peak, time = min(smallest, gap), max(peak, deceleration), time + DT
         if gap <= 0.0:
             return {"failure": "collision", "measures": {}}
-    return {
-        "min_gap_m": smallest,
-        "peak_deceleration": peak,
-        "rms_jerk": sqrt(jerks / max(time, DT)),
-        "braking_s": braking,
-    }
+    return {"min_gap_m": smallest, "peak_deceleration": peak, "rms_jerk": sqrt(jerks / max(time, DT)), "braking_s": braking}

@@ -44,10 +44,7 @@ SAME_FOR_A_MAP = ("setups", "evaluator", "space", "fixed")
 
 
 def results_of(
-    database: Database,
-    campaign: StoredCampaign,
-    front: CampaignFront | None = None,
-    place: tuple[int, int] | None = None,
+    database: Database, campaign: StoredCampaign, front: CampaignFront | None = None, place: tuple[int, int] | None = None
 ) -> CampaignResults:
     """Returns the document.
 
@@ -152,11 +149,7 @@ def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin |
 
 
 def _trust(
-    database: Database,
-    campaign: StoredCampaign,
-    made: list[StudyResult],
-    front: CampaignFront | None,
-    chosen: Chosen | None,
+    database: Database, campaign: StoredCampaign, made: list[StudyResult], front: CampaignFront | None, chosen: Chosen | None
 ) -> ResultTrust:
     with database.read() as connection:
         first = None if campaign.rerun_of is None else campaigns.get(connection, campaign.rerun_of, deleted=True)
@@ -186,11 +179,7 @@ def _compromises(database: Database, campaign: StoredCampaign, front: CampaignFr
 
 
 def set_at(
-    database: Database,
-    stored: StoredCampaign,
-    front: CampaignFront,
-    place: tuple[int, int],
-    baseline: EvaluatedSet | None,
+    database: Database, stored: StoredCampaign, front: CampaignFront, place: tuple[int, int], baseline: EvaluatedSet | None
 ) -> Chosen:
     """Returns the set at a `place` of the search, its iteration and individual, with its objectives beside those of the `baseline`. Raises
     NotFoundError if the search has no such place."""

@@ -266,11 +266,7 @@ class CellTracker:
             self._answer(cell, donor, answers, completion)
 
     def _answer(
-        self,
-        cell: StoredEvaluation,
-        result: Donor,
-        answers: list[AnsweredCell],
-        simulation: Completed | None = None,
+        self, cell: StoredEvaluation, result: Donor, answers: list[AnsweredCell], simulation: Completed | None = None
     ) -> None:
         """Answers a cell with its own result, and the copies that waited for it."""
         for other in (cell, *self._copies.pop(cell.id, ())):

@@ -12,11 +12,7 @@ from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Parameterised, given_set
 from drivecal.contracts.campaign import STUDIES
 from drivecal.contracts.input_errors import nearest, problem
-from drivecal.contracts.specification import (
-    CampaignSpecification,
-    SensitivitySpecification,
-    SeparateThresholds,
-)
+from drivecal.contracts.specification import CampaignSpecification, SensitivitySpecification, SeparateThresholds
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace, Setting
 from drivecal.domain.regions import FeasibleRegion

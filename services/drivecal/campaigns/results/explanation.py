@@ -255,10 +255,7 @@ NEIGHBOURS = 5
 
 
 def prediction_of(
-    connection: Connection,
-    campaign: StoredCampaign,
-    cell: StoredEvaluation,
-    resolved: ResolvedSpec,
+    connection: Connection, campaign: StoredCampaign, cell: StoredEvaluation, resolved: ResolvedSpec
 ) -> Prediction | None:
     """Returns the prediction of a calibration's cell with the stored answers of most weight; None if no predictor was asked."""
     if cell.predicted_score is None or cell.confidence is None:

@@ -287,13 +287,7 @@ class RobustnessStage(StudyStage):
         return [usable[place] for place in np.flatnonzero(non_dominated(np.array(vectors), violations)).tolist()]
 
     def _row(
-        self,
-        rank: int,
-        solution: int,
-        objective: float,
-        rating: float,
-        known: Robustness,
-        recommended: tuple[int, str] | None,
+        self, rank: int, solution: int, objective: float, rating: float, known: Robustness, recommended: tuple[int, str] | None
     ) -> dict[str, Any]:
         scenarios, examined = self._problem.scenarios, self._examined[solution]
         is_recommended = recommended is not None and recommended[0] == solution

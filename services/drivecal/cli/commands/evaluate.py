@@ -45,8 +45,7 @@ def evaluate(
     catalogue: Annotated[str, typer.Option(help="The scenario catalogue.")] = "highway",
     vehicle: Annotated[str, typer.Option(help="The vehicle model: single_track, hybrid or a plug-in.")] = "single_track",
     vehicle_parameters: Annotated[
-        str | None,
-        typer.Option(metavar="NAME=VALUE,...", help="Parameters of the vehicle that differ from its nominal ones."),
+        str | None, typer.Option(metavar="NAME=VALUE,...", help="Parameters of the vehicle that differ from its nominal ones.")
     ] = None,
     driving_function: Annotated[str, typer.Option(help="Who drives: frenet or a plug-in.")] = "frenet",
     evaluator: Annotated[

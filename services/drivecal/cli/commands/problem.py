@@ -281,8 +281,7 @@ def parameters(
     ] = None,
     names: NamesOption = None,
     span: Annotated[
-        float,
-        typer.Option(min=1e-6, max=1e3, help="Half the width of a range that no file gives, as a share of the value."),
+        float, typer.Option(min=1e-6, max=1e3, help="Half the width of a range that no file gives, as a share of the value.")
     ] = 0.5,
     as_json: JsonOption = False,
 ) -> None:

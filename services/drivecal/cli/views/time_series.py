@@ -23,15 +23,7 @@ TIMES = ("time", "time_s", "t", "t_s")
 """Names of the time among the series of a simulator."""
 BY_INDEX = 4
 """Synchronisation of a channel group without time, as MDF numbers it."""
-SI_UNITS = {
-    "m": "m",
-    "s": "s",
-    "mps": "m/s",
-    "mps2": "m/s^2",
-    "mps3": "m/s^3",
-    "rad": "rad",
-    "radps": "rad/s",
-}
+SI_UNITS = {"m": "m", "s": "s", "mps": "m/s", "mps2": "m/s^2", "mps3": "m/s^3", "rad": "rad", "radps": "rad/s"}
 """Units by the last part of a name, in traces that name them so."""
 _UNPRINTABLE = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 

@@ -149,10 +149,7 @@ parameter_sets = Table(
 )
 
 metric_names = Table(  # names of the metrics of runs, each list once (`storage.references.metrics`)
-    "metric_names",
-    metadata,
-    Column("digest", Name, primary_key=True),
-    Column("names", Document, nullable=False),
+    "metric_names", metadata, Column("digest", Name, primary_key=True), Column("names", Document, nullable=False)
 )
 
 runs = Table(  # the reference table of the paper: simulated results, each (setup, parameter set) once

@@ -263,11 +263,7 @@ def stored_sets(
 
 
 def own_sets(
-    connection: Connection,
-    campaign_sequence: int,
-    scenario: str,
-    before: tuple[StageName, int, int],
-    names: Sequence[str],
+    connection: Connection, campaign_sequence: int, scenario: str, before: tuple[StageName, int, int], names: Sequence[str]
 ) -> Iterator[ReferenceCandidates]:
     """The sets that the campaign itself has simulated in a scenario before a (stage, iteration, individual)."""
     place = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual)

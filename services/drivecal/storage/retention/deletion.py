@@ -19,15 +19,7 @@ from drivecal.storage import admission
 from drivecal.storage import campaigns as stored_campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.tables import (
-    campaigns,
-    evaluations,
-    influence_maps,
-    leases,
-    runs,
-    saved_views,
-    traces,
-)
+from drivecal.storage.engine.tables import campaigns, evaluations, influence_maps, leases, runs, saved_views, traces
 from drivecal.storage.engine.types import now
 from drivecal.storage.retention import removal
 
@@ -109,12 +101,7 @@ def _mark(connection: Connection, sequence: int, identifier: str) -> None:
         "narrowed": None,
         "secret": None,
     }
-    freed: dict[str, Any] = {
-        "influence_map_id": None,
-        "idempotency_key": None,
-        "error_rate": {},
-        "released": None,
-    }
+    freed: dict[str, Any] = {"influence_map_id": None, "idempotency_key": None, "error_rate": {}, "released": None}
     marked = {"deleted_at": now(), "revision": campaigns.c.revision + 1}
     connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(emptied | freed | marked))
     maps = list(connection.scalars(select(influence_maps.c.sequence).where(influence_maps.c.source == identifier)))

@@ -7,19 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numba import njit
 
-from drivecal.highway.planner.lanes import (
-    LANES,
-    absolute,
-    bits,
-    floor,
-    larger,
-    load,
-    lowest_bit,
-    smaller,
-    spread,
-    store,
-    where,
-)
+from drivecal.highway.planner.lanes import LANES, absolute, bits, floor, larger, load, lowest_bit, smaller, spread, store, where
 
 eight = st.lists(st.floats(-1e6, 1e6), min_size=2 * LANES, max_size=2 * LANES).map(np.array)
 

@@ -11,16 +11,7 @@ from hypothesis import strategies as st
 from tests.support.effort import tries
 from tests.support.frenet import to_frenet
 from tests.unit.highway.planner.reference import ReferencePlanner
-from tests.unit.highway.planner.situations import (
-    BENDING,
-    CHANGING,
-    KEEPING,
-    LANE,
-    MIDDLE,
-    random_drive,
-    seen,
-    vehicle,
-)
+from tests.unit.highway.planner.situations import BENDING, CHANGING, KEEPING, LANE, MIDDLE, random_drive, seen, vehicle
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.roads import Floats, reference_line

@@ -45,8 +45,7 @@ def test_the_ego_vehicle_s_motion_is_the_domain_s(
 
 
 @pytest.mark.parametrize(
-    ("d", "yaw", "on_road"),
-    [(0.0, 0.0, True), (-0.97, 0.0, True), (-0.98, 0.0, False), (-0.97, 0.1, False), (8.5, 0.0, False)],
+    ("d", "yaw", "on_road"), [(0.0, 0.0, True), (-0.97, 0.0, True), (-0.98, 0.0, False), (-0.97, 0.1, False), (8.5, 0.0, False)]
 )
 def test_a_vehicle_is_off_the_road_as_soon_as_a_corner_is(d: float, yaw: float, *, on_road: bool) -> None:
     x, y, heading = to_cartesian(LINE, 400.0, d)

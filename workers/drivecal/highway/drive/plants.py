@@ -209,12 +209,7 @@ def _check_begun(given: Mapping[str, float], speed: float) -> None:
 
 
 def plant_of(
-    section: Mapping[str, Any],
-    folder: Path,
-    work: Path,
-    scratch: Path,
-    scenario: Mapping[str, Any],
-    units: Mapping[str, str],
+    section: Mapping[str, Any], folder: Path, work: Path, scratch: Path, scenario: Mapping[str, Any], units: Mapping[str, str]
 ) -> Plant:
     """Returns the plant of a manifest's section. Raises any exception of the user's file, UnusableError of FMUs.
 
