@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from sqlalchemy import func, select, text
+from tests.support.cell_search import CellSearchPlugin
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.deaths import InterceptedDatabase, Killed
@@ -25,6 +26,7 @@ from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.pool import StoredLeases, WorkPool
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
+from drivecal.plugins import registry
 from drivecal.storage import campaigns, leases
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -36,6 +38,7 @@ TINY: dict[str, Any] = {
     "optimizer": {"kind": "genetic", "population": 16, "iterations": 4, "seed": 3},
     "catalogue": ["S1", "S2"],
 }
+BY_CELL: dict[str, Any] = {"optimizer": {"kind": "cell_search"}, "budget": {"simulations": 90}, "catalogue": ["S1", "S2"]}
 BOLD_MAP = {
     scenario: {f"P{i}": {"influential": False} for i in range(1, 12) if i not in left}
     for scenario, left in {"S1": (1, 2), "S2": (3, 4)}.items()
@@ -104,16 +107,20 @@ def leased(database: Database) -> int:
 
 
 @pytest.mark.slow("postgresql")
+@pytest.mark.parametrize("by_cell", [False, True])
 @pytest.mark.parametrize("seed", range(tries(1, 3)))
 def test_a_dispatcher_killed_at_any_moment_changes_no_result_and_answers_nothing_twice(
-    databases: Callable[[], Database], seed: int
+    databases: Callable[[], Database], seed: int, *, by_cell: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if by_cell:
+        monkeypatch.setattr(registry, "optimizer", lambda _: CellSearchPlugin())
+    search = BY_CELL if by_cell else TINY
     draw = random.Random(seed)
     found, deaths = [], Counter[str]()
     for kills in (False, True):
         database = databases()
         reduction = {"audit": 0.2, "confirm": 20}
-        campaign = submit(database, stored_map=post_map(database, BOLD_MAP), reduction=reduction, **TINY)
+        campaign = submit(database, stored_map=post_map(database, BOLD_MAP), reduction=reduction, **search)
         if not kills:
             finish(database, campaign, dispatcher(database))
         while not get(database, campaign).state.ended:

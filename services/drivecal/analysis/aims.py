@@ -1,4 +1,4 @@
-"""What searches by the cell judge: the weighted score of a campaign, or its objectives and constraints on results. Pure."""
+"""Aims of searches by the cell: the weighted score of a campaign, or its objectives and constraints on results. Pure."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ def _better_end(scale: Scale) -> float:
 
 @dataclass(frozen=True)
 class WeightedScore:
-    """The weighted mean of the score (Eq. 6). The value of a cell is its continuous rating, of which the scale's steps make the score."""
+    """The weighted mean of the score (Eq. 6). The value of a cell is its continuous rating, which is rounded to the scale's steps."""
 
     weights: Mapping[str, float]
     """By scenario, of sum 1."""
@@ -59,7 +59,7 @@ class WeightedScore:
 
 @dataclass(frozen=True)
 class JudgedGoals:
-    """Objectives and constraints on results. The values of a cell are those of `keys`, in their order."""
+    """Objectives and constraints on results. The values of a cell follow `keys`."""
 
     goals: Goals
     names: tuple[str, ...]

@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from drivecal.api.live.dispatcher_health import degraded
 from drivecal.campaigns.resolve.resolved_spec import stored_goals, stored_scale
-from drivecal.contracts.campaign import Campaign, CellCounts, FirstObjective, Seconds
+from drivecal.contracts.campaign import Campaign, CellCounts, FirstObjective, Repaired, Seconds, Spent
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.contracts.tables import PLACE, CampaignTable, EvaluationRow, parameter_column
 from drivecal.domain.campaigns import CampaignState
@@ -39,8 +39,22 @@ def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None) -
         seconds=seconds_of(stored, now),
         scale=stored_scale(stored.resolution),
         objective=_first_objective(stored),
+        **_search(stored, now),
         links=_links(stored),
     )
+
+
+def _search(stored: StoredCampaign, now: datetime) -> dict[str, Any]:
+    """Returns what is known of a campaign's search and its budget."""
+    search, end = stored.search, stored.state.value if stored.state.ended else None
+    ended_by = None if search is None else search.ended_by
+    minutes = 0.0 if search is None else search.minutes(stored.ended_at or now)
+    return {
+        "budget": stored.spec.get("budget"),
+        "spent": Spent(simulations=stored.cells.runs, minutes=minutes),
+        "ended_by": end if end in {"cancelled", "failed"} and search is not None else ended_by,
+        "repaired": Repaired() if search is None else search.repaired,
+    }
 
 
 def _first_objective(stored: StoredCampaign) -> FirstObjective | None:

@@ -15,6 +15,8 @@ class Job(ABC):
     """The running stage, for the log; None before the first, and for a job without stages."""
     goes_on: bool = False
     """Whether work remains that needs no result."""
+    asks_ahead: bool = False
+    """Whether `work` may return more while earlier cells are at workers."""
 
     @abstractmethod
     def work(self) -> list[Work]:

@@ -73,7 +73,7 @@ Prober = Callable[[SetupRequest], str | None]
 """Returns what the `probe` of a bundle answers on a worker; None until one has answered."""
 
 
-def take_up(database: Database, sequence: int, probe: Prober) -> Job | None:
+def take_up(database: Database, sequence: int, probe: Prober, workers: int = 1) -> Job | None:
     """Returns a job that continues from the campaign's rows; None while `probe` has no answer for the campaign's bundle.
 
     Raises ConflictError if any version differs from its start.
@@ -91,7 +91,7 @@ def take_up(database: Database, sequence: int, probe: Prober) -> Job | None:
     known = {} if tools is None else {"tools": tools}
     _pin(database, campaign, problem.resolution() | known)
     if isinstance(problem, CalibrationProblem):
-        return StagedCampaign(database, campaign, problem)
+        return StagedCampaign(database, campaign, problem, workers)
     with database.read() as connection:
         traced = traces.is_made_by(connection, campaign.sequence)
     view = View(campaign.sequence, campaign.watermark or 0, problem.bench, traced=traced)
@@ -316,16 +316,19 @@ class Dispatcher:
             self._submit(active, work)
         if active.stopping is not None:
             self._finish_stopping(active)
-        elif not self._pool.held(active.tag):
-            work = job.work()
-            self._submit(active, work)
-            if job.finished:
-                self._end(active, CampaignState.SUCCEEDED)
-            elif not work and not job.goes_on:
-                log.warning("cells of the campaign are answered or simulated elsewhere; it starts again from the database")
-                active.job, active.not_before = None, self._clock() + RETRY_SECONDS
-        elif (reason := self._pool.hopeless(active.tag)) is not None:
+            return
+        held = self._pool.held(active.tag)
+        if held and (reason := self._pool.hopeless(active.tag)) is not None:
             raise ConflictError(reason)
+        if held and not job.asks_ahead:
+            return
+        work = job.work()
+        self._submit(active, work)
+        if job.finished:
+            self._end(active, CampaignState.SUCCEEDED)
+        elif not work and not job.goes_on and not held:
+            log.warning("cells of the campaign are answered or simulated elsewhere; it starts again from the database")
+            active.job, active.not_before = None, self._clock() + RETRY_SECONDS
 
     def _takes_up(self, active: Active) -> bool:
         """Resumes a campaign from its rows; False if it must wait first, or has nothing left to do."""
@@ -338,7 +341,10 @@ class Dispatcher:
             return False
         if active.beginning is None:
             active.beginning = take_up(
-                self._database, active.campaign.sequence, lambda request: self._pool.probe(request, active.tag)
+                self._database,
+                active.campaign.sequence,
+                lambda request: self._pool.probe(request, active.tag),
+                len(self._pool.workers()),
             )
         if active.beginning is None:  # a worker is asked for the versions of its tools
             active.not_before = self._clock() + LOOK_SECONDS

@@ -15,14 +15,15 @@ from pydantic import BaseModel
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Indices, Kind
 from drivecal.plugins.ports import UNDECLARED, Ability, DeclaringOptimizerPlugin, Floats, Optimizer, OptimizerPlugin, Proposal
+from drivecal.plugins.search import SearchPlugin
 
 
-def supported(plugin: OptimizerPlugin) -> frozenset[Ability]:
+def supported(plugin: OptimizerPlugin | SearchPlugin) -> frozenset[Ability]:
     """Returns the abilities of a plug-in; without a declaration `UNDECLARED`."""
-    return plugin.supports if isinstance(plugin, DeclaringOptimizerPlugin) else UNDECLARED
+    return plugin.supports if isinstance(plugin, DeclaringOptimizerPlugin | SearchPlugin) else UNDECLARED
 
 
-def lacking(plugin: OptimizerPlugin, wanted: Collection[Ability]) -> list[Ability]:
+def lacking(plugin: OptimizerPlugin | SearchPlugin, wanted: Collection[Ability]) -> list[Ability]:
     """Returns the wanted abilities that a plug-in does not have."""
     return sorted(set(wanted) - supported(plugin))
 

@@ -32,7 +32,17 @@ from sqlalchemy.sql.compiler import SQLCompiler
 from sqlalchemy.sql.functions import GenericFunction
 from sqlalchemy.types import TypeDecorator
 
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, Confirmation, ErrorRate, Narrowed, Progress, Released
+from drivecal.contracts.campaign import (
+    Baseline,
+    Best,
+    CellCounts,
+    Confirmation,
+    ErrorRate,
+    Narrowed,
+    Progress,
+    Released,
+    SearchState,
+)
 from drivecal.domain.actions import Action
 from drivecal.domain.actions import change as change_by
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -146,6 +156,7 @@ class StoredCampaign(CampaignHeading):
     error_rate: Mapping[str, ErrorRate]
     released: Mapping[str, Released]
     best: Best | None
+    search: SearchState | None
     confirmation: Confirmation | None
     baseline: Baseline | None
     narrowed: tuple[Narrowed, ...] | None
@@ -183,6 +194,7 @@ class Snapshot:
     error_rate: Mapping[str, ErrorRate] | None = None
     released: Mapping[str, Released] | None = None
     best: Best | None = None
+    search: SearchState | None = None
     confirmation: Confirmation | None = None
     baseline: Baseline | None = None
     notes: Collection[str] | None = None
@@ -370,7 +382,7 @@ def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> 
     values: dict[str, Any] = {name: getattr(snapshot, name) for name in ("stage", "iteration", "simulating_seconds")}
     values |= {
         name: getattr(snapshot, name).model_dump(mode="json")
-        for name in ("progress", "best", "confirmation", "baseline")
+        for name in ("progress", "best", "search", "confirmation", "baseline")
         if getattr(snapshot, name)
     }
     for name in ("error_rate", "released"):
@@ -462,5 +474,6 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         released={scenario: Released(**rate) for scenario, rate in (row.released or {}).items()},
         error_rate={scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
         best=None if row.best is None else Best(**row.best),
+        search=None if row.search is None else SearchState(**row.search),
         baseline=None if row.baseline is None else Baseline(**row.baseline),
     )

@@ -1,5 +1,6 @@
 """Evaluations: the requested cells of campaigns, from plan to answer."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -20,6 +21,7 @@ from sqlalchemy import (
     update,
 )
 
+from drivecal.contracts.campaign import GenerationCounts
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import COPIED, Donor, Outcome, OutcomeCosts, RequestedCell
 from drivecal.storage import leases
@@ -132,22 +134,47 @@ def set_reference_keys(connection: Connection, keys: Mapping[int, bytes]) -> Non
 
 
 def own_references(
-    connection: Connection, campaign_sequence: int, scenario: str, setup_id: int, keys: Sequence[bytes]
+    connection: Connection,
+    campaign_sequence: int,
+    scenario: str,
+    setup_id: int,
+    keys: Sequence[bytes],
+    before: int | None = None,
 ) -> dict[bytes, Donor]:
-    """The campaign's own first simulated answers in one setup by reference key: first by stage, iteration, individual."""
-    return _own(connection, campaign_sequence, scenario, setup_id, evaluations.c.reference_key, keys)
+    """Returns the campaign's own first answers by reference key.
+
+    Args:
+        connection: where to read.
+        campaign_sequence: number of the campaign.
+        scenario: the scenario of the cells.
+        setup_id: number of the setup in the database.
+        keys: reference keys under the campaign's influence map.
+        before: answers of the calibration from this iteration on are not seen; None to see all.
+    """
+    return _own(connection, campaign_sequence, scenario, setup_id, evaluations.c.reference_key, keys, before)
 
 
 def own_exact(
-    connection: Connection, campaign_sequence: int, scenario: str, setup_id: int, parameter_set_ids: Sequence[int]
+    connection: Connection,
+    campaign_sequence: int,
+    scenario: str,
+    setup_id: int,
+    parameter_set_ids: Sequence[int],
+    before: int | None = None,
 ) -> dict[int, Donor]:
-    """The campaign's own first answers by parameter set, as `own_references`."""
+    """Returns the campaign's own first answers by parameter set, as `own_references`."""
     ids = [int(identifier) for identifier in parameter_set_ids]
-    return _own(connection, campaign_sequence, scenario, setup_id, evaluations.c.parameter_set_id, ids)
+    return _own(connection, campaign_sequence, scenario, setup_id, evaluations.c.parameter_set_id, ids, before)
 
 
 def _own(
-    connection: Connection, campaign_sequence: int, scenario: str, setup_id: int, column: Column[Any], values: Sequence[Any]
+    connection: Connection,
+    campaign_sequence: int,
+    scenario: str,
+    setup_id: int,
+    column: Column[Any],
+    values: Sequence[Any],
+    before: int | None,
 ) -> dict[Any, Donor]:
     table = evaluations.c
     place = (type_coerce(table.stage, SmallInteger), table.iteration, table.individual)  # by number, stages sort as they run
@@ -158,6 +185,8 @@ def _own(
         table.plan == Outcome.SIMULATED,
         table.outcome == Outcome.SIMULATED,
     )
+    if before is not None:
+        query = query.where((table.stage != StageName.CALIBRATION) | (table.iteration < before))
     first: dict[Any, tuple[tuple[int, int, int], Donor]] = {}
     for value, stage, iteration, individual, *donor in rows_among(connection, query, column, values):
         at = (stage, iteration, individual)
@@ -246,6 +275,29 @@ def scored(connection: Connection, campaign_sequence: int, score: float, most: i
     )
     read = metrics.reader(connection)
     return [ScoredRun(row[0], read(row[1]), *row[2:]) for row in connection.execute(query.limit(most))]
+
+
+def places(connection: Connection, campaign_sequence: int, stage: StageName) -> list[tuple[int, int, str]]:
+    """Returns iteration, individual and scenario of a stage's cells, in the order of requests."""
+    table = evaluations.c
+    query = select(table.iteration, table.individual, table.scenario).where(
+        table.campaign_sequence == campaign_sequence, table.stage == stage
+    )
+    return [(*row,) for row in connection.execute(query.order_by(table.id))]
+
+
+def counts(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> GenerationCounts:
+    """Returns the answered cells of an iteration by outcome, and inspected ones."""
+    table = evaluations.c
+    is_reference = table.reference.is_not(None).label("is_reference")
+    group = table.outcome, table.inspected, is_reference
+    query = select(*group, func.count().label("cells")).where(*of_iteration(campaign_sequence, stage, iteration))
+    counted: Counter[str] = Counter()
+    for row in connection.execute(query.where(table.outcome.is_not(None)).group_by(*group)):
+        counted.update({"requested": row.cells, row.outcome: row.cells})
+        if row.inspected:
+            counted["audited" if row.is_reference else "sampled"] += row.cells
+    return GenerationCounts(**counted)
 
 
 def confirmed(connection: Connection, campaign_sequence: int, iterations: int) -> dict[str, dict[Outcome, int]]:

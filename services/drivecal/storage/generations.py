@@ -1,11 +1,10 @@
 """Generations: the iterations of a campaign's calibration stage."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import Connection, Row, select, update
+from sqlalchemy import Connection, Row, func, select, update
 
 from drivecal.contracts.campaign import GenerationCounts
 from drivecal.storage.engine.records import decode_cursor, encode_cursor, record
@@ -98,13 +97,23 @@ def is_stored(connection: Connection, campaign_sequence: int, iteration: int) ->
     return connection.execute(select(generations.c.iteration).where(*here)).first() is not None
 
 
-def sums(connection: Connection, campaign_sequence: int, iterations: int) -> GenerationCounts:
-    """Returns the sums of the counters over the first `iterations`."""
-    first = generations.c.campaign_sequence == campaign_sequence, generations.c.iteration < iterations
-    total: Counter[str] = Counter()
-    for cells in connection.scalars(select(generations.c.cells).where(*first)):
-        total.update(cells)
-    return GenerationCounts(**total)
+def finished(connection: Connection, campaign_sequence: int) -> int:
+    """Returns the number of finished iterations before the first that is not."""
+    here = generations.c.campaign_sequence == campaign_sequence
+    first = select(func.min(generations.c.iteration)).where(here, ~generations.c.finished).scalar_subquery()
+    return int(connection.scalar(select(func.coalesce(first, func.max(generations.c.iteration) + 1, 0)).where(here)) or 0)
+
+
+def populations(connection: Connection, campaign_sequence: int) -> list[list[list[int]]]:
+    """Returns the grid indices of each iteration's sets, in order."""
+    query = select(generations.c.population).where(generations.c.campaign_sequence == campaign_sequence)
+    return list(connection.scalars(query.order_by(generations.c.iteration)))
+
+
+def number(connection: Connection, campaign_sequence: int) -> int:
+    """Returns the number of iterations that were asked for."""
+    query = select(func.count()).where(generations.c.campaign_sequence == campaign_sequence)
+    return int(connection.scalar(query) or 0)
 
 
 def finish(

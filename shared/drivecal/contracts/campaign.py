@@ -83,6 +83,10 @@ class CellCounts(GenerationCounts):
     """Simulations that gave other bits than the stored run of the same cell: the setup does not name all that decides a run."""
     unscored: int = 0
     """Cells for whose measures the score's formula has no value, which are worth a failed run; simulated, or answered by stored runs."""
+    runs: int = 0
+    """Starts of the simulator for these cells, whatever for: retries and repeated runs included."""
+    discarded: int = 0
+    """Cells of sets that a search gave up, because they could not be the best any more. They were not requested, and are in no sum."""
     cut: int = 0
     """Cells whose score is worse than the worth of a failed run, which they count as; simulated, or answered by stored runs."""
 
@@ -199,6 +203,45 @@ class FirstObjective(Answer):
     direction: Literal["maximise", "minimise"]
 
 
+SearchEnd = Literal["budget", "stagnation", "iterations"]
+
+
+class Repaired(Answer):
+    """Infeasible proposals of a search, and the `distinct` sets that they became."""
+
+    proposed: int = 0
+    distinct: int = 0
+
+
+class SearchState(Answer):
+    """The stored state of a campaign's search; its rounds are rows of their own."""
+
+    room: int
+    """Cells of a round."""
+    began_at: datetime
+    ended_by: SearchEnd | None = None
+    simulated: int = 0
+    """Simulations in closed rounds."""
+    better_at: int = 0
+    """Their number when the last better set was found."""
+    stood_still_at: int | None = None
+    """First round after which the search had stood still for as long as the budget allows."""
+    repaired: Repaired = Repaired()
+    spent_minutes: float | None = None
+    """Minutes of the whole search; null before its end."""
+
+    def minutes(self, now: datetime) -> float:
+        """Returns the minutes since the search began, or that it took."""
+        return (now - self.began_at).total_seconds() / 60 if self.spent_minutes is None else self.spent_minutes
+
+
+class Spent(Answer):
+    """The used part of a budget."""
+
+    simulations: int = 0
+    minutes: float = 0.0
+
+
 class Narrowed(Answer):
     """A parameter whose range was narrowed to the area in which it matters in any scenario, in parameter units, inclusive.
 
@@ -249,6 +292,12 @@ class Campaign(CellsByStage):
     confirmation: Confirmation | None = None
     """Null before the end of the search, and if no score of its best set was a copy."""
     baseline: Baseline | None = None
+    budget: dict[str, float | None] | None = None
+    """The end of the search: `simulations`, `minutes`, `stagnation`; null without a search, and if its number of iterations ends it."""
+    spent: Spent = Spent()
+    ended_by: SearchEnd | Literal["cancelled", "failed"] | None = None
+    """Why the search ended; null before, and without a search."""
+    repaired: Repaired = Repaired()
     narrowed: list[Narrowed] | None = None
     """The part that `reduction.narrow` removed, by parameter; null if not requested or not known yet."""
     seconds: Seconds = Seconds()

@@ -27,6 +27,7 @@ DEFAULT_PROBLEM = "highway"
 LARGEST_POPULATION = 100_000
 LARGEST_ITERATIONS = 10_000
 LARGEST_CONFIRM = 1_000
+LARGEST_BUDGET = 10_000_000
 
 
 def _each_once(value: str | list[str]) -> str | list[str]:
@@ -102,7 +103,7 @@ class SensitivitySpecification(Model):
 
 
 class OptimizerSpecification(BaseModel):
-    """Common settings of all optimizers; the plug-in checks its own."""
+    """Settings of all optimizers that propose whole populations; a plug-in's own extend them."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
 
@@ -117,6 +118,51 @@ class OptimizerSpecification(BaseModel):
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
     start_sets: Annotated[list[Values], Field(max_length=LARGEST_POPULATION, fail_fast=True)] = []
     """Sets from expert knowledge: in the start population, after the baseline."""
+
+
+class OptimizerSection(BaseModel):
+    """The chosen optimizer with its settings, which the plug-in checks.
+
+    Without `kind` it is `surrogate`, or `genetic` if the section has settings of populations.
+    """
+
+    model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
+
+    kind: Identifier = "genetic"
+    """Its name; `GET /api/v1/optimizers` lists the installed ones."""
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
+    start_sets: Annotated[list[Values], Field(max_length=LARGEST_POPULATION, fail_fast=True)] = []
+    """Sets from expert knowledge, which are simulated first, after the baseline."""
+    population: Annotated[int, Field(ge=2, le=LARGEST_POPULATION)] | None = None
+    """Parameter sets in each iteration; null of a search by the cell."""
+    iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] | None = None
+    """Number of populations that the optimizer proposes; null if the budget ends the search."""
+    start: Literal["lhs", "halton"] | None = None
+    """Draw of the start population; null of a search by the cell."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _infer_kind(cls, given: object) -> object:
+        if isinstance(given, dict) and "kind" not in given and not given.keys() <= {"seed", "start_sets"}:
+            return {**given, "kind": "genetic"}
+        return given
+
+
+class BudgetSpecification(Model):
+    """The end of a search: whatever is used up first."""
+
+    simulations: Annotated[int, Field(ge=1, le=LARGEST_BUDGET)] | None = None
+    """Runs that the simulator starts for the search, retries, checks and repeats included."""
+    minutes: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    """Time since the search began."""
+    stagnation: Annotated[int, Field(ge=1, le=LARGEST_BUDGET)] | None = None
+    """Simulations without a better set."""
+
+    @model_validator(mode="after")
+    def _ends(self) -> Self:
+        if self.simulations is None and self.minutes is None and self.stagnation is None:
+            raise ValueError("it has no end; give simulations, minutes or stagnation")
+        return self
 
 
 ReductionMode = Literal["off", "exact", "influence", "predicted", "both"]
@@ -317,10 +363,12 @@ class ProblemSpecification(Model):
 
 
 class CampaignSpecification(ProblemSpecification):
-    """A whole campaign. Everything has a default: `{}` is the paper's problem, with predictions, without an analysis."""
+    """A whole campaign. Everything has a default: `{}` searches the paper's problem with 100 simulations for each scenario."""
 
-    optimizer: OptimizerSpecification | None = OptimizerSpecification()
+    optimizer: OptimizerSection | None = OptimizerSection()
     """Null if only other stages are requested."""
+    budget: BudgetSpecification | None = None
+    """The end of the search; null: 100 simulations for each scenario, or the optimizer's own number of iterations."""
     reduction: ReductionSpecification = Field(default=ReductionSpecification(), validate_default=True)
     """Cells that may be answered without a simulation."""
     robustness: RobustnessSpecification | None = None
@@ -350,7 +398,8 @@ class RerunSpecification(Model):
     problem: ProblemName | None = None
     """Another push of the first campaign's problem, e.g. with another score: runs of unchanged files are rated again."""
     evaluator: Identifier | None = None
-    optimizer: OptimizerSpecification | None = None
+    optimizer: OptimizerSection | None = None
+    budget: BudgetSpecification | None = None
     reduction: ReductionSpecification | None = None
 
 

@@ -15,6 +15,7 @@ from typing import Any, cast
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.plugins.ports import Catalogue, DrivingFunction, Evaluator, OptimizerPlugin, Vehicle
 from drivecal.plugins.runners import DriveSimulator
+from drivecal.plugins.search import SearchPlugin
 
 CATALOGUES = "drivecal.scenarios"
 DRIVING_FUNCTIONS = "drivecal.driving_functions"
@@ -158,12 +159,12 @@ def evaluator(name: str) -> Evaluator:
     return cast("Evaluator", _find(EVALUATORS, name, "evaluator"))
 
 
-def optimizer(name: str) -> OptimizerPlugin:
+def optimizer(name: str) -> OptimizerPlugin | SearchPlugin:
     """Returns an optimizer by name. Raises InvalidInputError listing the installed names."""
-    return cast("OptimizerPlugin", _find(OPTIMIZERS, name, "optimizer.kind"))
+    return cast("OptimizerPlugin | SearchPlugin", _find(OPTIMIZERS, name, "optimizer.kind"))
 
 
-def optimizers() -> list[OptimizerPlugin]:
+def optimizers() -> list[OptimizerPlugin | SearchPlugin]:
     """Returns all installed optimizers that can be used."""
     return _usable(OPTIMIZERS)
 

@@ -26,19 +26,17 @@ class AskedCell:
 
 @dataclass(frozen=True, slots=True)
 class CellAnswer:
-    """The answer of a cell.
-
-    `values`: what the aim judges, one number for each of `Aim.values`; NaN without a result. `failed`: the run failed, and its values are
-    what a failed run is worth, or there is none.
-    """
+    """The answer of a cell."""
 
     cell: AskedCell
     values: tuple[float, ...]
+    """One number for each of `Aim.values`; NaN without a result."""
     failed: bool = False
+    """The run failed: its values are the worth of a failed run, or there is no result."""
 
 
 class Aim(Protocol):
-    """What a campaign makes of the values of a set in its scenarios. Pure.
+    """Makes objectives of the values of a set in its scenarios. Pure.
 
     Values of n sets have the shape (n, n_scenarios, n_values).
     """
@@ -73,7 +71,7 @@ class Aim(Protocol):
 
 @dataclass(frozen=True)
 class SearchTask:
-    """What a search is to find.
+    """The space and the aim of a search.
 
     Args:
         n_values: grid sizes, shape (n_searched,).

@@ -14,6 +14,7 @@ from drivecal.contracts.strict_json import Tag
 from drivecal.domain.errors import InvalidInputError
 from drivecal.optimizers.genetic import pairs_per_generation
 from drivecal.plugins import registry
+from drivecal.plugins.search import SearchPlugin
 
 COMPARED: dict[str, Any] = {
     "fixed": {"P9": 5, "P10": 10, "P11": 100},
@@ -92,6 +93,7 @@ def test_every_optimizer_begins_with_the_population_that_its_size_and_seed_give(
 
     def first(name: str, population: int, seed: int) -> list[list[int]]:
         plugin = registry.optimizer(name)
+        assert not isinstance(plugin, SearchPlugin)
         document = {"kind": name, "population": population, "start": start, "seed": seed}
         found: list[list[int]] = plugin.create(plugin.settings.model_validate(document), n_values).ask().population.tolist()
         return found

@@ -29,7 +29,7 @@ def test_the_campaign_is_large_enough_and_can_run() -> None:
     problem = resolve(validated(CampaignSpecification, dict(CAMPAIGN)))
     assert problem.optimization is not None
     assert problem.optimization.population >= 100
-    assert problem.optimization.iterations >= 10
+    assert (problem.optimization.iterations or 0) >= 10
     assert set(OTHER_WEIGHTS) < set(problem.scenarios) == {"S1", "S2", "S3", "S4", "S5", "S6"}
 
 

@@ -84,7 +84,7 @@ def test_the_example_of_the_interface_is_accepted_as_it_stands() -> None:
         example() | {"sensitivity": None}
     ).model_dump(mode="json")
     assert found.optimizer is not None
-    assert found.optimizer.population == 1000
+    assert (found.optimizer.kind, found.optimizer.population, found.optimizer.iterations) == ("genetic", 1000, 20)
     assert found.optimizer.model_extra == {"selection": 0.8, "recombination": 0.7, "mutation": 0.5}
     assert found.weights == {f"S{number}": 1.0 for number in range(1, 7)}
 
@@ -93,7 +93,7 @@ def test_an_empty_file_is_the_papers_problem() -> None:
     found = CampaignSpecification.model_validate({})
     assert found.catalogue == found.parameters == "highway"
     assert found.optimizer is not None
-    assert (found.optimizer.kind, found.optimizer.population, found.optimizer.iterations) == ("genetic", 1000, 20)
+    assert (found.optimizer.kind, found.optimizer.model_extra, found.budget) == ("genetic", {}, None)
     assert found.sensitivity is None
     assert (found.reduction.mode, found.reduction.tolerance_on(COMFORT), found.reduction.limit) == ("predicted", 0, 0.05)
     assert (found.reduction.certified, found.reduction.confirm) == (True, 20)

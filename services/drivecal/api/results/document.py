@@ -116,7 +116,7 @@ def studies_of(connection: Connection, campaign: StoredCampaign) -> list[StudyRe
 def account_of(connection: Connection, campaign: StoredCampaign) -> Accounting:
     """Returns savings of cells answered without a simulation, cost of the sensitivity stage, and the break-even of its map."""
     rows = evaluations.costs_by_outcome(connection, campaign.sequence)
-    searched = (campaign.spec.get("optimizer") or {}).get("iterations", 0)
+    searched = generations.number(connection, campaign.sequence)
     predictors: dict[str, float] = defaultdict(float)
     for lot in lots.of_campaign(
         connection, campaign.sequence, Outcome.PREDICTED

@@ -81,6 +81,8 @@ class CellTracker:
         self._view = view
         self._counts = Counter(counts)
         self._pending: dict[int, StoredEvaluation] = {}
+        self._returned: set[int] = set()
+        """Cells whose work was returned: they are at workers, or wait for one."""
         self._copies: dict[int, list[StoredEvaluation]] = {}
         self._breakdowns: Mapping[int, int] = {}
         self._requests: Mapping[int, SetupRequest] = {}
@@ -103,6 +105,14 @@ class CellTracker:
         """Cells without an answer."""
         return len(self._pending)
 
+    def waits_for(self, iteration: int) -> bool:
+        """Returns whether a cell of an iteration has no answer."""
+        return any(cell.iteration == iteration for cell in self._pending.values())
+
+    def note_discarded(self, cells: int) -> None:
+        """Sets the number of cells that the search has given up."""
+        self._counts["discarded"] = cells
+
     def request(self, connection: Connection, cells: Sequence[RequestedCell], carried_over: int) -> None:
         """Stores a planned population. Copies of stored results are answered at once."""
         evaluations.insert(connection, self._view.campaign, cells)
@@ -117,7 +127,8 @@ class CellTracker:
         self.faults.note_stored(connection, stored)
 
     def load(self, connection: Connection, *, share_runs: bool, benches: Sequence[Bench] = ()) -> list[Work]:
-        """Loads the cells that wait for an answer, draws the samples of new lots, and returns the work to simulate.
+        """Loads the cells that wait for an answer, draws the samples of new lots, and returns the work to simulate, without the cells that
+        this tracker returned before.
 
         The transaction must not be the one that stores new predictions: these are committed before their sample is drawn.
 
@@ -131,6 +142,7 @@ class CellTracker:
             for scenario, setup_id in ensure_setups(connection, bench).items()
         }
         self._exclusive = not share_runs
+        earlier = self._returned & self._pending.keys()
         self._pending = {cell.id: cell for cell in results.pending(connection, self._view.campaign)}
         self._pending |= self._inspection.load(connection, self._pending)
         self._copies = {}
@@ -146,7 +158,9 @@ class CellTracker:
             if share_runs:
                 self._share_runs(connection, answers, self._pending.values())
         self._breakdowns = leases.breakdowns(connection, list(self._pending))
-        return self._work([cell for cell in self._pending.values() if cell.plan is Outcome.SIMULATED])
+        wanted = [cell for cell in self._pending.values() if cell.plan is Outcome.SIMULATED and cell.id not in earlier]
+        self._returned = earlier | {cell.id for cell in wanted}
+        return self._work(wanted)
 
     def record(self, connection: Connection, completed: Sequence[Completed]) -> list[Work]:
         """Stores the results of simulated cells and of their copies; returns the work to simulate instead.
@@ -263,6 +277,7 @@ class CellTracker:
             self._answer(cell, donor, answers)
         else:
             self.simulating_seconds += completion.result.milliseconds / 1000
+            self._counts["runs"] += completion.attempts + (completion.result.repeats is not None)
             self._answer(cell, donor, answers, completion)
 
     def _answer(
@@ -283,6 +298,8 @@ class CellTracker:
     def _break_down(self, cell: StoredEvaluation, completion: Completed, answers: list[AnsweredCell]) -> list[StoredEvaluation]:
         """Fails a cell without a result after all attempts. Copies of the same parameter set fail with it; other copies become orphans."""
         orphans: list[StoredEvaluation] = []
+        if not completion.shared:
+            self._counts["runs"] += completion.attempts
         detail = None if completion.result.detail is None else _storable(completion.result.detail)
         if self.broken is None:
             self.broken = f"{cell.scenario}: {completion.result.breakdown}: {detail or 'no message'} ({_place(cell)})"

@@ -31,6 +31,8 @@ class View:
     influence_map_sequence: int | None = None
     traced: bool = False
     """The time series of its cells are wanted."""
+    workers: int = 1
+    """Workers at the beginning."""
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -67,9 +69,15 @@ def sync_reference_keys(database: Database, view: View) -> None:
 
 @MEASURES.timed("lookup")
 def plan_cells(
-    connection: Connection, view: View, policy: Policy, stage: StageName, iteration: int, wanted: Sequence[RequestedCell]
+    connection: Connection,
+    view: View,
+    policy: Policy,
+    stage: StageName,
+    iteration: int,
+    wanted: Sequence[RequestedCell],
+    before: int | None = None,
 ) -> list[RequestedCell]:
-    """Returns the planned answer of each requested cell, in order."""
+    """Returns the planned answer of each requested cell, in order. `before`: see `storage.evaluations.own_references`."""
     setup_ids = ensure_setups(connection, view.bench)
     sets = list(dict.fromkeys(cell.parameters for cell in wanted))
     set_ids = dict(zip(sets, parameter_sets.ensure(connection, sets), strict=True))
@@ -86,10 +94,10 @@ def plan_cells(
             class_keys |= {(scenario, asked): key for asked, key in zip(here, keys, strict=True)}
         if policy.mode != "off" and setup_id in stocked:
             by_id = {set_ids[parameter_set]: parameter_set for parameter_set in here}
-            known = _exact(connection, view, scenario, setup_id, list(by_id))
+            known = _exact(connection, view, scenario, setup_id, list(by_id), before)
             exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
         if policy.reuses and scenario in view.keys and setup_id in stocked:
-            stored = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)))
+            stored = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)), before)
             references |= {(scenario, key): donor for key, donor in stored.items()}
     placed = [
         replace(
@@ -105,14 +113,18 @@ def plan_cells(
     return assign(placed, policy, exact, references)
 
 
-def _exact(connection: Connection, view: View, scenario: str, setup_id: int, set_ids: Sequence[int]) -> dict[int, Donor]:
+def _exact(
+    connection: Connection, view: View, scenario: str, setup_id: int, set_ids: Sequence[int], before: int | None
+) -> dict[int, Donor]:
     """Exact results: earlier campaigns come first in the order of references, then the campaign itself."""
-    own = evaluations.own_exact(connection, view.campaign, scenario, setup_id, set_ids)
+    own = evaluations.own_exact(connection, view.campaign, scenario, setup_id, set_ids, before)
     return own | runs.look_up_exact(connection, setup_id, set_ids, view.bench.evaluator_id, view.watermark)
 
 
-def _references(connection: Connection, view: View, scenario: str, setup_id: int, keys: Sequence[bytes]) -> dict[bytes, Donor]:
-    own = evaluations.own_references(connection, view.campaign, scenario, setup_id, keys)
+def _references(
+    connection: Connection, view: View, scenario: str, setup_id: int, keys: Sequence[bytes], before: int | None
+) -> dict[bytes, Donor]:
+    own = evaluations.own_references(connection, view.campaign, scenario, setup_id, keys, before)
     if view.influence_map_sequence is None:
         return own
     return own | reference_keys.look_up(

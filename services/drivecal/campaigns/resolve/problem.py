@@ -88,8 +88,7 @@ class CalibrationProblem:
         chosen, analysis = self.optimization, self.analysis()
         proposed = requested = 0
         if chosen is not None:
-            proposed = chosen.population * chosen.iterations * len(self.scenarios)
-            requested = chosen.plugin.requested_individuals(chosen.settings) * len(self.scenarios)
+            proposed, requested = chosen.expected_cells(len(self.scenarios))
         phases = {} if analysis is None else analysis.expected_runs()
         intervals = phases.get("intervals", 0) * len(self.scenarios)
         return ExpectedRuns(
@@ -156,8 +155,8 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     """
     diagnostics = Diagnostics()
     workbench = find_workbench(specification, bundles, diagnostics)
-    optimization = resolvers.choose_optimizer(specification, diagnostics)
     weights, notes = resolvers.normalise_weights(specification.weights, workbench.scenarios, diagnostics)
+    optimization = resolvers.choose_optimizer(specification, len(weights), diagnostics)
     if notes and (specification.objectives or specification.constraints):
         notes += ("objectives and constraints leave these scenarios out as well",)
     notes += resolvers.note_threshold(specification)
@@ -175,7 +174,8 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
         notes += more
     else:
         baseline = given_set(specification.baseline, constraints, "baseline", diagnostics)
-    start_sets = resolvers.find_start_sets(specification, baseline, constraints, diagnostics)
+    population = None if optimization is None or optimization.by_cell is not None else optimization.population
+    start_sets = resolvers.find_start_sets(specification, baseline, constraints, diagnostics, population)
     robust_sets = resolvers.find_robust_sets(specification, workbench.varied, constraints, diagnostics)
     resolvers.check_validation(specification, diagnostics)
     if specification.reduction.narrow and specification.sensitivity is None:
@@ -187,7 +187,9 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     diagnostics.raise_if_any()
     if workbench.make is None or space is None or constraints is None:
         raise AssertionError("a part is missing without a finding")
-    specification = specification.model_copy(update=dict(workbench.settled))
+    specification = specification.model_copy(
+        update=dict(workbench.settled) | resolvers.settled_search(specification, optimization)
+    )
     bench = workbench.make(weights)
     resolvers.check_units(specification, bench.scale, diagnostics)
     diagnostics.raise_if_any()

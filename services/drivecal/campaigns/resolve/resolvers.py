@@ -12,7 +12,14 @@ from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Parameterised, given_set
 from drivecal.contracts.campaign import STUDIES
 from drivecal.contracts.input_errors import nearest, problem
-from drivecal.contracts.specification import CampaignSpecification, SensitivitySpecification, SeparateThresholds
+from drivecal.contracts.specification import (
+    LARGEST_BUDGET,
+    BudgetSpecification,
+    CampaignSpecification,
+    OptimizerSection,
+    SensitivitySpecification,
+    SeparateThresholds,
+)
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace, Setting
 from drivecal.domain.regions import FeasibleRegion
@@ -22,6 +29,7 @@ from drivecal.domain.vehicles import VehicleParameter
 from drivecal.optimizers.repair import RepairingOptimizer, create_optimizer, lacking, restore_optimizer, supported
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Ability, ConstrainedFunction, Optimizer, OptimizerPlugin
+from drivecal.plugins.search import SearchPlugin
 from drivecal.reduction.narrowing import SearchArea
 from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
@@ -33,15 +41,53 @@ MOST_WRONG_SETS = 200
 """Problems after which further start sets are not checked."""
 
 
+BY_DEFAULT = 100
+"""Simulations for each scenario of a search without a budget."""
+
+
 @dataclass(frozen=True)
 class Optimization:
-    """The chosen optimizer with its checked settings."""
+    """The chosen optimizer with its checked settings, and the end of its search."""
 
-    plugin: OptimizerPlugin
+    plugin: OptimizerPlugin | SearchPlugin
     settings: BaseModel
-    population: int
-    iterations: int
-    seed: int
+    budget: BudgetSpecification | None
+    iterations: int | None
+    """Largest number of iterations; None if the budget alone ends the search."""
+
+    @property
+    def by_cell(self) -> SearchPlugin | None:
+        """The plug-in if it searches by the cell."""
+        return self.plugin if isinstance(self.plugin, SearchPlugin) else None
+
+    @property
+    def by_population(self) -> OptimizerPlugin:
+        """The plug-in if it proposes whole populations. Raises TypeError."""
+        if isinstance(self.plugin, SearchPlugin):
+            raise TypeError(f"{self.plugin.name} searches by the cell")
+        return self.plugin
+
+    @property
+    def population(self) -> int:
+        """Sets in each iteration; 0 of a search by the cell."""
+        return 0 if self.by_cell is not None else int(self._setting("population"))
+
+    @property
+    def seed(self) -> int:
+        """Seed of the search."""
+        return int(self._setting("seed"))
+
+    def _setting(self, name: str) -> Any:
+        """Returns a setting that plug-ins of its kind have."""
+        return self.settings.model_dump(include={name})[name]
+
+    def expected_cells(self, scenarios: int) -> tuple[int, int]:
+        """Returns the largest numbers of proposed and of requested cells."""
+        most = LARGEST_BUDGET if self.budget is None or self.budget.simulations is None else self.budget.simulations
+        if self.iterations is None:
+            return most, most
+        requested = self.by_population.requested_individuals(self.settings)
+        return self.population * self.iterations * scenarios, requested * scenarios
 
     def begin(self, area: SearchArea, constraints: Constraints, start: Indices | None) -> Optimizer:
         """Returns a new optimizer of an area whose proposals keep the constraints; `start`: rows of its first population.
@@ -49,16 +95,16 @@ class Optimization:
         Constraints fill the population up with feasible rows, for the optimizer's own start design knows none.
         """
         if not constraints:
-            return create_optimizer(self.plugin, self.settings, area.n_values, area.kinds, start)
+            return create_optimizer(self.by_population, self.settings, area.n_values, area.kinds, start)
         region = constraints.region(area.first, area.last)
         drawn = area.contract(region.sample(self.population, np.random.Generator(np.random.PCG64(self.seed))))
         start = drawn if start is None else np.concatenate([start, drawn])[: self.population]
-        optimizer = create_optimizer(self.plugin, self.settings, area.n_values, area.kinds, start)
+        optimizer = create_optimizer(self.by_population, self.settings, area.n_values, area.kinds, start)
         return _repairing(optimizer, area, region)
 
     def restore(self, area: SearchArea, constraints: Constraints, state: Mapping[str, Any]) -> Optimizer:
         """Returns the optimizer that continues from `state`."""
-        optimizer = restore_optimizer(self.plugin, self.settings, area.n_values, area.kinds, state)
+        optimizer = restore_optimizer(self.by_population, self.settings, area.n_values, area.kinds, state)
         return _repairing(optimizer, area, constraints.region(area.first, area.last)) if constraints else optimizer
 
 
@@ -105,8 +151,8 @@ def note_threshold(specification: CampaignSpecification) -> tuple[str, ...]:
     return (thresholds.tolerance_text(wanted.samples),)
 
 
-def choose_optimizer(specification: CampaignSpecification, diagnostics: Diagnostics) -> Optimization | None:
-    """The optimizer with its checked settings; None if none is requested."""
+def choose_optimizer(specification: CampaignSpecification, scenarios: int, diagnostics: Diagnostics) -> Optimization | None:
+    """Returns the optimizer of a problem with a number of weighted scenarios, with its checked settings; None if none is requested."""
     wanted = specification.optimizer
     if wanted is None:
         analyses = isinstance(specification.sensitivity, SensitivitySpecification)
@@ -119,7 +165,7 @@ def choose_optimizer(specification: CampaignSpecification, diagnostics: Diagnost
     if plugin is None:
         return None
     try:
-        settings = plugin.settings.model_validate(wanted.model_dump(exclude={"start_sets"}))
+        settings = plugin.settings.model_validate(wanted.model_dump(exclude={"start_sets"}, exclude_none=True))
     except ValidationError as error:
         for detail in error.errors(include_url=False):
             field = ".".join(["optimizer", *(str(part) for part in detail["loc"])])
@@ -129,7 +175,25 @@ def choose_optimizer(specification: CampaignSpecification, diagnostics: Diagnost
             else:
                 diagnostics.problems.append(problem(field, detail))
         return None
-    return Optimization(plugin, settings, wanted.population, wanted.iterations, wanted.seed)
+    budget = specification.budget
+    if budget is None and isinstance(plugin, SearchPlugin):
+        budget = BudgetSpecification(simulations=BY_DEFAULT * max(1, scenarios))
+    ends_by_budget = budget is not None and wanted.iterations is None
+    iterations = (
+        None
+        if ends_by_budget or isinstance(plugin, SearchPlugin)
+        else int(settings.model_dump(include={"iterations"})["iterations"])
+    )
+    return Optimization(plugin, settings, budget, iterations)
+
+
+def settled_search(specification: CampaignSpecification, chosen: Optimization | None) -> dict[str, Any]:
+    """Returns the specification's optimizer and budget with their defaults, by field."""
+    if chosen is None or specification.optimizer is None:
+        return {}
+    left_out = {"start_sets"} if chosen.iterations is not None else {"start_sets", "iterations"}
+    settings = specification.optimizer.model_dump(include={"start_sets"}) | chosen.settings.model_dump(exclude=left_out)
+    return {"optimizer": OptimizerSection.model_validate(settings), "budget": chosen.budget}
 
 
 def own_baseline(
@@ -148,8 +212,9 @@ def find_start_sets(
     baseline: ParameterSet | None,
     constraints: Constraints | None,
     diagnostics: Diagnostics,
+    population: int | None,
 ) -> tuple[ParameterSet, ...]:
-    """The sets that the start population must hold, each once: the baseline, then sets from expert knowledge."""
+    """Returns the sets that a search begins with, each once: the baseline, then sets from expert knowledge. `population`: the most."""
     wanted = specification.optimizer
     listed = [] if wanted is None else wanted.start_sets
     start_sets: list[ParameterSet | None] = []
@@ -158,8 +223,8 @@ def find_start_sets(
             break  # who has so many to mend begins with them
         start_sets.append(given_set(given, constraints, f"optimizer.start_sets[{index}]", diagnostics))
     together = tuple(dict.fromkeys(parameter_set for parameter_set in (baseline, *start_sets) if parameter_set is not None))
-    if wanted is not None and len(together) > wanted.population:
-        message = f"{len(together)} sets, the baseline included, do not fit into a population of {wanted.population}"
+    if population is not None and len(together) > population:
+        message = f"{len(together)} sets, the baseline included, do not fit into a population of {population}"
         diagnostics.add("optimizer.start_sets", message, "give fewer, or a larger population")
     return together
 

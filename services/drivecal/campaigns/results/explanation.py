@@ -30,7 +30,7 @@ from drivecal.domain.parameters import billionths
 from drivecal.domain.scales import Scale
 from drivecal.reduction.explanation import CellComparison, Nearest, ParameterDifference, sentence
 from drivecal.reduction.prediction import MOST_KNOWN, FeatureSpace, ScenarioLearner
-from drivecal.storage import campaigns, lots, results
+from drivecal.storage import campaigns, generations, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.lots import StoredLot
 from drivecal.storage.references import influence_maps, parameter_sets, reference_keys, runs
@@ -130,7 +130,7 @@ def _trusted(case: _Case) -> StoredEvaluation | None:
     cell, specification = case.cell, case.specification
     if specification is None or specification.optimizer is None or cell.stage is not StageName.CALIBRATION:
         return None
-    if cell.iteration < specification.optimizer.iterations:
+    if cell.iteration < generations.number(case.connection, cell.campaign_sequence):
         return None
     return results.first_copy(case.connection, cell.campaign_sequence, cell.scenario, cell.parameter_set_id)
 
@@ -293,7 +293,8 @@ def _neighbours(
     specification = specification_of(campaign)
     if specification.optimizer is None:
         return []
-    tolerance, width = specification.reduction.tolerance_on(resolved.scale), slice_size(specification.optimizer.population)
+    population = specification.optimizer.population or 0
+    tolerance, width = specification.reduction.tolerance_on(resolved.scale), slice_size(population)
     features = FeatureSpace(resolved.space, resolved.space.names)
     learner = ScenarioLearner(predictor_on(resolved.scale, tolerance), tolerance)
     own = batch_of(cell.stage, cell.iteration, cell.individual, width)

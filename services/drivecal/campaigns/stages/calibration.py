@@ -1,19 +1,15 @@
-"""The calibration stage: asks the optimizer, plans the population, stores the answers and returns them to the optimizer, by iteration.
+"""The calibration stage: asks the search, plans the cells of each round, stores the answers and returns them to the search.
 
-The optimizer computes in a thread beside the dispatcher's loop, so that a slow one keeps no other campaign waiting. A computation depends
-only on stored rows and gives all that is stored of it, so that a process that dies repeats it with the same result.
+A round of a generational optimizer is an iteration, which is answered before the next one is asked. Of a search by the cell, several rounds
+are under way: round n knows the answers of the rounds up to n - WINDOW and nothing else.
 
 On request, later rounds confirm the best set (`confirmation`). Their cells belong to the stage and continue its iteration numbers, but
 belong to no generation.
 """
 
-import threading
-import weakref
-from collections.abc import Callable
-from concurrent.futures import Future, wait
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
@@ -26,90 +22,52 @@ from drivecal.campaigns.cells.inspection import check_reuse, form_lots_of_refere
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
 from drivecal.campaigns.cells.predicting import LotPlanner, skipped_text, slice_size
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.stages.population import PopulationAnswers
+from drivecal.campaigns.stages.answers import CellAnswers, PopulationAnswers
+from drivecal.campaigns.stages.asking import (
+    WINDOW,
+    AskedRound,
+    Asker,
+    CellAsker,
+    Computation,
+    PopulationAsker,
+    cells_of,
+    room_for,
+)
 from drivecal.campaigns.stages.stage import Round, Stage
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, GenerationCounts, Released
+from drivecal.campaigns.stages.task import search_task
+from drivecal.contracts.campaign import (
+    Baseline,
+    Best,
+    CellCounts,
+    ErrorRate,
+    GenerationCounts,
+    Released,
+    SearchEnd,
+    SearchState,
+)
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import RequestedCell
 from drivecal.domain.events import EventKind
-from drivecal.domain.parameters import Indices, ParameterSet
+from drivecal.domain.parameters import ParameterSet
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.optimizers.repair import checked_proposal
-from drivecal.optimizers.replayed import abandon_when
-from drivecal.plugins.ports import Floats, Optimizer, Proposal
+from drivecal.plugins.ports import Floats
+from drivecal.plugins.search import AskedCell, CellAnswer
 from drivecal.reduction.assignment import Policy
 from drivecal.reduction.narrowing import begun_area
-from drivecal.storage import campaigns, events, generations, results
+from drivecal.storage import campaigns, evaluations, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 from drivecal.storage.generations import Figures, StoredGeneration
 from drivecal.storage.references import parameter_sets
 
-PATIENCE_SECONDS = 0.1
-"""Time for which the first check of a computation waits: most proposals take milliseconds and need no further round of the dispatcher."""
-
-
-@dataclass(frozen=True, slots=True)
-class Computed:
-    """An optimizer after its computation. `proposal` and `state`: of its next population, None if it was not asked for one."""
-
-    optimizer: Optimizer
-    proposal: Proposal | None = None
-    state: dict[str, Any] | None = None
-
-
-class Computation:
-    """Creates or restores an optimizer, passes it answers and asks for its next population, in a thread of its own.
-
-    When the last reference to this object is gone, nothing waits for the result: see `optimizers.replayed.stop_if_abandoned`.
-    """
-
-    def __init__(self, obtain: Callable[[], Optimizer], answers: tuple[Floats, Floats] | None, *, asks: bool) -> None:
-        """`obtain` and what it refers to must not refer to this object. `answers`: to pass on first; see `Optimizer.tell`."""
-        self._patience = PATIENCE_SECONDS
-        self._outcome: Future[Computed] = Future()
-        abandoned = threading.Event()
-        weakref.finalize(self, abandoned.set)
-        arguments = (self._outcome, abandoned, obtain, answers, asks)
-        # A daemon: a process that ends waits for no optimizer.
-        threading.Thread(target=_compute, args=arguments, name="optimizer", daemon=True).start()
-
-    @property
-    def is_done(self) -> bool:
-        """Whether the result is there; only the first check waits for it, `PATIENCE_SECONDS` at most."""
-        wait([self._outcome], self._patience)
-        self._patience = 0.0
-        return self._outcome.done()
-
-    def result(self) -> Computed:
-        """Returns the result; raises what the optimizer raised. Waits for it unless it `is_done`."""
-        return self._outcome.result()
-
-
-def _compute(
-    outcome: Future[Computed],
-    abandoned: threading.Event,
-    obtain: Callable[[], Optimizer],
-    answers: tuple[Floats, Floats] | None,
-    asks: bool,  # noqa: FBT001  # a thread's arguments are positional
-) -> None:
-    abandon_when(abandoned.is_set)
-    try:
-        optimizer = obtain()
-        if answers is not None:
-            optimizer.tell(*answers)
-        if asks:
-            proposal = optimizer.ask()
-            outcome.set_result(Computed(optimizer, proposal, optimizer.state()))
-        else:
-            outcome.set_result(Computed(optimizer))
-    except BaseException as error:  # noqa: BLE001  # `result` raises it in the dispatcher's thread
-        outcome.set_exception(error)
+CONFIRMED = 3
+"""Sets whose confirmation a budget is to suffice for."""
 
 
 class Calibration(Stage):
-    """The search of a campaign: a round is a generation of the optimizer, and after the last generation a set to confirm."""
+    """The search of a campaign: its rounds, and after the last one sets to confirm."""
 
     name = StageName.CALIBRATION
     uses_map = True
@@ -119,7 +77,12 @@ class Calibration(Stage):
             raise ValueError("the campaign has no calibration stage")
         super().__init__(database, campaign, view)
         self._problem, self._optimization = problem, problem.optimization
-        self._answers = PopulationAnswers(problem, problem.optimization.population)
+        self._by_cell = problem.optimization.by_cell
+        self._answers: PopulationAnswers | CellAnswers = (
+            PopulationAnswers(problem, problem.optimization.population) if self._by_cell is None else CellAnswers(problem)
+        )
+        self._window = 1 if self._by_cell is None else WINDOW
+        self.asks_ahead = self._by_cell is not None
         self._ranking = self._answers.ranking
         self._best, self._baseline = campaign.best, campaign.baseline
         self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
@@ -130,22 +93,19 @@ class Calibration(Stage):
         if problem.specification.reduction.narrow:
             self._notes = (*problem.notes, self._area.note())
         self._repeatable_no_more = campaign.cells.unrepeatable > 0
-        self._before = GenerationCounts()
-        self._iteration: int | None = None
-        self._proposal: Proposal | None = None
-        self._evaluated: Indices | None = None
-        """The last population with all its answers."""
-        self._optimizer: Optimizer | None = None
-        self._optimizer_state: dict[str, Any] | None = None
-        """State after the proposal, to be stored with it."""
+        self._search = campaign.search or SearchState(room=room_for(view.workers), began_at=now())
+        self._asker: Asker | None = None
         self._computation: Computation | None = None
-        """The optimizer's running computation; None if the next round needs none."""
-        self._last: StoredGeneration | None = None
-        """The last generation of an earlier process."""
+        """The search's running computation; None if the next round needs none."""
+        self._asked: dict[int, AskedRound] = {}
+        """Rounds that the search was not told, by number."""
+        self._next = self._closed = 0
+        """Numbers of rounds that were asked, and of rounds that are answered."""
+        self._begun = False
         self._batches: list[list[int]] = []
         """Individuals of the current generation that have not been requested."""
         self._planner: LotPlanner | None = None
-        if self._policy().predicts:
+        if self._by_cell is None and self._policy().predicts:
             reduction, population = problem.specification.reduction, problem.optimization.population
             self._planner = LotPlanner(view, problem.space, reduction, problem.weights, population)
         self._released: dict[str, Released] = dict(campaign.released)
@@ -157,24 +117,29 @@ class Calibration(Stage):
     def _at_most(self) -> int:
         return self._problem.expected_runs().calibration_at_most
 
+    def _may_ask(self) -> bool:
+        return not self._under_way or self._computation is not None
+
     def _ask(self) -> Round | None:
-        """The next batch of the generation, the next generation, or the next set to confirm."""
+        """The next batch of the round, the next round of the search, or the next set to confirm."""
         if self._batches:
             return self._next_batch()
-        if self._iteration is not None and self._iteration + 1 >= self._optimization.iterations:
-            asked = self._confirm()
-            if asked is None:
-                self._refuse_nothing()
+        if self._computation is not None and (asked := self._propose()) is not None:
             return asked
-        return self._propose()
+        if self._under_way:
+            return None
+        asked = self._confirm()
+        if asked is None:
+            self._refuse_nothing()
+        return asked
 
     def _prepare(self) -> None:
         if self._planner is not None:
             self._planner.weigh()
 
     def _tell(self, asked: Round) -> None:
-        if asked.number < self._optimization.iterations and not self._batches:
-            self._close()
+        if asked.number < self._next and not self._batches:
+            self._close(asked.number)
 
     def _refuse_nothing(self) -> None:
         if self._ranking.best() is None:
@@ -182,151 +147,253 @@ class Calibration(Stage):
             raise NoResultError(f"no parameter set has a result in every scenario; {failed:,} cells failed{self._causes()}")
 
     def _is_ready(self) -> bool:
-        """Whether the optimizer has computed what the next round needs."""
-        if not self._resumed and self._computation is None:
+        """Returns whether the search has computed the next round."""
+        if not self._begun:
             self._begin()
+            self._begun = True
         return self._computation is None or self._computation.is_done
 
     def _begin(self) -> None:
-        """Reads the rows, and begins to restore the optimizer as it was after the last generation, or to create one."""
+        """Reads the rows, and begins to restore the search as it was after the last round, or to create one."""
         sync_reference_keys(self._database, self._view)
         with self._database.read() as connection:
-            self._last = last = generations.last(connection, self._campaign.sequence)
-            if last is not None:
-                finished = last.iteration + last.finished
-                self._before = generations.sums(connection, self._campaign.sequence, finished)
-                self._answers.take_in(connection, self._campaign.sequence, range(finished))
-        constraints, area, optimization = self._problem.constraints, self._area, self._optimization
-        if last is None:
-            start = area.contract(self._problem.start_indices) if self._problem.start_sets else None
-            self._computation = Computation(partial(optimization.begin, area, constraints, start), None, asks=True)
+            last = generations.last(connection, self._campaign.sequence)
+            self._closed = generations.finished(connection, self._campaign.sequence)
+            self._answers.take_in(connection, self._campaign.sequence, range(self._closed))
+            self._next = 0 if last is None else last.iteration + 1
+            told = max(0, self._next - self._window)
+            rounds = [] if self._by_cell is None else self._asked_rounds(connection)
+        self._asked = {number: asked for number, asked in enumerate(rounds) if number >= told}
+        if last is not None and self._by_cell is None and not last.finished:
+            self._asked = {last.iteration: _population_round(last, len(self._problem.scenarios))}
+            self._batches = self._split(last.iteration, self._asked[last.iteration])
+        if self._search.ended_by is not None:
             return
-        if last.optimizer_state is None:
+        if isinstance(self._answers, CellAnswers):
+            answers = [self._answers.for_search(number, rounds[number])[0] for number in range(told)]
+            self._compute(partial(self._cell_asker, [cells_of(asked) for asked in rounds], answers, last))
+        else:
+            self._compute(partial(self._population_asker, last))
+
+    def _asked_rounds(self, connection: Connection) -> list[AskedRound]:
+        """Returns all rounds of a search by the cell."""
+        places = {name: place for place, name in enumerate(self._problem.scenarios)}
+        cells: dict[int, list[tuple[int, int]]] = {}
+        for iteration, individual, scenario in evaluations.places(connection, self._campaign.sequence, self.name):
+            cells.setdefault(iteration, []).append((individual, places[scenario]))
+        return [
+            AskedRound(np.array(population, dtype=np.int64), np.ones(len(population), dtype=np.bool_), cells[number], {})
+            for number, population in enumerate(generations.populations(connection, self._campaign.sequence))
+        ]
+
+    def _population_asker(self, last: StoredGeneration | None) -> PopulationAsker:
+        problem, area, chosen = self._problem, self._area, self._optimization
+        evaluated = None
+        if last is None:
+            start = area.contract(problem.start_indices) if problem.start_sets else None
+            optimizer = chosen.begin(area, problem.constraints, start)
+        elif last.optimizer_state is None:
             raise RuntimeError(f"generation {last.iteration} has no optimizer state")
-        asks = last.finished and last.iteration + 1 < optimization.iterations
-        answers = self._answers.for_optimizer() if asks else None
-        self._computation = Computation(
-            partial(optimization.restore, area, constraints, last.optimizer_state), answers, asks=asks
-        )
+        else:
+            optimizer = chosen.restore(area, problem.constraints, last.optimizer_state)
+            evaluated = np.array(last.population, dtype=np.int64)
+        shape = chosen.population, area.n_values
+        return PopulationAsker(optimizer, chosen.plugin.name, shape, len(problem.scenarios), evaluated)
+
+    def _cell_asker(
+        self, rounds: Sequence[Sequence[AskedCell]], answers: Sequence[Sequence[CellAnswer]], last: StoredGeneration | None
+    ) -> CellAsker:
+        plugin, settings = self._by_cell, self._optimization.settings
+        if plugin is None or not isinstance(self._answers, CellAnswers):
+            raise RuntimeError("the search is no search by the cell")
+        task = search_task(self._database, self._view, self._problem, self._area, self._answers.aim)
+        if last is None:
+            return CellAsker(plugin.begin(settings, task), self._search.room)
+        state = (last.optimizer_state or {}).get("search", {})
+        return CellAsker(plugin.resume(settings, task, rounds, answers, state), self._search.room)
+
+    def _compute(self, obtain: Callable[[], Asker]) -> None:
+        """Begins to obtain the search, and to ask it for the next round if that may be asked for."""
+        number = self._next
+        is_due = number < self._window or self._closed > number - self._window
+        reason = self._end_before(number) if is_due else None
+        if reason is not None:
+            self._end_search(reason)
+        asks = is_due and reason is None
+        if reason is not None or (self._asker is not None and not asks):
+            return
+        told = None
+        if asks and number >= self._window:
+            told = self._answers.for_search(number - self._window, self._asked.pop(number - self._window))
+        self._computation = Computation(obtain, told, asks=asks)
+
+    def _go_on(self) -> None:
+        """Begins to compute the next round, if it is time."""
+        asker = self._asker
+        if asker is not None and self._computation is None and self._search.ended_by is None:
+            self._compute(lambda: asker)
+
+    def _end_before(self, number: int) -> SearchEnd | None:
+        """Returns why the search ends before a round; None if it goes on. Knows the rounds that the search knows, and the clock."""
+        budget, search = self._optimization.budget, self._search
+        if self._optimization.iterations is not None and number >= self._optimization.iterations:
+            return "iterations"
+        if budget is None or number == 0:
+            return None
+        if budget.minutes is not None and search.minutes(now()) >= budget.minutes:
+            return "budget"
+        if budget.simulations is not None and self._tracker.counts.get("runs", 0) + self._tracker.waiting >= budget.simulations:
+            return "budget"
+        return "stagnation" if search.stood_still_at is not None and search.stood_still_at <= number - self._window else None
+
+    def _end_search(self, reason: SearchEnd) -> None:
+        """Notes the end, which is stored with the next rows."""
+        minutes = self._search.minutes(now())
+        self._search = self._search.model_copy(update={"ended_by": reason, "spent_minutes": minutes})
 
     def _resume(self) -> list[Work]:
-        """Resumes the last generation, or starts with the first, once the optimizer is restored.
+        """Resumes the rounds that have cells without an answer, or starts with the first, once the search is restored.
 
         A replay may take long, so that no transaction is open meanwhile. What was read before stays true: only the dispatcher changes it,
         and every transaction first checks that this process is still the one.
         """
-        last = self._last
-        self._take_up(last)
+        if self._computation is not None and not self._computation.asks:
+            (self._asker, _), self._computation = self._computation.result(), None
         with self._database.transaction() as connection:
-            if last is None:
+            if self._next == 0:
                 if self._problem.specification.reduction.narrow:
                     campaigns.set_narrowed(connection, self._campaign.sequence, self._area.narrowed())
                 self._remember_baseline(connection)
                 return []
-            here = connection, self._campaign.sequence, self.name, last.iteration
+            here = connection, self._campaign.sequence, self.name, self._next - 1
             self._batches = [each for each in self._batches if not results.is_requested(*here, each[0] if each else None)]
             work = self._tracker.load(connection, share_runs=self._policy().mode != "off")
             self._save(connection)
+        for number in range(self._closed, self._next):
+            self._round = Round(number, (), self._policy())
+            self._under_way.append(self._round)
         return work
 
-    def _take_up(self, last: StoredGeneration | None) -> None:
-        """Continues with the restored optimizer. Raises what restoring it raised."""
-        if self._computation is None:
-            raise RuntimeError("the optimizer has not begun")
-        computed = self._computation.result()
-        self._optimizer = computed.optimizer
-        if computed.proposal is None:
-            self._computation = None
-        if last is None:
-            return
-        self._iteration = last.iteration
-        if last.finished:
-            self._evaluated = np.array(last.population, dtype=np.int64)
-        else:
-            self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
-            self._batches = self._split(last.iteration, self._proposal)
-            self._round = Round(last.iteration, (), self._policy())
-
-    def _propose(self) -> Round:
+    def _propose(self) -> Round | None:
+        """Returns the next round of the search; None if it has nothing left to ask for."""
         if self._computation is None:
             raise RuntimeError("the stage has not started")
-        computed, self._computation = self._computation.result(), None
-        if computed.proposal is None:
-            raise RuntimeError("the optimizer was not asked for a population")
-        self._optimizer_state = computed.state
-        count, n_values = self._optimization.population, self._area.n_values
-        name = self._optimization.plugin.name
-        self._proposal = checked_proposal(name, computed.proposal, count, n_values, self._evaluated)
-        self._iteration = 0 if self._iteration is None else self._iteration + 1
-        self._batches = self._split(self._iteration, self._proposal)
-        carried_over = int((~self._proposal.changed).sum()) * len(self._problem.scenarios)
-        return replace(self._next_batch(), carried_over=carried_over)
+        (self._asker, asked), self._computation = self._computation.result(), None
+        if asked is None:
+            limit = None if self._optimization.budget is None else self._optimization.budget.simulations
+            used_up = limit is not None and CellCounts(**self._tracker.counts).requested + self._tracker.waiting >= limit
+            self._end_search("budget" if used_up else "stagnation")
+            return None
+        number, self._next = self._next, self._next + 1
+        self._asked[number] = asked
+        self._tracker.note_discarded(asked.state.get("discarded", 0) if self._by_cell is not None else 0)
+        self._batches = self._split(number, asked)
+        requested = replace(self._next_batch(), carried_over=self._carried_over(asked))
+        self._go_on()
+        return requested
 
-    def _split(self, iteration: int, proposal: Proposal) -> list[list[int]]:
+    def _carried_over(self, asked: AskedRound) -> int:
+        """Returns the number of cells of a round that keep earlier answers."""
+        return int((~asked.changed).sum()) * len(self._problem.scenarios)
+
+    def _split(self, number: int, asked: AskedRound) -> list[list[int]]:
         """Returns the individuals to request, in batches: the start population is learned from slice by slice if answers are predicted."""
-        changed = [int(index) for index in np.flatnonzero(proposal.changed)]
-        size = slice_size(self._optimization.population) if self._planner is not None and iteration == 0 else len(changed)
+        changed = [int(index) for index in np.flatnonzero(asked.changed)]
+        size = slice_size(self._optimization.population) if self._planner is not None and number == 0 else len(changed)
         return [changed[start : start + size] for start in range(0, len(changed), size)] if changed else [[]]
 
     def _next_batch(self) -> Round:
-        if self._proposal is None or self._iteration is None:
-            raise RuntimeError("the stage has not started")
-        batch, problem = self._batches.pop(0), self._problem
-        sets = problem.space.parameter_sets(self._area.expand(self._proposal.population[batch]))
+        number = self._next - 1
+        asked, batch, problem = self._asked[number], self._batches.pop(0), self._problem
+        sets = dict(zip(batch, problem.space.parameter_sets(self._area.expand(asked.population[batch])), strict=True))
         wanted = [
-            RequestedCell(individual, scenario, parameters, is_given=self._iteration == 0 and individual in self._given)
-            for individual, parameters in zip(batch, sets, strict=True)
-            for scenario in problem.scenarios
+            RequestedCell(
+                individual, problem.scenarios[scenario], sets[individual], is_given=sets[individual] in problem.start_sets
+            )
+            for individual, scenario in asked.cells
+            if individual in sets
         ]
         if self._planner is not None:
             with self._database.transaction() as connection:
                 self._planner.learn(connection)
-                self._answers.take_in(connection, self._campaign.sequence, [self._iteration])
-            self._planner.predict(dict(zip(batch, sets, strict=True)))
-        return Round(self._iteration, [(problem.bench, wanted)], self._policy())
+                self._answers.take_in(connection, self._campaign.sequence, [number])
+            self._planner.predict(sets)
+        before = None if self._by_cell is None else number - self._window + 1
+        return Round(number, [(problem.bench, wanted)], self._policy(), before=before)
 
     def _form_lots(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
-        if asked.number != self._iteration:
+        if asked.number >= self._next:
             return planned
         limit = self._problem.specification.reduction.max_error
-        planned = form_lots_of_references(connection, self._view, planned, limit, self._error_rate)
-        if self._planner is None:
-            return planned
-        best = self._ranking.surest()
-        given = self._given if asked.number == 0 else ()
-        reaches = None if self._problem.goals is None else self._ranking.reaches_front
-        return self._planner.plan(connection, planned, None if best is None else best.objective, given, reaches)
+        rates = self._error_rate if self._by_cell is None else {}  # known at another moment in each run
+        planned = form_lots_of_references(connection, self._view, planned, limit, rates)
+        if self._planner is not None:
+            best = self._ranking.surest()
+            given = range(len(self._problem.start_sets)) if asked.number == 0 else ()
+            reaches = None if self._problem.goals is None else self._ranking.reaches_front
+            planned = self._planner.plan(connection, planned, None if best is None else best.objective, given, reaches)
+        return planned if self._by_cell is not None else self._within_budget(planned)
 
-    @property
-    def _given(self) -> range:
-        """Individuals of the start population that are the baseline or a given start set."""
-        return range(len(self._problem.start_sets))
+    def _within_budget(self, planned: list[RequestedCell]) -> list[RequestedCell]:
+        """Returns the cells of the first individuals for which the budget suffices; the search ends with them if it does not for all.
+
+        Every cell that a worker may have to simulate counts, also one whose lot may be rejected. Some simulations are left to confirm the
+        best set.
+        """
+        budget = self._optimization.budget
+        if budget is None or budget.simulations is None:
+            return planned
+        reduction = self._problem.specification.reduction
+        kept_back = (
+            min(reduction.confirm, CONFIRMED) * len(self._problem.scenarios)
+            if self._policy().mode not in {"off", "exact"}
+            else 0
+        )
+        room = budget.simulations - self._tracker.counts.get("runs", 0) - self._tracker.waiting
+        room -= min(kept_back, budget.simulations // 10)
+        last = None
+        for cell in planned:
+            room -= not cell.answered_at_once
+            if room < 0:
+                last = cell.individual
+                break
+        if last is None:
+            return planned
+        self._end_search("budget")
+        self._batches.clear()
+        first = next(place for place, cell in enumerate(planned) if cell.individual == last)
+        return planned[:first]
 
     def _policy(self) -> Policy:
+        """Returns how cells may be answered. A search by the cell has models of its own, so that no prediction answers its cells."""
         reduction = self._problem.specification.reduction
-        return Policy(reduction.mode, reduction.audit, self._optimization.seed)
+        mode = reduction.mode
+        if self._by_cell is not None:
+            mode = "off" if mode == "off" else "influence" if reduction.uses_map else "exact"
+        return Policy(mode, reduction.audit, self._optimization.seed)
 
     def _store(self, connection: Connection, asked: Round) -> None:
-        """Commits a generation with the optimizer's state beside its cells; a set to confirm belongs to no generation."""
-        if self._optimizer_state is None or self._proposal is None or asked.number != self._iteration:
+        """Commits a round with the search's state and its cells; a set to confirm belongs to no generation."""
+        if asked.number >= self._next:
             return
         if generations.is_stored(connection, self._campaign.sequence, asked.number):  # with an earlier batch
             return
+        round_ = self._asked[asked.number]
         generations.insert(
             connection,
             self._campaign.sequence,
             asked.number,
-            figures=self._figures(),
-            population=self._proposal.population.tolist(),
-            changed=self._proposal.changed.tolist(),
-            optimizer_state=self._optimizer_state,
+            figures=Figures(GenerationCounts(carried_over=self._carried_over(round_))),
+            population=round_.population.tolist(),
+            changed=round_.changed.tolist(),
+            optimizer_state=round_.state,
         )
         if asked.number == 0:
             self._tell_beginning(connection)
 
     def _confirm(self) -> Round | None:
         """The best set in the scenarios with scores copied from references, after the previous answers; None when no set is left."""
-        sequence, first = self._campaign.sequence, self._optimization.iterations
+        sequence, first = self._campaign.sequence, self._next
         limit, best = self._problem.specification.reduction.confirm, self._ranking.best()
         believed = self._ranking.doubtful() if best is None else best[0]  # every set may have a predicted score
         if limit == 0 or believed is None:
@@ -357,7 +424,7 @@ class Calibration(Stage):
         """Stores the outcome of the confirmation, once; its simulations may contradict others."""
         best = self._ranking.best()
         if confirming.tried and best is not None:
-            last, scenarios = self._optimization.iterations - 1, self._problem.scenarios
+            last, scenarios = self._next - 1, self._problem.scenarios
             self._error_rate = check_reuse(connection, self._view, last, scenarios, self._error_rate)
             if self._confirmation is None:
                 goals = self._problem.goals
@@ -372,31 +439,39 @@ class Calibration(Stage):
                 if not is_front and confirming.is_changed(best[0]):
                     self._tell_best(connection, best[0])
 
-    def _close(self) -> None:
-        """Closes an iteration: every cell has its answer."""
-        if self._optimizer is None or self._iteration is None:
-            raise RuntimeError("the stage has not started")
+    def _close(self, number: int) -> None:
+        """Closes a round: every cell has its answer."""
+        asked = self._asked[number]
         with self._database.transaction() as connection:
-            self._answers.take_in(connection, self._campaign.sequence, [self._iteration])
-            objectives = self._answers.objectives()
-            self._error_rate = check_reuse(connection, self._view, self._iteration, self._problem.scenarios, self._error_rate)
+            self._answers.take_in(connection, self._campaign.sequence, [number])
+            objectives = self._answers.objectives(number)
+            self._error_rate = check_reuse(connection, self._view, number, self._problem.scenarios, self._error_rate)
             if self._planner is not None:
-                self._released = self._planner.released(connection, self._iteration)
-            self._describe_best(connection)
-            figures = self._figures(objectives)
-            generations.finish(connection, self._campaign.sequence, self._iteration, figures, objectives.tolist())
+                self._released = self._planner.released(connection, number)
+            is_better = self._describe_best(connection)
+            figures = self._figures(connection, number, asked, objectives)
+            self._note_progress(figures.cells, is_better=is_better)
+            generations.finish(connection, self._campaign.sequence, number, figures, objectives.tolist())
+            self._closed = number + 1
             self._save(connection)
-            data = {"iteration": self._iteration, "iterations": self._optimization.iterations, **figures.flat}
+            data = {"iteration": number, "iterations": self._optimization.iterations, **figures.flat}
             events.add(connection, self._campaign.sequence, EventKind.GENERATION, data)
-        self._before = CellCounts(**self._tracker.counts)
-        self._evaluated = None if self._proposal is None else self._proposal.population
-        self._proposal = None
-        if self._iteration + 1 < self._optimization.iterations:
-            optimizer = self._optimizer
-            self._computation = Computation(lambda: optimizer, self._answers.for_optimizer(), asks=True)
+        self._go_on()
+        if self._by_cell is None and self._computation is None:
+            self._asked.pop(number)
 
-    def _describe_best(self, connection: Connection) -> None:
-        best = self._ranking.best()
+    def _note_progress(self, cells: GenerationCounts, *, is_better: bool) -> None:
+        """Counts the simulations since the last better set. What a search by the cell asks for must not depend on what was stored."""
+        budget, search = self._optimization.budget, self._search
+        simulated = search.simulated + (cells.simulated + cells.failed if self._by_cell is None else cells.requested)
+        better_at = simulated if is_better else search.better_at
+        stood_still = budget is not None and budget.stagnation is not None and simulated - better_at >= budget.stagnation
+        at = self._closed if stood_still and search.stood_still_at is None else search.stood_still_at
+        self._search = search.model_copy(update={"simulated": simulated, "better_at": better_at, "stood_still_at": at})
+
+    def _describe_best(self, connection: Connection) -> bool:
+        """Stores the best set; returns whether it is a better one than before."""
+        best, is_better = self._ranking.best(), False
         if best is not None:
             solution, alternatives = best
             parameters = parameter_sets.load(connection, [solution.parameter_set])[solution.parameter_set]
@@ -412,10 +487,12 @@ class Calibration(Stage):
             goals = self._problem.goals  # the first set that keeps all constraints may be worse than the last that does not
             if before is None or gain > EQUAL or (goals is not None and goals.bounds and gain < -EQUAL):
                 self._tell_best(connection, solution)
+                is_better = True
         unknown = self._baseline is None or self._baseline.objective is None
         self._remember_baseline(connection)
         if unknown and self._baseline is not None and self._baseline.objective is not None:
             events.add(connection, self._campaign.sequence, EventKind.BASELINE, self._baseline.model_dump())
+        return is_better
 
     def _tell_best(self, connection: Connection, solution: EvaluatedSet) -> None:
         best = {} if self._best is None else self._best.model_dump()
@@ -435,12 +512,10 @@ class Calibration(Stage):
             violation=0.0 if solution is None else solution.shares_violated,
         )
 
-    def _figures(self, objectives: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None) -> Figures:
-        now = self._tracker.counts
-        counted = {name: now.get(name, 0) - getattr(self._before, name) for name in GenerationCounts.model_fields}
-        cells = GenerationCounts(**counted)
-        if objectives is None:
-            return Figures(cells)
+    def _figures(self, connection: Connection, number: int, asked: AskedRound, objectives: Floats) -> Figures:
+        cells = evaluations.counts(connection, self._campaign.sequence, self.name, number)
+        carried_over = self._carried_over(asked)
+        cells = cells.model_copy(update={"carried_over": carried_over, "proposed": cells.requested + carried_over})
         best = self._ranking.best()
         known = objectives[~np.isnan(objectives)]
         return Figures(
@@ -469,13 +544,15 @@ class Calibration(Stage):
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": notes[-1]})
                 self._repeatable_no_more = True
         notes += self._score_notes()
-        if (skipped := skipped_text(self._released)) is not None and self._iteration == self._optimization.iterations - 1:
+        is_over = self._search.ended_by is not None
+        if (skipped := skipped_text(self._released)) is not None and is_over:
             notes.append(skipped)
-        if self._best is not None and self._best.violation > 0 and self._iteration == self._optimization.iterations - 1:
+        if self._best is not None and self._best.violation > 0 and is_over:
             notes.append(f"no set keeps all constraints on results: the best set breaks them by {self._best.violation:.1%}")
         return replace(
             super()._snapshot(connection),
-            iteration=self._iteration,
+            iteration=self._next - 1 if self._next else None,
+            search=self._search,
             progress=self._progress(counts.requested, counts.requested + counts.pending),
             error_rate=self._error_rate,
             released=self._released,
@@ -484,3 +561,10 @@ class Calibration(Stage):
             baseline=self._baseline,
             notes=notes,
         )
+
+
+def _population_round(last: StoredGeneration, scenarios: int) -> AskedRound:
+    """Returns the round of a stored generation."""
+    changed = np.array(last.changed, dtype=np.bool_)
+    cells = [(individual, scenario) for individual in np.flatnonzero(changed).tolist() for scenario in range(scenarios)]
+    return AskedRound(np.array(last.population, dtype=np.int64), changed, cells, dict(last.optimizer_state or {}))

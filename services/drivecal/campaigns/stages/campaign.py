@@ -78,10 +78,11 @@ STAGES: tuple[tuple[StageKind, Wanted], ...] = (
 class StagedCampaign(Job):
     """Delegates work and results to its stages, in order. The sensitivity stage ends when the campaign has an influence map."""
 
-    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem) -> None:
+    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, workers: int = 1) -> None:
+        """`workers`: those that are there now."""
         self._database = database
         self._problem = problem
-        self._view = View(campaign.sequence, campaign.watermark or 0, problem.bench)
+        self._view = View(campaign.sequence, campaign.watermark or 0, problem.bench, workers=workers)
         self._begun = False
         self._sequence = campaign.sequence
         names = [kind.name for kind, _ in STAGES]
@@ -96,7 +97,7 @@ class StagedCampaign(Job):
             self._begin()
         while self._stage is not None:
             work = self._stage.work()
-            self.goes_on = self._stage.goes_on
+            self.goes_on, self.asks_ahead = self._stage.goes_on, self._stage.asks_ahead
             if work or not self._stage.finished:
                 return work
             self._stage = self._next(self._campaign())

@@ -1,7 +1,8 @@
-"""The loop of every stage: requests cells round by round, plans and stores them, and passes their answers on."""
+"""The loop of every stage: requests cells round by round, plans and stores them, and passes their answers on in that order."""
 
 import time
 from abc import abstractmethod
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -65,6 +66,8 @@ class Round:
     cells: Sequence[tuple[Bench, Sequence[RequestedCell]]]
     policy: Policy
     carried_over: int = 0
+    before: int | None = None
+    """Own answers from this iteration on are not seen, so that rounds under way do not depend on the order of answers; None to see all."""
 
 
 class Stage(Job):
@@ -91,8 +94,9 @@ class Stage(Job):
         self._eta = EtaEstimate(time.monotonic, counts.requested, worked(counts.model_dump()))
         self._resumed = False
         self._round: Round | None = None
-        self._is_answered = False
-        """Whether the stage has the answers of the round."""
+        """The newest round."""
+        self._under_way: deque[Round] = deque()
+        """Rounds that the stage has no answers of, in the order of asking."""
         self._told = {count for count in ("unscored", "cut", "failed") if getattr(counts, count)}
         self.finished = False
 
@@ -116,6 +120,10 @@ class Stage(Job):
     def _is_ready(self) -> bool:  # a hook
         """Whether the stage can resume, and ask for its next round: it must not compute for long in the dispatcher's loop."""
         return True
+
+    def _may_ask(self) -> bool:  # a hook
+        """Returns whether the next round may be asked for: by default if the one before is answered."""
+        return not self._under_way
 
     def _announce(self, connection: Connection, asked: Round) -> None:  # a hook
         """Adds the events that precede a new round."""
@@ -183,33 +191,36 @@ class Stage(Job):
     def work(self) -> list[Work]:
         """Returns what to simulate next; empty while answers are awaited, while it computes (`goes_on`), and when it is `finished`.
 
+        It may be called while earlier cells are at workers (`asks_ahead`).
+
         Raises NoResultError if everything so far has failed, also in an earlier process.
         """
         self._refuse_failures()
         self.goes_on = not self._resumed and not self._is_ready()
         if self.goes_on:
             return []
+        work: list[Work] = []
         if not self._resumed:
-            work = self._resume()
+            work += self._resume()
             self._resumed = True
-            if self._tracker.waiting:
-                return work
-        while not self._tracker.waiting and not self.finished:
-            if self._round is not None and not self._is_answered:
-                self._tell(self._round)
-                self._is_answered = True
+        while not self.finished:
+            while self._under_way and not self._tracker.waits_for(self._under_way[0].number):
+                self._tell(self._under_way.popleft())
+            if not self._may_ask() or (self._tracker.waiting and not self._under_way):
+                break
             self.goes_on = not self._is_ready()
             if self.goes_on:
-                return []
-            self._round, self._is_answered = self._ask(), False
-            if self._round is None:
-                self._conclude()
-                self.finished = True
-                return []
-            work = self._request(self._round)
-            if work:
-                return work
-        return []
+                break
+            asked = self._ask()
+            if asked is None:
+                if not self._under_way:
+                    self._conclude()
+                    self.finished = True
+                break
+            self._round = asked
+            self._under_way.append(asked)
+            work += self._request(asked)
+        return work
 
     def record(self, completed: Sequence[Completed]) -> list[Work]:
         """Stores results, in one transaction with the counters that they change; returns what to simulate in their place.
@@ -235,7 +246,7 @@ class Stage(Job):
                 self._announce(connection, asked)
                 for position, (bench, cells) in enumerate(asked.cells):
                     view = self._view if bench is self._view.bench else replace(self._view, bench=bench)
-                    planned = plan_cells(connection, view, asked.policy, self.name, asked.number, cells)
+                    planned = plan_cells(connection, view, asked.policy, self.name, asked.number, cells, asked.before)
                     planned = self._form_lots(connection, asked, planned)
                     self._tracker.request(connection, planned, carried_over=0 if position else asked.carried_over)
                 self._store(connection, asked)

@@ -80,6 +80,7 @@ campaigns = Table(
     # Draws the samples of lots; no user reads it, because who knows it knows which predictions are checked.
     Column("secret", LargeBinary),
     Column("best", Document),
+    Column("search", Document),
     Column("confirmation", Document),
     Column("baseline", Document),
     Column("simulating_seconds", Float, nullable=False),

@@ -180,7 +180,7 @@ def check_counters(connection: Connection) -> Iterator[str]:
                     yield f"campaign {row.id} counts {count} {part} in its {stage_of}, its rows {cells.get(part, 0)}"
 
 
-_NOT_IN_ROWS = {"unrepeatable", "unscored", "cut"}
+_NOT_IN_ROWS = {"unrepeatable", "unscored", "cut", "runs", "discarded"}
 _WHOLE = campaigns.c.pruned.is_(None) & campaigns.c.deleted_at.is_(None)
 """Campaigns with all their cells: a pruned or deleted one counts those that it had."""
 

@@ -149,6 +149,13 @@ def rated(connection: Connection, setup_id: int, evaluator: str, watermark: int,
     return [RatedRun(number, ParameterSet.from_json(values), score, rating) for number, values, score, rating in reversed(rows)]
 
 
+def values_of(connection: Connection, evaluation_ids: Collection[int]) -> dict[int, tuple[dict[str, float | None], str | None]]:
+    """Returns metrics and failure of the runs that evaluations made, by the id of the evaluation."""
+    query = select(runs.c.evaluation_id, runs.c.metrics, runs.c.failure)
+    rows, read = rows_among(connection, query, runs.c.evaluation_id, sorted(evaluation_ids)), metrics_reader(connection)
+    return {number: (read(stored), failure) for number, stored, failure in rows}
+
+
 @dataclass(frozen=True, slots=True)
 class MeasuredRun:
     """A stored run with its rating; a metric is None if it was not finite."""

@@ -1,0 +1,157 @@
+"""The answers of a search as it is told them, and the ranking of all sets so far."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+from sqlalchemy import Connection
+
+from drivecal.analysis.aims import JudgedGoals, WeightedScore
+from drivecal.analysis.goals import valued_by
+from drivecal.analysis.solutions import Ranking
+from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.stages.asking import AskedRound, cells_of
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.evaluations import CellScore
+from drivecal.plugins.ports import Floats
+from drivecal.plugins.search import CellAnswer
+from drivecal.storage import results
+
+
+class SearchAnswers(ABC):
+    """The answers of a search."""
+
+    def __init__(self, problem: CalibrationProblem) -> None:
+        self._problem, self._goals = problem, problem.goals
+        self._sign = problem.bench.scale.sign
+        self.ranking = Ranking(problem.weights, self._sign, problem.goals)
+
+    def take_in(self, connection: Connection, campaign: int, iterations: Collection[int]) -> None:
+        """Reads the answers of iterations."""
+        if not iterations:
+            return
+        only = next(iter(iterations)) if len(iterations) == 1 else None
+        taken = [answer for answer in self.read(connection, campaign, only) if answer.iteration in iterations]
+        for answer in taken:
+            self._take(answer)
+        self.ranking.add(taken)
+
+    def read(self, connection: Connection, campaign: int, iteration: int | None) -> list[CellScore]:
+        """Returns the answered cells of one iteration, or of all, with the values that the goals need."""
+        return list(results.answers(connection, campaign, StageName.CALIBRATION, iteration, valued=valued_by(self._goals)))
+
+    def worst(self, objectives: Floats) -> float | None:
+        """Returns the worst of `objectives`, shape (n,), by their direction; None without a result."""
+        sign = self._sign if self._goals is None else self._goals.objectives[0].sign
+        known = objectives[~np.isnan(objectives)]
+        return float(sign * np.min(sign * known)) if known.size else None
+
+    @abstractmethod
+    def _take(self, answer: CellScore) -> None:
+        """Takes an answer."""
+
+    @abstractmethod
+    def objectives(self, number: int) -> Floats:
+        """Returns the objective of each individual of a round, shape (n,); NaN without a result in every scenario."""
+
+    @abstractmethod
+    def for_search(self, number: int, asked: AskedRound) -> tuple[Any, ...]:
+        """Returns the arguments of `Asker.tell` for an answered round."""
+
+
+class CellAnswers(SearchAnswers):
+    """The answers of a search by the cell, by round."""
+
+    def __init__(self, problem: CalibrationProblem) -> None:
+        super().__init__(problem)
+        names = tuple(problem.scenarios)
+        self.aim = (
+            WeightedScore(problem.weights, problem.bench.scale) if problem.goals is None else JudgedGoals(problem.goals, names)
+        )
+        self._rounds: dict[int, dict[tuple[int, str], CellScore]] = {}
+
+    def _take(self, answer: CellScore) -> None:
+        self._rounds.setdefault(answer.iteration, {})[answer.individual, answer.scenario] = answer
+
+    def objectives(self, number: int) -> Floats:
+        """See `SearchAnswers`. A set belongs to the round of its last cell."""
+        sets = {individual: cell.parameter_set for (individual, _), cell in sorted(self._rounds.get(number, {}).items())}
+        solutions = [self.ranking.get(parameter_set) for parameter_set in sets.values()]
+        return np.array([np.nan if each is None else each.objective for each in solutions], dtype=np.float64)
+
+    def for_search(self, number: int, asked: AskedRound) -> tuple[list[CellAnswer]]:
+        """Returns the answers in the order of asking."""
+        told, names = self._rounds.pop(number), self._problem.scenarios
+        answers = []
+        for (individual, scenario), cell in zip(asked.cells, cells_of(asked), strict=True):
+            answer = told[individual, names[scenario]]
+            answers.append(CellAnswer(cell, self.aim.of(answer), failed=self._is_failed(answer)))
+        return (answers,)
+
+    def _is_failed(self, answer: CellScore) -> bool:
+        return answer.score is None or answer.score == self._problem.bench.scale.failed
+
+
+class PopulationAnswers(SearchAnswers):
+    """The answers of a generational optimizer: each individual keeps those of the iteration that requested it last."""
+
+    def __init__(self, problem: CalibrationProblem, population: int) -> None:
+        super().__init__(problem)
+        shape = population, len(problem.scenarios)
+        self._scores, self._ratings = np.full(shape, np.nan), np.full(shape, np.nan)
+        self._cells: list[dict[str, CellScore]] = [{} for _ in range(population)]
+        """By individual and scenario, with goals only."""
+        self._columns = {scenario: column for column, scenario in enumerate(problem.scenarios)}
+
+    def _take(self, answer: CellScore) -> None:
+        cell = answer.individual, self._columns[answer.scenario]
+        self._scores[cell] = np.nan if answer.score is None else answer.score
+        self._ratings[cell] = np.nan if answer.rating is None else answer.rating
+        if self._goals is not None:
+            self._cells[answer.individual][answer.scenario] = answer
+
+    def objectives(self, number: int) -> Floats:
+        """Returns the weighted score (Eq. 6), or the first objective, of each individual, carried over or not."""
+        del number
+        return self._weighted(self._scores) if self._goals is None else self._judged()[0][:, 0]
+
+    def for_search(self, number: int, asked: AskedRound) -> tuple[Floats, Floats]:
+        """Returns the arguments of `Optimizer.tell`: higher objectives are better for every optimizer."""
+        del number, asked
+        if self._goals is None:
+            return self._sign * self._weighted(self._scores), self._sign * self._weighted(self._ratings)
+        amounts, violations = self._judged()
+        compared = np.array(
+            [
+                [
+                    goal.compared(amount) if np.isfinite(amount) else np.nan
+                    for goal, amount in zip(self._goals.objectives, row, strict=True)
+                ]
+                for row in amounts.tolist()
+            ]
+        )
+        if self._goals.is_vector:
+            return compared, violations
+        return compared[:, 0], self._goals.objectives[0].sign * amounts[:, 0]
+
+    def _judged(self) -> tuple[Floats, Floats]:
+        """Amounts, shape (population, m), and violations, shape (population,); NaN for individuals without a result."""
+        if self._goals is None:
+            raise ValueError("there are no goals")
+        amounts = np.full((len(self._cells), len(self._goals.objectives)), np.nan)
+        violations = np.full(len(self._cells), np.nan)
+        for individual, cells in enumerate(self._cells):
+            judgement = self._goals.judge(cells)
+            if judgement is not None:
+                amounts[individual] = judgement.amounts
+                # As in rankings: a set that meets a limit exactly keeps it, whatever rounding says.
+                violations[individual] = judgement.violation if judgement.broken else 0.0
+        return amounts, violations
+
+    def _weighted(self, values: Floats) -> Floats:
+        """Equation 6, shape (population,), added in the order of the scenarios; NaN for individuals without a result."""
+        total = np.zeros(len(values))
+        for column, weight in enumerate(self._problem.weights.values()):
+            total += weight * values[:, column]
+        return total

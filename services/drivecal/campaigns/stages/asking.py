@@ -1,0 +1,174 @@
+"""Rounds of a search: whole populations of a generational optimizer, or the cells of a search by the cell.
+
+A search computes in a thread of its own, so that a slow one keeps no other campaign waiting. A computation depends only
+on stored rows and gives all that is stored of it, so that a process that dies repeats it with the same result.
+"""
+
+import threading
+import weakref
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, wait
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.parameters import Indices
+from drivecal.optimizers.repair import checked_proposal
+from drivecal.optimizers.replayed import abandon_when
+from drivecal.plugins.ports import Optimizer
+from drivecal.plugins.search import AskedCell, Search
+
+PATIENCE_SECONDS = 0.1
+"""Time for which the first check of a computation waits: most proposals take milliseconds and need no further turn of the dispatcher."""
+WINDOW = 4
+"""Rounds of a search by the cell that are under way: one is computed while the cells of the others are simulated."""
+SMALLEST_ROOM, LARGEST_ROOM = 4, 1024
+"""Cells of a round. Up to 8 workers get the same rounds, so that what is asked does not depend on their number."""
+
+
+def room_for(workers: int) -> int:
+    """Returns the number of cells in a round that keeps this many workers busy, a power of two."""
+    return min(LARGEST_ROOM, max(SMALLEST_ROOM, 1 << ((workers - 1) // 2).bit_length()))
+
+
+@dataclass(frozen=True, slots=True)
+class AskedRound:
+    """Cells that a search asks for together."""
+
+    population: Indices
+    """Grid indices of its sets, shape (n, n_searched)."""
+    changed: npt.NDArray[np.bool_]
+    """The requested ones among them, shape (n,)."""
+    cells: Sequence[tuple[int, int]]
+    """Individual and place of the scenario, in the order of asking."""
+    state: dict[str, Any]
+    """State of the search, JSON-ready."""
+
+
+class Asker(Protocol):
+    """A search as a campaign asks it."""
+
+    def ask(self) -> AskedRound | None:
+        """Returns the next round; None if the search has nothing left to ask for."""
+
+    def tell(self, *answers: Any) -> None:
+        """Receives the answers of the oldest round, as its kind takes them."""
+
+
+class PopulationAsker:
+    """A generational optimizer: a round is its population, in all scenarios, and it is told when the whole round is answered."""
+
+    def __init__(
+        self, optimizer: Optimizer, name: str, shape: tuple[int, Indices], scenarios: int, evaluated: Indices | None = None
+    ) -> None:
+        """Wraps an optimizer.
+
+        Args:
+            optimizer: the optimizer.
+            name: its name, for errors.
+            shape: size of the population, and grid sizes.
+            scenarios: number of scenarios.
+            evaluated: the last population; None before the first.
+        """
+        self._optimizer, self._name, self._shape, self._scenarios = optimizer, name, shape, scenarios
+        self._evaluated = evaluated
+
+    def ask(self) -> AskedRound:
+        """Returns the next population. Raises InvalidInputError if a plug-in's does not fit the space."""
+        proposal = checked_proposal(self._name, self._optimizer.ask(), *self._shape, self._evaluated)
+        self._evaluated = proposal.population
+        changed = np.flatnonzero(proposal.changed).tolist()
+        cells = [(individual, scenario) for individual in changed for scenario in range(self._scenarios)]
+        return AskedRound(proposal.population, proposal.changed, cells, self._optimizer.state())
+
+    def tell(self, *answers: Any) -> None:
+        """Passes objectives and tie breakers on."""
+        self._optimizer.tell(*answers)
+
+
+class CellAsker:
+    """A search by the cell: a round is some cells of some sets."""
+
+    def __init__(self, search: Search, room: int) -> None:
+        self._search, self._room = search, room
+
+    def ask(self) -> AskedRound | None:
+        """Returns the next cells."""
+        cells = self._search.ask(self._room)
+        if not cells:
+            return None
+        sets = list(dict.fromkeys(cell.indices for cell in cells))
+        places = {indices: place for place, indices in enumerate(sets)}
+        state = {"search": self._search.state(), "discarded": self._search.discarded}
+        return AskedRound(
+            np.array(sets, dtype=np.int64),
+            np.ones(len(sets), dtype=np.bool_),
+            [(places[cell.indices], cell.scenario) for cell in cells],
+            state,
+        )
+
+    def tell(self, *answers: Any) -> None:
+        """Passes the answers of a round on."""
+        self._search.tell(*answers)
+
+
+def cells_of(asked: AskedRound) -> list[AskedCell]:
+    """Returns the cells of a round as its search asked for them."""
+    return [AskedCell(tuple(asked.population[individual].tolist()), scenario) for individual, scenario in asked.cells]
+
+
+class Computation:
+    """Creates or restores a search, passes it answers and asks for its next round, in a thread of its own.
+
+    When the last reference to this object is gone, nothing waits for the result: see `optimizers.replayed.stop_if_abandoned`.
+    """
+
+    def __init__(self, obtain: Callable[[], Asker], answers: tuple[Any, ...] | None, *, asks: bool) -> None:
+        """Begins to compute.
+
+        Args:
+            obtain: returns the search; neither it nor what it refers to may refer to this object.
+            answers: arguments of `Asker.tell`, which is called first; None for no call.
+            asks: whether a round is wanted.
+        """
+        self._patience = PATIENCE_SECONDS
+        self._outcome: Future[tuple[Asker, AskedRound | None]] = Future()
+        abandoned = threading.Event()
+        weakref.finalize(self, abandoned.set)
+        arguments = (self._outcome, abandoned, obtain, answers, asks)
+        # A daemon: a process that ends waits for no optimizer.
+        threading.Thread(target=_compute, args=arguments, name="optimizer", daemon=True).start()
+        self.asks = asks
+
+    @property
+    def is_done(self) -> bool:
+        """Returns whether the result is there; only the first check waits for it, `PATIENCE_SECONDS` at most."""
+        wait([self._outcome], self._patience)
+        self._patience = 0.0
+        return self._outcome.done()
+
+    def result(self) -> tuple[Asker, AskedRound | None]:
+        """Returns the search and its next round, None if it was not asked or has nothing left to ask for.
+
+        Raises what the search raised. Waits for the result unless it `is_done`.
+        """
+        return self._outcome.result()
+
+
+def _compute(
+    outcome: Future[tuple[Asker, AskedRound | None]],
+    abandoned: threading.Event,
+    obtain: Callable[[], Asker],
+    answers: tuple[Any, ...] | None,
+    asks: bool,  # noqa: FBT001  # a thread's arguments are positional
+) -> None:
+    abandon_when(abandoned.is_set)
+    try:
+        asker = obtain()
+        if answers is not None:
+            asker.tell(*answers)
+        outcome.set_result((asker, asker.ask() if asks else None))
+    except BaseException as error:  # noqa: BLE001  # `result` raises it in the dispatcher's thread
+        outcome.set_exception(error)

@@ -1,0 +1,90 @@
+"""The task of a search by the cell: the space, the aim, and the answers that are stored before the campaign begins."""
+
+import numpy as np
+
+from drivecal.analysis.aims import JudgedGoals, WeightedScore
+from drivecal.analysis.goals import SCORE
+from drivecal.campaigns.cells.planning import View, ensure_setups
+from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.evaluations import CellScore
+from drivecal.domain.parameters import Indices, ParameterSet
+from drivecal.optimizers.population import start_population
+from drivecal.plugins.search import AskedCell, CellAnswer, SearchTask
+from drivecal.reduction.narrowing import SearchArea
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import runs
+
+MOST_KNOWN = 2_000
+"""Newest stored runs of each scenario from which a search begins."""
+
+
+def search_task(
+    database: Database, view: View, problem: CalibrationProblem, area: SearchArea, aim: WeightedScore | JudgedGoals
+) -> SearchTask:
+    """Returns the task of a campaign's search. It depends on what was stored when the campaign began, and on nothing later."""
+    chosen = problem.optimization
+    if chosen is None:
+        raise ValueError("the campaign has no search")
+    constraints, region = problem.constraints, None
+    if constraints:
+        region = constraints.region(area.first, area.last)
+
+    def feasible(rows: Indices) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        return constraints.feasible(area.expand(rows))
+
+    def repair(rows: Indices) -> Indices:
+        return rows if region is None else area.contract(region.repair(area.expand(rows)))
+
+    def sample(count: int, generator: np.random.Generator) -> Indices:
+        if region is None:
+            return start_population("lhs", count, area.n_values, generator, None)
+        return area.contract(region.sample(count, generator))
+
+    is_cut_off = problem.specification.reduction.mode == "off"
+    return SearchTask(
+        n_values=area.n_values,
+        kinds=area.kinds,
+        aim=aim,
+        feasible=feasible,
+        repair=repair,
+        sample=sample,
+        start=area.contract(problem.start_indices),
+        known=() if is_cut_off else _known(database, view, problem, area, aim),
+        cells=None if chosen.budget is None else chosen.budget.simulations,
+        window=1,
+    )
+
+
+def _known(
+    database: Database, view: View, problem: CalibrationProblem, area: SearchArea, aim: WeightedScore | JudgedGoals
+) -> list[CellAnswer]:
+    """Returns the stored answers of sets in the area, in the order of references."""
+    evaluator, answers = view.bench.evaluator_id, []
+    with database.transaction() as connection:
+        setups = ensure_setups(connection, view.bench)
+        for place, scenario in enumerate(problem.scenarios):
+            stored = runs.rated(connection, setups[scenario], evaluator, view.watermark, MOST_KNOWN)
+            measured = {} if problem.goals is None else runs.values_of(connection, [run.evaluation for run in stored])
+            for run in stored:
+                indices = _place_in(area, run.parameters)
+                if indices is None:
+                    continue
+                values = {SCORE: run.score}
+                if problem.goals is not None:
+                    values |= problem.goals.values(*measured[run.evaluation])
+                cell = CellScore(0, scenario, run.score, run.rating, own=True, iteration=0, individual=0, values=values)
+                failed = run.score == view.bench.scale.failed
+                answers.append(CellAnswer(AskedCell(indices, place), aim.of(cell), failed=failed))
+    return answers
+
+
+def _place_in(area: SearchArea, parameters: ParameterSet) -> tuple[int, ...] | None:
+    """Returns the grid indices of a set in an area; None if it lies outside."""
+    try:
+        indices = np.array(area.space.indices(parameters.values), dtype=np.int64)
+    except InvalidInputError:
+        return None
+    if ((indices < area.first) | (indices > area.last)).any():
+        return None
+    return tuple(area.contract(indices[np.newaxis])[0].tolist())

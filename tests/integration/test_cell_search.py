@@ -1,0 +1,89 @@
+"""Searches by the cell: what they ask for, how they end, and what a budget counts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.cell_search import CellSearchPlugin
+from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
+from tests.support.runs import dispatcher, everything, finish, get, submit
+
+from drivecal.domain.campaigns import CampaignState
+from drivecal.plugins import registry
+from drivecal.storage import results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+
+WITH_SIX: dict[str, Any] = {"catalogue": ["S1", "S2", "S3"], "reduction": {"mode": "exact"}}
+BY_CELL: dict[str, Any] = {"optimizer": {"kind": "cell_search"}} | WITH_SIX
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Database]:
+    opened = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    yield opened
+    opened.dispose()
+
+
+@pytest.fixture(autouse=True)
+def _plugin(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = registry.optimizer
+    monkeypatch.setattr(registry, "optimizer", lambda name: CellSearchPlugin() if name == "cell_search" else known(name))
+
+
+def carried_out(database: Database, seed: int = 0, **changes: Any) -> StoredCampaign:
+    campaign = submit(database, **changes)
+    finish(database, campaign, dispatcher(database, ComputedBackend(seed)))
+    return get(database, campaign)
+
+
+def test_what_is_asked_for_does_not_depend_on_the_order_of_answers(tmp_path: Path) -> None:
+    found = []
+    for seed in range(3):
+        database = migrated(f"sqlite:///{tmp_path / f'{seed}.db'}")
+        found.append(everything(database, carried_out(database, seed, budget={"simulations": 100}, **BY_CELL)))
+        database.dispose()
+    assert found[0] == found[1] == found[2]
+
+
+def test_a_budget_of_simulations_is_used_up_exactly(database: Database) -> None:
+    ended = carried_out(database, budget={"simulations": 101}, **BY_CELL)
+    assert (ended.state, ended.cells.runs, ended.cells.simulated) == (CampaignState.SUCCEEDED, 101, 101)
+    assert ended.search is not None
+    assert ended.search.ended_by == "budget"
+    assert ended.best is not None
+
+
+@pytest.mark.parametrize("mode", ["exact", "predicted"])
+def test_a_generational_search_ends_within_its_budget(database: Database, mode: str) -> None:
+    optimizer = {"kind": "genetic", "population": 24, "seed": 3}
+    ended = carried_out(database, optimizer=optimizer, budget={"simulations": 200}, **WITH_SIX | {"reduction": {"mode": mode}})
+    assert 180 <= ended.cells.runs <= 200
+    assert ended.search is not None
+    assert ended.search.ended_by == "budget"
+
+
+def test_a_search_that_stands_still_ends(database: Database) -> None:
+    ended = carried_out(database, budget={"simulations": 3_000, "stagnation": 60}, **BY_CELL)
+    assert ended.search is not None
+    assert ended.search.ended_by == "stagnation"
+    assert ended.cells.runs < 3_000
+    assert ended.search.stood_still_at is not None
+
+
+def test_cells_of_sets_that_cannot_win_are_discarded_and_in_no_sum(database: Database) -> None:
+    cells = carried_out(database, budget={"simulations": 150}, **BY_CELL).cells
+    assert cells.discarded > 0
+    assert cells.proposed == cells.requested == cells.simulated + cells.failed == 150
+
+
+def test_the_best_set_of_a_search_is_simulated_in_every_scenario(database: Database) -> None:
+    ended = carried_out(database, budget={"simulations": 60}, **BY_CELL)
+    assert ended.best is not None
+    with database.read() as connection:
+        rows = [row for row in results.stream(connection, ended.sequence) if row.parameters.floats == ended.best.parameters]
+    assert {row.scenario for row in rows} == {"S1", "S2", "S3"}
