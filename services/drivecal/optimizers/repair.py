@@ -130,11 +130,18 @@ class RepairingOptimizer:
     def __init__(self, optimizer: Optimizer, repair: Callable[[Indices], Indices]) -> None:
         self._optimizer = optimizer
         self._repair = repair
+        self._known: Indices | None = None
+        self.repaired = RepairCount()
+        """Counts of the last population."""
 
     def ask(self) -> Proposal:
         """Returns the next population with feasible individuals only. Unchanged individuals have unchanged replacements."""
         proposal = self._optimizer.ask()
-        return Proposal(self._repair(proposal.population), proposal.changed)
+        population = self._repair(proposal.population)
+        known = population[:0] if self._known is None else self._known
+        self.repaired = RepairCount.counted(proposal.population[proposal.changed], population[proposal.changed], known)
+        self._known = np.unique(np.concatenate([known, population]), axis=0)
+        return Proposal(population, proposal.changed)
 
     def tell(self, objectives: Floats, tie_breakers: Floats) -> None:
         self._optimizer.tell(objectives, tie_breakers)

@@ -36,7 +36,7 @@ def test_fewer_than_a_tenth_of_new_sets_is_a_collapse(proposed: int, distinct: i
 @pytest.mark.parametrize("plugin", [GENETIC, RANDOM, SWARM], ids=lambda plugin: plugin.name)
 def test_a_start_population_within_constraints_is_drawn_there(plugin: DeclaringOptimizerPlugin) -> None:
     given = np.array([[90, 80, 70, 60, 50, 40, 30, 20]])
-    optimization = Optimization(plugin, plugin.settings(population=200), 200, 5, 1)
+    optimization = Optimization(plugin, plugin.settings(population=200), None, 5)
     population = optimization.begin(full_area(SPACE), CONSTRAINTS, given).ask().population
     assert CONSTRAINTS.feasible(population).all()
     assert population[:1].tolist() == given.tolist()

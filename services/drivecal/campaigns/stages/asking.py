@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.parameters import Indices
-from drivecal.optimizers.repair import checked_proposal
+from drivecal.optimizers.repair import RepairCount, RepairingOptimizer, checked_proposal
 from drivecal.optimizers.replayed import abandon_when
 from drivecal.plugins.ports import Optimizer
 from drivecal.plugins.search import AskedCell, Search
@@ -45,6 +45,7 @@ class AskedRound:
     """Individual and place of the scenario, in the order of asking."""
     state: dict[str, Any]
     """State of the search, JSON-ready."""
+    repaired: RepairCount | None = None
 
 
 class Asker(Protocol):
@@ -81,7 +82,8 @@ class PopulationAsker:
         self._evaluated = proposal.population
         changed = np.flatnonzero(proposal.changed).tolist()
         cells = [(individual, scenario) for individual in changed for scenario in range(self._scenarios)]
-        return AskedRound(proposal.population, proposal.changed, cells, self._optimizer.state())
+        repaired = self._optimizer.repaired if isinstance(self._optimizer, RepairingOptimizer) else None
+        return AskedRound(proposal.population, proposal.changed, cells, self._optimizer.state(), repaired)
 
     def tell(self, *answers: Any) -> None:
         """Passes objectives and tie breakers on."""

@@ -42,6 +42,7 @@ from drivecal.contracts.campaign import (
     ErrorRate,
     GenerationCounts,
     Released,
+    Repaired,
     SearchEnd,
     SearchState,
 )
@@ -51,6 +52,7 @@ from drivecal.domain.evaluations import RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.domain.parameters import ParameterSet
 from drivecal.execution.scheduling.in_flight import Work
+from drivecal.optimizers.repair import RepairCount
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import AskedCell, CellAnswer
 from drivecal.reduction.assignment import Policy
@@ -286,11 +288,18 @@ class Calibration(Stage):
             return None
         number, self._next = self._next, self._next + 1
         self._asked[number] = asked
+        if asked.repaired is not None:
+            self._count_repaired(asked.repaired)
         self._tracker.note_discarded(asked.state.get("discarded", 0) if self._by_cell is not None else 0)
         self._batches = self._split(number, asked)
         requested = replace(self._next_batch(), carried_over=self._carried_over(asked))
         self._go_on()
         return requested
+
+    def _count_repaired(self, count: RepairCount) -> None:
+        total = RepairCount(self._search.repaired.proposed, self._search.repaired.distinct) + count
+        repaired = Repaired(proposed=total.proposed, distinct=total.distinct)
+        self._search = self._search.model_copy(update={"repaired": repaired})
 
     def _carried_over(self, asked: AskedRound) -> int:
         """Returns the number of cells of a round that keep earlier answers."""
@@ -544,6 +553,12 @@ class Calibration(Stage):
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": notes[-1]})
                 self._repeatable_no_more = True
         notes += self._score_notes()
+        repaired = self._search.repaired
+        if RepairCount(repaired.proposed, repaired.distinct).collapses:
+            notes.append(
+                f"{repaired.proposed:,} proposals broke constraints and became {repaired.distinct:,} new sets: the search hardly moves;"
+                " choose another optimizer, or loosen the constraints"
+            )
         is_over = self._search.ended_by is not None
         if (skipped := skipped_text(self._released)) is not None and is_over:
             notes.append(skipped)
