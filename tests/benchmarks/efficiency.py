@@ -24,7 +24,7 @@ import psutil
 from drivecal.cli.commands.demo import coordinator, fresh_folder
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
-from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.drive.tasks import EpisodeRunner
 from drivecal.plugins import registry
 
 HOME = Path(".drivecal/bench/efficiency")

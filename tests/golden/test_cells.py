@@ -1,7 +1,7 @@
 """Tests of what a handful of cells gave, to the last digit: numerics shall not change without anybody noticing.
 
 Stored results are found again by fingerprint, so whoever changes what a run gives must change a version: `FRENET.version` follows its
-sources, `SINGLE_TRACK.version`, `REFERENCE.version` and `drivecal.plugins.setups.CLOSED_LOOP` (traffic, episode and metrics) are
+sources, `SINGLE_TRACK.version`, `REFERENCE.version` and `drivecal.plugins.setups.CLOSED_LOOP` (traffic, loop and metrics) are
 counted up by hand, a scenario's digest follows its definition. Then write the file anew: `python tests/golden/test_cells.py`.
 
 Another kind of processor differs in the last bits, which a closed loop enlarges: up to 6e-7 of a value were seen between two kinds. So the
@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from drivecal.highway.comfort.reference import REFERENCE
-from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.drive.tasks import EpisodeRunner
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.vehicle.single_track import SINGLE_TRACK

@@ -9,7 +9,7 @@ from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.evaluations import FAILED_RATING, Failure, RunResult
 from drivecal.highway.comfort.learned import LEARNED
 from drivecal.highway.comfort.reference import REFERENCE
-from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.drive.tasks import EpisodeRunner
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.vehicle.hybrid import HYBRID

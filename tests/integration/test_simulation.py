@@ -20,17 +20,15 @@ from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario, TrafficVehicle
 from drivecal.highway import sumo
 from drivecal.highway.comfort.reference import REFERENCE
-from drivecal.highway.episode.loop import ClosedLoop
-from drivecal.highway.episode.runner import EpisodeRunner
-from drivecal.highway.episode.trace import EGO_COLUMNS
+from drivecal.highway.drive import geometry
+from drivecal.highway.drive.tasks import EpisodeRunner, road_of
+from drivecal.highway.drive.trace import EGO_COLUMNS
+from drivecal.highway.drive.traffic import Traffic, TrafficError
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.sumo import EGO
-from drivecal.highway.traffic.geometry import LANE
-from drivecal.highway.traffic.lanes import SumoLanes
-from drivecal.highway.traffic.simulation import SimulationError, simulation
 from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.plugins.ports import Observation, VehicleModel
-from drivecal.roads.carriageway import carriageway, corridor_of
+from drivecal.roads.carriageway import carriageway
 
 S1 = HIGHWAY.scenarios["S1"]
 SCENARIOS = list(HIGHWAY.scenarios.values())
@@ -85,10 +83,11 @@ def runner(scenario: Scenario, vehicle: VehicleModel | None = None) -> EpisodeRu
 
 def driven(scenario: Scenario, *parameters: float) -> list[bytes]:
     """Everything that happens in a run, bit by bit."""
-    loop = ClosedLoop(scenario, Glide(scenario), model(), simulation())
     seen: list[bytes] = []
-    drive = loop.drive(parameters, lambda _, __, pose, neighbours: seen.append(pose.tobytes() + neighbours.tobytes()))
-    return [*seen, drive.motion.tobytes(), drive.dynamics.tobytes()]
+    run = runner(scenario)._loop.run(
+        parameters, watch=lambda traffic, pose, _: seen.append(pose.tobytes() + traffic.neighbours.tobytes())
+    )
+    return [*seen, run.record.rows.tobytes(), run.record.dynamics.tobytes()]
 
 
 def changes_lane(scenario: Scenario) -> tuple[float, float, float]:
@@ -97,16 +96,13 @@ def changes_lane(scenario: Scenario) -> tuple[float, float, float]:
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
 def test_all_vehicles_start_where_the_definition_says_and_stay_on_the_road(scenario: Scenario) -> None:
-    sumo = simulation()
-    sumo.load(scenario)
-    sumo.reset()
     width = scenario.road.lane_width
     starts = np.array([(vehicle.s, vehicle.lane * width, vehicle.speed) for vehicle in scenario.traffic])
-    assert sumo.neighbours[:, 0] == pytest.approx(starts[:, 0], abs=0.1)
-    assert sumo.neighbours[:, 1] == pytest.approx(starts[:, 1], abs=0.02)
-    assert sumo.neighbours[:, 2] == pytest.approx(starts[:, 2], rel=0.02)
     seen: list[Floats] = []
-    runner(scenario)._loop.drive((scenario.ego.d, 1.0, 0.0), lambda _, __, ___, neighbours: seen.append(neighbours.copy()))
+    runner(scenario)._loop.run((scenario.ego.d, 1.0, 0.0), watch=lambda traffic, *_: seen.append(traffic.neighbours.copy()))
+    assert seen[0][:, 0] == pytest.approx(starts[:, 0], abs=0.1)
+    assert seen[0][:, 1] == pytest.approx(starts[:, 1], abs=0.02)
+    assert seen[0][:, 2] == pytest.approx(starts[:, 2], rel=0.02)
     drifts = np.array([max((abs(offset) for _, offset in vehicle.drift), default=0.0) for vehicle in scenario.traffic])
     for neighbours in seen:
         assert (abs(neighbours[:, 1] - starts[:, 1]) <= drifts + 0.02).all()
@@ -265,15 +261,16 @@ def test_a_trace_is_plain_data() -> None:
 
 @pytest.mark.parametrize("content", [b"", b"no xml", b"<net/>", S1.network[: len(S1.network) // 2]])
 def test_a_damaged_network_is_refused_and_the_next_scenario_still_runs(content: bytes) -> None:
-    with pytest.raises(SimulationError, match="S1"):
-        simulation().load(replace(S1, network=content))
+    with pytest.raises(InvalidInputError, match="S1"):
+        runner(replace(S1, network=content))
     assert runner(S1).run(changes_lane(S1)).metrics["driven_s"] > 0
 
 
 def test_a_vehicle_that_the_network_has_no_room_for_is_named() -> None:
     outside = TrafficVehicle("outside", lane=7, s=5000.0, speed=20.0, desired_speed=20.0)
-    with pytest.raises(SimulationError, match="outside"):
-        simulation().load(replace(S1, traffic=(outside,)))
+    with pytest.raises(InvalidInputError) as error:
+        runner(replace(S1, traffic=(outside,)))
+    assert [problem.field for problem in error.value.problems] == ["scenarios.S1.traffic[0].s"]
 
 
 @pytest.mark.parametrize("other", ["load", "close"])
@@ -290,39 +287,30 @@ def test_a_scenario_is_loaded_again_if_another_user_of_the_process_loaded_or_end
     assert subject.run(changes_lane(S1)) == before
 
 
-def test_a_vehicle_that_gets_lost_costs_one_run() -> None:
-    subject = ClosedLoop(S1, Glide(S1), model(), simulation())
-    before = driven(S1, *changes_lane(S1))
-
-    def take_one_out(index: int, *_: object) -> None:
-        if index == 20:
-            libsumo.vehicle.remove("follower")
-
-    with pytest.raises(SimulationError, match=r"\b21\b"):
-        subject.drive(changes_lane(S1), take_one_out)
-    assert driven(S1, *changes_lane(S1)) == before
-
-
-def test_a_scenario_is_loaded_anew_after_a_vehicle_got_lost_in_it() -> None:
-    sumo = simulation()
-    sumo.load(S1)
-    sumo.reset()
+def test_a_scenario_is_loaded_anew_after_sumo_failed_in_it() -> None:
+    subject = runner(S1)
+    before = subject.run(changes_lane(S1))
     length = libsumo.vehicletype.getLength("follower")
-    libsumo.vehicletype.setLength("follower", 77.0)  # what a reset does not mend
-    libsumo.vehicle.remove("follower")
-    with pytest.raises(SimulationError, match="lost"):
-        sumo.advance(0, np.zeros(8))
-    sumo.load(S1)
+
+    def spoil(traffic: Traffic, pose: Floats, plan: Floats | None) -> None:
+        del traffic, pose, plan
+        if libsumo.simulation.getTime() >= 2.0:
+            libsumo.vehicletype.setLength("follower", 77.0)  # what a reset does not mend
+            libsumo.vehicle.remove("ego")
+
+    with pytest.raises(TrafficError, match="ego"):
+        subject._loop.run(changes_lane(S1), watch=spoil)
+    assert subject.run(changes_lane(S1)) == before
     assert libsumo.vehicletype.getLength("follower") == length
 
 
 def test_a_step_that_does_not_fit_the_vehicle_s_sample_time_is_refused() -> None:
     with pytest.raises(InvalidInputError, match="multiple"):
-        ClosedLoop(replace(S1, step=0.125), Glide(S1), model(), simulation())
+        runner(replace(S1, step=0.125))
 
 
 def test_without_libsumo_nothing_runs() -> None:
-    code = "import sys; sys.modules['libsumo'] = None\nimport drivecal.highway.episode.runner"
+    code = "import sys; sys.modules['libsumo'] = None\nimport drivecal.highway.drive.tasks"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode != 0
     assert "install libsumo" in done.stderr
@@ -341,34 +329,34 @@ def test_the_limit_of_each_edge_slows_the_traffic() -> None:
 
 def test_a_road_that_is_not_that_of_the_network_is_refused() -> None:
     for other in (SCENARIOS[1].road, replace(S1.road, lane_width=3.5)):
-        with pytest.raises(SimulationError, match="network"):
-            simulation().load(replace(S1, road=other))
-    same = replace(S1, road=replace(S1.road, line=S1.road.line.copy()))
-    simulation().load(same)
+        with pytest.raises(InvalidInputError, match="network"):
+            road_of(replace(S1, road=other))
+    road_of(replace(S1, road=replace(S1.road, line=S1.road.line.copy())))
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
 def test_all_vehicles_are_where_sumo_has_them(scenario: Scenario) -> None:
-    here = simulation()
-    names = [vehicle.id for vehicle in scenario.traffic]
-    corridor = corridor_of(scenario.network, scenario.route, f"{scenario.id}.net.xml")
-    lanes = SumoLanes(corridor, scenario.road.line[:, 0], joined=True)
-    steps = 0
+    subject, steps = runner(scenario), 0
+    road = subject._loop._road
 
-    def compare(_: int, __: object, pose: Floats, neighbours: Floats) -> None:
+    def compare(traffic: Traffic, pose: Floats, plan: Floats | None) -> None:
+        del plan
         nonlocal steps
-        rows = [(here.ego.item(0), here.ego.item(1)), *here._cells[LANE:].T.tolist()]
-        for name, (lane, along) in zip([EGO, *names], rows, strict=True):
-            edge, index, position = lanes.place(int(lane), along)
+        steps += 1
+        if steps == 1:
+            return
+        rows = [traffic.motion[[geometry.TRACK, geometry.ALONG]].tolist()]
+        rows += traffic.outlines[:, [geometry.SAID + 3, geometry.SAID]].tolist()
+        for name, (track, along) in zip([EGO, *traffic.names], rows, strict=True):
+            edge, index, position = road.sumo.place(int(track), along)
             assert libsumo.vehicle.getLaneID(name) == f"{edge}_{index}"
             assert libsumo.vehicle.getLanePosition(name) == pytest.approx(position, abs=1e-9)
         assert libsumo.vehicle.getSpeed(EGO) == pytest.approx(pose[3], abs=0.6)
-        for name, outline, row in zip(names, here.outlines, neighbours, strict=True):
-            x, y, heading, half_length, _ = outline
+        for name, outline, row in zip(traffic.names, traffic.outlines.tolist(), traffic.neighbours, strict=True):
+            x, y, heading, half_length = outline[:4]
             front = x + half_length * np.cos(heading), y + half_length * np.sin(heading)
             aside = row[1] - scenario.road.lane_width * round(row[1] / scenario.road.lane_width)
             assert np.hypot(*np.subtract(libsumo.vehicle.getPosition(name), front)) == pytest.approx(abs(aside), abs=0.25)
-        steps += 1
 
-    runner(scenario)._loop.drive(changes_lane(scenario), compare)
+    subject._loop.run(changes_lane(scenario), watch=compare)
     assert steps > 20, "the drive ended too early to compare"

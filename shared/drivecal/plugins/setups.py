@@ -3,7 +3,7 @@
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
-CLOSED_LOOP = "3"
+CLOSED_LOOP = "4"
 """Version of the code that connects planner, vehicle and SUMO and measures the run (`drivecal.highway`).
 
 Increase it whenever a run may change by a bit; `tests/golden` detects such changes.

@@ -85,6 +85,8 @@ class Corridor:
     name: str = ""
     places: Mapping[tuple[str, int], Floats] = field(default_factory=dict, repr=False)
     """Positions along each lane (m, as SUMO counts) with their s and d: (n, 3)."""
+    parallel: bool = False
+    """All tracks go from the begin to the end, and no lane leads to two others: a vehicle that changes no lane stays on its track."""
 
     @property
     def length(self) -> float:
@@ -159,9 +161,20 @@ def corridor(network: Network, route: Sequence[str], name: str, default_limit: f
     for number, chain in enumerate(lanes.chains):
         track, (centres[:, number], widths[:, number], limits[:, number]) = _track(chain, lanes, places, guide.line)
         tracks.append(track)
-    result = Corridor(guide.line, tuple(tracks), guide.line[:, 0].copy(), centres, widths, limits, name, places.table)
+    parallel = not any(track.begin > 0.0 or track.ends for track in tracks) and _is_parallel(network, route)
+    stations = guide.line[:, 0].copy()
+    result = Corridor(guide.line, tuple(tracks), stations, centres, widths, limits, name, places.table, parallel)
     _check(result, network, lanes, places)
     return result
+
+
+def _is_parallel(network: Network, route: Sequence[str]) -> bool:
+    """Returns whether each lane of a route leads to one lane of the next edge at most, and no two to the same."""
+    for begin, end in pairwise(route):
+        ways = [(way.from_lane, way.to_lane) for way in network.connections.get(begin, ()) if way.end == end]
+        if any(len(set(lanes)) < len(ways) for lanes in zip(*ways, strict=True)):
+            return False
+    return True
 
 
 class _Places:

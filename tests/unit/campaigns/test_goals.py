@@ -9,7 +9,7 @@ from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.measures import CLOSED_LOOP_MEASURES
 from drivecal.highway.comfort.reference import REFERENCE
-from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.drive.tasks import EpisodeRunner
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.vehicle.single_track import SINGLE_TRACK

@@ -113,4 +113,4 @@ def test_kernels_name_all_modules_whose_kernels_they_call(path: Path) -> None:
 
 
 def test_modules_that_call_others_are_found() -> None:
-    assert called(import_module("drivecal.highway.traffic.geometry")) == {geometry}
+    assert called(import_module("drivecal.highway.drive.geometry")) == {geometry}

@@ -1,4 +1,4 @@
-"""Compiled geometry that all loops share: points of a reference line, foot points on it, and rectangles that overlap.
+"""Compiled geometry of lines and rectangles: points of a reference line, foot points on it, and rectangles that overlap.
 
 `line`, shape (n, 7): a reference line (s, x, y, heading, curvature) with cosine and sine of the heading, as from `with_directions`.
 `drivecal.domain.roads` has the same without a compiler. The planner has a `point_of` of its own, whose order of operations differs: all

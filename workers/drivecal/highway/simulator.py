@@ -18,13 +18,13 @@ class Highway:
 
     def load(self) -> None:
         """Imports SUMO and the compiled kernels. Raises UnavailableError without SUMO."""
-        import_module("drivecal.highway.episode.runner")
+        import_module("drivecal.highway.drive.tasks")
 
     def runner(
         self, scenario: Scenario, function: DrivingFunction, vehicle: Vehicle, values: Mapping[str, float], evaluator: Evaluator
     ) -> Runner:
         """Creates the runner of a setup."""
-        from drivecal.highway.episode.runner import EpisodeRunner
+        from drivecal.highway.drive.tasks import EpisodeRunner
 
         return EpisodeRunner(scenario, function, vehicle.create(values), evaluator)
 

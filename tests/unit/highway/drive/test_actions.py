@@ -3,12 +3,11 @@
 # ruff: noqa: N802  # the fake has SUMO's names
 from typing import Any
 
-import numpy as np
 import pytest
 
 from drivecal.bundles.highway import TrafficEntry
 from drivecal.highway.drive import actions
-from drivecal.highway.drive.actions import ActionError, Actions, EgoPlace
+from drivecal.highway.drive.actions import ActionError, Actions, EgoPlace, Moving
 from drivecal.highway.sumo import FREE, FREE_BUT_SAFE, MODEL
 
 STEP = 0.5
@@ -68,7 +67,7 @@ def of(action: dict[str, Any], **vehicle: Any) -> Actions:
 
 
 def act(these: Actions, step: int, ego: EgoPlace = FAR_AWAY) -> None:
-    these.act(step * STEP, STEP, ["v"], np.array([[100.0, 0, 30, 0, 5, 2]]), ego, 5.0)
+    these.act(step * STEP, STEP, {"v": Moving(100.0, 0.0, 30.0, 2.5)}, ego, 5.0)
 
 
 def several(*actions: dict[str, Any], **vehicle: Any) -> Actions:

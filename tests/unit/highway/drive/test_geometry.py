@@ -7,18 +7,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.support.frenet import project
+from tests.support.effort import examples
+from tests.support.frenet import project, to_frenet
 
 from drivecal.bundles import highway_catalogue as catalogue
 from drivecal.domain.roads import to_cartesian
 from drivecal.highway.drive import geometry, measures
 from drivecal.highway.drive.geometry import NAMES, keeper_acceleration
 from drivecal.highway.drive.road import slopes
-from drivecal.highway.geometry import foot, swept
+from drivecal.highway.geometry import foot, hit, swept
 from drivecal.highway.scenarios.designs import CurvatureKnot, RoadDesign, line_of
 
 CURVE = RoadDesign(length=600.0, lanes=3, lane_width=3.5, knots=(CurvatureKnot(0.0, 0.0), CurvatureKnot(200.0, 0.004)))
 SIZE = np.array([2.5, 1.0])
+VERGE = 0.5
 
 
 def line_with_directions(road: RoadDesign) -> np.ndarray:
@@ -47,17 +49,32 @@ def pose(s: float, d: float, yaw: float = 0.0, speed: float = 20.0) -> np.ndarra
     return np.array([x, y, heading + yaw, speed, 0.0, 0.01, 0.5, 0.2])
 
 
-def placed(s: float, d: float, lanes: np.ndarray = LANES, **motion: float) -> tuple[bool, np.ndarray, np.ndarray]:
-    place, front = np.zeros(9), np.zeros(3)
-    on_road = geometry.place(LINE, lanes, pose(s, d, **motion), s + 3.0, SIZE, place, front)
-    return on_road, place, front
+def placed(s: float, d: float, lanes: np.ndarray = LANES, verge: float = VERGE, **motion: float) -> tuple[bool, np.ndarray]:
+    """Whether the vehicle is on the road, and its place."""
+    place = np.zeros(geometry.MOTION)
+    place[geometry.SIZE : geometry.EDGE + 1], place[geometry.STEERING] = [*SIZE, verge], 0.03
+    on_road = geometry.place(LINE, lanes, pose(s, d, **motion), s + 3.0, place)
+    return on_road, place
+
+
+def arrays(others: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Neighbours and outlines of vehicles (s, d, speed, acceleration, length, width)."""
+    rows = np.array(others, dtype=float).reshape(-1, 6)
+    neighbours, outlines = np.zeros((len(rows), 6)), np.zeros((len(rows), geometry.OUTLINED))
+    neighbours[:, [0, 1, 2, 4, 5]], outlines[:, 5:7] = rows[:, [0, 1, 2, 4, 5]], rows[:, 2:4]
+    return neighbours, outlines
 
 
 def observed(others: Any, s: float = 100.0, d: float = 0.0, lanes: np.ndarray = LANES, **motion: float) -> dict[str, float]:
-    _, place, _ = placed(s, d, lanes, **motion)
+    return signals_of(arrays(others), 1.5, 0.0, s, d, lanes, **motion)
+
+
+def signals_of(
+    others: tuple[np.ndarray, np.ndarray], time: float, lead: float, s: float, d: float, lanes: np.ndarray, **motion: float
+) -> dict[str, float]:
+    _, place = placed(s, d, lanes, **motion)
     signals = np.zeros(geometry.SIGNALS)
-    rows = np.array(others, dtype=float).reshape(-1, 6)
-    geometry.observe(LINE, lanes, ENDS, rows, place, pose(s, d, **motion), 0.03, 2.5, 1.5, 0.0, signals)
+    geometry.observe(LINE, lanes, ENDS, *others, place, pose(s, d, **motion), time, lead, signals)
     return dict(zip(NAMES, signals.tolist(), strict=True))
 
 
@@ -78,7 +95,7 @@ def test_foot_points_are_those_of_the_domain(s: float, d: float, off: float) -> 
 
 
 def test_a_vehicle_is_placed_in_its_lane() -> None:
-    on_road, place, front = placed(300.0, 3.0, yaw=0.02)
+    on_road, place = placed(300.0, 3.0, yaw=0.02)
     assert on_road
     assert place[geometry.S] == pytest.approx(300)
     assert place[geometry.TRACK] == 1
@@ -87,7 +104,9 @@ def test_a_vehicle_is_placed_in_its_lane() -> None:
     assert (place[geometry.LIMIT], place[geometry.WIDTH]) == (30, 3.5)
     assert place[geometry.ALONG] == pytest.approx(1.01 * (300 + 2.5 / (1 - 0.004 * 3)))
     x, y, heading, *_ = pose(300.0, 3.0, 0.02)
-    assert front == pytest.approx([x + 2.5 * math.cos(heading), y + 2.5 * math.sin(heading), 90 - math.degrees(heading)])
+    assert place[geometry.FRONT : geometry.FRONT + 3] == pytest.approx(
+        [x + 2.5 * math.cos(heading), y + 2.5 * math.sin(heading), 90 - math.degrees(heading)]
+    )
 
 
 @pytest.mark.parametrize(("d", "on_road"), [(-1.2, True), (-1.3, False), (4.7, True), (4.8, False)])
@@ -99,7 +118,7 @@ def test_a_marking_lies_between_lanes_of_unequal_width() -> None:
     lanes = lanes_of(0.0, 3.375)
     lanes[:, 0, 1], lanes[:, 1, 1] = 2.85, 3.9  # the marking is at 1.425
     for d, track in ((1.42, 0), (1.43, 1), (1.6, 1)):
-        _, place, _ = placed(100.0, d, lanes)
+        _, place = placed(100.0, d, lanes)
         assert (place[geometry.TRACK], place[geometry.WIDTH]) == (track, (2.85, 3.9)[track])
         assert abs(place[geometry.OFFSET]) <= 0.5 * place[geometry.WIDTH]
 
@@ -132,6 +151,61 @@ def test_a_lane_that_ends_is_no_road_any_more() -> None:
     assert observed([], 240.0, 0.0, lanes)["right_lane_exists"] == 0
     assert observed([], 240.0, 3.5, lanes)["right_lane_exists"] == 1
     assert observed([], 260.0, 3.5, lanes)["right_lane_exists"] == 0
+
+
+@settings(deadline=None)  # the first call compiles
+@given(
+    st.floats(0.0, 600.0),
+    st.floats(-5.0, 12.0),
+    st.floats(-0.4, 0.4),
+    st.floats(5.0, 45.0),
+    st.floats(-3.0, 3.0),
+    st.floats(-4.0, 4.0),
+)
+def test_the_ego_vehicle_s_motion_is_the_domain_s(
+    s: float, d: float, slip: float, speed: float, along: float, across: float
+) -> None:
+    line = LINE[:, :5]
+    x, y, road = to_cartesian(line, s, d)
+    heading = road + 0.1
+    place = np.zeros(geometry.MOTION)
+    geometry.place(LINE, LANES, np.array([x, y, heading, speed, slip, 0.0, along, across]), s + 1.0, place)
+    motion = place[geometry.FRENET : geometry.FRENET + 6].tolist()
+    velocity = (speed * math.cos(heading + slip), speed * math.sin(heading + slip))
+    acceleration = (
+        along * math.cos(heading) - across * math.sin(heading),
+        along * math.sin(heading) + across * math.cos(heading),
+    )
+    here = [
+        (x + shift * math.cos(road), y + shift * math.sin(road)) for shift in (0.0, -1e-9, 1e-9)
+    ]  # at a joint either is right
+    expected = [list(to_frenet(line, point, velocity, acceleration, s + 1.0)) for point in here]
+    assert any(motion == pytest.approx(each, abs=1e-6) for each in expected), (motion, expected)
+
+
+@pytest.mark.parametrize(
+    ("d", "yaw", "on_road"), [(0.0, 0.0, True), (-0.74, 0.0, True), (-0.76, 0.0, False), (-0.74, 0.1, False), (4.3, 0.0, False)]
+)
+def test_a_vehicle_is_off_a_road_without_verge_as_soon_as_a_corner_is(d: float, yaw: float, on_road: bool) -> None:
+    assert placed(100.0, d, verge=0.0, yaw=yaw)[0] is on_road
+
+
+def test_a_vehicle_that_keeps_its_lane_is_where_its_speed_leads_it() -> None:
+    """Its front is on the curve, its centre behind it."""
+    s, offset, length = 420.0, 0.35, 12.0
+    others = arrays([[s - 2.5 - 6.0, 3.75, 25.0, 0.0, length, 2.5]])
+    others[1][0, geometry.SAID :] = 1.01 * s - 2.5, offset, 25.0, 1
+    geometry.locate(LINE, LANES, *others, 0.1, True)
+    (neighbour,), (outline,) = others
+    centre, d, along, sideways = neighbour[:4]
+    assert (d, sideways) == pytest.approx((3.5 + offset, 1.0))
+    assert along == pytest.approx(25.0 / (1.0 - 0.004 * d))
+    x, y, _ = to_cartesian(LINE[:, :5], s, d)
+    *there, heading = to_cartesian(LINE[:, :5], centre, d)
+    assert math.hypot(x - there[0], y - there[1]) == pytest.approx(6.0, abs=0.01)
+    assert outline[:7] == pytest.approx([*there, heading, 6.0, 1.25, 25.0, 0.0])
+    geometry.locate(LINE, LANES, *others, 0.0, True)
+    assert others[0][0, 3] == 0.0  # without an earlier place
 
 
 def test_gaps_are_between_bumpers_and_per_lane() -> None:
@@ -176,31 +250,29 @@ def test_speeds_of_others_are_metres_of_their_own_way_and_places_move_along_the_
     d, stretch = -7.0, 1.0 + 0.004 * 7.0  # on the outer side of a curve of 250 m
     lanes = lanes_of(d)
     x, y, _ = to_cartesian(LINE[:, :5], 340.0, d)
-    raw, others, outlines = np.array([[x, y, 30.0, np.nan]]), np.array([[0.0, 0, 0, 0, 5, 2]]), np.zeros((1, 6))
-    geometry.locate(LINE, raw, others, outlines, 0.0)
-    signals = observed(others, 300.0, d, lanes, speed=30.0)
+    others = arrays([[0.0, 0, 0, 0, 5, 2]])
+    others[1][0, geometry.SAID :] = x, y, 30.0, np.nan
+    geometry.locate(LINE, lanes, *others, 0.0, False)
+    signals = signals_of(others, 1.5, 0.0, 300.0, d, lanes, speed=30.0)
     assert signals["leader_speed"] == pytest.approx(30.0)
     assert signals["gap"] == pytest.approx(40 * stretch - 5 - 2.5)
-    _, place, _ = placed(300.0, d, lanes, speed=30.0)
-    seen = np.zeros(geometry.SIGNALS)
-    geometry.observe(LINE, lanes, ENDS, others, place, pose(300.0, d, speed=30.0), 0.0, 2.5, 0.0, 0.1, seen)
-    assert dict(zip(NAMES, seen.tolist(), strict=True))["gap"] == pytest.approx(signals["gap"] + 3.0)
+    moved = signals_of(others, 0.0, 0.1, 300.0, d, lanes, speed=30.0)
+    assert moved["gap"] == pytest.approx(signals["gap"] + 3.0)
 
 
 @pytest.mark.parametrize("turn", [math.pi, -math.pi, 3 * math.pi + 0.1])
 def test_a_vehicle_against_the_route_has_its_own_heading_and_speed(turn: float) -> None:
     """Its front is before its centre as it drives, and its speed changes by its own acceleration."""
-    others, outlines = np.array([[0.0, 0, 0, 0, 5, 2]]), np.zeros((1, 6))
+    neighbours, outlines = others = arrays([[0.0, 0, 0, 0, 5, 2]])
     for step, s, speed in ((0.0, 340.0, 30.0), (0.1, 337.0, 29.8)):
         x, y, heading = to_cartesian(LINE[:, :5], s, 7.0)
         heading += turn
-        raw = np.array([[x + 2.5 * math.cos(heading), y + 2.5 * math.sin(heading), speed, heading]])
-        geometry.locate(LINE, raw, others, outlines, step)
-        assert others[0, :2] == pytest.approx((s, 7.0), abs=1e-6)
-        assert others[0, 2] == -speed
-        assert outlines[0] == pytest.approx((x, y, heading, 2.5, 1.0, speed))
-    assert others[0, 3] == pytest.approx(2.0)
-    seen = observed(others, 300.0, 0.0)
+        outlines[0, geometry.SAID :] = x + 2.5 * math.cos(heading), y + 2.5 * math.sin(heading), speed, heading
+        geometry.locate(LINE, LANES, *others, step, False)
+        assert neighbours[0, :2] == pytest.approx((s, 7.0), abs=1e-6)
+        assert outlines[0, :6] == pytest.approx((x, y, heading, 2.5, 1.0, -speed))
+    assert outlines[0, 6] == pytest.approx(2.0)
+    seen = signals_of(others, 0.0, 0.0, 300.0, 0.0, LANES)
     assert (seen["gap"], seen["left_gap"]) == (1000, 1000)  # it is beside the lanes
 
 
@@ -231,6 +303,47 @@ def test_own_state_and_road_are_observed() -> None:
     }  # fmt: skip
     assert {name: signals[name] for name in expected} == pytest.approx(expected)
     assert observed([], 100.0)["curvature_2s"] == pytest.approx(0.004 * 140 / 200)
+
+
+def corners(x: float, y: float, heading: float, half_length: float, half_width: float) -> np.ndarray:
+    signs = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)])
+    along, across = signs[:, 0] * half_length, signs[:, 1] * half_width
+    return np.column_stack(
+        [x + along * math.cos(heading) - across * math.sin(heading), y + along * math.sin(heading) + across * math.cos(heading)]
+    )
+
+
+def overlap_by_sampling(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    """Does any of a dense set of points of one rectangle, its border included, lie in the other?"""
+    a, b, _, d = corners(*one)
+    u, v = np.meshgrid(np.linspace(0, 1, 60), np.linspace(0, 1, 60))
+    points = a + u[..., None] * (b - a) + v[..., None] * (d - a)
+    x, y, heading, half_length, half_width = other
+    along = (points[..., 0] - x) * math.cos(heading) + (points[..., 1] - y) * math.sin(heading)
+    across = (points[..., 1] - y) * math.cos(heading) - (points[..., 0] - x) * math.sin(heading)
+    return bool(((abs(along) <= half_length) & (abs(across) <= half_width)).any())
+
+
+@settings(max_examples=examples(300), deadline=None)
+@given(
+    st.floats(-8, 8),
+    st.floats(-5, 5),
+    st.floats(-math.pi, math.pi),
+    st.floats(1.5, 6.0),
+    st.floats(0.7, 1.3),
+    st.floats(-math.pi, math.pi),
+)
+def test_rectangles_hit_where_points_of_one_lie_in_the_other(
+    x: float, y: float, heading: float, half_length: float, half_width: float, ego_heading: float
+) -> None:
+    ego = (0.0, 0.0, ego_heading, 2.4, 0.9)
+    shrunk, grown = ((x, y, heading, half_length + by, half_width + by) for by in (-0.15, 0.15))
+    pose = np.array([0.0, 0.0, ego_heading, 0.0, 0.0, 0.0, 0.0, 0.0])
+    is_hit = hit(np.array([(x, y, heading, half_length, half_width)]), pose, np.array([2.4, 0.9])) >= 0
+    if overlap_by_sampling(shrunk, ego):
+        assert is_hit
+    if not overlap_by_sampling(grown, ego) and not overlap_by_sampling(ego, grown):
+        assert not is_hit
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from drivecal.highway.drive.plants import Plant, PlantError, UserVehicleModel
+from drivecal.highway.vehicle.kernels import STEERING
 from drivecal.highway.vehicle.parameters import TABLE_8, SingleTrackParameters
 
 PARAMETERS = SingleTrackParameters.of({entry.name: entry.nominal for entry in TABLE_8})
+
+NO_PATH = np.zeros((2, 7))
 
 
 class Circle(Plant):
@@ -36,7 +39,7 @@ def test_a_heading_may_jump_by_a_whole_turn() -> None:
         vehicle.begin({})
         vehicle.start(0.0, 0.0, 3.1, 2.0)
         dynamics = np.zeros((400, 5))
-        assert vehicle.step(0.0, 0.0, dynamics)
+        assert vehicle.drive(STEERING, 0.0, 0.0, NO_PATH, 0.0, dynamics)
         driven.append(dynamics)
     assert driven[0][:, 3] == pytest.approx(2.0)
     np.testing.assert_allclose(driven[1], driven[0], atol=1e-9)
@@ -67,7 +70,7 @@ def begun(*state: float) -> UserVehicleModel:
 @pytest.mark.parametrize("state", [(0.2, 0.0, 0.0, 20.0), (0.0, 0.9, math.tau - 0.1, 20.9), (0.9, -0.4, -0.1, 19.0)])
 def test_a_state_that_follows_from_the_start_is_taken(state: tuple[float, ...]) -> None:
     vehicle = begun(*state)
-    vehicle.step(0.0, 0.0, np.zeros((1, 5)))
+    vehicle.drive(STEERING, 0.0, 0.0, NO_PATH, 0.0, np.zeros((1, 5)))
     assert vehicle.pose.item(3) == state[3]
     assert math.hypot(*(vehicle.pose[:2] - (100.0, -50.0))) == pytest.approx(math.hypot(*state[:2]))
 
@@ -80,5 +83,5 @@ def test_a_vehicle_that_starts_by_itself_is_refused_in_every_run(state: tuple[fl
     vehicle = begun(*state)
     for _ in range(2):
         with pytest.raises(PlantError, match="speed = 20 "):
-            vehicle.step(0.0, 0.0, np.zeros((1, 5)))
+            vehicle.drive(STEERING, 0.0, 0.0, NO_PATH, 0.0, np.zeros((1, 5)))
         vehicle.start(100.0, -50.0, 1.0, 20.0)

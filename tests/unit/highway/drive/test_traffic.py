@@ -14,7 +14,7 @@ from drivecal.bundles.highway import HighwayScenario
 from drivecal.domain.errors import InvalidInputError
 from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
-from drivecal.highway.drive.road import HighwayRoad
+from drivecal.highway.drive.road import HighwayRoad, LanePlace, SumoLanes
 from drivecal.highway.drive.traffic import CHECKED_STEPS, Traffic
 from drivecal.highway.sumo import EGO, GET_POSITION, GET_SPEED, lane
 from drivecal.roads.conversion import converted
@@ -30,18 +30,19 @@ class Drive:
     def __init__(self, network: Path, route: Sequence[str], folder: Path, lane: tuple[str, int]) -> None:
         self.road, self._traffic = traffic(network, route, folder)
         self._traffic.reset()
-        self.front = np.zeros(3)
+        self._traffic.motion[geometry.SIZE : geometry.SIZE + 2] = SIZE
+        self.front = self._traffic.motion[geometry.FRONT : geometry.FRONT + 3]
         self.lanes = [[(piece.edge, piece.index) for piece in track.lanes] for track in self.road.corridor.tracks]
         self._track = next(number for number, lanes in enumerate(self.lanes) if lane in lanes)
 
     def steps(self, first: int, count: int, begin: float) -> Iterator[float]:
         """Yields s of the front after each step, from `begin` on."""
-        line, lanes, motion = self.road.line, self.road.lanes, np.zeros(9)
+        line, lanes, motion = self.road.line, self.road.lanes, self._traffic.motion
         for index in range(first, first + count):
             s = begin + (index - first) * SPEED * STEP - SIZE[0]
             pose = np.array([*self.road.start(s, float(lanes[int(s / line[1, 0]), self._track, 0])), SPEED, 0, 0, 0, 0])
-            assert geometry.place(line, lanes, pose, s, SIZE, motion, self.front)
-            assert self._traffic.advance(index, motion, self.front, SPEED)
+            assert geometry.place(line, lanes, pose, s, motion)
+            assert self._traffic.advance(index)
             yield s + SIZE[0]
 
 
@@ -115,3 +116,15 @@ def test_sumo_s_cars_have_the_scenario_s_limit_where_the_file_has_none(tmp_path:
     for _ in range(2):
         drive.reset()
         assert {lane.getMaxSpeed(name) for name in lane.getIDList()} == {36.0}
+
+
+def test_a_front_beyond_the_end_of_its_edge_stays_on_the_track() -> None:
+    road = corridor(read_network(entrance(), "road.net.xml"), ["before", "beside", "after"], "road.net.xml")
+    lanes = SumoLanes(road, road.stations)
+    end = float(road.places["before", 0][-1, 0])
+    edge, lane, position = lanes.ahead("before", 0, end + 30.0)
+    assert (edge, lane) == ("beside", 1)  # lane 0 of this edge is that of the ramp
+    assert 0.0 < position < 30.0
+    assert lanes.ahead("before", 1, end - 4.0)[:2] == ("before", 1)
+    assert lanes.ahead("before", 1, end - 4.0).position == pytest.approx(end - 4.0)
+    assert lanes.ahead("ramp", 0, 1000.0) == LanePlace("ramp", 0, 1000.0)

@@ -41,16 +41,22 @@ def traffic(road: HighwayRoad, folder: Path, flow: dict[str, Any] = FLOW, warm_u
     return Traffic("s", HighwayScenario.model_validate(given), NETWORK, road, STEP, folder)
 
 
+def said(subject: Traffic) -> Floats:
+    """What SUMO says of the other vehicles."""
+    return subject.outlines[:, geometry.SAID :].copy()
+
+
 def driven(subject: Traffic, road: HighwayRoad, steps: int = 15) -> list[tuple[list[str], Floats]]:
     """Names and places of the others at time 0 and after each step of a drive along the right lane."""
     subject.reset()
-    rows, motion, front, size = [(subject.names, subject.raw.copy())], np.zeros(9), np.zeros(3), np.array([2.35, 0.95])
+    rows = [(subject.names, said(subject))]
+    subject.motion[geometry.SIZE : geometry.SIZE + 2] = 2.35, 0.95
     for index in range(1, steps + 1):
         s = START + index * SPEED * STEP
         pose = np.array([*road.start(s, subject.start_d), SPEED, 0, 0, 0, 0])
-        geometry.place(road.line, road.lanes, pose, s, size, motion, front)
-        assert subject.advance(index, motion, front, SPEED)
-        rows.append((subject.names, subject.raw.copy()))
+        geometry.place(road.line, road.lanes, pose, s, subject.motion)
+        assert subject.advance(index)
+        rows.append((subject.names, said(subject)))
     return rows
 
 
@@ -66,7 +72,7 @@ def test_a_flow_far_behind_has_reached_the_ego_vehicle_at_time_0(road: HighwayRo
     subject.reset()
     assert len(subject.names) > 30
     assert {*subject.names, "ego"} == set(sumo.vehicle.getIDList())
-    assert subject.others[:, 0].min() < 100.0 < START + 100.0 < subject.others[:, 0].max()
+    assert subject.neighbours[:, 0].min() < 100.0 < START + 100.0 < subject.neighbours[:, 0].max()
     assert sumo.vehicle.getLanePosition("ego") > 0.0
 
 
@@ -120,7 +126,7 @@ def test_the_ego_vehicle_and_placed_ones_have_room_at_time_0(road: HighwayRoad, 
     assert len(subject.names) > 30
     pose, size = np.array([*road.start(START, subject.start_d)]), np.array([2.35, 0.95])
     assert hit(subject.outlines, pose, size) < 0
-    s = subject.others[1:, 0]
+    s = subject.neighbours[1:, 0]
     behind, ahead = START - s[s < START], s[s > START + 60] - START - 60
     assert behind.min() > STANDING_GAP + HEADWAY * 20 + 4.7
     assert ahead.min() > STANDING_GAP + HEADWAY * SPEED + 5**2 / (2 * BRAKING) + 4.7
@@ -173,14 +179,14 @@ def test_vehicles_without_room_for_one_that_starts_are_removed(
     s: float, d: float, speed: float, sideways: float, is_removed: bool
 ) -> None:
     ego = np.array([100.0, 0.0, 30.0, 0.0, 5.0, 2.0])
-    others = np.array([[1000.0, 0.0, 30.0, 0.0, 5.0, 2.0], [s, d, speed, 0.0, 5.0, 2.0]])
-    outlines = np.array([[x, y, 0.0, 2.5, 1.0, speed] for x, y in others[:, :2]])
+    neighbours = np.array([[1000.0, 0.0, 30.0, 0.0, 5.0, 2.0], [s, d, speed, 0.0, 5.0, 2.0]])
+    outlines = np.array([[x, y, 0.0, 2.5, 1.0, speed] for x, y in neighbours[:, :2]])
     outline = np.array([100.0, 0.0, 0.0, 2.5, 1.0, 30.0])
-    assert too_close(others, outlines, 1, ego, outline, [0.0, sideways]) == ([1] if is_removed else [])
+    assert too_close(neighbours, outlines, 1, ego, outline, [0.0, sideways]) == ([1] if is_removed else [])
 
 
 def test_a_vehicle_that_crosses_the_place_of_one_that_starts_is_removed() -> None:
     ego, outline = np.array([100.0, 0.0, 0.0, 0.0, 5.0, 2.0]), np.array([100.0, 0.0, 0.0, 2.5, 1.0, 0.0])
-    others = np.array([[101.0, 4.0, 0.0, 0.0, 12.0, 2.0]])
+    neighbours = np.array([[101.0, 4.0, 0.0, 0.0, 12.0, 2.0]])
     outlines = np.array([[101.0, 4.0, np.pi / 2, 6.0, 1.0, 8.0]])
-    assert too_close(others, outlines, 0, ego, outline, [0.0]) == [0]
+    assert too_close(neighbours, outlines, 0, ego, outline, [0.0]) == [0]

@@ -21,7 +21,9 @@ def lowered(
     road = np.zeros((ROWS, 10))
     road[:, 0] = np.arange(ROWS) * SPACING
     others = np.array(neighbours).reshape(-1, 6)
-    follow(road, wanted, SCENE, EGO, others, np.array(accelerations or [0.0] * len(others)))
+    outlines = np.zeros((len(others), 7))
+    outlines[:, 6] = accelerations or 0.0
+    follow(road, wanted, SCENE, EGO, others, outlines, True)
     return road[:, 5], road[:, 9]
 
 

@@ -3,7 +3,7 @@
 Conditions are evaluated once per step of the traffic.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from math import ceil, copysign, hypot, inf, isnan, sqrt
 from typing import NamedTuple
@@ -11,7 +11,6 @@ from typing import NamedTuple
 from drivecal.bundles.highway import TrafficEntry
 from drivecal.bundles.highway_actions import EGO, Action, Brake, Condition, CutIn, Drift, Trigger, Wait
 from drivecal.domain.errors import DrivecalError
-from drivecal.domain.roads import Floats
 from drivecal.highway import sumo
 from drivecal.highway.sumo import FREE, FREE_BUT_SAFE, MODEL
 
@@ -242,16 +241,13 @@ class Actions:
         """Some action is still to be done."""
         return bool(self._waiting or self._late or self._speeding or self._shifts)
 
-    def act(self, time: float, step: float, names: Sequence[str], others: Floats, ego: EgoPlace, length: float) -> None:
-        """Begins and continues actions for the step from `time` on. `others` and `ego` belong to that time; `length`: the ego vehicle's.
+    def act(self, time: float, step: float, vehicles: Mapping[str, Moving], ego: EgoPlace, length: float) -> None:
+        """Begins and continues actions for the step from `time` on. `vehicles` and `ego` belong to that time; `length`: the ego vehicle's.
 
         Vehicles that have left the network do nothing. Vehicles that are due to cut in inside of a junction do so behind it, on the edge
         whose lanes the scenario numbers.
         """
-        vehicles = {
-            name: Moving(row[0], row[1], row[2], 0.5 * row[4]) for name, row in zip(names, others.tolist(), strict=True)
-        }
-        moment = Moment(time, vehicles | {EGO: Moving(ego.s, ego.d, ego.speed, 0.5 * length)}, ego.stretch, self._stretch)
+        moment = Moment(time, {**vehicles, EGO: Moving(ego.s, ego.d, ego.speed, 0.5 * length)}, ego.stretch, self._stretch)
         self._events.follow(moment.vehicles, step)
         waiting: list[tuple[str, Action, Watch | None]] = []
         due: list[tuple[str, Action]] = [*self._late]

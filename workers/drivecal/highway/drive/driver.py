@@ -22,6 +22,7 @@ from drivecal.plugins import setups
 
 if TYPE_CHECKING:
     from drivecal.contracts.evaluation import ReplayAnswer
+    from drivecal.highway.drive.control import Control
 
 LONGEST_ID = 100
 """Bytes in an answer's line for its id."""
@@ -37,7 +38,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
         )
     from drivecal.bundles.highway import HighwaySimulator, PlannerController, UserVehicleEntry, VehicleValues
     from drivecal.bundles.traffic.description import described_in
-    from drivecal.highway.drive.controllers import Checked, controller
+    from drivecal.highway.drive.controllers import controller
     from drivecal.highway.drive.loop import Loop
     from drivecal.highway.drive.measures import measures, series
     from drivecal.highway.drive.plants import UserVehicleModel, plant_of
@@ -45,7 +46,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.highway.drive.replay import DriveRecorder, neighbouring
     from drivecal.highway.drive.road import HighwayRoad
     from drivecal.highway.drive.traffic import Traffic
-    from drivecal.highway.drive.trajectories import ControllerTrajectories, PlannerTrajectories, TrajectorySource
+    from drivecal.highway.drive.trajectories import PlannerTrajectories, control_of
     from drivecal.highway.vehicle.model import SingleTrackModel
     from drivecal.highway.vehicle.parameters import TABLE_8, SingleTrackParameters
     from drivecal.roads.corridor import corridor, other_levels
@@ -67,33 +68,30 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     traffic = Traffic(name, scenario, network, road, simulator.step, scratch, description.routes)
     vehicle = SingleTrackModel(parameters, parameters)
     if not isinstance(simulator.controller, PlannerController) or isinstance(simulator.vehicle, UserVehicleEntry):
-        rehearse(name, simulator, scenario, road, traffic, vehicle)
+        rehearse(simulator, traffic, vehicle)
         if settings["changeable"] is not None:
             hold(settings["changeable"], scratch)
         os.chdir(settings["work"])
     print("the controller starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
     section = simulator.controller.model_dump(mode="json", exclude_none=True)
     if isinstance(simulator.controller, PlannerController):
-        control: Checked | TrajectorySource = PlannerTrajectories(
-            simulator.controller, scenario, road, (traffic.start_s, traffic.start_d)
-        )
+        control: Control = PlannerTrajectories(simulator.controller, scenario, road, (traffic.start_s, traffic.start_d))
     else:
         work, units = Path(settings["work"]), settings["parameters"]
-        control = controller(section, folder, work, scratch, settings["data"], simulator.step, units)
-        if simulator.controller.output == ["trajectory"]:
-            control = ControllerTrajectories(control, road, section.get("period", simulator.step))
+        checked = controller(section, folder, work, scratch, settings["data"], simulator.step, units)
+        control = control_of(checked, simulator.controller.output, road, section.get("period", simulator.step))
     if isinstance(simulator.vehicle, UserVehicleEntry):
         print("the vehicle starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
         entry = simulator.vehicle.model_dump(mode="json", exclude_none=True)
         plant = plant_of(entry, folder, Path(settings["work"]), scratch, settings["data"], settings["parameters"])
         vehicle = UserVehicleModel(plant, simulator.vehicle.state, parameters)
-    loop = Loop(name, simulator, scenario, road, traffic, vehicle, control)
+    loop = Loop(traffic, vehicle, control)
     loop.prepare()
 
     def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:
         recorder = DriveRecorder(simulator.step) if "series" in request else None
         outcome = loop.run(request["parameters"], watch=recorder)
-        values = measures(outcome.record)
+        values = measures(outcome.record, parameters.mass)
         answer: dict[str, Any] = {"measures": {measure: values[measure] for measure in settings["measures"]}}
         if outcome.failure is not None:
             answer["failure"] = outcome.failure

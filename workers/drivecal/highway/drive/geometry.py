@@ -1,12 +1,13 @@
-"""Compiled geometry of a run: where vehicles are on the corridor, what the ego vehicle observes, the path it keeps, collisions.
+"""Compiled geometry of a run: where vehicles are on the road, what the ego vehicle observes, the path it keeps, collisions.
 
 Arrays:
 
-`line`, shape (n, 7): the corridor's reference line, as from `with_directions`. `lanes`, shape (n, m, 5): centre, width, limit and slope of
+`line`, shape (n, 7): the road's reference line, as from `with_directions`. `lanes`, shape (n, m, 5): centre, width, limit and slope of
 the centre of each of m tracks at these rows, NaN if the track does not exist, and the position along its lanes as SUMO counts. `pose`: as
-from `highway.vehicle`. `motion`, shape (9,): see `place`. `others`, shape (k, 6): s and d of other vehicles' centres, NaN on other levels,
-their speed (along their own way, as the ego vehicle's) and acceleration, both negative against the route, length and width. `outlines`,
-shape (k, 6): their x, y, heading, half length, half width, and speed.
+from `highway.vehicle`. `motion`, shape (MOTION,): the ego vehicle's place, see `place`. `neighbours`, shape (k, 6): s, d, s', d', length
+and width of other vehicles, s and d of their centres, NaN on other levels. `outlines`, shape (k, OUTLINED): their x, y, heading, half
+length, half width, speed and acceleration, both along their own way and negative against the route, and what SUMO says of them, see
+`locate`.
 """
 
 from math import atan, cos, inf, isnan, nan, pi, sin
@@ -16,7 +17,7 @@ import numpy as np
 from drivecal.domain.roads import Floats
 from drivecal.highway import geometry as shared
 from drivecal.highway.compilation import compiled_with
-from drivecal.highway.geometry import foot, hit, point, swept
+from drivecal.highway.geometry import foot, frenet_motion, hit, point, swept
 
 _OF_LANE = ("gap", "leader_speed", "leader_acceleration", "rear_gap", "follower_speed", "follower_acceleration")
 NAMES: tuple[str, ...] = (
@@ -70,8 +71,6 @@ FARTHEST = 25.0
 """Distance (m) from the line beyond which the foot point is searched again: the vehicle drives elsewhere, or the iteration went astray."""
 OVERLAP = 0.3
 """A vehicle is in each lane into which it reaches by more than this (m)."""
-VERGE = 0.5
-"""Distance (m) beyond a road's lanes at which a vehicle is off it."""
 GORE = 4.0
 """Largest distance (m) between two lanes of one road, between which another one may open. Ramps farther apart are roads of their own."""
 FAR = 1000.0
@@ -82,9 +81,13 @@ OF_LEADER = OWN + 3 * BESIDE - 1
 """First of the two signals that follow from the leader's in the own lane."""
 SIGNALS = OF_LEADER + 2
 RECORDED = 17
-"""Columns of a record, see `record`."""
+"""Columns of a record, see `record`, before the six of `motion`'s Frenet motion."""
 S, D, TRACK, OFFSET, HEADING_ERROR, STRETCH, LIMIT, WIDTH, ALONG = range(9)
-"""Entries of `motion`."""
+FRENET, FRONT, OWN_SPEED, STEERING, SIZE, EDGE, STEP, KEEPS_LANES, ROW, MOTION = 9, 15, 18, 19, 20, 22, 23, 24, 25, 26
+"""Further entries of `motion`, and their number: see `place` and `settle`."""
+SAID = 7
+"""First of the columns of `outlines` that hold what SUMO says: see `locate`."""
+OUTLINED = SAID + 4
 
 
 @compiled
@@ -162,122 +165,142 @@ def _borders(lanes: Floats, row: int, share: float, track: int) -> tuple[float, 
 
 
 @compiled
-def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, motion: Floats, front: Floats) -> bool:
-    """Writes the ego vehicle's place in the corridor and SUMO's position of it; returns whether it is on the road.
+def place(line: Floats, lanes: Floats, pose: Floats, near: float, motion: Floats) -> bool:
+    """Writes the ego vehicle's place on the road and SUMO's position of it; returns whether it is on the road.
 
     `motion`: s, d, track, offset from its centre, heading error, metres of the lane per metre of s, limit and width of the lane, and the
-    position of the vehicle's front along the track's lanes as SUMO counts. `front`: SUMO's position, i.e. x and y of the front and the
-    angle in degrees clockwise from north, shape (3,). `size`: half length, half width.
+    position of the vehicle's front along the track's lanes as SUMO counts. From FRENET: s, s', s'', d, d', d''. From FRONT: SUMO's
+    position, i.e. x and y of the front and the angle in degrees clockwise from north. OWN_SPEED: speed. Given are STEERING, the steering
+    angle, and from SIZE half length, half width, and the distance beyond the road's lanes at which a vehicle is off it.
     """
-    s, d, heading, _, _, curvature, _ = foot(line, pose[0], pose[1], near)
+    s, s_dot, s_dot_dot, d, d_dot, d_dot_dot, yaw, stretch = frenet_motion(line, pose, near)
+    motion[9], motion[10], motion[11], motion[12], motion[13], motion[14] = s, s_dot, s_dot_dot, d, d_dot, d_dot_dot
     row, share = _row(line, s)
     track = track_at(line, lanes, s, d)
     motion[S], motion[D], motion[TRACK] = s, d, track
-    front[0] = pose[0] + size[0] * cos(pose[2])
-    front[1] = pose[1] + size[0] * sin(pose[2])
-    front[2] = 90.0 - pose[2] * (180.0 / pi)
+    half, motion[OWN_SPEED] = motion[SIZE], pose[3]
+    motion[FRONT] = pose[0] + half * cos(pose[2])
+    motion[FRONT + 1] = pose[1] + half * sin(pose[2])
+    motion[FRONT + 2] = 90.0 - pose[2] * (180.0 / pi)
     if track < 0:
         return False
-    stretch = 1.0 - curvature * d
-    slope = atan(_lane(lanes, row, share, track, 3) / stretch)
-    yaw = pose[2] - heading
+    slope = _lane(lanes, row, share, track, 3)
+    if slope != 0.0:
+        slope = atan(slope / stretch)
     yaw -= 2.0 * pi * np.floor((yaw + pi) / (2.0 * pi))
     motion[OFFSET] = d - _lane(lanes, row, share, track, 0)
     motion[HEADING_ERROR], motion[STRETCH] = yaw - slope, stretch
     motion[LIMIT], motion[WIDTH] = _lane(lanes, row, 0.0, track, 2), _lane(lanes, row, 0.0, track, 1)
-    row_ahead, share_ahead = _row(line, s + size[0] / stretch)
+    row_ahead, share_ahead = _row(line, s + half / stretch)
     motion[ALONG] = _lane(lanes, row_ahead, share_ahead, track, 4)
     right, left = _borders(lanes, row, share, track)
-    reach = size[0] * abs(sin(yaw)) + size[1] * abs(cos(yaw))
-    return bool(0.0 <= s <= line[-1, 0] and d - reach >= right - VERGE and d + reach <= left + VERGE)
+    reach = half * abs(sin(yaw)) + motion[SIZE + 1] * abs(cos(yaw))
+    return bool(0.0 <= s <= line[-1, 0] and d - reach >= right - motion[EDGE] and d + reach <= left + motion[EDGE])
 
 
 @compiled
-def locate(line: Floats, raw: Floats, others: Floats, outlines: Floats, step: float) -> None:
-    """Updates `others` and `outlines` in place from SUMO's raw values: x and y of each vehicle's front, speed and heading, shape (k, 4).
+def _s_at(line: Floats, lanes: Floats, track: int, place: float, near: float) -> float:
+    """Returns s at a position along a track as SUMO counts, searched from s = `near`."""
+    last = len(line) - 2
+    row = min(max(int(near / line[1, 0]), 0), last)
+    while row < last and lanes[row + 1, track, 4] <= place:
+        row += 1
+    while row > 0 and lanes[row, track, 4] > place:
+        row -= 1
+    way = lanes[row + 1, track, 4] - lanes[row, track, 4]
+    s: float = line[row, 0] + (line[1, 0] * (place - lanes[row, track, 4]) / way if way > 0.0 else 0.0)
+    return s
 
-    `step`: seconds since the last update; 0 means that there was none, so that foot points are searched and accelerations are 0. A vehicle
-    on another level has x = NaN, and no place. A vehicle that keeps to the route has the heading NaN: the line's, which has no corners.
+
+@compiled
+def locate(
+    line: Floats, lanes: Floats, neighbours: Floats, outlines: Floats, step: float,
+    keeps_lanes: bool,  # noqa: FBT001  # kernels take arguments by position
+) -> None:  # fmt: skip
+    """Updates `neighbours` and `outlines` in place from what SUMO says.
+
+    The columns of `outlines` from SAID hold, if the vehicles keep their lanes, each vehicle's position along its track a step ago, which
+    is moved on by its speed, its offset from the track's centre now, its speed, and the track. Else x and y of its front, its speed, and
+    its heading. A vehicle on another level has x = NaN, and no place. A vehicle that keeps to the route has the heading NaN: the line's,
+    which has no corners.
+
+    `step`: seconds since the last update; 0 means that there was none, so that foot points are searched and rates are 0.
     """
-    for i in range(len(raw)):
-        half = 0.5 * others[i, 4]
-        x, y, speed, heading = raw[i, 0], raw[i, 1], raw[i, 2], raw[i, 3]
-        others[i, 3] = (speed - outlines[i, 5]) / step if step > 0.0 else 0.0
-        if isnan(x):
-            others[i, 0] = others[i, 1] = outlines[i, 0] = outlines[i, 1] = nan
-            others[i, 2] = outlines[i, 5] = speed
-            continue
-        near = others[i, 0] + others[i, 2] * step
-        strays = not isnan(heading)
-        if strays:
-            x -= half * cos(heading)
-            y -= half * sin(heading)
+    for i in range(len(neighbours)):
+        half, speed = 0.5 * neighbours[i, 4], outlines[i, SAID + 2]
+        change = (speed - abs(outlines[i, 5])) / step if step > 0.0 else 0.0
+        near = neighbours[i, 0] + half + neighbours[i, 2] * step
+        if keeps_lanes:
+            track = int(outlines[i, SAID + 3])
+            outlines[i, SAID] += speed * step
+            front = _s_at(line, lanes, track, outlines[i, SAID], near)
+            row, share = _row(line, front)
+            d = _lane(lanes, row, share, track, 0) + outlines[i, SAID + 1]
+            stretch = 1.0 - point(line, front)[3] * d
+            s = front - half / stretch
+            x, y, heading, _, _ = point(line, s)
+            outlines[i, 0], outlines[i, 1] = x - d * sin(heading), y + d * cos(heading)
+            slope = _lane(lanes, row, share, track, 3)
+            if slope != 0.0:
+                heading += atan(slope / stretch)
         else:
-            near = others[i, 0] + half + others[i, 2] * step
-        if step > 0.0 and not isnan(others[i, 0]):
-            s, d, course, curvature = searched(line, x, y, near)
-        else:
-            s, d, course, _, _, curvature, _ = foot(line, x, y, nearest(line, x, y))
-        if strays:
-            others[i, 0] = s
-            if cos(heading - course) < 0.0:
-                speed = -speed
-                others[i, 3] = -others[i, 3]
-        else:
+            x, y, heading = outlines[i, SAID], outlines[i, SAID + 1], outlines[i, SAID + 3]
+            if isnan(x):
+                neighbours[i, 0] = neighbours[i, 1] = outlines[i, 0] = outlines[i, 1] = nan
+                neighbours[i, 2], neighbours[i, 3] = speed, 0.0
+                outlines[i, 5], outlines[i, 6] = speed, change
+                continue
+            strays = not isnan(heading)
+            if strays:
+                near -= half
+                x -= half * cos(heading)
+                y -= half * sin(heading)
+            if step > 0.0 and not isnan(neighbours[i, 0]):
+                s, d, course, curvature = searched(line, x, y, near)
+            else:
+                s, d, course, _, _, curvature, _ = foot(line, x, y, nearest(line, x, y))
             stretch = max(1.0 - curvature * d, 0.1)
-            heading = course - half * curvature / stretch
-            x -= half * cos(heading)
-            y -= half * sin(heading)
-            others[i, 0] = s - half / stretch
-        others[i, 1] = d
-        others[i, 2] = speed
-        outlines[i, 0] = x
-        outlines[i, 1] = y
-        outlines[i, 2] = heading
-        outlines[i, 3] = half
-        outlines[i, 4] = 0.5 * others[i, 5]
-        outlines[i, 5] = raw[i, 2]
+            if strays:
+                if cos(heading - course) < 0.0:
+                    speed, change = -speed, -change
+            else:
+                heading = course - half * curvature / stretch
+                x -= half * cos(heading)
+                y -= half * sin(heading)
+                s -= half / stretch
+            outlines[i, 0], outlines[i, 1] = x, y
+        neighbours[i, 3] = (d - neighbours[i, 1]) / step if step > 0.0 and not isnan(neighbours[i, 1]) else 0.0
+        neighbours[i, 0], neighbours[i, 1], neighbours[i, 2] = s, d, speed / stretch
+        outlines[i, 2], outlines[i, 3], outlines[i, 4] = heading, half, 0.5 * neighbours[i, 5]
+        outlines[i, 5], outlines[i, 6] = speed, change
 
 
 @compiled
-def _neighbours(
-    line: Floats,
-    lanes: Floats,
-    others: Floats,
-    track: int,
-    motion: Floats,
-    half: float,
-    speed: float,
-    lead: float,
+def _seen(
+    line: Floats, lanes: Floats, neighbours: Floats, outlines: Floats, track: int, motion: Floats, speed: float, lead: float,
     seen: Floats,
-) -> None:
+) -> None:  # fmt: skip
     """Writes gap, speed and acceleration of the leader and of the follower in a track to `seen`, shape (6,).
 
-    `lead`: seconds since `others` were read, for which they are moved on. A vehicle against the route is no follower.
+    `lead`: seconds since the other vehicles were read, for which they are moved on. A vehicle against the route is no follower.
     """
     seen[0], seen[1], seen[2] = FAR, speed, 0.0
     seen[3], seen[4], seen[5] = FAR, speed, 0.0
     if track < 0:
         return
-    for i in range(len(others)):
-        s = others[i, 0]
-        if isnan(s):
-            continue
-        if lead > 0.0:
-            s += others[i, 2] * lead / max(1.0 - point(line, s)[3] * others[i, 1], 0.1)
-        if not 0.0 <= s <= line[-1, 0]:
-            continue
-        row, share = _row(line, s)
-        reach = 0.5 * (_lane(lanes, row, 0.0, track, 1) + others[i, 5]) - OVERLAP
-        if not abs(others[i, 1] - _lane(lanes, row, share, track, 0)) < reach:
+    for i in range(len(neighbours)):
+        s = neighbours[i, 0] + neighbours[i, 2] * lead
+        if not 0.0 <= s <= line[-1, 0]:  # NaN, too
             continue
         ahead = (s - motion[S]) * motion[STRETCH]
-        if ahead < 0.0 and others[i, 2] < 0.0:
-            continue
-        gap = abs(ahead) - half - 0.5 * others[i, 4]
+        gap = abs(ahead) - motion[SIZE] - 0.5 * neighbours[i, 4]
         first = 0 if ahead >= 0.0 else 3
-        if gap < seen[first]:
-            seen[first], seen[first + 1], seen[first + 2] = gap, others[i, 2], others[i, 3]
+        if gap >= seen[first] or (ahead < 0.0 and outlines[i, 5] < 0.0):
+            continue
+        row, share = _row(line, s)
+        reach = 0.5 * (_lane(lanes, row, 0.0, track, 1) + neighbours[i, 5]) - OVERLAP
+        if abs(neighbours[i, 1] - _lane(lanes, row, share, track, 0)) < reach:
+            seen[first], seen[first + 1], seen[first + 2] = gap, outlines[i, 5], outlines[i, 6]
 
 
 @compiled
@@ -294,16 +317,16 @@ def _curvature(line: Floats, lanes: Floats, track: int, s: float) -> float:
 
 @compiled
 def observe(
-    line: Floats, lanes: Floats, ends: Floats, others: Floats, motion: Floats, pose: Floats, steering: float, half: float,
-    time: float, lead: float, signals: Floats,
+    line: Floats, lanes: Floats, ends: Floats, neighbours: Floats, outlines: Floats, motion: Floats, pose: Floats, time: float,
+    lead: float, signals: Floats,
 ) -> None:  # fmt: skip
     """Writes the ego vehicle's observation. The order of `signals`, shape (SIGNALS,), is that of `NAMES`.
 
-    `ends`: s at which each track ends, shape (m,); `half`: half the vehicle's length; `lead`: as in `_neighbours`.
+    `ends`: s at which each track ends, shape (m,); `lead`: as in `_seen`.
     """
     s, speed, track = motion[S], pose[3], int(motion[TRACK])
     signals[0], signals[1], signals[2], signals[3] = time, speed, pose[6], pose[7]
-    signals[4], signals[5], signals[6] = pose[5], pose[4], steering
+    signals[4], signals[5], signals[6] = pose[5], pose[4], motion[STEERING]
     signals[7], signals[8], signals[9], signals[10] = s, motion[TRACK], motion[OFFSET], motion[HEADING_ERROR]
     signals[11] = motion[WIDTH]
     signals[12], signals[13] = min((ends[track] - s) * motion[STRETCH], FAR), line[-1, 0] - s
@@ -325,11 +348,11 @@ def observe(
             left, above = other, centre
         if own - 0.5 > centre > max(below, own - reach):
             right, below = other, centre
-    _neighbours(line, lanes, others, track, motion, half, speed, lead, signals[OWN : OWN + 6])
+    _seen(line, lanes, neighbours, outlines, track, motion, speed, lead, signals[OWN : OWN + 6])
     first = OWN + 6
     for side in (left, right):
         signals[first] = 0.0 if side < 0 else 1.0
-        _neighbours(line, lanes, others, side, motion, half, speed, lead, signals[first + 1 : first + BESIDE])
+        _seen(line, lanes, neighbours, outlines, side, motion, speed, lead, signals[first + 1 : first + BESIDE])
         first += BESIDE
     signals[OF_LEADER] = 1.0 if signals[OWN] < FAR else 0.0
     signals[OF_LEADER + 1] = signals[OWN + 1] - speed
@@ -337,40 +360,38 @@ def observe(
 
 @compiled
 def record(
-    line: Floats,
-    lanes: Floats,
-    others: Floats,
-    motion: Floats,
-    pose: Floats,
-    steering: float,
-    half: float,
-    time: float,
-    lead: float,
+    line: Floats, lanes: Floats, neighbours: Floats, outlines: Floats, motion: Floats, pose: Floats, time: float, lead: float,
     row: Floats,
-) -> None:
-    """Writes a row of the run's record, shape (RECORDED,), in the order of `drivecal.highway.drive.measures.COLUMNS`.
+) -> None:  # fmt: skip
+    """Writes a row of the run's record, shape (RECORDED + 6,), in the order of `drivecal.highway.drive.measures.COLUMNS`.
 
-    `lead`: as in `_neighbours`.
+    `lead`: as in `_seen`.
     """
     row[0], row[1], row[2], row[3] = time, pose[0], pose[1], pose[2]
     row[4], row[5], row[6] = motion[S], motion[OFFSET], motion[TRACK]
-    row[7], row[8], row[9], row[10], row[11] = pose[3], pose[6], pose[7], steering, motion[LIMIT]
+    row[7], row[8], row[9], row[10], row[11] = pose[3], pose[6], pose[7], motion[STEERING], motion[LIMIT]
     seen = np.empty(6)
-    _neighbours(line, lanes, others, int(motion[TRACK]), motion, half, pose[3], lead, seen)
+    _seen(line, lanes, neighbours, outlines, int(motion[TRACK]), motion, pose[3], lead, seen)
     row[12], row[13], row[14], row[15], row[16] = seen[0], seen[1], seen[3], seen[4], motion[WIDTH]
+    for column in range(6):
+        row[RECORDED + column] = motion[FRENET + column]
 
 
 @compiled
 def settle(
-    line: Floats, lanes: Floats, raw: Floats, others: Floats, outlines: Floats, step: float, motion: Floats, pose: Floats,
-    steering: float, size: Floats, time: float, last: Floats, row: Floats,
+    line: Floats, lanes: Floats, neighbours: Floats, outlines: Floats, motion: Floats, pose: Floats, rows: Floats
 ) -> int:  # fmt: skip
-    """Combines `locate`, `record`, `hit` and `swept` in one call. `last`: the row of the record before this one."""
-    before = outlines.copy()
-    locate(line, raw, others, outlines, step)
-    record(line, lanes, others, motion, pose, steering, size[0], time, 0.0, row)
+    """Combines `locate`, `record`, `hit` and `swept` in one call, the end of a step: returns the outline that was hit, or -1.
+
+    `motion` has the step (s) of the traffic, whether its vehicles keep their lanes, and the last row that was written: the next is.
+    """
+    before, size, step = outlines.copy(), motion[SIZE : SIZE + 2], motion[STEP]
+    motion[ROW] += 1.0
+    row = int(motion[ROW])
+    locate(line, lanes, neighbours, outlines, step, motion[KEEPS_LANES] > 0.0)
+    record(line, lanes, neighbours, outlines, motion, pose, row * step, 0.0, rows[row])
     struck = hit(outlines, pose, size)
-    return struck if struck >= 0 else swept(before, outlines, last[1:4], pose, size)
+    return struck if struck >= 0 else swept(before, outlines, rows[row - 1, 1:4], pose, size)
 
 
 @compiled

@@ -1,37 +1,67 @@
-"""The closed loop: a user's controller, the vehicle, and SUMO's traffic on a corridor."""
+"""The closed loop of a controlled vehicle and SUMO's traffic."""
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
-from drivecal.bundles.highway import HighwayScenario, HighwaySimulator
-from drivecal.domain.errors import DrivecalError
+from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem
 from drivecal.domain.roads import Floats
+from drivecal.highway import geometry as shared
+from drivecal.highway.compilation import compiled_with
 from drivecal.highway.drive import geometry
-from drivecal.highway.drive.controllers import Checked
-from drivecal.highway.drive.geometry import keeper_acceleration
+from drivecal.highway.drive.control import Control, RunView
+from drivecal.highway.drive.geometry import S, path_of
 from drivecal.highway.drive.measures import TICK, Record, distance_at_limit
 from drivecal.highway.drive.plants import UserVehicleModel
-from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.traffic import Traffic
-from drivecal.highway.drive.trajectories import TrajectorySource
 from drivecal.highway.geometry import hit
+from drivecal.highway.vehicle import equations, kernels
+from drivecal.highway.vehicle.kernels import FOLLOWED, PATH, TOO_SHORT, TRAJECTORY, UNSTABLE, drive, follow
 from drivecal.highway.vehicle.model import SingleTrackModel
+from drivecal.plugins.ports import VehicleModel
 
 PATH_SPACING = 0.05
 """Seconds between points of the path that the lane keeper follows."""
 PATH_AHEAD = 0.6
 """Seconds of the path beyond a tick: more than the vehicle's reaction."""
+VERGE = 0.5
+"""Distance (m) beyond a road's lanes at which a vehicle is off it."""
+OFF_ROAD = 3
+"""Result of a move, beside those of `kernels.follow`."""
+
+
+@compiled_with(equations, kernels, shared, geometry)
+def _move(
+    line: Floats, lanes: Floats, state: Floats, plant: Floats, controller: Floats, by: int, lateral: float, acceleration: float,
+    trajectory: Floats, since: float, track: int, dynamics: Floats, index: int, samples: int, motion: Floats,
+) -> int:  # fmt: skip
+    rows = dynamics[index * samples : (index + 1) * samples]
+    if by == TRAJECTORY:
+        status = follow(state, plant, controller, trajectory, since, samples, rows)
+    else:
+        if by == PATH:
+            path_of(line, lanes, track, motion[S], state[3], trajectory)
+        stable = drive(state, plant, controller, by, lateral, acceleration, trajectory, 0.0, samples, rows)
+        status = FOLLOWED if stable else UNSTABLE
+    motion[geometry.STEERING] = state[8]
+    on_road = geometry.place(line, lanes, state, motion[S], motion)
+    return OFF_ROAD if status == FOLLOWED and not on_road else status
+
+
+Move = Callable[[Floats, float, float, float, int], int]
+"""Moves the ego vehicle through a tick: trajectory or path, seconds since its start, lateral command, acceleration, the tick's number.
+
+Returns FOLLOWED, UNSTABLE or OFF_ROAD. Raises ValueError if the trajectory is too short.
+"""
 
 
 class Watcher(Protocol):
-    """Sees a run: the other vehicles' `names`, their `outlines` as in `geometry`, and the ego vehicle's pose, at the start and after each
-    step of the traffic. The next step overwrites the arrays."""
+    """Sees a run at the start and after each step of the traffic. The next step overwrites the arrays."""
 
-    def __call__(self, names: list[str], outlines: Floats, pose: Floats) -> None:
-        """Sees a moment of the run."""
+    def __call__(self, traffic: Traffic, pose: Floats, plan: Floats | None) -> None:
+        """Sees the other vehicles, the ego vehicle's pose, and the trajectory if the step began with a new one."""
 
 
 class StartError(DrivecalError):
@@ -47,45 +77,47 @@ class FinishedRun:
 
 
 class Loop:
-    """Runs one scenario repeatedly. Equal parameters give equal bits, if the controller does."""
+    """Runs one scenario repeatedly. Equal parameters give equal bits, if the controller does.
+
+    Everything that does not depend on the parameters is prepared once.
+    """
 
     def __init__(
-        self,
-        name: str,
-        simulator: HighwaySimulator,
-        scenario: HighwayScenario,
-        road: HighwayRoad,
-        traffic: Traffic,
-        vehicle: SingleTrackModel,
-        controller: Checked | TrajectorySource,
+        self, traffic: Traffic, vehicle: VehicleModel, control: Control, *, verge: float = VERGE, heading: float = 0.0
     ) -> None:
-        """`name`: the scenario's."""
-        self._name, self._scenario, self._road, self._traffic = name, scenario, road, traffic
-        self._vehicle, self._controller = vehicle, controller
-        self._plans = None if isinstance(controller, Checked) else controller
-        step = simulator.step
-        period = step if simulator.controller.period is None else simulator.controller.period
+        """Prepares the runs.
+
+        Args:
+            traffic: SUMO with the scenario and its road.
+            vehicle: the ego vehicle.
+            control: what drives it.
+            verge: distance (m) beyond the road's lanes at which the vehicle is off it.
+            heading: of the ego vehicle at its start, relative to its lane (rad).
+
+        Raises InvalidInputError if the step of the traffic, the control's period and the vehicle's sample time do not fit.
+        """
+        road, scenario, step, period = traffic.road, traffic.scenario, traffic.step, control.period
+        self._road, self._traffic, self._vehicle, self._control = road, traffic, vehicle, control
         tick = min(step, period)
-        self._step, self._tick = step, tick
-        self._ticks_per_step, self._ticks_per_period = round(step / tick), round(period / tick)
+        self._tick = tick
+        self._ticks_per_step, self._ticks_per_period = _whole(step, tick, "step"), _whole(period, tick, "period")
         self._ticks = round(scenario.duration / step) * self._ticks_per_step
-        samples = round(tick / TICK)
-        output = simulator.controller.output
-        self._acceleration = output.index("acceleration") if "acceleration" in output else None
-        lateral = next((entry for entry in output if entry != "acceleration"), None)
-        self._lateral = None if lateral is None else output.index(lateral)
-        self._steer = lateral or "path"
-        self._size = np.array([0.5 * scenario.ego.length, 0.5 * scenario.ego.width])
-        self._rows = np.zeros((self._ticks // self._ticks_per_step + 1, geometry.RECORDED))
-        self._row_views = list(self._rows)
+        self._count = samples = _whole(tick, TICK, "step")
+        ego = scenario.ego
+        self._rows = np.zeros((self._ticks // self._ticks_per_step + 1, geometry.RECORDED + 6))
         self._dynamics = np.zeros((self._ticks * samples, 5))
-        self._samples = [self._dynamics[index * samples : (index + 1) * samples] for index in range(self._ticks)]
         self._path = np.zeros((round((tick + PATH_AHEAD) / PATH_SPACING) + 2, 7))
         self._path[:, 0] = np.arange(len(self._path)) * PATH_SPACING
-        self._motion, self._front, self._signals = np.zeros(9), np.zeros(3), np.zeros(geometry.SIGNALS)
-        self._start = (*road.start(traffic.start_s, traffic.start_d), scenario.ego.speed)
+        self._motion = traffic.motion
+        self._motion[geometry.SIZE : geometry.ROW] = 0.5 * ego.length, 0.5 * ego.width, verge, step, traffic.keeps_lanes
+        x, y, course = road.start(traffic.start_s, traffic.start_d)
+        self._start = (x, y, course + heading, ego.speed)
+        self._pose = (
+            vehicle.pose if isinstance(vehicle, SingleTrackModel) else np.zeros(8)
+        )  # others may give another array each time
+        self._view = RunView(road, traffic, self._pose, self._motion)
         limits = np.nanmax(road.lanes[:, :, 2], axis=1)
-        self._finish = road.length - 0.5 * scenario.ego.length
+        self._finish = road.length - 0.5 * ego.length
         self._wanted = max(distance_at_limit(road.line[:, 0], limits, traffic.start_s, self._finish, scenario.duration), 1e-9)
 
     def prepare(self) -> None:
@@ -93,125 +125,150 @@ class Loop:
 
         It leaves the warm-up out, whose kernels concern vehicles that enter and that overlap.
         """
-        road, traffic, vehicle, motion = self._road, self._traffic, self._vehicle, self._motion
-        dynamics = np.zeros((1, 5))
+        traffic = self._traffic
         traffic.reset(is_warm=False)
-        vehicle.start(*self._start)
-        if not geometry.place(road.line, road.lanes, vehicle.pose, traffic.start_s, self._size, motion, self._front):
-            raise StartError(f"scenarios.{self._name}.ego: it starts off the road; move it into its lane")
-        self._check_apart(vehicle.pose)
+        if not self._begin():
+            raise StartError(f"scenarios.{traffic.name}.ego: it starts off the road; move it into its lane")
+        self._check_apart()
         geometry.settle(
-            road.line, road.lanes, traffic.raw, traffic.others, traffic.outlines, self._step, motion, vehicle.pose, vehicle.steering,
-            self._size, 0.0, self._row_views[0], self._row_views[0],
-        )  # fmt: skip
-        geometry.observe(
-            road.line,
-            road.lanes,
-            road.ends,
-            traffic.others,
-            motion,
-            vehicle.pose,
-            vehicle.steering,
-            1.0,
-            0.0,
-            0.0,
-            self._signals,
+            self._road.line, self._road.lanes, traffic.neighbours, traffic.outlines, self._motion, self._pose, self._rows
         )
-        geometry.nearest(road.line, *self._start[:2])
-        geometry.path_of(road.line, road.lanes, 0, motion.item(geometry.S), vehicle.pose.item(3), self._path)
-        vehicle.keep(self._path, 0.0, 0.0, dynamics)
+        self._view.signals()
+        geometry.nearest(self._road.line, *self._start[:2])
+        if isinstance(self._vehicle, SingleTrackModel):
+            model = SingleTrackModel(self._vehicle.parameters)
+            model.start(*self._start)
+            self._mover(model, PATH)(self._path, 0.0, 0.0, 0.0, 0)
 
-    def _check_apart(self, pose: Floats) -> None:
+    def _check_apart(self) -> None:
         """Raises StartError if two vehicles overlap that start at time 0; vehicles of the warm-up leave them room."""
-        starting = self._traffic.starting
-        names, outlines = [*self._traffic.names[:starting], "ego"], self._traffic.outlines[:starting]
-        starts = np.vstack([outlines, [*pose[:3], *self._size, 0.0]])
-        for row, (x, y, heading, *size) in enumerate(starts.tolist()):  # the first for the kernel alone
-            other = hit(starts[:row], np.array([x, y, heading, 0.0, 0.0, 0.0, 0.0, 0.0]), np.array(size[:2]))
+        traffic, size = self._traffic, self._motion[geometry.SIZE : geometry.SIZE + 2]
+        names = [*traffic.names[: traffic.starting], "ego"]
+        starts = np.vstack([traffic.outlines[: traffic.starting, :5], [*self._pose[:3], *size]])
+        for row, (x, y, heading, *half) in enumerate(starts.tolist()):  # the first for the kernel alone
+            other = hit(starts[:row], np.array([x, y, heading, 0.0, 0.0, 0.0, 0.0, 0.0]), np.array(half))
             if other >= 0:
                 message = f"{names[row]} starts inside of the vehicle {names[other]}; place them farther apart"
-                raise StartError(f"scenarios.{self._name}: {message}")
+                raise StartError(f"scenarios.{traffic.name}: {message}")
 
-    def run(self, parameters: Mapping[str, Any], *, is_warm: bool = True, watch: Watcher | None = None) -> FinishedRun:
-        """Runs one parameter set. `is_warm`: as of `Traffic.reset`. Raises ControllerError, TrafficError and others without a result."""
-        road, traffic, vehicle, controller = self._road, self._traffic, self._vehicle, self._controller
-        line, lanes, ends, size, motion, front, signals = (
-            road.line, road.lanes, road.ends, self._size, self._motion, self._front, self._signals
+    def _begin(self) -> bool:
+        """Puts the ego vehicle to its start; returns whether it is on the road."""
+        road, vehicle = self._road, self._vehicle
+        vehicle.start(*self._start)
+        self._pose[:] = vehicle.pose
+        self._motion[geometry.STEERING] = self._motion[geometry.ROW] = 0.0
+        on_road: bool = geometry.place(road.line, road.lanes, self._pose, self._traffic.start_s, self._motion)
+        return on_road
+
+    def _record(self, time: float, lead: float, row: int) -> None:
+        road, traffic = self._road, self._traffic
+        geometry.record(
+            road.line, road.lanes, traffic.neighbours, traffic.outlines, self._motion, self._pose, time, lead,
+            self._rows[row],
         )  # fmt: skip
-        pose, half = vehicle.pose, self._size.item(0)
-        per_step, per_period, tick, step = self._ticks_per_step, self._ticks_per_period, self._tick, self._step
-        by_acceleration, by_lateral, steer, plans = self._acceleration, self._lateral, self._steer, self._plans
-        trajectory, planned = self._path, 0
+
+    def _mover(self, vehicle: VehicleModel, by: int) -> Move:
+        """Returns the move of a vehicle, which starts on the track that a lane keeper keeps.
+
+        One compiled call for the built-in vehicles, because a call costs as much as the geometry; several for others.
+        """
+        line, lanes, dynamics, motion, pose = self._road.line, self._road.lanes, self._dynamics, self._motion, self._pose
+        samples, tick, track = self._count, self._tick, int(motion.item(geometry.TRACK))
+        if isinstance(vehicle, SingleTrackModel) and type(vehicle).follow is SingleTrackModel.follow:
+            state, plant, controller = vehicle.arrays
+
+            def move(trajectory: Floats, since: float, lateral: float, acceleration: float, index: int) -> int:
+                status: int = _move(
+                    line, lanes, state, plant, controller, by, lateral, acceleration, trajectory, since, track, dynamics, index,
+                    samples, motion,
+                )  # fmt: skip
+                if status == TOO_SHORT:
+                    raise ValueError(f"the trajectory does not cover {since} s to {since + tick} s after its start")
+                return status
+
+            return move
+
+        def move_by_port(trajectory: Floats, since: float, lateral: float, acceleration: float, index: int) -> int:
+            rows = dynamics[index * samples : (index + 1) * samples]
+            if by == TRAJECTORY or not isinstance(vehicle, SingleTrackModel):
+                stable = vehicle.follow(trajectory, since, tick, rows)
+            else:
+                if by == PATH:
+                    path_of(line, lanes, track, motion.item(S), pose.item(3), trajectory)
+                stable = vehicle.drive(by, lateral, acceleration, trajectory, 0.0, rows)
+            pose[:] = vehicle.pose
+            motion[geometry.STEERING] = rows[-1, 4]
+            on_road = geometry.place(line, lanes, pose, motion.item(S), motion)
+            return (FOLLOWED if on_road else OFF_ROAD) if stable else UNSTABLE
+
+        return move_by_port
+
+    def run(self, parameters: Any, *, is_warm: bool = True, watch: Watcher | None = None) -> FinishedRun:
+        """Runs one parameter set.
+
+        Args:
+            parameters: as the control takes them.
+            is_warm: as of `Traffic.reset`.
+            watch: sees the run.
+
+        Raises ControllerError, TrafficError and others without a result.
+        """
+        traffic, vehicle, control, view, motion = self._traffic, self._vehicle, self._control, self._view, self._motion
+        per_step, per_period, tick, finish = self._ticks_per_step, self._ticks_per_period, self._tick, self._finish
         traffic.reset(is_warm=is_warm)
         if isinstance(vehicle, UserVehicleModel):
             vehicle.begin(parameters)
-        vehicle.start(*self._start)
-        geometry.place(line, lanes, pose, traffic.start_s, size, motion, front)
-        track = int(motion.item(geometry.TRACK))
-        geometry.record(line, lanes, traffic.others, motion, pose, vehicle.steering, half, 0.0, 0.0, self._row_views[0])
+        self._begin()
+        pose, act, advance, settle = self._pose, control.act, traffic.advance, geometry.settle
+        line, lanes, rows, at = self._road.line, self._road.lanes, self._rows, motion.data
+        move = self._mover(vehicle, control.by)
+        self._record(0.0, 0.0, 0)
         if watch is not None:
-            watch(traffic.names, traffic.outlines, pose)
-        controller.begin(parameters)
-        failure, rows, ticks, recorded = None, 1, 0, 0
-        acceleration = lateral = 0.0
-        for index, dynamics in enumerate(self._samples):
+            watch(traffic, pose, None)
+        control.begin(parameters)
+        failure, ticks, recorded = None, 0, 0
+        trajectory, planned = self._path, None
+        lateral = acceleration = since = 0.0
+        for index in range(self._ticks):
             if index % per_period == 0:
-                lead = index % per_step * tick
-                geometry.observe(
-                    line, lanes, ends, traffic.others, motion, pose, vehicle.steering, half, index * tick, lead, signals
-                )
-                observed = signals.tolist()
-                if plans is not None:
-                    trajectory, planned = plans.plan(observed, pose, motion.item(geometry.S), traffic, lead), index
-                elif isinstance(controller, Checked):
-                    commands = controller.step(observed)
-                    acceleration = (
-                        keeper_acceleration(observed) if by_acceleration is None else float(commands[by_acceleration])
-                    )
-                    lateral = 0.0 if by_lateral is None else float(commands[by_lateral])
-            if plans is not None:
-                stable = vehicle.follow(trajectory, (index - planned) * tick, tick, dynamics)
-            elif steer == "path":
-                geometry.path_of(line, lanes, track, motion.item(geometry.S), pose.item(3), self._path)
-                stable = vehicle.keep(self._path, 0.0, acceleration, dynamics)
-            elif steer == "curvature":
-                stable = vehicle.turn(lateral, acceleration, dynamics)
-            else:
-                stable = vehicle.step(lateral, acceleration, dynamics)
+                view.time, view.lead, view.neighbours = index * tick, index % per_step * tick, traffic.neighbours
+                planned, lateral, acceleration = act(view)
+                if planned is not None:
+                    trajectory = planned
+                since = 0.0
+            status = move(trajectory, since, lateral, acceleration, index)
+            since += tick
             ticks = index + 1
-            on_road = geometry.place(line, lanes, pose, motion.item(geometry.S), size, motion, front)
-            if motion.item(geometry.S) >= self._finish:
+            if at[S] >= finish:
                 break  # the end of the route
-            if not stable or not on_road:
-                failure = "off_road" if stable else "unstable"
+            if status != FOLLOWED:
+                failure = "off_road" if status == OFF_ROAD else "unstable"
                 break
             if ticks % per_step == 0:
-                if not traffic.advance(index // per_step, motion, front, pose.item(3)):
+                if not advance(index // per_step):
                     break  # the end of the route
-                hit = geometry.settle(
-                    line, lanes, traffic.raw, traffic.others, traffic.outlines, step, motion, pose, vehicle.steering, size,
-                    ticks * tick, self._row_views[rows - 1], self._row_views[rows],
-                )  # fmt: skip
-                rows += 1
+                struck = settle(line, lanes, traffic.neighbours, traffic.outlines, motion, pose, rows)
                 recorded = ticks
                 if watch is not None:
-                    watch(traffic.names, traffic.outlines, pose)
-                if hit >= 0:
+                    watch(traffic, pose, planned)
+                    planned = None
+                if struck >= 0:
                     failure = "collision"
                     break
+        row = int(at[geometry.ROW]) + 1
         if recorded < ticks:  # the run ended within a step of the traffic
-            lead = (ticks - recorded) * tick
-            geometry.record(
-                line, lanes, traffic.others, motion, pose, vehicle.steering, half, ticks * tick, lead, self._row_views[rows]
-            )
-            rows += 1
-        samples = len(self._samples[0])
-        record = Record(
-            self._rows[:rows],
-            self._dynamics[: ticks * samples],
-            self._wanted,
-            self._finish,
-            vehicle.parameters.mass,
-            self._scenario.ego.width,
-        )
+            self._record(ticks * tick, (ticks - recorded) * tick, row)
+            row += 1
+        width = 2.0 * motion.item(geometry.SIZE + 1)
+        record = Record(rows[:row], self._dynamics[: ticks * self._count], self._wanted, finish, width)
         return FinishedRun(record, failure)
+
+
+def _whole(duration: float, part: float, field: str) -> int:
+    """Returns how many times a part fits into a duration. Raises InvalidInputError if it is not a whole number."""
+    count = round(duration / part)
+    if count < 1 or abs(count * part - duration) > 1e-9:
+        raise InvalidInputError(
+            Problem(field, f"{duration:g} s is no multiple of {part:g} s", f"give a multiple of {part:g} s")
+        )
+    return count

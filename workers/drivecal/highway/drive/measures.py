@@ -45,17 +45,22 @@ ROLLING, DRAG, ROTATING, DRIVE, RECUPERATION = 0.01, 0.5 * 1.2 * 0.65, 1.05, 0.9
 class Record:
     """Record of a run.
 
-    `rows`: at the start, after each step of the traffic and at the end, shape (n + 1, 17), `COLUMNS`. `dynamics`: after each 0.01 s,
-    shape (m, 5): speed, longitudinal and lateral acceleration, yaw rate, steering angle. `wanted`: distance (m) of a drive at the limit for
-    the scenario's duration. `finish`: position (m) at which the route ends for the vehicle's centre.
+    `rows`: at the start, after each step of the traffic and at the end, shape (n + 1, 23): `COLUMNS`, and the Frenet motion. `dynamics`:
+    after each 0.01 s, shape (m, 5): speed, longitudinal and lateral acceleration, yaw rate, steering angle. `wanted`: distance (m) of a
+    drive at the limit for the scenario's duration. `finish`: position (m) at which the route ends for the vehicle's centre. `width`: the
+    vehicle's.
     """
 
     rows: Floats
     dynamics: Floats
     wanted: float
     finish: float
-    mass: float
     width: float
+
+    @property
+    def motion(self) -> Floats:
+        """s, s', s'', d, d', d'' of the vehicle in each row, shape (n + 1, 6)."""
+        return self.rows[:, len(COLUMNS) :]
 
     def column(self, name: str) -> Floats:
         """Returns a column of `rows`."""
@@ -63,8 +68,8 @@ class Record:
         return column
 
 
-def measures(record: Record) -> dict[str, float]:
-    """Returns all measures by name."""
+def measures(record: Record, mass: float) -> dict[str, float]:
+    """Returns all measures by name, of a vehicle with this mass (kg)."""
     duration = len(record.dynamics) * TICK
     distance = float(record.dynamics[:, 0].sum() * TICK)
     position = record.column("position_m")
@@ -74,7 +79,7 @@ def measures(record: Record) -> dict[str, float]:
         "mean_speed_mps": distance / duration,
         "progress": float(min(position[-1], record.finish) - position[0]) / record.wanted,
         "max_speed_excess_mps": max(0.0, float(np.max(record.column("speed_mps") - record.column("limit_mps")))),
-        "energy_kwh": energy(record.dynamics, record.mass),
+        "energy_kwh": energy(record.dynamics, mass),
     }
     return values | _of_gaps(record) | _of_accelerations(record.dynamics) | _of_lanes(record)
 

@@ -135,12 +135,9 @@ class UserVehicleModel(SingleTrackModel):
 
     def follow(self, trajectory: Floats, since: float, duration: float, dynamics: Floats) -> bool:
         del duration  # the rows of `dynamics` say it
-        return self._driven(kernels.TRAJECTORY, 0.0, 0.0, trajectory, since, dynamics)
+        return self.drive(kernels.TRAJECTORY, 0.0, 0.0, trajectory, since, dynamics)
 
-    def _drive(self, by: int, lateral: float, acceleration: float, path: Floats, since: float, dynamics: Floats) -> bool:
-        return self._driven(by, lateral, acceleration, path, since, dynamics)
-
-    def _driven(self, by: int, lateral: float, acceleration: float, path: Floats, since: float, dynamics: Floats) -> bool:
+    def drive(self, by: int, lateral: float, acceleration: float, path: Floats, since: float, dynamics: Floats) -> bool:
         if self._begun is None:  # nothing is driven before the first run
             return True
         state = self._state

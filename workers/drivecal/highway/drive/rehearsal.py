@@ -12,16 +12,16 @@ from typing import Any
 import numba
 
 from drivecal.adapters.confinement import confine, ruleset
-from drivecal.bundles.highway import HighwayScenario, HighwaySimulator, PlannerController, UserVehicleEntry
+from drivecal.bundles.highway import HighwaySimulator, PlannerController, UserVehicleEntry
 from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
+from drivecal.highway.drive.control import Control
 from drivecal.highway.drive.controllers import Checked, Controller, ControllerError
 from drivecal.highway.drive.geometry import NAMES
 from drivecal.highway.drive.loop import Loop, StartError
 from drivecal.highway.drive.measures import measures
 from drivecal.highway.drive.plants import prepare_trackers
-from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.traffic import Traffic, TrafficError
-from drivecal.highway.drive.trajectories import ControllerTrajectories, PlannerTrajectories, TrajectorySource
+from drivecal.highway.drive.trajectories import PlannerTrajectories, control_of
 from drivecal.highway.vehicle.model import SingleTrackModel
 
 
@@ -40,35 +40,24 @@ class _Straight(Controller):
         return [ahead if name == "trajectory" else 0.0 for name in self._output]
 
 
-def rehearse(
-    name: str,
-    simulator: HighwaySimulator,
-    scenario: HighwayScenario,
-    road: HighwayRoad,
-    traffic: Traffic,
-    model: SingleTrackModel,
-) -> None:
-    """Drives the scenario `name` once without the user's code and the warm-up: with the built-in planner, or straight on.
+def rehearse(simulator: HighwaySimulator, traffic: Traffic, model: SingleTrackModel) -> None:
+    """Drives the scenario once without the user's code and the warm-up: with the built-in planner, or straight on.
 
     Raises StartError and TrafficError.
     """
-    controller = simulator.controller
+    controller, road, scenario = simulator.controller, traffic.road, traffic.scenario
     parameters = dict.fromkeys(PLANNER_PARAMETERS, 1.0)
     if isinstance(controller, PlannerController):
-        control: Checked | TrajectorySource = PlannerTrajectories(
-            controller, scenario, road, (traffic.start_s, traffic.start_d)
-        )
+        control: Control = PlannerTrajectories(controller, scenario, road, (traffic.start_s, traffic.start_d))
     else:
         period = simulator.step if controller.period is None else controller.period
-        control = Checked(_Straight(controller.output, period), controller.output)
-        if controller.output == ["trajectory"]:
-            control = ControllerTrajectories(control, road, period)
+        control = control_of(Checked(_Straight(controller.output, period), controller.output), controller.output, road, period)
     if isinstance(simulator.vehicle, UserVehicleEntry):
         prepare_trackers(model)
-    loop = Loop(name, simulator, scenario, road, traffic, model, control)
+    loop = Loop(traffic, model, control)
     loop.prepare()
     with suppress(ControllerError, TrafficError):  # the user's run tells of what is wrong
-        measures(loop.run(parameters, is_warm=False).record)
+        measures(loop.run(parameters, is_warm=False).record, model.parameters.mass)
 
 
 def hold(writable: Sequence[str], scratch: Path) -> None:

@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 from drivecal.contracts.evaluation import LaneStrip, ReplayAnswer, ReplayEgo, ReplayVehicle, RoadSurface
 from drivecal.domain.roads import Floats
 from drivecal.highway.drive.measures import Record
+from drivecal.highway.drive.traffic import Traffic
 from drivecal.roads.corridor import Corridor
 from drivecal.roads.lines import lengths
 from drivecal.roads.network import Edge, Lane, Network
@@ -249,11 +250,13 @@ class DriveRecorder:
         """Number of steps between two kept moments. It doubles whenever these reach a limit."""
         self._moments: list[Moment] = []
         """The moments 0, `_every`, 2 `_every`, ... of the start and after each step of the traffic."""
-        self._newest: Moment = [], np.zeros((0, 6))
+        self._newest: Moment = [], np.zeros((0, 7))
         self._seen = self._poses = 0
         """Number of all moments so far, and of the poses in the kept ones."""
 
-    def __call__(self, names: list[str], outlines: Floats, pose: Floats) -> None:
+    def __call__(self, traffic: Traffic, pose: Floats, plan: Floats | None) -> None:
+        del plan
+        names, outlines = traffic.names, traffic.outlines
         near = np.flatnonzero(np.hypot(outlines[:, 0] - pose[0], outlines[:, 1] - pose[1]) <= REACH)
         self._newest = [names[row] for row in near.tolist()], outlines[near]
         if self._seen % self._every == 0:
@@ -299,7 +302,7 @@ class DriveRecorder:
 def _moved_on(names: list[str], outlines: Floats, seconds: float) -> Moment:
     """Returns vehicles at a later time, straight on at their speeds."""
     moved = outlines.copy()
-    ways = seconds * outlines[:, 5]
+    ways = seconds * np.abs(outlines[:, 5])
     moved[:, 0] += ways * np.cos(outlines[:, 2])
     moved[:, 1] += ways * np.sin(outlines[:, 2])
     return names, moved

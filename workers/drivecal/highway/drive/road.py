@@ -1,40 +1,141 @@
-"""The corridor of a scenario as the arrays of `geometry`, and places on it."""
+"""The road of a run as the arrays of `geometry`, and places on it, also as SUMO counts them."""
 
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from math import atan, cos, isnan, sin
+from itertools import pairwise
+from math import atan, cos, inf, isnan, sin
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
 from drivecal.domain.roads import Floats, pose_on
+from drivecal.domain.scenarios import Road
 from drivecal.highway.geometry import point, with_directions
-from drivecal.highway.traffic.lanes import SumoLanes
-from drivecal.roads.corridor import Corridor
+from drivecal.roads.corridor import Corridor, LanePiece
 
 SMOOTHING = 5.0
 """Distance (m) to both sides over which the slope of a lane's centre is taken."""
 
 
+class LanePlace(NamedTuple):
+    """A lane and a position along it (m)."""
+
+    edge: str
+    lane: int
+    position: float
+
+
+class SumoLanes:
+    """The lanes of each track, whose positions are not the corridor's s: SUMO stretches lanes and averages them on curves.
+
+    Networks without lanes inside of junctions have gaps between lanes, which SUMO's vehicles skip: each lane is stretched to the middle of
+    the gap. `totals`: position along all lanes of a track at each station, shape (n, m).
+    """
+
+    def __init__(self, corridor: Corridor, stations: Floats) -> None:
+        """Measures the lanes at `stations`, places on the corridor's line (s, m)."""
+        self._bases: list[list[float]] = []
+        self._names: list[list[tuple[str, int]]] = []
+        self._tracks: dict[tuple[str, int], tuple[int, float]] = {}
+        """The first track of each lane, and the position along it at which the lane begins."""
+        columns: list[Floats] = []
+        for track in corridor.tracks:
+            places = [corridor.places[piece.edge, piece.index] for piece in track.lanes]
+            bases = np.concatenate([[0.0], np.cumsum([place[-1, 0] for place in places])]).tolist()
+            ends = [place.item(0, 1) for place in places[:1]]
+            ends += [0.5 * (before.item(-1, 1) + after.item(0, 1)) for before, after in pairwise(places)]
+            ends.append(places[-1].item(-1, 1))
+            stretches = [
+                np.interp(place[:, 1], place[[0, -1], 1], border) for place, border in zip(places, pairwise(ends), strict=True)
+            ]
+            s = np.maximum.accumulate(np.concatenate(stretches))
+            positions = np.concatenate([base + place[:, 0] for base, place in zip(bases, places, strict=False)])
+            self._bases.append(bases[:-1])
+            self._names.append([(piece.edge, piece.index) for piece in track.lanes])
+            for name, base in zip(self._names[-1], bases, strict=False):
+                self._tracks.setdefault(name, (len(columns), base))
+            columns.append(np.interp(stations, s, positions))
+        self.totals: Floats = np.column_stack(columns)
+
+    def along(self, edge: str, lane: int, position: float) -> tuple[int, float]:
+        """Returns the track of a lane, and a position along it. Raises KeyError if the lane is on no track."""
+        track, base = self._tracks[edge, lane]
+        return track, base + position
+
+    def ahead(self, edge: str, lane: int, position: float) -> LanePlace:
+        """Returns the same place if a lane's `position` is beyond its end: on the lane that follows along its track.
+
+        Positions in junctions, and beyond lanes that are on no track, stay.
+        """
+        if (edge, lane) not in self._tracks:
+            return LanePlace(edge, lane, position)
+        there = self.place(*self.along(edge, lane, position))
+        return LanePlace(edge, lane, position) if there.edge.startswith(":") else there
+
+    def place(self, track: int, total: float) -> LanePlace:
+        """Returns the place at a position along all lanes of a track."""
+        bases = self._bases[track]
+        piece = max(bisect_right(bases, total) - 1, 0)
+        return LanePlace(*self._names[track][piece], total - bases[piece])
+
+    def end(self, track: int, total: float) -> float:
+        """Returns the position along all lanes of a track at which the lane at `total` ends, infinity for the last one."""
+        bases = self._bases[track]
+        piece = bisect_right(bases, total)
+        return bases[piece] if piece < len(bases) else inf
+
+
 class HighwayRoad:
     """A corridor with everything that is looked up in each step. Arrays as in `geometry`."""
 
-    def __init__(self, corridor: Corridor, levels: Mapping[str, tuple[float, float]], unlimited: Sequence[str] = ()) -> None:
-        """`levels`: stretches of edges above or below the corridor (`roads.levels`); `unlimited`: ids of the network's lanes that get the
-        scenario's `default_limit` (`roads.limits`)."""
+    def __init__(
+        self,
+        corridor: Corridor,
+        levels: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+        unlimited: Sequence[str] = (),
+        carriageway: Road | None = None,
+    ) -> None:
+        """Tabulates the road.
+
+        Args:
+            corridor: the lanes of the route.
+            levels: stretches of edges above or below the corridor (`roads.levels`).
+            unlimited: ids of the network's lanes that get the scenario's `default_limit` (`roads.limits`).
+            carriageway: the equal lanes that the corridor is known as, with the line on which they lie.
+        """
         self.corridor, self.levels, self.unlimited = corridor, levels, unlimited
-        line = corridor.line
+        if carriageway is None:
+            line, centres, widths, limits = corridor.line, corridor.centres, corridor.widths, corridor.limits
+        else:
+            line, lanes = carriageway.line, carriageway.lanes
+            centres = np.tile(np.arange(lanes) * carriageway.lane_width, (len(line), 1))
+            widths = np.full(centres.shape, carriageway.lane_width)
+            knots = np.searchsorted([knot.s for knot in carriageway.limits], line[:, 0], side="right") - 1
+            limits = np.tile(np.array([knot.speed for knot in carriageway.limits])[knots][:, None], (1, lanes))
         self.line: Floats = with_directions(line)
-        self.sumo = SumoLanes(corridor, line[:, 0], joined=True)
-        self.lanes: Floats = np.ascontiguousarray(
-            np.stack(
-                [corridor.centres, corridor.widths, corridor.limits, slopes(line, corridor.centres), self.sumo.totals], axis=-1
-            )
-        )
+        self.sumo = SumoLanes(corridor, line[:, 0])
+        columns = [centres, widths, limits, slopes(line, centres), self.sumo.totals]
+        self.lanes: Floats = np.ascontiguousarray(np.stack(columns, axis=-1))
         self.ends: Floats = np.array([track.end for track in corridor.tracks])
-        self.length = float(line[-1, 0])
+        self.length = corridor.length
+
+    def centre(self, s: float, lane: int) -> tuple[LanePiece, float]:
+        """Returns the lane of this index on the edge at s, and d of its centre. Raises InvalidInputError if it is not there."""
+        piece = self.corridor.piece(s, lane)
+        track, _ = self.sumo.along(piece.edge, piece.index, 0.0)
+        return piece, float(np.interp(s, self.line[:, 0], self.lanes[:, track, 0]))
+
+    def front(self, piece: LanePiece, s: float, d: float, length: float) -> LanePlace:
+        """Returns SUMO's place of a vehicle whose centre is at (s, d) in this lane."""
+        track, begin = self.sumo.along(piece.edge, piece.index, 0.0)
+        front = s + 0.5 * length / self.stretch(s, d)
+        total = float(np.interp(front, self.line[:, 0], self.lanes[:, track, 4])) + max(front - self.length, 0.0)
+        return self.sumo.ahead(piece.edge, piece.index, total - begin)
 
     def start(self, s: float, d: float) -> tuple[float, float, float]:
         """Returns x, y and heading of a vehicle at (s, d) that drives along its lane."""
-        x, y, heading, curvature, _ = pose_on(self.corridor.line, s)
+        x, y, heading, curvature, _ = pose_on(self.line[:, :5], s)
         track = self.corridor.lane_at(s, d)
         row = min(int(s / self.line[1, 0]), len(self.line) - 1)
         slope = 0.0 if track is None else float(np.nan_to_num(self.lanes[row, track, 3]))

@@ -12,6 +12,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import numpy as np
 
 from drivecal.bundles.highway import Driver, FlowEntry, HighwayScenario, TrafficEntry
+from drivecal.bundles.highway_actions import Brake, Wait
 from drivecal.bundles.traffic.route_files import SUBLANE as SUBLANE_MODEL
 from drivecal.bundles.traffic.route_files import RouteTraffic
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -58,6 +59,17 @@ def is_exact(scenario: HighwayScenario) -> bool:
             and not vehicle.parameters
             for vehicle in scenario.traffic
         )
+    )
+
+
+def keeps_lanes(scenario: HighwayScenario) -> bool:
+    """Returns whether no vehicle of an exact scenario leaves the centre of its lane, or the route."""
+    return is_exact(scenario) and all(
+        vehicle.route is None
+        and vehicle.offset == 0.0
+        and (vehicle.edge is None or vehicle.edge in scenario.route)
+        and all(isinstance(action, (Brake, Wait)) for action in vehicle.actions)
+        for vehicle in scenario.traffic
     )
 
 
@@ -200,23 +212,23 @@ def drive_alone(steps: int, instruct: Callable[[str, float], None]) -> None:
 
 
 def too_close(
-    others: Floats, outlines: Floats, starting: int, ego: Floats, outline: Floats, sideways: Sequence[float]
+    neighbours: Floats, outlines: Floats, starting: int, ego: Floats, outline: Floats, sideways: Sequence[float]
 ) -> list[int]:
     """Returns the rows of the vehicles that leave no room for a starting vehicle: the first `starting` rows, and the ego vehicle.
 
-    `others`, `outlines`: as in `drive.geometry`; `ego`, `outline`: rows of the ego vehicle of the same form, shape (6,); `sideways`: speeds
-    to the left (m/s) of all rows. A vehicle that changes lanes is in the way at all places that it reaches until the change is done.
+    `neighbours`, `outlines`: as in `drive.geometry`; `ego`, `outline`: rows of the ego vehicle of the same form; `sideways`: speeds to the
+    left (m/s) of all rows. A vehicle that changes lanes is in the way at all places that it reaches until the change is done.
     """
-    starts, rectangles = np.vstack([others[:starting], ego]), np.vstack([outlines[:starting], outline])
+    starts, rectangles = np.vstack([neighbours[:starting], ego]), np.vstack([outlines[:starting], outline])
     return [
         row
-        for row in range(starting, len(others))
-        if hit(rectangles, outlines[row, :3], outlines[row, 3:5]) >= 0 or _hinders(others[row], starts, sideways[row])
+        for row in range(starting, len(neighbours))
+        if hit(rectangles, outlines[row, :3], outlines[row, 3:5]) >= 0 or _hinders(neighbours[row], starts, sideways[row])
     ]
 
 
 def _hinders(vehicle: Floats, starts: Floats, sideways: float) -> bool:
-    """Returns whether a vehicle is too close to a starting vehicle, all as in `others`. NaN, on another level, hinders nothing."""
+    """Returns whether a vehicle is too close to a starting vehicle, all as in `neighbours`. NaN, on another level, hinders nothing."""
     way = LANE_CHANGE_SECONDS * (sideways if vehicle[2] >= 0.0 else -sideways)  # to the left of the route
     right, left = vehicle[1] + min(way, 0.0), vehicle[1] + max(way, 0.0)
     beside = np.maximum(right - starts[:, 1], starts[:, 1] - left).clip(0.0) - 0.5 * (starts[:, 5] + vehicle[5])

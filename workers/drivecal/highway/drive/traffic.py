@@ -1,13 +1,18 @@
-"""SUMO's vehicles on a network of a bundle, and the ego vehicle among them, whose position is set in each step.
+"""SUMO's vehicles on a network, and the ego vehicle among them, whose position is set in each step.
 
-libsumo keeps the simulation in global state: a process has one `Traffic`. Runs repeat to the bit: vehicles are removed and added again
-between runs if nothing is random; else SUMO loads everything again, with the same seed, and simulates the warm-up.
+libsumo keeps the simulation in global state: of several `Traffic` objects in a process, the one that runs loads its network again. Runs
+repeat to the bit: vehicles are removed and added again between runs if nothing is random; else SUMO loads everything again, with the same
+seed, and simulates the warm-up.
+
+SUMO knows vehicles by lane and position. If all keep to their lanes, it is asked for their speeds only: their places follow from them.
 """
 
+from array import array
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import cos, radians, sin
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
 
 import numpy as np
 
@@ -17,9 +22,19 @@ from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem
 from drivecal.domain.roads import Floats
 from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
-from drivecal.highway.drive.actions import Actions, EgoPlace
+from drivecal.highway.drive.actions import Actions, EgoPlace, Moving
 from drivecal.highway.drive.road import HighwayRoad
-from drivecal.highway.drive.routes import drive_alone, drivers, is_exact, options, route_id, routes_file, start_time, too_close
+from drivecal.highway.drive.routes import (
+    drive_alone,
+    drivers,
+    is_exact,
+    keeps_lanes,
+    options,
+    route_id,
+    routes_file,
+    start_time,
+    too_close,
+)
 from drivecal.highway.geometry import point
 from drivecal.highway.sumo import (
     ARRIVED,
@@ -39,7 +54,6 @@ from drivecal.highway.sumo import (
     STEP,
     SUMO_ERRORS,
 )
-from drivecal.roads.corridor import LanePiece
 
 CHECKED_STEPS = 50
 """Number of steps after which the ego vehicle is put into its lane again, whatever SUMO has made of its speeds."""
@@ -53,10 +67,14 @@ class TrafficError(DrivecalError):
     """SUMO refused a network, a route or a vehicle; the message quotes SUMO."""
 
 
+Drifts = Mapping[str, Sequence[float]]
+"""Offsets (m) of vehicles from their lanes' centres after each step of a run."""
+
+
 class Traffic:
     """The other vehicles of a scenario. Arrays as in `geometry`; they are replaced when vehicles enter or leave.
 
-    `names`: ids of the other vehicles, in the order of the rows of `raw`, `others` and `outlines`.
+    `names`: ids of the other vehicles, in the order of the rows of `neighbours` and `outlines`.
     """
 
     def __init__(
@@ -68,6 +86,7 @@ class Traffic:
         step: float,
         folder: Path,
         routes: RouteTraffic | None = None,
+        drifts: Drifts = MappingProxyType({}),
     ) -> None:
         """Starts SUMO.
 
@@ -79,12 +98,13 @@ class Traffic:
             step: Seconds of a step.
             folder: Where SUMO's route files are written.
             routes: The traffic of the scenario's route file.
+            drifts: Only for vehicles that keep their lanes and are not moved sideways in SUMO.
 
         Raises:
             TrafficError: SUMO refuses the network or the traffic.
             InvalidInputError: A vehicle's place is not on the road.
         """
-        self._name, self._scenario, self._road, self._step = name, scenario, road, step
+        self.name, self.scenario, self.road, self.step = name, scenario, road, step
         vehicles, flows = drivers(scenario)
         self._vehicles = list(vehicles)
         self.starting = len(vehicles)
@@ -113,48 +133,58 @@ class Traffic:
         paths = ",".join(str(folder / route_file) for route_file, _ in contents)
         self._options = options(scenario, str(network), paths, step, routes)
         self._is_exact = is_exact(scenario)
+        self.keeps_lanes = road.corridor.parallel and keeps_lanes(scenario)
+        """No vehicle leaves its track: SUMO is asked for speeds only."""
         self._steps_before = round(scenario.warm_up / step) if flows or routes is not None else 0
         """Steps of the warm-up."""
         try:
             self._load()
-            placed: list[tuple[str, str, Placed, float, float, float]] = [
-                (f"traffic[{index}]", key, vehicle, vehicle.length, vehicle.speed, vehicle.offset)
-                for index, (key, vehicle) in enumerate(vehicles.items())
+            placed: list[tuple[str, str, Placed, float]] = [
+                (f"traffic[{index}]", key, vehicle, vehicle.length) for index, (key, vehicle) in enumerate(vehicles.items())
             ]
-            placed.append(("ego", EGO, ego, ego.length, ego.speed, 0.0))
             self._starts = [
-                sumo.Start(key, route_id(key), *_front(road, entry, length, f"{field}.{part}"), speed, offset)
-                for part, key, entry, length, speed, offset in placed
+                sumo.Start(key, route_id(key), *_front(road, entry, length, f"{field}.{part}"), entry.speed, entry.offset)
+                for part, key, entry, length in placed
             ]
+            self._starts.append(sumo.Start(EGO, route_id(EGO), *_front(road, ego, ego.length, f"{field}.ego"), ego.speed))
         except SUMO_ERRORS as error:
             traffic = "its traffic" if scenario.routes is None else scenario.routes
             raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with {traffic}: {error}") from error
         self._actions = Actions(vehicles, road.lateral, road.stretch)
+        self._has_actions = self._actions.pending
         curvature = point(road.line, self.start_s)[3]
         self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d, ego.speed, self.start_d)
         """Place of the ego vehicle when `others` were read."""
         self._track, self._placed, self._border = -1, 0.0, 0.0
         """The track on which SUMO has the ego vehicle, -1 if it is not known, how far along it is and where its lane ends (m, as SUMO
         counts)."""
-        self.names: list[str] = []
-        self._turned: list[tuple[int, str]] = []
+        self.motion: Floats = np.zeros(geometry.MOTION)
+        """The ego vehicle's place, as in `geometry`: `advance` takes SUMO's there."""
+        self._at = self.motion.data
+        self._drifts = drifts
+        self._began: tuple[Floats, Floats] | None = None
+        """The arrays at the start of runs that all start alike."""
+        self._use([], np.zeros((0, 6)), np.zeros((0, geometry.OUTLINED)))
+
+    def _use(self, names: list[str], neighbours: Floats, outlines: Floats) -> None:
+        self.names, self.neighbours, self.outlines = names, neighbours, outlines
+        self._turned = [(row, name) for row, name in enumerate(names) if self._strays[name]]
         """Rows and names of the vehicles whose heading is SUMO's."""
-        self.raw: Floats = np.zeros((0, sumo.COLUMNS))
-        self.others: Floats = np.zeros((0, 6))
-        self.outlines: Floats = np.zeros((0, 6))
-        self._cells: Any = self.raw.reshape(-1).data
+        self._drifting = [(row, self._drifts[name]) for row, name in enumerate(names) if name in self._drifts]
+        self._places, self._asides, self._speeds, self._headings = (column.data for column in outlines.T[geometry.SAID :])
 
     def _load(self, *, is_warm: bool = True) -> None:
         """Starts SUMO at the begin of the warm-up, or without it at time 0 of the run.
 
         Lanes without a limit get that of the scenario, as they have it in the corridor.
         """
-        begin = start_time(self._scenario) - (self._scenario.warm_up if is_warm or self._routes is None else 0.0)
-        sumo.load([*self._options, "--begin", repr(begin)])
-        if self._routes is None and all(driver.lane_change == "none" for driver in self._drivers.values()):
+        begin = start_time(self.scenario) - (self.scenario.warm_up if is_warm or self._routes is None else 0.0)
+        self._load_number = sumo.load([*self._options, "--begin", repr(begin)])
+        self._is_forbidden = self._routes is None and all(driver.lane_change == "none" for driver in self._drivers.values())
+        if self._is_forbidden:
             sumo.forbid_lane_changes()
-        limit = self._scenario.default_limit
-        for lane in self._road.unlimited if limit is not None else ():
+        limit = self.scenario.default_limit
+        for lane in self.road.unlimited if limit is not None else ():
             sumo.lane.setMaxSpeed(lane, limit)
         self._loaded = True
 
@@ -164,7 +194,7 @@ class Traffic:
         `is_warm`: false leaves the warm-up out, which most of a run's time may go to; its flows begin at time 0 then.
         """
         try:
-            if not self._loaded or not self._is_exact:
+            if not self._loaded or not self._is_exact or not sumo.is_current(self._load_number):
                 self._loaded = False
                 self._load(is_warm=is_warm)
                 steps = self._steps_before if is_warm else 0
@@ -176,30 +206,39 @@ class Traffic:
             entering = [name for name in present if self._routes is not None and name in self._routes.starting]
             driving = [name for name in present if name not in entering]
             missing = sumo.place(self._starts)
-            self.names = []
             self.starting = len(self._vehicles) + len(entering)
-            self._enlist(self._vehicles + entering + driving)
+            if self._began is None:
+                self.names = []
+                self._enlist(self._vehicles + entering + driving)
+            else:
+                self._use(self._vehicles, *(array.copy() for array in self._began))
+                for start in self._starts[:-1]:
+                    self._instruct(start.name, start.speed)
         except SUMO_ERRORS as error:
             self._loaded = False
-            raise TrafficError(f"scenarios.{self._name}: SUMO cannot place the vehicles: {error}") from error
+            raise TrafficError(f"scenarios.{self.name}: SUMO cannot place the vehicles: {error}") from error
         if missing:
             self._loaded = False
             message = f"SUMO does not take the vehicles {', '.join(missing)}; place them farther apart"
-            raise TrafficError(f"scenarios.{self._name}: {message}")
+            raise TrafficError(f"scenarios.{self.name}: {message}")
         self._actions.reset()
         self._track, self._ego = -1, self._ego_start
+        if self._began is not None:
+            return
         self._read_starts()
         if driving:
             self._make_room()
+        if self._is_exact:
+            self._began = self.neighbours.copy(), self.outlines.copy()
 
     def _make_room(self) -> None:
         """Removes vehicles of the warm-up that are too close to vehicles that start at time 0."""
-        ego = self._scenario.ego
+        ego = self.scenario.ego
         start = np.array([self.start_s, self.start_d, ego.speed, 0.0, ego.length, ego.width])
-        pose = self._road.start(self.start_s, self.start_d)
-        outline = np.array([*pose, 0.5 * ego.length, 0.5 * ego.width, ego.speed])
+        pose = self.road.start(self.start_s, self.start_d)
+        outline = np.array([*pose, 0.5 * ego.length, 0.5 * ego.width, ego.speed, *[0.0] * 5])
         sideways = [sumo.vehicle.getLateralSpeed(name) for name in self.names]
-        rows = too_close(self.others, self.outlines, self.starting, start, outline, sideways)
+        rows = too_close(self.neighbours, self.outlines, self.starting, start, outline, sideways)
         if not rows:
             return
         for row in rows:
@@ -207,93 +246,111 @@ class Traffic:
         self._enlist([name for row, name in enumerate(self.names) if row not in rows])
         self._read_starts()
 
-    def advance(self, index: int, motion: Floats, front: Floats, speed: float) -> bool:
-        """Simulates step number `index`, at whose end the ego vehicle is at `front` (see `geometry.place`), and reads all vehicles.
+    def advance(self, index: int) -> bool:
+        """Simulates step number `index`, at whose end the ego vehicle's place is `motion`, and reads all vehicles.
 
         `geometry.settle` must follow. Returns False if SUMO has taken the ego vehicle off the end of its route. Raises TrafficError if SUMO
         fails.
         """
-        time = index * self._step
+        at = self._at
         try:
-            if self._actions.pending:
-                self._actions.act(time, self._step, self.names, self.others, self._ego, self._scenario.ego.length)
-            self._ego = EgoPlace(motion.item(geometry.S), motion.item(geometry.STRETCH), speed, motion.item(geometry.D))
-            self._guide(index, motion, front, speed)
+            if self._has_actions and self._actions.pending:
+                self._act(index * self.step)
+            track, along = at[geometry.TRACK], at[geometry.ALONG]
+            if track == self._track and self._placed < self._border and index % CHECKED_STEPS:
+                # Along its lane by the speed that leads there, which takes SUMO a tenth of the time of a search by coordinates.
+                way = max(along - self._placed, 0.0)
+                self._placed += way
+                SET_SPEED(EGO, way / self.step)
+            else:
+                self._guide(index)
             STEP()
-            if DEPARTED() or ARRIVED():
-                present = set(sumo.vehicle.getIDList())
-                if EGO not in present:
-                    self._loaded = False
-                    if motion.item(0) > self._road.length - self._scenario.ego.length - speed * self._step:
-                        return False
-                    raise TrafficError(f"scenarios.{self._name}: SUMO has removed the ego vehicle at {time:g} s")
-                if present != {EGO, *self.names}:
-                    kept = [name for name in self.names if name in present]
-                    self._enlist(kept + sorted(present - {EGO, *kept}))
-            self._read()
+            if (ARRIVED() or (not self._is_exact and DEPARTED())) and not self._update():
+                if at[geometry.S] > self.road.length - self.scenario.ego.length - at[geometry.OWN_SPEED] * self.step:
+                    return False
+                raise TrafficError(f"scenarios.{self.name}: SUMO has removed the ego vehicle in step {index}")
+            self._speeds[:] = array("d", map(GET_SPEED, self.names))
+            if self.keeps_lanes:
+                for row, offsets in self._drifting:
+                    self._asides[row] = offsets[index]
+            else:
+                self._read_places()
         except SUMO_ERRORS as error:
             self._loaded = False
-            raise TrafficError(f"scenarios.{self._name}: SUMO failed at {time:g} s: {error}") from error
+            raise TrafficError(f"scenarios.{self.name}: SUMO failed in step {index}: {error}") from error
         return True
 
-    def _guide(self, index: int, motion: Floats, front: Floats, speed: float) -> None:
-        """Lets SUMO move the ego vehicle's front to its place at the end of the step.
+    def _update(self) -> bool:
+        """Takes in the vehicles that have come, and leaves out those that have arrived; returns whether the ego vehicle is there."""
+        present = set(sumo.vehicle.getIDList())
+        if present != {EGO, *self.names}:
+            kept = [name for name in self.names if name in present]
+            self._enlist(kept + sorted(present - {EGO, *kept}))
+        self._loaded = EGO in present
+        return self._loaded
 
-        Along its lane by the speed that leads there, which takes SUMO a tenth of the time of a search by coordinates; into another lane
-        by name, also if SUMO took another one behind a split; by coordinates if SUMO has it elsewhere, and if its way in this step began
-        inside of a junction or on another edge.
+    def _act(self, time: float) -> None:
+        """Begins and continues actions, all vehicles being where they were at the end of the last step."""
+        rows = zip(self.names, self.neighbours.tolist(), self.outlines[:, 5].tolist(), strict=True)
+        vehicles = {name: Moving(row[0], row[1], along, 0.5 * row[4]) for name, row, along in rows}
+        self._actions.act(time, self.step, vehicles, self._ego, self.scenario.ego.length)
+        at = self._at
+        self._ego = EgoPlace(at[geometry.S], at[geometry.STRETCH], at[geometry.OWN_SPEED], at[geometry.D])
+
+    def _guide(self, index: int) -> None:
+        """Puts SUMO's ego vehicle to where it reaches its place at the end of the step.
+
+        Into its lane by name, also if SUMO took another one behind a split; by coordinates if its way in this step begins or ends inside of
+        a junction, or begins before the route.
         """
-        track, along = int(motion.item(geometry.TRACK)), motion.item(geometry.ALONG)
-        if track == self._track and index % CHECKED_STEPS and (self._placed < self._border or self._is_followed(track)):
+        at, speed = self._at, self._at[geometry.OWN_SPEED]
+        track, along = int(at[geometry.TRACK]), at[geometry.ALONG]
+        if track == self._track and index % CHECKED_STEPS and self._is_followed(track):
             way = max(along - self._placed, 0.0)
             self._placed += way
-            SET_SPEED(EGO, way / self._step)
+            SET_SPEED(EGO, way / self.step)
             return
-        edge, lane, position = self._road.sumo.place(track, along)
+        begin = along - speed * self.step
+        (edge, lane, _), before = self.road.sumo.place(track, along), self.road.sumo.place(track, begin)
         self._track = track
-        if edge.startswith(":") or position < speed * self._step:
+        if edge.startswith(":") or before.edge.startswith(":") or before.position < 0.0:
             self._track = -1
-            MOVE_TO_XY(EGO, edge, lane, *front.tolist(), MAPPED_ANYWHERE, MAPPED_WITHIN)
+            front = self.motion[geometry.FRONT : geometry.FRONT + 3].tolist()
+            MOVE_TO_XY(EGO, edge, lane, *front, MAPPED_ANYWHERE, MAPPED_WITHIN)
             return
-        sumo.vehicle.moveTo(EGO, f"{edge}_{lane}", position - speed * self._step)
+        sumo.vehicle.moveTo(EGO, f"{before.edge}_{before.lane}", before.position)
         SET_SPEED(EGO, speed)
-        self._placed, self._border = along, self._road.sumo.end(track, along)
+        self._placed, self._border = along, self.road.sumo.end(track, begin)
 
     def _is_followed(self, track: int) -> bool:
         """Returns whether SUMO has moved the ego vehicle on into the lane of its track: a lane may lead to several."""
-        edge, lane, _ = self._road.sumo.place(track, self._placed)
+        edge, lane, _ = self.road.sumo.place(track, self._placed)
         if not edge.startswith(":") and sumo.vehicle.getLaneID(EGO) != f"{edge}_{lane}":
             return False
-        self._border = self._road.sumo.end(track, self._placed)
+        self._border = self.road.sumo.end(track, self._placed)
         return True
 
     def _enlist(self, names: list[str]) -> None:
         """Replaces the arrays for other vehicles; new ones are told what they may do."""
-        raw, others, outlines = (
-            np.full((len(names), sumo.COLUMNS), np.nan),
-            np.zeros((len(names), 6)),
-            np.zeros((len(names), 6)),
-        )
+        neighbours, outlines = np.zeros((len(names), 6)), np.zeros((len(names), geometry.OUTLINED))
         rows = {name: row for row, name in enumerate(self.names)}
         for row, name in enumerate(names):
             if name in rows:
-                others[row], outlines[row] = self.others[rows[name]], self.outlines[rows[name]]
+                neighbours[row], outlines[row] = self.neighbours[rows[name]], self.outlines[rows[name]]
                 continue
             driver = self._driver(name)
             size = (driver.length, driver.width) if driver else (sumo.vehicle.getLength(name), sumo.vehicle.getWidth(name))
-            others[row, 4:] = size
             self._strays[name] = not self._own.issuperset(sumo.vehicle.getRoute(name))
-            others[row, 0] = geometry.nearest(self._road.line, *GET_POSITION(name)) - 0.5 * others[row, 4]
-            outlines[row, :2], outlines[row, 5] = np.nan, GET_SPEED(name)
+            s = geometry.nearest(self.road.line, *GET_POSITION(name)) - 0.5 * size[0]
+            neighbours[row] = s, np.nan, 0.0, 0.0, *size
+            outlines[row, :2], outlines[row, 5], outlines[row, geometry.SAID + 3] = np.nan, GET_SPEED(name), np.nan
             self._instruct(name, outlines.item(row, 5))
-        self._turned = [(row, name) for row, name in enumerate(names) if self._strays[name]]
-        self.names, self.raw, self.others, self.outlines = names, raw, others, outlines
-        self._cells = raw.reshape(-1).data
+        self._use(names, neighbours, outlines)
 
     def _instruct(self, name: str, speed: float) -> None:
         """Tells a vehicle that has this speed (m/s) what it may do."""
         driver = self._driver(name)
-        if driver is not None and driver.lane_change == "none":
+        if driver is not None and driver.lane_change == "none" and not self._is_forbidden:
             sumo.vehicle.setLaneChangeMode(name, NO_LANE_CHANGES)
         if driver is not None and driver.model == "constant":
             sumo.vehicle.setSpeedMode(name, FREE)
@@ -303,31 +360,41 @@ class Traffic:
         """Returns the driver of a vehicle or of its flow, None for vehicles of a route file, which SUMO drives."""
         return self._drivers.get(name) or self._drivers.get(name.rpartition(".")[0])
 
-    def _read(self) -> None:
-        sumo.read(self.names, self._cells)
+    def _read_places(self) -> None:
+        sumo.positions(self.names, self._places, self._asides)
         for row, name in self._turned:
-            self._cells[sumo.COLUMNS * row + 3] = radians(90.0 - GET_ANGLE(name))
-        if self._road.levels:
+            self._headings[row] = radians(90.0 - GET_ANGLE(name))
+        if self.road.levels:
             self._leave_out_other_levels()
 
     def _read_starts(self) -> None:
-        self._read()
-        self._set_off()
-        geometry.locate(self._road.line, self.raw, self.others, self.outlines, 0.0)
+        if self.keeps_lanes:
+            for row, start in enumerate(self._starts[:-1]):
+                edge, _, lane = start.lane.rpartition("_")
+                track, place = self.road.sumo.along(edge, int(lane), start.position)
+                self.outlines[row, geometry.SAID :] = place, 0.0, start.speed, track
+        else:
+            self._speeds[:] = array("d", map(GET_SPEED, self.names))
+            self._read_places()
+            self._set_off()
+        geometry.locate(self.road.line, self.road.lanes, self.neighbours, self.outlines, 0.0, self.keeps_lanes)
 
     def _set_off(self) -> None:
         """Moves the vehicles that start off the centre of their lane to their offset: SUMO does so in the first step only."""
         for row, start in enumerate(self._starts[:-1]):
             if start.offset:
                 heading = radians(90.0 - GET_ANGLE(start.name))
-                self.raw[row, :2] += -start.offset * sin(heading), start.offset * cos(heading)
+                self.outlines[row, geometry.SAID : geometry.SAID + 2] += (
+                    -start.offset * sin(heading),
+                    start.offset * cos(heading),
+                )
 
     def _leave_out_other_levels(self) -> None:
         """Gives vehicles above or below the road no place on it."""
         for row, name in enumerate(self.names):
-            stretch = self._road.levels.get(GET_ROAD(name))
+            stretch = self.road.levels.get(GET_ROAD(name))
             if stretch is not None and stretch[0] <= GET_LANE_POSITION(name) <= stretch[1]:
-                self.raw[row, :2] = np.nan
+                self.outlines[row, geometry.SAID : geometry.SAID + 2] = np.nan
 
 
 def _centre(road: HighwayRoad, placed: Placed, field: str) -> tuple[float, float]:
@@ -335,22 +402,21 @@ def _centre(road: HighwayRoad, placed: Placed, field: str) -> tuple[float, float
     try:
         if placed.edge is not None:
             return road.corridor.position(placed.edge, placed.lane, placed.s)
-        piece = road.corridor.piece(placed.s, placed.lane)
-        return road.corridor.position(piece.edge, piece.index, _along(road, piece, placed.s))
+        return placed.s, road.centre(placed.s, placed.lane)[1]
     except InvalidInputError as error:
         raise _prefixed(error, field) from error
 
 
 def _front(road: HighwayRoad, placed: Placed, length: float, field: str) -> tuple[str, float]:
     """Returns lane and position along it of a vehicle's front. Raises InvalidInputError."""
-    edge, lane, position = placed.edge, placed.lane, placed.s + 0.5 * length
-    if edge is None:
+    if placed.edge is None:
         try:
-            piece = road.corridor.piece(placed.s, lane)
+            piece, d = road.centre(placed.s, placed.lane)
         except InvalidInputError as error:
             raise _prefixed(error, field) from error
-        edge, position = piece.edge, _along(road, piece, placed.s) + 0.5 * length
-    edge, lane, position = road.sumo.ahead(edge, lane, position)
+        edge, lane, position = road.front(piece, placed.s, d, length)
+    else:
+        edge, lane, position = road.sumo.ahead(placed.edge, placed.lane, placed.s + 0.5 * length)
     name = f"{edge}_{lane}"
     try:
         end = float(sumo.lane.getLength(name))
@@ -364,12 +430,6 @@ def _front(road: HighwayRoad, placed: Placed, length: float, field: str) -> tupl
             Problem(f"{field}.s", message, f"give at most {placed.s - beyond:.2f}, or a place behind the junction")
         )
     return name, min(position, end)
-
-
-def _along(road: HighwayRoad, piece: LanePiece, s: float) -> float:
-    """Returns the position along a lane (m, as SUMO counts) at s of the corridor."""
-    places = road.corridor.places[piece.edge, piece.index]
-    return float(np.interp(s, places[:, 1], places[:, 0]))
 
 
 def _prefixed(error: InvalidInputError, field: str) -> InvalidInputError:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from math import ceil
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -10,14 +10,15 @@ from drivecal.bundles.highway import Ego, HighwayScenario, PlannerController
 from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
 from drivecal.domain.roads import Floats
 from drivecal.domain.scenarios import EgoStart, Road, Scenario, SpeedKnot, Task
+from drivecal.highway.drive.control import Command, CommandControl, Control, PlannerControl, RunView
 from drivecal.highway.drive.controllers import Checked, ControllerError
 from drivecal.highway.drive.geometry import NAMES
 from drivecal.highway.drive.road import HighwayRoad
-from drivecal.highway.geometry import frenet_motion
 from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.planner.following import follow
 from drivecal.highway.planner.planner import FrenetPlanner
 from drivecal.highway.planner.plans import SPACING
+from drivecal.highway.vehicle.kernels import TRAJECTORY
 from drivecal.plugins.ports import Observation
 
 STEP = 0.05
@@ -36,37 +37,29 @@ SAME = 1e-6
 TRACK = NAMES.index("lane")
 
 
-class VisibleTraffic(Protocol):
-    """Traffic that a planner sees: the other vehicles' `names` and rows (s, d, speed, acceleration, length, width)."""
-
-    names: list[str]
-    others: Floats
-
-
-class TrajectorySource(Protocol):
-    """Source of the trajectory to follow, shape (n, 7): t, x, y, heading, curvature, speed, acceleration, equally spaced in time."""
-
-    def begin(self, parameters: Mapping[str, Any]) -> None:
-        """Starts a run."""
-
-    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic, lead: float) -> Floats:
-        """Returns the trajectory that begins now. `pose`: as the vehicle's; `position`: its s; `lead`: seconds since `traffic` was read."""
-
-
-class ControllerTrajectories(TrajectorySource):
+class ControllerTrajectories(Control):
     """The trajectories of a user's controller."""
 
-    def __init__(self, controller: Checked, road: HighwayRoad, needed: float) -> None:
-        """`needed`: seconds that each trajectory must cover."""
-        self._controller, self._road, self._needed = controller, road, needed
+    by = TRAJECTORY
+
+    def __init__(self, controller: Checked, road: HighwayRoad, period: float) -> None:
+        """`period`: seconds that each trajectory must cover."""
+        self._controller, self._road, self.period = controller, road, period
 
     def begin(self, parameters: Mapping[str, Any]) -> None:
         self._controller.begin(parameters)
 
-    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic, lead: float) -> Floats:
-        del pose, position, traffic, lead
-        points = checked_points(self._controller.step(signals)[0], self._needed, signals[0])
-        return trajectory_of(self._road, int(signals[TRACK]), points, self._needed)
+    def act(self, view: RunView) -> Command:
+        signals = view.signals()
+        points = checked_points(self._controller.step(signals)[0], self.period, signals[0])
+        return trajectory_of(self._road, int(signals[TRACK]), points, self.period), 0.0, 0.0
+
+
+def control_of(controller: Checked, output: Sequence[str], road: HighwayRoad, period: float) -> Control:
+    """Returns a user's controller as what drives the vehicle. `output`: names of its commands; `period`: seconds between them."""
+    if list(output) == ["trajectory"]:
+        return ControllerTrajectories(controller, road, period)
+    return CommandControl(controller, output, period)
 
 
 def checked_points(answer: Any, needed: float, time: float) -> Floats:
@@ -134,50 +127,34 @@ def _joined(times: Floats, values: Floats, at: Floats) -> Floats:
     return np.asarray(first + blend * (last - first) + u * (1.0 - u) * ((1.0 - u) * start - u * end) + beyond * end)
 
 
-class PlannerTrajectories(TrajectorySource):
+class PlannerTrajectories(PlannerControl):
     """The built-in planner on a corridor: its road has the corridor's reference line and as many lanes as go on to its left."""
 
     def __init__(
         self, section: PlannerController, scenario: HighwayScenario, road: HighwayRoad, start: tuple[float, float]
     ) -> None:
         """`start`: s and d of the ego vehicle."""
-        self._values, self._road = dict(section.values), road
-        self._planner = _CorridorPlanner(_task(section, scenario.ego, road, start), road.line)
-        self._observation = Observation(0.0, np.zeros(6), np.zeros((0, 6)))
-        self._read, self._offsets, self._drifts = 0.0, dict[str, float](), dict[str, float]()
+        self._on_corridor = _CorridorPlanner(_task(section, scenario.ego, road, start), road.line)
+        super().__init__(self._on_corridor)
+        self.period, self._values, self._has_levels = section.period, dict(section.values), bool(road.levels)
 
     def begin(self, parameters: Mapping[str, Any]) -> None:
         given = self._values | dict(parameters)
-        self._planner.reset([float(given[name]) for name in PLANNER_PARAMETERS])
-        self._read, self._offsets, self._drifts = 0.0, {}, {}
+        super().begin([float(given[name]) for name in PLANNER_PARAMETERS])
 
-    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic, lead: float) -> Floats:
-        here = ~np.isnan(traffic.others[:, 0])  # not above or below the road
-        rows = traffic.others[here]
-        names = [name for name, is_here in zip(traffic.names, here.tolist(), strict=True) if is_here]
-        self._follow_drifts(dict(zip(names, rows[:, 1].tolist(), strict=True)), signals[0] - lead)
-        drift = np.array([self._drifts.get(name, 0.0) for name in names])
-        curvature = np.interp(rows[:, 0], self._road.line[:, 0], self._road.line[:, 4])
-        along = rows[:, 2] / np.maximum(1.0 - curvature * rows[:, 1], 0.1)
-        s, d = rows[:, 0] + lead * along, rows[:, 1] + lead * drift
-        neighbours = np.column_stack([s, d, along, drift, rows[:, 4], rows[:, 5]])
-        observation = self._observation
-        observation.time, observation.neighbours = signals[0], neighbours
-        observation.ego = np.array(frenet_motion(self._road.line, pose, position)[:6])
+    def act(self, view: RunView) -> Command:
+        outlines = view.traffic.outlines
+        if self._has_levels:  # without those above or below the road
+            here = ~np.isnan(view.neighbours[:, 0])
+            view.neighbours, outlines = view.neighbours[here], outlines[here]
+        if view.lead > 0.0:
+            view.neighbours = view.neighbours.copy()
+            view.neighbours[:, :2] += view.lead * view.neighbours[:, 2:4]
         try:
-            # Contiguous however many rows there are, so that the kernel has one form.
-            self._planner.follow(observation, np.ascontiguousarray(rows[:, 3]))
-            return self._planner.plan(observation)
+            self._on_corridor.follow(view, outlines)
+            return super().act(view)
         except ValueError as error:
-            raise ControllerError(f"the planner failed at {signals[0]:g} s: {error}") from error
-
-    def _follow_drifts(self, offsets: dict[str, float], read: float) -> None:
-        """Takes the lateral speeds (m/s) of the other vehicles from their d, read at a time."""
-        elapsed = read - self._read
-        if elapsed > SAME:
-            self._drifts = {name: (d - self._offsets.get(name, d)) / elapsed for name, d in offsets.items()}
-        if elapsed > SAME or not self._offsets:
-            self._read, self._offsets = read, offsets
+            raise ControllerError(f"the planner failed at {view.time:g} s: {error}") from error
 
 
 class _CorridorPlanner(FrenetPlanner):
@@ -190,11 +167,14 @@ class _CorridorPlanner(FrenetPlanner):
         columns = [line[:rows, :5], self._road[:rows, 5], np.cos(line[:rows, 3]), np.sin(line[:rows, 3])]
         self._road = np.ascontiguousarray(np.column_stack([*columns, *(change[:rows] for change in changes)]))
         self._wanted_speeds = self._road[:, 5].copy()
+        self._follows = True
 
-    def follow(self, observation: Observation, accelerations: Floats) -> None:
-        """Lowers the desired speed of the next plan behind a leader. `accelerations` are the neighbours'."""
+    def follow(self, observation: Observation, outlines: Floats) -> None:
+        """Lowers the desired speed of the next plan behind a leader. `outlines` are the neighbours'."""
         scene = self._scenes[self._wanted(observation.time)]
-        follow(self._road, self._wanted_speeds, scene, observation.ego, observation.neighbours, accelerations)
+        self._follows = follow(
+            self._road, self._wanted_speeds, scene, observation.ego, observation.neighbours, outlines, self._follows
+        )
 
 
 def _task(section: PlannerController, ego: Ego, road: HighwayRoad, start: tuple[float, float]) -> Scenario:

@@ -34,12 +34,17 @@ def speed_behind(gap: float, speed: float) -> float:
 
 
 @compiled
-def follow(road: Floats, wanted: Floats, scene: Floats, ego: Floats, neighbours: Floats, accelerations: Floats) -> None:
+def follow(
+    road: Floats, wanted: Floats, scene: Floats, ego: Floats, neighbours: Floats, outlines: Floats,
+    followed: bool,  # noqa: FBT001  # kernels take arguments by position
+) -> bool:  # fmt: skip
     """Writes the desired speeds and their changes to `road`: `wanted`, shape (n,), lowered behind the vehicle in the way, if there is any.
 
-    `road`, `scene`, `ego`, `neighbours`: as in `plans`; `accelerations` (m,) are the neighbours', along the road. In the way is a vehicle
-    ahead that is less to the side than a leader that counts for P8, now or after its drift. A leader that brakes
-    goes on braking.
+    Returns whether there is one; `followed`: what the last call returned.
+
+    `road`, `scene`, `ego`, `neighbours`: as in `plans`; `outlines`, shape (m, 7): rows of the neighbours, whose last column is their
+    acceleration along the road. In the way is a vehicle ahead that is less to the side than a leader that counts for P8, now or after its
+    drift. A leader that brakes goes on braking.
     """
     lowest, gap, leader, braking = inf, inf, 0.0, 0.0
     for m in range(len(neighbours)):
@@ -49,7 +54,9 @@ def follow(road: Floats, wanted: Floats, scene: Floats, ego: Floats, neighbours:
         space = neighbours[m, 0] - ego[0] - scene[3] - 0.5 * neighbours[m, 4]
         speed = speed_behind(space, neighbours[m, 2])
         if speed < lowest:
-            lowest, gap, leader, braking = speed, space, neighbours[m, 2], max(-accelerations[m], 0.0)
+            lowest, gap, leader, braking = speed, space, neighbours[m, 2], max(-outlines[m, 6], 0.0)
+    if lowest == inf and not followed:
+        return False
     road[:, 5] = wanted
     if lowest < inf:
         last = len(road) - 1
@@ -72,3 +79,4 @@ def follow(road: Floats, wanted: Floats, scene: Floats, ego: Floats, neighbours:
     for row in range(len(road) - 1):
         road[row, 9] = (road[row + 1, 5] - road[row, 5]) / SPACING
     road[-1, 9] = 0.0
+    return lowest < inf

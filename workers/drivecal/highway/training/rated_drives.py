@@ -10,7 +10,7 @@ from drivecal.domain.evaluations import Rating
 from drivecal.highway.comfort import reference
 from drivecal.highway.comfort.metrics import comfort_metrics
 from drivecal.highway.comfort.rocket import Integers, channels_of
-from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.drive.tasks import EpisodeRunner
 from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY

@@ -9,8 +9,6 @@ from drivecal.highway.vehicle.parameters import NOMINAL, SingleTrackParameters
 from drivecal.highway.vehicle.residual import Residual
 from drivecal.plugins.ports import Floats
 
-_NO_PATH: Floats = np.zeros((2, 7))
-
 
 class SingleTrackModel:
     """A vehicle that follows trajectories (port `VehicleModel`) or commands. Its controller is that of the `nominal` vehicle."""
@@ -40,11 +38,6 @@ class SingleTrackModel:
         """State, plant and controller, the arguments of `kernels.follow` before the trajectory. The state changes with the vehicle."""
         return self._state, self._plant, self._controller
 
-    @property
-    def steering(self) -> float:
-        """Steering angle of the front wheels (rad)."""
-        return self._state.item(8)
-
     def follow(self, trajectory: Floats, since: float, duration: float, dynamics: Floats) -> bool:
         """Tracks `trajectory` from `since` seconds after its start for `duration` seconds; see `ports.VehicleModel.follow`.
 
@@ -59,22 +52,11 @@ class SingleTrackModel:
             raise ValueError(f"the trajectory does not cover {since} s to {since + duration} s after its start")
         return bool(status == kernels.FOLLOWED)
 
-    def step(self, steering: float, acceleration: float, dynamics: Floats) -> bool:
-        """Moves the plant towards a steering angle (rad) and an acceleration (m/s^2) for 0.01 s per row of `dynamics`.
+    def drive(self, by: int, lateral: float, acceleration: float, path: Floats, since: float, dynamics: Floats) -> bool:
+        """Drives at constant commands for 0.01 s per row of `dynamics`, as `kernels.drive`; returns False if the vehicle became unstable.
 
-        Here and below, `dynamics` has the columns of `follow`; returns False if the vehicle became unstable, as `follow` does.
+        `dynamics` has the columns of `follow`.
         """
-        return self._drive(kernels.STEERING, steering, acceleration, _NO_PATH, 0.0, dynamics)
-
-    def turn(self, curvature: float, acceleration: float, dynamics: Floats) -> bool:
-        """Steers to a curvature (1/m) instead."""
-        return self._drive(kernels.CURVATURE, curvature, acceleration, _NO_PATH, 0.0, dynamics)
-
-    def keep(self, path: Floats, since: float, acceleration: float, dynamics: Floats) -> bool:
-        """Steers along a path, given as a trajectory of shape (n, 7), from `since` seconds after its start."""
-        return self._drive(kernels.PATH, 0.0, acceleration, path, since, dynamics)
-
-    def _drive(self, by: int, lateral: float, acceleration: float, path: Floats, since: float, dynamics: Floats) -> bool:
         return kernels.drive(
             self._state, self._plant, self._controller, by, lateral, acceleration, path, since, len(dynamics), dynamics
         )

@@ -1,7 +1,8 @@
 """Drives as a replay shows them: the ego vehicle, and each other vehicle as long as it is near."""
 
 import tracemalloc
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ from drivecal.domain.roads import Floats, to_cartesian
 from drivecal.highway.drive import replay as replays
 from drivecal.highway.drive.measures import COLUMNS, Record
 from drivecal.highway.drive.replay import REACH, DriveRecorder, Neighbourhood
+from drivecal.highway.drive.traffic import Traffic
 
 ROAD = real_corridor("motorway")
 STEP, SPEED = 0.1, 30.0
@@ -29,6 +31,11 @@ def rows(times: npt.NDArray[np.floating[Any]]) -> Floats:
     return table
 
 
+def shown(names: list[str], outlines: Floats) -> Traffic:
+    """Traffic with these vehicles."""
+    return cast("Traffic", SimpleNamespace(names=names, outlines=outlines))
+
+
 def recorded(table: Floats, others: list[dict[str, float]]) -> ReplayAnswer | None:
     """The replay of a drive, at whose moments `others` are as far ahead (m) as given by their names."""
     recorder = DriveRecorder(table[1, 0] - table[0, 0])
@@ -37,9 +44,9 @@ def recorded(table: Floats, others: list[dict[str, float]]) -> ReplayAnswer | No
             (np.nan, np.nan, 0.0) if np.isnan(gap) else to_cartesian(ROAD.line, row[4] + gap, 0.0) for gap in ahead.values()
         ]
         outlines = np.array([[*place, 2.5, 0.9, SPEED] for place in places]).reshape(-1, 6)
-        recorder(list(ahead), outlines, row[1:4])
+        recorder(shown(list(ahead), outlines), row[1:4], None)
         outlines[:] = np.nan  # the next step overwrites it
-    record = Record(table, np.zeros((0, 5)), 1.0, 1.0, 2000.0, 1.9)
+    record = Record(table, np.zeros((0, 5)), 1.0, 1.0, 1.9)
     return recorder.replay(record, 4.7, ROAD, Neighbourhood.of(()))
 
 
@@ -116,7 +123,7 @@ def test_the_memory_of_a_recorder_is_bounded(monkeypatch: pytest.MonkeyPatch) ->
 
     def record(moments: int) -> None:
         for _ in range(moments):
-            recorder(names, outlines, pose)
+            recorder(shown(names, outlines), pose, None)
 
     record(1000)
     tracemalloc.start()

@@ -1,10 +1,12 @@
-"""When a task counts as fulfilled."""
+"""Scenarios with a task: when it counts as fulfilled, and how the others drift."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from drivecal.domain.roads import Floats
-from drivecal.highway.episode.runner import fulfilled, speed_errors, target_offsets
+from drivecal.highway.drive.tasks import drift_offsets, fulfilled, speed_errors, target_offsets
 from drivecal.highway.scenarios.highway import HIGHWAY
 
 S1, S5 = HIGHWAY.scenarios["S1"], HIGHWAY.scenarios["S5"]
@@ -58,3 +60,11 @@ def test_the_desired_speed_changes_at_its_place_on_the_road() -> None:
     motion[:, 0] = second.s - 0.1, second.s, second.s + 100.0
     motion[:, 1] = first.speed
     assert speed_errors(motion, S5) == pytest.approx([0.0, first.speed - second.speed, first.speed - second.speed])
+
+
+def test_a_vehicle_drifts_along_its_knots() -> None:
+    vehicle = replace(S1.traffic[0], drift=((1.0, 0.0), (2.0, 0.5), (3.0, 0.5), (4.0, -0.5)))
+    offsets = drift_offsets(vehicle, S1)
+    assert len(offsets) == round(S1.duration / S1.step)
+    after = {time: offsets[round(time / S1.step) - 1] for time in (0.5, 1.5, 2.5, 3.5, 10.0)}
+    assert after == pytest.approx({0.5: 0.0, 1.5: 0.25, 2.5: 0.5, 3.5: 0.0, 10.0: -0.5})

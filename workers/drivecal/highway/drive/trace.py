@@ -1,15 +1,15 @@
 """Time series of a run for inspection."""
 
-from dataclasses import dataclass, field
-from math import atan2
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from drivecal.domain.evaluations import RunResult
-from drivecal.domain.roads import Floats, reference_line, to_cartesian
+from drivecal.domain.roads import Floats
 from drivecal.domain.scenarios import Scenario
-from drivecal.highway.episode.loop import SAMPLE_TIME, Drive
+from drivecal.highway.drive.measures import TICK, Record
+from drivecal.highway.drive.traffic import Traffic
 
 EGO_COLUMNS = (
     "x_m",
@@ -68,51 +68,47 @@ def _columns(names: tuple[str, ...], rows: Floats) -> dict[str, list[float]]:
     return {name: column.tolist() for name, column in zip(names, rows.T, strict=True)}
 
 
-@dataclass(slots=True)
 class Recorder:
     """Records a run as the closed loop's `Watcher`."""
 
-    scenario: Scenario
-    _poses: list[Floats] = field(default_factory=list)
-    _neighbours: list[Floats] = field(default_factory=list)
-    _plans: dict[float, Floats] = field(default_factory=dict)
+    def __init__(self, scenario: Scenario) -> None:
+        """Records one run of a scenario."""
+        self._scenario = scenario
+        self._poses: list[Floats] = []
+        self._others: dict[str, list[Floats]] = {vehicle.id: [] for vehicle in scenario.traffic}
+        self._plans: dict[float, Floats] = {}
 
-    def __call__(self, index: int, plan: Floats | None, pose: Floats, neighbours: Floats) -> None:
-        """Records step `index`."""
-        self._poses.append(pose.copy())
-        self._neighbours.append(neighbours[:, :4].copy())
+    def __call__(self, traffic: Traffic, pose: Floats, plan: Floats | None) -> None:
         if plan is not None:
-            self._plans[round(index * self.scenario.step, 9)] = plan.copy()
+            self._plans[round((len(self._poses) - 1) * self._scenario.step, 9)] = plan.copy()
+        self._poses.append(pose.copy())
+        for name, row in zip(traffic.names, np.hstack([traffic.neighbours[:, :4], traffic.outlines[:, :3]]), strict=True):
+            self._others[name].append(row)
 
-    def trace(self, drive: Drive, result: RunResult) -> Trace:
+    def trace(self, record: Record, result: RunResult) -> Trace:
         """Returns the recorded run. A last step that left the road has no row, because SUMO never received it."""
-        n = len(self._poses)
-        neighbours = self._with_poses(np.array(self._neighbours).reshape(n, len(self.scenario.traffic), 4))
+        n = len(self._poses) - 1
+        poses = np.array(self._poses[1:]).reshape(n, len(EGO_COLUMNS) - 2)
         return Trace(
-            scenario=self.scenario.id,
-            times=np.arange(1, n + 1, dtype=np.float64) * self.scenario.step,
-            ego=np.hstack([np.array(self._poses).reshape(n, len(EGO_COLUMNS) - 2), self._jerks(drive.dynamics, n)]),
-            frenet=drive.motion[1 : n + 1, [0, 3]].copy(),
+            scenario=self._scenario.id,
+            times=np.arange(1, n + 1, dtype=np.float64) * self._scenario.step,
+            ego=np.hstack([poses, self._jerks(record.dynamics, n)]),
+            frenet=record.motion[1 : n + 1, [0, 3]].copy(),
             plans=self._plans,
-            neighbours={vehicle.id: neighbours[:, index] for index, vehicle in enumerate(self.scenario.traffic)},
+            neighbours={name: _turned(np.array(rows[1:]).reshape(-1, 7)) for name, rows in self._others.items()},
             result=result,
         )
 
-    def _with_poses(self, frenet: Floats) -> Floats:
-        """Adds Cartesian poses to neighbours; a vehicle's heading is that of the road plus its lateral motion."""
-        line = reference_line(self.scenario.road)
-        neighbours = np.empty((*frenet.shape[:2], len(NEIGHBOUR_COLUMNS)))
-        neighbours[:, :, :4] = frenet
-        for step, vehicle in np.ndindex(*frenet.shape[:2]):
-            s, d, along, across = frenet[step, vehicle].tolist()
-            x, y, heading = to_cartesian(line, s, d)
-            neighbours[step, vehicle, 4:] = x, y, heading + (atan2(across, along) if along > 1.0 else 0.0)
-        return neighbours
-
     def _jerks(self, dynamics: Floats, n: int) -> Floats:
         """Returns longitudinal and lateral jerk over the last `JERK_SECONDS`, after each of n steps, shape (n, 2)."""
-        samples = round(self.scenario.step / SAMPLE_TIME)
+        samples = round(self._scenario.step / TICK)
         ends = np.arange(1, n + 1) * samples - 1
-        begins = np.maximum(ends - round(JERK_SECONDS / SAMPLE_TIME), 0)
-        seconds = (ends - begins)[:, None] * SAMPLE_TIME
-        return np.asarray((dynamics[ends, 1:3] - dynamics[begins, 1:3]) / np.maximum(seconds, SAMPLE_TIME))
+        begins = np.maximum(ends - round(JERK_SECONDS / TICK), 0)
+        seconds = (ends - begins)[:, None] * TICK
+        return np.asarray((dynamics[ends, 1:3] - dynamics[begins, 1:3]) / np.maximum(seconds, TICK))
+
+
+def _turned(rows: Floats) -> Floats:
+    """Adds the lateral motion to the headings of vehicles that move, which are those of the road."""
+    rows[:, 6] += np.where(rows[:, 2] > 1.0, np.arctan2(rows[:, 3], rows[:, 2]), 0.0)
+    return rows

@@ -1,0 +1,174 @@
+"""Simulation and rating of parameter sets in one scenario with a task, by an installed driving function in the worker itself."""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from drivecal.bundles.highway import HighwayScenario
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.evaluations import FAILED_RATING, Failure, Rating, RunResult
+from drivecal.domain.roads import Floats
+from drivecal.domain.scenarios import Scenario, TrafficVehicle
+from drivecal.highway.comfort.metrics import comfort_metrics
+from drivecal.highway.drive.control import PlannerControl
+from drivecal.highway.drive.loop import FinishedRun, Loop
+from drivecal.highway.drive.road import HighwayRoad
+from drivecal.highway.drive.trace import Recorder, Trace
+from drivecal.highway.drive.traffic import Traffic
+from drivecal.plugins.ports import DrivingFunction, Evaluator, Series, SeriesEvaluator, VehicleModel
+from drivecal.roads.carriageway import carriageway, corridor_of
+
+NETWORK = "road.net.xml"
+
+
+def described(scenario: Scenario) -> HighwayScenario:
+    """Returns a scenario with a task as one of a problem, without the drifts of its vehicles. Raises ValueError if it cannot be one."""
+    lane, ego = scenario.task.start_lane, scenario.ego
+    start = {"lane": lane, "s": ego.s, "speed": ego.speed, "offset": ego.d - lane * scenario.road.lane_width}
+    others = [
+        {
+            "id": other.id,
+            "lane": other.lane,
+            "s": other.s,
+            "speed": other.speed,
+            "max_speed": other.desired_speed,
+            "length": other.length,
+            "width": other.width,
+            "acceleration": other.acceleration,
+            "deceleration": other.deceleration,
+            "time_headway": other.time_headway,
+        }
+        for other in scenario.traffic
+    ]
+    return HighwayScenario.model_validate(
+        {
+            "network": NETWORK,
+            "route": list(scenario.route),
+            "duration": scenario.duration,
+            "seed": scenario.seed,
+            "ego": start | {"length": ego.length, "width": ego.width},
+            "traffic": others,
+        }
+    )
+
+
+def drift_offsets(vehicle: TrafficVehicle, scenario: Scenario) -> list[float]:
+    """Returns the vehicle's offset from its lane's centre (m, to the left) after each step of the scenario."""
+    steps = round(scenario.duration / scenario.step)
+    return [_interpolate(vehicle.drift, (step + 1) * scenario.step) for step in range(steps)]
+
+
+def _interpolate(knots: tuple[tuple[float, float], ...], time: float) -> float:
+    for (begin, first), (end, second) in pairwise(knots):
+        if time < end:
+            return first + (second - first) * max(0.0, time - begin) / (end - begin)
+    return knots[-1][1]
+
+
+def road_of(scenario: Scenario) -> HighwayRoad:
+    """Returns the road of a scenario's network. Raises InvalidInputError if the scenario has another one."""
+    name = f"{scenario.id}.net.xml"
+    road = carriageway(scenario.network, scenario.route, name)
+    same = np.array_equal(road.line, scenario.road.line) and road.lanes == scenario.road.lanes
+    if not (same and road.lane_width == scenario.road.lane_width):
+        raise InvalidInputError(Problem("road", f"{scenario.id}: it is not that of its network", "measure it by `carriageway`"))
+    return HighwayRoad(corridor_of(scenario.network, scenario.route, name), carriageway=road)
+
+
+class EpisodeRunner:
+    """Simulates and rates parameter sets in one scenario, in the only SUMO simulation of this process.
+
+    Runners of several scenarios may coexist; switching between them costs a reload of some milliseconds. Equal parameters give equal bits,
+    independent of earlier runs.
+    """
+
+    def __init__(
+        self, scenario: Scenario, driving_function: DrivingFunction, vehicle: VehicleModel, evaluator: Evaluator
+    ) -> None:
+        """Creates a runner. `vehicle`: as from `Vehicle.create`; runners must not share it.
+
+        Raises InvalidInputError if the scenario cannot be driven, and TrafficError if SUMO refuses it.
+        """
+        self.parameters = tuple(parameter.name for parameter in next(iter(driving_function.spaces.values())))
+        """Names of the driving function's parameters in the order of `run`."""
+        self._scenario = scenario
+        self._evaluator = evaluator
+        self._series_evaluator = evaluator if isinstance(evaluator, SeriesEvaluator) else None  # isinstance takes microseconds
+        self._vehicle = vehicle
+        self._folder = TemporaryDirectory()
+        folder = Path(self._folder.name)
+        (folder / NETWORK).write_bytes(scenario.network)
+        drifts = {other.id: drift_offsets(other, scenario) for other in scenario.traffic if other.drift}
+        traffic = Traffic(
+            scenario.id, described(scenario), folder / NETWORK, road_of(scenario), scenario.step, folder, drifts=drifts
+        )
+        control = PlannerControl(driving_function.create(scenario))
+        self._loop = Loop(traffic, vehicle, control, verge=0.0, heading=scenario.ego.heading)
+
+    def run(self, parameters: Sequence[float]) -> RunResult:
+        """Runs one simulation with these parameter values, in the order of the driving function's parameters.
+
+        Raises TrafficError if SUMO fails, which is not a result, unlike a `failure` of the driving function.
+        """
+        return self._result(self._loop.run(parameters))
+
+    def trace(self, parameters: Sequence[float]) -> Trace:
+        """Runs the same simulation and returns its time series, too."""
+        recorder = Recorder(self._scenario)
+        finished = self._loop.run(parameters, watch=recorder)
+        return recorder.trace(finished.record, self._result(finished))
+
+    def _result(self, finished: FinishedRun) -> RunResult:
+        motion, dynamics = finished.record.motion, finished.record.dynamics
+        offsets = target_offsets(motion, self._scenario)
+        series = Series(dynamics, offsets[1:])
+        metrics = comfort_metrics(series.dynamics, series.offset) | {
+            "driven_s": (len(motion) - 1) * self._scenario.step,
+            "final_offset_m": offsets.item(-1),
+            "final_speed_error_mps": speed_errors(motion[-1:], self._scenario).item(),
+        }
+        measured = getattr(self._vehicle, "metrics", None)  # `SelfMeasuring`, in some vehicles only after a run
+        if measured is not None:
+            metrics |= measured
+        failure = None if finished.failure is None else Failure(finished.failure)
+        if failure is None and not fulfilled(motion, self._scenario):
+            failure = Failure.TASK_MISSED
+        return RunResult(FAILED_RATING if failure else self._rating(metrics, series), metrics, failure)
+
+    def _rating(self, metrics: Mapping[str, float], series: Series) -> Rating:
+        if self._series_evaluator is not None:
+            return self._series_evaluator.rate_series(self._scenario.rated_as, series)
+        return self._evaluator.rate(self._scenario.rated_as, metrics)
+
+
+def target_offsets(motion: Floats, scenario: Scenario) -> Floats:
+    """Returns the offsets (m, to the left) from the target lane's centre, shape (n,), of Frenet motions of shape (n, 6)."""
+    offsets: Floats = motion[:, 3] - scenario.task.target_lane * scenario.road.lane_width
+    return offsets
+
+
+def speed_errors(motion: Floats, scenario: Scenario) -> Floats:
+    """Returns the speed along the road minus the desired speed (m/s), shape (n,), of Frenet motions of shape (n, 6)."""
+    knots = np.array([knot.s for knot in scenario.task.speeds])
+    speeds = np.array([knot.speed for knot in scenario.task.speeds])
+    current = np.maximum(np.searchsorted(knots, motion[:, 0], side="right") - 1, 0)
+    errors: Floats = motion[:, 1] - speeds[current]
+    return errors
+
+
+def fulfilled(motion: Floats, scenario: Scenario) -> bool:
+    """Returns True if the whole scenario was driven and the task's tolerances held during its last `hold` seconds.
+
+    `motion`: the Frenet motion at the start and after each step, shape (n + 1, 6).
+    """
+    task = scenario.task
+    steps = round(scenario.duration / scenario.step)
+    if len(motion) != steps + 1:
+        return False
+    end = motion[-round(task.hold / scenario.step) - 1 :]
+    in_lane = np.abs(target_offsets(end, scenario)).max() <= task.lane_tolerance
+    at_speed = np.abs(speed_errors(end, scenario)).max() <= task.speed_tolerance
+    return bool(in_lane and at_speed)

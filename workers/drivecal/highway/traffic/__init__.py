@@ -1,1 +1,0 @@
-"""SUMO of the built-in motorway: its vehicles, and where they are on the road."""
