@@ -166,20 +166,14 @@ def one_turn(client: Client, course: Course, seed: int) -> None:
 
 
 def page(url: str, over: threading.Event, course: Course) -> None:
-    """Keeps one page open, as a user does for days: its WebSocket, which follows whatever campaign is the newest."""
-    shown = ""
-    with Client(url, token="") as client, connect(url.replace("http", "ws") + "/api/v1/live") as socket:
-        while not over.is_set():
+    """Keeps one page open, as a user does for days: its WebSocket, which follows the newest campaign until its end."""
+    with Client(url, token="") as client:
+        while not over.wait(1.0):
             try:
-                newest = next((campaign.id for campaign in client.campaigns(limit=1).items), shown)
-                if newest != shown:
-                    leave = {"unfollow": shown} if shown else {}
-                    socket.send(json.dumps({"follow": newest} | leave))
-                    shown = newest
-                socket.recv(timeout=1.0)
-                course.done["messages to the page"] += 1
-            except TimeoutError:
-                continue
+                for newest in client.campaigns(limit=1).items:
+                    with connect(f"{url.replace('http', 'ws')}/api/v1/live?campaign={newest.id}") as socket:
+                        while "ended" not in json.loads(socket.recv()):
+                            course.done["messages to the page"] += 1
             except (DrivecalError, ConnectionClosed) as error:
                 course.faults.append(f"the page: {type(error).__name__}: {error}")
                 return

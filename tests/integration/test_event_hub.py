@@ -10,7 +10,6 @@ from tests.support.storage import campaign
 
 from drivecal.api.live import streams
 from drivecal.api.live.streams import EventHub
-from drivecal.client.following import EventParser
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.events import EventKind
@@ -53,10 +52,10 @@ def test_every_reader_gets_every_event_once_and_in_order_wherever_it_begins_and_
         await asyncio.sleep(draw.random() * 0.3)
         found: list[int] = []
         while True:
-            patience, parser = draw.randrange(1, 20), EventParser()
+            patience = draw.randrange(1, 20)
             stream = hub.stream(sequence, identifier, found[-1] if found else 0)
-            async for chunk in stream:
-                found += [int(event.id) for event in parser.feed(chunk) if event.id is not None]
+            async for messages in stream:
+                found += [message.number for message in messages if message.number is not None]
                 await asyncio.sleep(draw.choice([0, 0, 0.005, 0.03]))
                 patience -= 1
                 if not patience and not done.is_set():
@@ -89,12 +88,11 @@ def test_forgetting_old_events_skips_what_is_gone_and_loses_nothing_else(databas
         newest = events.newest_id(connection, stored.sequence)
         connection.execute(text("DELETE FROM events WHERE id < :newest"), {"newest": newest})
 
-    async def read() -> list[str | None]:
-        parser = EventParser()
+    async def read() -> list[int | None]:
         async with EventHub(database).running() as hub, asyncio.timeout(20):
-            return [event.id async for chunk in hub.stream(stored.sequence, stored.id, 3) for event in parser.feed(chunk)]
+            return [message.number async for messages in hub.stream(stored.sequence, stored.id, 3) for message in messages]
 
-    assert [one for one in asyncio.run(read()) if one is not None] == [str(newest)]
+    assert [one for one in asyncio.run(read()) if one is not None] == [newest]
 
 
 def test_a_database_that_does_not_answer_is_told_and_so_is_its_return(
@@ -115,11 +113,10 @@ def test_a_database_that_does_not_answer_is_told_and_so_is_its_return(
 
     async def told() -> list[str]:
         nonlocal away
-        parser, found = EventParser(), list[str]()
+        found = list[str]()
         async with EventHub(database).running() as hub, asyncio.timeout(20):
-            async for chunk in hub.stream(stored.sequence, stored.id, 0):
-                for event in parser.feed(chunk):
-                    found.append(f"{event.event} {reason in event.data}")
+            async for messages in hub.stream(stored.sequence, stored.id, 0):
+                found += [f"{message.kind} {reason in message.content}" for message in messages]
                 if found[-1:] == ["progress False"] and not away:
                     away = True
                 elif found[-1:] == ["degraded True"]:

@@ -1,8 +1,8 @@
 """The page's server side: its files, its session and its live connection over real HTTP."""
 
-import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -121,8 +121,9 @@ def test_a_token_is_shown_once_and_a_cookie_stands_for_it(guarded: RunningApi) -
         assert browser.get("/api/v1/session").status_code == 401
 
 
-def line(api: RunningApi, **headers: str) -> ClientConnection:
-    return connect(api.url.replace("http", "ws") + "/api/v1/live", additional_headers=headers, open_timeout=300)
+def line(api: RunningApi, campaign: str, headers: Mapping[str, str] | None = None, after: int = 0) -> ClientConnection:
+    address = f"{api.url.replace('http', 'ws')}/api/v1/live?campaign={campaign}&after={after}"
+    return connect(address, additional_headers=headers, open_timeout=300)
 
 
 def told(socket: ClientConnection) -> list[dict[str, Any]]:
@@ -135,48 +136,54 @@ def told(socket: ClientConnection) -> list[dict[str, Any]]:
 
 def test_a_page_is_told_of_a_campaign_what_its_event_stream_tells(api: RunningApi) -> None:
     campaign = run(api.database, submit(api.database, **SMALL), ComputedBackend())
-    with line(api) as socket:
-        socket.send(json.dumps({"follow": campaign.id}))
+    with line(api, campaign.id) as socket:
         messages = told(socket)
-        events = [message["event"] for message in messages if "event" in message]
-        assert {message["campaign"] for message in messages} == {campaign.id}
-        assert [event["kind"] for event in events][:: len(events) - 1] == ["queued", "succeeded"]
-        assert [message["progress"]["state"] for message in messages if "progress" in message] == ["succeeded"]
-        socket.send(json.dumps({"follow": campaign.id, "after": events[-2]["id"]}))
+    events = [message["event"] for message in messages if "event" in message]
+    assert {event["campaign"] for event in events} == {campaign.id}
+    assert [event["kind"] for event in events][:: len(events) - 1] == ["queued", "succeeded"]
+    assert [message["progress"]["state"] for message in messages if "progress" in message] == ["succeeded"]
+    with line(api, campaign.id, after=events[-2]["id"]) as socket:
         assert [one["event"]["id"] for one in told(socket) if "event" in one] == [events[-1]["id"]]
     streamed = api.http.get(f"/api/v1/campaigns/{campaign.id}/events").text
     assert [f"id: {event['id']}" for event in events] == [row for row in streamed.splitlines() if row.startswith("id: ")]
 
 
-def is_admitted(api: RunningApi) -> bool:
+def is_admitted(api: RunningApi, campaign: str) -> bool:
     """Returns whether there is a place for a socket."""
     try:
-        with line(api):
+        with line(api, campaign):
             return True
     except InvalidStatus:
         return False
 
 
-def test_sockets_have_places_and_that_of_a_flooding_page_is_free_after_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(page_live, "KEEPALIVE_SECONDS", 0.2)  # by which the server notices that the flooding page is gone
-    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", event_streams=2) as api, line(api) as quiet:
-        with line(api) as flooding:
-            flooding.close_timeout = 0.1  # the server reads its farewell after all other messages
-            assert not is_admitted(api)
-            for _ in range(FLOOD):
-                flooding.send(json.dumps({"follow": "nothing"}))
-            quiet.send(json.dumps({"follow": "nothing"}))
-            assert any("error" in json.loads(message) for message in itertools.islice(quiet, 1_000))
-            assert api.http.get("/api/v1/campaigns").status_code == 200
-        until(lambda: is_admitted(api), "that its place is free")
+def test_sockets_have_places_and_a_page_that_sends_anything_loses_its_own(tmp_path: Path) -> None:
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", event_streams=2) as api:
+        campaign = submit(api.database, **SMALL).id
+        with line(api, campaign) as quiet, line(api, campaign) as flooding:
+            assert not is_admitted(api, campaign)
+            with suppress(ConnectionClosedError):
+                for _ in range(FLOOD):
+                    flooding.send("{}")
+            with pytest.raises(ConnectionClosedError) as closed:
+                list(flooding)
+            assert closed.value.rcvd is not None
+            assert closed.value.rcvd.code == page_live.NOT_UNDERSTOOD
+            until(lambda: is_admitted(api, campaign), "that its place is free")
+            assert "event" in json.loads(quiet.recv(timeout=300))
+
+
+def test_a_page_is_told_that_there_is_no_such_campaign(api: RunningApi) -> None:
+    with line(api, "nothing") as socket, pytest.raises(ConnectionClosedError) as closed:
+        list(socket)
+    assert closed.value.rcvd is not None
+    assert closed.value.rcvd.code == page_live.NOT_UNDERSTOOD
 
 
 def test_a_page_of_another_origin_and_one_without_a_session_are_told_nothing(api: RunningApi, guarded: RunningApi) -> None:
     for server, headers in ((api, {"Origin": "http://evil.example"}), (guarded, {"Origin": guarded.url})):
         with pytest.raises(InvalidStatus) as refused:
-            line(server, **headers)
+            line(server, "nothing", headers)
         assert refused.value.response.status_code == 403
 
 
@@ -194,16 +201,16 @@ def test_what_numbers_mean_is_said_with_them(api: RunningApi) -> None:
 
 def test_open_connections_end_when_their_token_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streams, "KEEPALIVE_SECONDS", 0.05)
-    monkeypatch.setattr(page_live, "KEEPALIVE_SECONDS", 0.05)
     tokens = tmp_path / "tokens"
     tokens.write_text(f"writer write {WRITE}\nreader read {READ}\n")
     reads = {"Authorization": f"Bearer {READ}"}
     with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tokens)) as api:
-        events = f"{api.url}/api/v1/campaigns/{submit(api.database, **SMALL).id}/events"
-        with line(api, **reads) as socket, httpx.stream("GET", events, headers=reads, timeout=300) as response:
+        campaign = submit(api.database, **SMALL).id
+        events = f"{api.url}/api/v1/campaigns/{campaign}/events"
+        with line(api, campaign, reads) as socket, httpx.stream("GET", events, headers=reads, timeout=300) as response:
             chunks = response.iter_bytes()
             assert next(chunks)
-            assert json.loads(socket.recv(timeout=300)) == {"alive": True}
+            assert any(json.loads(message) == {"alive": True} for message in socket)
             tokens.write_text(f"writer write {WRITE}\n")
             for _ in chunks:
                 pass

@@ -1,55 +1,39 @@
-"""A page that does not read is no longer served, and one that floods the server waits."""
+"""A page that does not read is no longer served."""
 
 import asyncio
-import itertools
+from collections.abc import AsyncGenerator
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from starlette.websockets import WebSocketDisconnect, WebSocketState
 
+from drivecal.api.http.limits import Places
+from drivecal.api.live.streams import Message
 from drivecal.api.routes import page_live
-
-FLOOD = 5_000
 
 
 def test_a_page_that_does_not_read_is_no_longer_served(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(page_live, "KEEPALIVE_SECONDS", 0.01)
     monkeypatch.setattr(page_live, "STALLED_SECONDS", 0.05)
+    monkeypatch.setattr(page_live, "newest_event", lambda *_: (SimpleNamespace(sequence=1, id="c"), 0))
 
     async def forever(*_: object) -> None:
         await asyncio.Event().wait()
 
+    async def accept() -> None:
+        pass
+
+    async def stream(*_: object) -> AsyncGenerator[list[Message]]:
+        yield []
+
+    places = Places(1, "streams are open", retry_seconds=1)
+    hub = SimpleNamespace(stream=stream, closed=False)
     page: Any = SimpleNamespace(
-        app=SimpleNamespace(state=SimpleNamespace(event_hub=None, database=None)),
+        app=SimpleNamespace(state=SimpleNamespace(limits=SimpleNamespace(event_streams=places), event_hub=hub, database=None)),
         state=SimpleNamespace(is_admitted=lambda: True),
-        application_state=WebSocketState.CONNECTED,
-        receive_text=forever,
-        send_text=forever,
+        accept=accept,
+        receive=forever,
+        send_json=forever,
+        close=forever,
     )
-    line = page_live._Line(page)
-    asyncio.run(asyncio.wait_for(line.serve(), 20))
-
-
-def test_a_page_that_sends_without_end_waits_while_others_are_served() -> None:
-    received = itertools.count()
-
-    async def at_once() -> str:
-        if next(received) == FLOOD:
-            raise WebSocketDisconnect
-        return '{"unfollow": "nothing"}'
-
-    page: Any = SimpleNamespace(
-        app=SimpleNamespace(state=SimpleNamespace(event_hub=None, database=None)),
-        application_state=WebSocketState.CONNECTED,
-        receive_text=at_once,
-    )
-
-    async def served() -> None:
-        serving = asyncio.create_task(page_live._Line(page).serve())
-        await asyncio.sleep(0.05)
-        assert not serving.done()
-        serving.cancel()
-
-    asyncio.run(asyncio.wait_for(served(), 20))
-    assert page_live.MOST_AT_ONCE <= next(received) < FLOOD / 2
+    asyncio.run(asyncio.wait_for(page_live.live(page, "c"), 20))
+    assert places.taken == 0

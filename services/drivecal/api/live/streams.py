@@ -11,13 +11,11 @@ import asyncio
 import json
 import logging
 from collections import deque
-from collections.abc import AsyncGenerator, AsyncIterator, Iterator, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
-
-from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 
 from drivecal.api.live.dispatcher_health import degraded, silence
 from drivecal.api.responses import seconds_of, state_of
@@ -35,8 +33,6 @@ LOOK_SECONDS = 0.5
 """Interval of the poller, and the shortest interval between two progress messages."""
 KEEPALIVE_SECONDS = 15.0
 """Time after which something is sent in any case, so that no proxy closes the connection."""
-RETRY_MILLISECONDS = 2_000
-"""Time after which a client whose stream broke off is asked to come back."""
 PATIENCE_SECONDS = 3.0
 """Seconds without an answer of the database before streams report it."""
 HELD = 500
@@ -47,6 +43,15 @@ PAGE = 100
 log = logging.getLogger("drivecal.api")
 
 
+@dataclass(frozen=True, slots=True)
+class Message:
+    """An event of a campaign, or its progress, which has no number. `content` is JSON."""
+
+    number: int | None
+    kind: str
+    content: str
+
+
 @dataclass(slots=True)
 class Feed:
     """New events and progress of a campaign."""
@@ -55,12 +60,12 @@ class Feed:
     campaign: str
     start: int | None = None
     """`held` has all events after this one; None before the first look."""
-    held: deque[tuple[int, bytes]] = field(default_factory=deque)
+    held: deque[tuple[int, Message]] = field(default_factory=deque)
     revision: int = -1
     snapshot: ProgressSnapshot | None = None
     trouble: str | None = None
     """A trouble that the dispatcher cannot report: its own silence, or the database's."""
-    progress: bytes = b""
+    progress: Message | None = None
     ended: bool = False
     readers: int = 0
     changed: asyncio.Event = field(default_factory=asyncio.Event)
@@ -71,10 +76,10 @@ class Feed:
         """Id of the last known event."""
         return self.held[-1][0] if self.held else self.start
 
-    def after(self, position: int) -> tuple[list[bytes], int]:
+    def after(self, position: int) -> tuple[list[Message], int]:
         """Returns the held events after a position, and the position after them."""
         later = [event for event in self.held if event[0] > position]
-        return [content for _, content in later], later[-1][0] if later else position
+        return [message for _, message in later], later[-1][0] if later else position
 
     def wake(self) -> None:
         """Lets streams look again."""
@@ -122,31 +127,31 @@ class EventHub:
         for feed in self._feeds.values():
             feed.wake()
 
-    async def stream(self, sequence: int, campaign: str, last_id: int) -> AsyncGenerator[bytes]:
-        """Yields a campaign's events after the event `last_id`, past and future, until its end."""
-        yield format_sse_event(retry=RETRY_MILLISECONDS)
-        position, progress, trouble = last_id, b"", None
+    async def stream(self, sequence: int, campaign: str, last_id: int) -> AsyncGenerator[Sequence[Message]]:
+        """Yields a campaign's events after the event `last_id`, past and future, until its end; without any for KEEPALIVE_SECONDS an empty
+        list."""
+        position, progress, trouble = last_id, None, None
         with self._feed(sequence, campaign) as feed:
             while not self.closed:
                 changed = feed.changed
                 if feed.start is not None and position < feed.start:
-                    chunks, position = await self._history(feed, position)
-                    if chunks:
-                        yield b"".join(chunks)
+                    messages, position = await self._history(feed, position)
+                    if messages:
+                        yield messages
                     continue
-                chunks, position = feed.after(position)
+                messages, position = feed.after(position)
                 if feed.trouble != trouble and not feed.ended:
                     trouble = feed.trouble
-                    chunks.append(_unstored(campaign, trouble or (feed.snapshot.degraded if feed.snapshot else None)))
-                if feed.progress != progress:
+                    messages.append(_unstored(campaign, trouble or (feed.snapshot.degraded if feed.snapshot else None)))
+                if feed.progress is not None and feed.progress != progress:
                     progress = feed.progress
-                    chunks.append(progress)
-                if chunks:
-                    yield b"".join(chunks)
+                    messages.append(progress)
+                if messages:
+                    yield messages
                 elif feed.ended:
                     return
                 elif not await _within(KEEPALIVE_SECONDS, changed):
-                    yield KEEPALIVE_COMMENT
+                    yield []
 
     @contextmanager
     def _feed(self, sequence: int, campaign: str) -> Iterator[Feed]:
@@ -162,14 +167,14 @@ class EventHub:
             if not feed.readers:
                 del self._feeds[sequence]
 
-    async def _history(self, feed: Feed, position: int) -> tuple[list[bytes], int]:
+    async def _history(self, feed: Feed, position: int) -> tuple[list[Message], int]:
         """Returns a page of events after a position, from the database, and the position after them."""
 
-        def read() -> tuple[list[bytes], int]:
+        def read() -> tuple[list[Message], int]:
             with self._database.read() as connection:
                 page = events.since(connection, feed.sequence, position, PAGE)
             # None: what the feed begins after has been forgotten meanwhile.
-            return [encoded(event, feed.campaign) for event in page], page[-1].id if page else max(position, feed.start or 0)
+            return [stored(event, feed.campaign) for event in page], page[-1].id if page else max(position, feed.start or 0)
 
         try:
             return await asyncio.to_thread(read)
@@ -232,7 +237,7 @@ class EventHub:
             if feed.start is None:
                 feed.start = look.newest.get(feed.sequence, 0)
             new_events = look.events.get(feed.sequence, [])
-            feed.held.extend((event.id, encoded(event, feed.campaign)) for event in new_events)
+            feed.held.extend((event.id, stored(event, feed.campaign)) for event in new_events)
             while len(feed.held) > HELD:
                 feed.start = feed.held.popleft()[0]
             if len(new_events) == PAGE:
@@ -246,7 +251,7 @@ class EventHub:
         if snapshot is None and trouble == feed.trouble:
             return False
         feed.trouble = trouble
-        feed.progress = format_sse_event(event=PROGRESS, data_str=json.dumps(progress_document(feed.snapshot, said, moment)))
+        feed.progress = Message(None, PROGRESS, json.dumps(progress_document(feed.snapshot, said, moment)))
         return True
 
     def _tell_outage(self, reason: str) -> None:
@@ -256,8 +261,8 @@ class EventHub:
                 feed.wake()
 
 
-def encoded(event: StoredEvent, campaign: str) -> bytes:
-    """Returns an event as bytes of the stream."""
+def stored(event: StoredEvent, campaign: str) -> Message:
+    """Returns a stored event as a message."""
     return _event(event.id, event.kind, campaign, event.created_at, event.data)
 
 
@@ -277,14 +282,14 @@ def progress_document(snapshot: ProgressSnapshot, said: str | None, moment: date
     }
 
 
-def _unstored(campaign: str, trouble: str | None) -> bytes:
-    """Encodes the event that the dispatcher or the database is silent, or answers again. No table holds it: its writer is silent."""
+def _unstored(campaign: str, trouble: str | None) -> Message:
+    """Returns the event that the dispatcher or the database is silent, or answers again. No table holds it: its writer is silent."""
     if trouble is None:
         return _event(None, EventKind.RECOVERED, campaign, now(), {})
     return _event(None, EventKind.DEGRADED, campaign, now(), {"reason": trouble})
 
 
-def _event(number: int | None, kind: str, campaign: str, at: datetime, data: Mapping[str, Any]) -> bytes:
+def _event(number: int | None, kind: str, campaign: str, at: datetime, data: Mapping[str, Any]) -> Message:
     document = {
         "id": number,
         "kind": kind,
@@ -293,7 +298,7 @@ def _event(number: int | None, kind: str, campaign: str, at: datetime, data: Map
         "text": event_text(kind, data),
         "data": data,
     }
-    return format_sse_event(id=None if number is None else str(number), event=kind, data_str=json.dumps(document))
+    return Message(number, kind, json.dumps(document))
 
 
 async def _within(seconds: float, event: asyncio.Event) -> bool:

@@ -1,20 +1,21 @@
 """The event stream of a campaign."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import aclosing
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
+from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from pydantic import Field
 from starlette.types import Send
 
 from drivecal.api.dependencies import DatabaseDependency, EventStreamPlace
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import Parameters
-from drivecal.api.live.streams import EventHub
+from drivecal.api.live.streams import EventHub, Message
 from drivecal.contracts.events import CampaignEvent, CampaignProgress
 from drivecal.domain.events import EventKind
 from drivecal.storage import events, revision_queries
@@ -24,6 +25,9 @@ router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRo
 
 STALLED_SECONDS = 60.0
 """Time after which a client that reads nothing is disconnected; it can resume."""
+
+RETRY_MILLISECONDS = 2_000
+"""Time after which a client whose stream broke off is asked to come back."""
 
 EventId = Annotated[int, Field(ge=0, le=2**63 - 1)]
 
@@ -44,10 +48,10 @@ class EventStream(StreamingResponse):
 
     media_type = "text/event-stream"
 
-    def __init__(self, content: AsyncGenerator[bytes], is_admitted: Callable[[], bool]) -> None:
+    def __init__(self, messages: AsyncGenerator[Sequence[Message]], is_admitted: Callable[[], bool]) -> None:
         # Buffering proxies would hold events back until there are many.
-        super().__init__(content, headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"})
-        self._chunks, self._is_admitted = content, is_admitted
+        self._chunks, self._is_admitted = encoded(messages), is_admitted
+        super().__init__(self._chunks, headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"})
 
     async def stream_response(self, send: Send) -> None:
         """Sends chunk by chunk."""
@@ -59,6 +63,20 @@ class EventStream(StreamingResponse):
                 async with asyncio.timeout(STALLED_SECONDS):
                     await send({"type": "http.response.body", "body": chunk, "more_body": True})
         await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+
+async def encoded(stream: AsyncGenerator[Sequence[Message]]) -> AsyncGenerator[bytes]:
+    """Yields the text of an event stream."""
+    yield format_sse_event(retry=RETRY_MILLISECONDS)
+    async with aclosing(stream):
+        async for messages in stream:
+            events = [
+                format_sse_event(
+                    id=None if message.number is None else str(message.number), event=message.kind, data_str=message.content
+                )
+                for message in messages
+            ]
+            yield b"".join(events) or KEEPALIVE_COMMENT
 
 
 @router.get(

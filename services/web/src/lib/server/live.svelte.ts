@@ -12,7 +12,6 @@ export interface Follower {
 }
 
 interface Message {
-  campaign?: string;
   event?: CampaignEvent;
   progress?: Moving;
   ended?: boolean;
@@ -49,17 +48,17 @@ export function follow(campaign: string, follower: Follower): () => void {
   const connect = (): void => {
     clearTimeout(timer);
     if (socket !== null || !followed) return;
-    const opened = (socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${ROOT}/live`));
+    const address = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${ROOT}/live`;
+    const opened = (socket = new WebSocket(`${address}?campaign=${encodeURIComponent(campaign)}&after=${newest}`));
     opened.onopen = () => {
-      opened.send(JSON.stringify({ follow: campaign, after: newest }));
       if (lost) follower.again();
       [wait, lost] = [FIRST_WAIT, false];
       watch();
     };
     opened.onmessage = (message) => {
       watch();
-      const { campaign: of, event, progress, ended } = JSON.parse(String(message.data)) as Message;
-      if (of !== campaign || !followed) return;
+      const { event, progress, ended } = JSON.parse(String(message.data)) as Message;
+      if (!followed) return;
       if (event?.id) newest = event.id;
       if (event) follower.event(event);
       if (progress) follower.progress(progress);
