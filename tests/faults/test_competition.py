@@ -12,7 +12,6 @@ from sqlalchemy import func, make_url, select
 from tests.support.faults.coordinator import READY_SECONDS, Coordinator, coordinator, suspended
 from tests.support.faults.findings import Found
 from tests.support.faults.lives import PATIENCE_SECONDS, Life, Moment, assert_as_without_faults, live, wait_until_ended
-from tests.support.faults.report import noted
 from tests.support.faults.workload import ANALYSING, draw_alike, post, submit
 from tests.support.serve import alive
 
@@ -27,7 +26,6 @@ MakeServer = Callable[[str], Coordinator]
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_fifty_posts_with_one_key_make_one_campaign_though_the_api_is_killed(kind: str, server_on: MakeServer) -> None:
     server = server_on(kind)
-    note = noted(server.database_url)
     server.start_ready()
     for attempt in range(5):
         key, together = f"key-{attempt}", threading.Barrier(CLIENTS + 1)
@@ -41,16 +39,13 @@ def test_fifty_posts_with_one_key_make_one_campaign_though_the_api_is_killed(kin
             together.wait()
             time.sleep(0.05 * attempt)
             server.api().kill()
-            note.faults.append(("kill_api", None))
             identifiers = {one.result() for one in posted}
         assert len(identifiers) == 1
-        note.accepted += 1
         with server.database.read() as connection:
             query = select(func.count()).select_from(campaigns).where(campaigns.c.idempotency_key == key)
             assert connection.execute(query).scalar_one() == 1
         with pytest.raises(AssertionError, match=r"^409 "):  # the same key with another body
             post(server.url, "/api/v1/campaigns", {}, key)
-    note.as_without_faults = True
     server.terminate()
 
 
@@ -81,23 +76,18 @@ def test_a_dispatcher_that_sleeps_while_another_takes_over_does_nothing_more(
     first.start_ready()
     accepted = submit(first.url)
     draw_alike(first.database, accepted)
-    life = Life(
-        first, sum(len(fault.tables["evaluations"]) for fault in without_faults.values()), note=noted(first.database_url)
-    )
-    life.note.accepted = len(accepted.campaigns)
+    life = Life(first, sum(len(fault.tables["evaluations"]) for fault in without_faults.values()))
     life.wait_for(Moment(0.3, 0.0), accepted)
     with coordinator(tmp_path / "second", first.database_url) as second:
         sleeper = first.dispatcher()
         with suspended([sleeper]):
             _lose_the_lock(first.database_url)  # as when a firewall forgets the connection of a machine that sleeps
-            life.note.faults.append(("takeover", None))
             second.start_ready()
             life.tell(f"another server has taken over at {life.answered(accepted)} cells")
         first.until(lambda: not alive(sleeper), "the end of the superseded dispatcher", READY_SECONDS)
         life.tell("the superseded dispatcher has ended")
         wait_until_ended(second, accepted, PATIENCE_SECONDS)
         assert_as_without_faults(second, accepted, without_faults)
-        life.note.as_without_faults = True
         print(first.told()[-2000:])
         first.terminate()
         second.terminate()

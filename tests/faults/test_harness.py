@@ -13,7 +13,6 @@ from tests.support.faults import cage
 from tests.support.faults.findings import OF_A_CAMPAIGN, TABLES, Found, assert_equal
 from tests.support.faults.lives import moments
 from tests.support.faults.patience import Patience
-from tests.support.faults.report import CARRIED, Note, Told, by_kind, lines, table
 from tests.support.serve import alive, until
 
 ORPHAN = "import os, time; os.fork() and os._exit(7); os.setsid(); os.fork() and os._exit(0); time.sleep(600)"
@@ -77,27 +76,3 @@ def test_a_seed_says_when_the_faults_happen() -> None:
     assert known == sorted(known)
     assert min(known) < 0.1
     assert max(known) > 0.85
-
-
-def test_the_report_has_a_row_for_each_test_and_database() -> None:
-    whole = Note("sqlite", [("kill_api", 2.0), ("kill_api", None), ("asleep", 4.0)], 7, as_without_faults=True)
-    broken = Note("postgresql", [("kill_api", None)], 3)
-    assert CARRIED.validate_json(CARRIED.dump_json([whole, broken])) == [whole, broken]
-    told = [Told("a", True, 60.0, [whole]), Told("a", False, 30.0, [broken]), Told("b", True, 6.0, [])]
-    first, second, third = rows = table(told)
-    assert first == {
-        "test": "a",
-        "database": "sqlite",
-        "failed": 0,
-        "of": 1,
-        "minutes": 1.0,
-        "faults": 3,
-        "ready again, median s": 3.0,
-        "ready again, longest s": 4.0,
-        "accepted": 7,
-        "lost or changed": 0,
-    }
-    assert (second["failed"], second["lost or changed"], second["ready again, longest s"]) == (1, 1, None)
-    assert (third["faults"], third["lost or changed"]) == (None, None)
-    assert by_kind(told) == {"sqlite": {"asleep": 1, "kill_api": 2}, "postgresql": {"kill_api": 1}}
-    assert len({line.count("|") for line in lines(rows)}) == 1

@@ -119,7 +119,7 @@ def test_twenty_kills_of_postgresql_in_the_middle_of_a_commit(
     chance = random.Random(seed)
     shares = sorted(chance.uniform(0.0, 0.9) for _ in range(5))
     plan = [(Moment(share, 0.0), outage(postgres, chance.uniform(0.0, 4.0))) for share in shares]
-    faults = [name for name, _ in live(server_on("postgresql"), plan, without_faults).note.faults]
+    faults = live(server_on("postgresql"), plan, without_faults).faults
     assert faults.count("kill_postgresql_in_a_commit") >= len(plan) - 1, faults
 
 

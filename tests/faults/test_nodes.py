@@ -9,7 +9,6 @@ from tests.support.faults.coordinator import Coordinator, coordinator
 from tests.support.faults.findings import assert_equal, assert_sound, found
 from tests.support.faults.lives import wait_until_ended
 from tests.support.faults.oracle import carried_out
-from tests.support.faults.report import noted
 from tests.support.faults.workload import REUSING, submit
 
 from drivecal.cluster.settings import ALERT, OBJECT_STORE_BYTES, QUIET, VERSION_LABEL
@@ -74,25 +73,21 @@ def test_nodes_come_and_go_in_a_campaign_and_nothing_changes(tmp_path: Path, clu
     undisturbed = carried_out(tmp_path / "undisturbed", LONG)
     settings = {"DRIVECAL_RAY_ADDRESS": cluster.address, "DRIVECAL_WORKERS": "", **SETTINGS}
     with coordinator(tmp_path, settings=settings) as server:
-        note = noted(server.database_url)
         server.start()
         server.until(lambda: "has no node with workers; start some" in problems(server), "that nobody works", START_SECONDS)
         first = add(cluster)
         server.wait_ready()
         assert list(workers(server)) == ["worker-1"]
         accepted = submit(server.url, LONG)
-        note.accepted = len(accepted.campaigns)
         server.until(lambda: cells(server, "worker-1") > 0, "work for the first node", START_SECONDS)
 
         add(cluster)
         server.until(lambda: cells(server, "worker-2") > 0, "work for a node that came later", START_SECONDS)
         cluster.remove_node(first, allow_graceful=False)
-        note.faults.append(("remove_node", None))
         took = server.until(lambda: "worker-1" not in workers(server), "that a node is gone", NOTICED_SECONDS)
         print(f"\n         a lost node was gone from the workers after {took}", flush=True)
 
         add(cluster, labels={VERSION_LABEL: "0.0.1"})
-        note.faults.append(("node_of_another_version", None))
         server.until(
             lambda: "has drivecal 0.0.1; install the same release on both" in problems(server),
             "that a version is refused",
@@ -102,6 +97,5 @@ def test_nodes_come_and_go_in_a_campaign_and_nothing_changes(tmp_path: Path, clu
         wait_until_ended(server, accepted)
         assert_sound(server, accepted)
         assert_equal("long", found(server, accepted.campaigns["long"]), undisturbed["long"])
-        note.as_without_faults = True
         assert cells(server, "worker-2") > 0
         server.terminate()

@@ -10,7 +10,6 @@ import pytest
 from sqlalchemy import select
 from tests.support.faults.coordinator import coordinator
 from tests.support.faults.lives import wait_until_ended
-from tests.support.faults.report import noted
 from tests.support.faults.workload import submit
 from tests.support.misbehaviour import FOLDER, misbehaving_setup, plug_in
 
@@ -98,11 +97,8 @@ def test_poison_in_a_campaign_is_failed_with_its_cause_and_nothing_else_is(tmp_p
         },
     }
     with coordinator(tmp_path, plugins=FOLDER) as server:
-        note = noted(server.database_url)
         server.start_ready()
         accepted = submit(server.url, {"poison": document})
-        note.accepted = len(accepted.campaigns)
-        note.faults += [(f"poison_{cause}", None) for cause in CAUSES.values()]
         wait_until_ended(server, accepted, 600)
         campaign = server.answers(f"/api/v1/campaigns/{accepted.campaigns['poison']}")
         rows = server.answers(f"/api/v1/campaigns/{accepted.campaigns['poison']}/evaluations")
@@ -120,4 +116,3 @@ def test_poison_in_a_campaign_is_failed_with_its_cause_and_nothing_else_is(tmp_p
     assert all(attempts[found[dose]["id"]] == ATTEMPTS for dose in CAUSES), attempts
     assert all(details[found[dose]["id"]] for dose in CAUSES), details
     assert max(attempts.values()) <= ATTEMPTS
-    note.as_without_faults = True

@@ -15,7 +15,6 @@ from tests.support.faults.coordinator import ORPHAN_SECONDS, Coordinator, suspen
 from tests.support.faults.findings import Found, assert_equal, assert_sound, found
 from tests.support.faults.patience import Patience
 from tests.support.faults.postgres import KillablePostgres
-from tests.support.faults.report import Note, noted
 from tests.support.faults.workload import ANALYSING, Accepted, draw_alike, single_evaluations, submit
 from tests.support.serve import TLS, alive
 
@@ -176,23 +175,12 @@ class Life:
     """Evaluations of the campaigns, all told: of their run without faults."""
     told: list[str] = field(default_factory=list)
     begin: float = field(default_factory=time.monotonic)
-    note: Note = field(default_factory=lambda: Note(""))
-    struck: float | None = None
-    """When the last fault was over, until the server is ready again."""
+    faults: list[str] = field(default_factory=list)
 
     def strike(self, fault: Fault) -> None:
         """Has it happen."""
-        self.note.faults.append((fault.__name__, None))
         fault(self.coordinator)
-        self.note.faults[-1] = fault.__name__, None  # what it has become
-        self.struck = time.monotonic()
-
-    def see_whether_ready(self) -> None:
-        """Notes how long the last fault kept the server from working, at the first look at which it does."""
-        if self.struck is not None and self.coordinator.ready:
-            name, _ = self.note.faults[-1]
-            self.note.faults[-1] = name, time.monotonic() - self.struck
-            self.struck = None
+        self.faults.append(fault.__name__)  # what it has become
 
     def tell(self, words: str) -> None:
         """Notes what was done, and when."""
@@ -220,12 +208,9 @@ class Life:
             while (self.answered(accepted) or 0) < moment.share * self.cells:
                 assert self.coordinator.running, f"the server ended by itself:\n{self.coordinator.told()}"
                 assert not patience.over, f"no progress within {patience.told()}:\n{self.coordinator.told()}"
-                self.see_whether_ready()
                 time.sleep(LOOK_SECONDS)
             since = time.monotonic()
-        while (left := since + moment.seconds - time.monotonic()) > 0:
-            self.see_whether_ready()
-            time.sleep(min(left, LOOK_SECONDS))
+        time.sleep(max(0.0, since + moment.seconds - time.monotonic()))
         return self.answered(accepted)
 
 
@@ -248,9 +233,7 @@ def live(
 ) -> Life:
     """Gives a server its work, the `documents` or the suite's campaigns, and does all of the plan to it; then the campaigns have to end as
     they do without faults, and the server has to leave nothing behind."""
-    life = Life(
-        coordinator, sum(len(one.tables["evaluations"]) for one in expected.values()), note=noted(coordinator.database_url)
-    )
+    life = Life(coordinator, sum(len(one.tables["evaluations"]) for one in expected.values()))
     coordinator.start_ready()
     life.tell("ready")
     accepted = submit(coordinator.url, documents)
@@ -261,12 +244,9 @@ def live(
             life.tell(f"{fault.__name__} at {answered} of {life.cells} cells")
             life.strike(fault)
     life.tell(f"ready again {coordinator.wait_ready()} after the last fault")
-    life.see_whether_ready()
     wait_until_ended(coordinator, accepted)
-    life.note.accepted = len(accepted.campaigns) + len(accepted.evaluations)
     life.tell(f"all has ended; {len(accepted.evaluations)} single evaluations were accepted")
     assert_as_without_faults(coordinator, accepted, expected)
-    life.note.as_without_faults = True
     life.tell(f"SIGTERM ended it in {coordinator.terminate()}")
     return life
 
