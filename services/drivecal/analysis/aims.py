@@ -1,12 +1,12 @@
 """Aims of searches by the cell: the weighted score of a campaign, or its objectives and constraints on results. Pure."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from drivecal.analysis.goals import SCORE, Bound, Goal, Goals, Objective
+from drivecal.analysis.goals import SCORE, Aggregate, Bound, Goal, Goals, Objective
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.scales import Scale
 from drivecal.plugins.ports import Floats
@@ -119,8 +119,7 @@ class JudgedGoals:
 
         def amounts(goal: Goal) -> Floats:
             here = values[:, [places[name] for name in goal.shares], columns[goal.value.key]]
-            shares = list(goal.shares.values())
-            return np.array([np.nan if np.isnan(row).any() else goal.aggregate(row.tolist(), shares) for row in here])
+            return _aggregated(goal.aggregate, here, list(goal.shares.values()))
 
         objectives = np.stack([goal.sign * amounts(goal) for goal in self.goals.objectives], axis=1)
         violations = np.zeros(len(values))
@@ -128,3 +127,27 @@ class JudgedGoals:
             broken = bound.sign * (bound.limit - amounts(bound)) / bound.span
             violations += np.where(np.isnan(broken), np.nan, np.maximum(0.0, broken))
         return objectives, violations
+
+
+def _aggregated(aggregate: Aggregate, values: Floats, shares: Sequence[float]) -> Floats:
+    """Returns `aggregate` of each row of values, shape (n, n_scenarios); NaN if a value is missing."""
+    match aggregate.kind:
+        case "mean":
+            total = np.zeros(len(values))
+            for column, share in enumerate(shares):
+                total += share * values[:, column]
+            return total
+        case "min":
+            lowest: Floats = values.min(axis=1)
+            return lowest
+        case "max":
+            highest: Floats = values.max(axis=1)
+            return highest
+        case "quantile":
+            order = np.argsort(values, axis=1, kind="stable")
+            reached = np.cumsum(np.array(shares)[order], axis=1) >= aggregate.level - 1e-12
+            reached[:, -1] = True
+            chosen = np.take_along_axis(
+                values, np.take_along_axis(order, reached.argmax(axis=1)[:, np.newaxis], axis=1), axis=1
+            )
+            return np.where(np.isnan(values).any(axis=1), np.nan, chosen[:, 0])

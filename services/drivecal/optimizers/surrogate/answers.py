@@ -1,0 +1,161 @@
+"""The sets that a search has begun, and what is known of them."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.parameters import Indices
+from drivecal.optimizers.surrogate.processes import Encoding
+from drivecal.plugins.ports import Floats
+from drivecal.plugins.search import Aim, CellAnswer
+
+Bools = npt.NDArray[np.bool_]
+
+
+@dataclass(slots=True)
+class BegunSet:
+    """A set with cells that were asked or are known. `number`: its row in all tables."""
+
+    indices: tuple[int, ...]
+    number: int
+    whole: bool = False
+    """Asked in all scenarios, whatever the answers are."""
+    promise: float | None = None
+    """The probability, when it was begun, that it beats the best one; None before the first look."""
+    improbable: bool = False
+    """Given up, because it has become improbable that it beats the best one."""
+    beaten: bool = False
+    """Given up, because it cannot beat the best one."""
+
+    @property
+    def given_up(self) -> bool:
+        """True if no more cells are asked."""
+        return self.improbable or self.beaten
+
+
+class Answers:
+    """Tables of n sets, in the order of beginning."""
+
+    def __init__(self, encoding: Encoding, aim: Aim) -> None:
+        self._encoding, self._aim = encoding, aim
+        self.sets: list[BegunSet] = []
+        self._numbers: dict[tuple[int, ...], int] = {}
+        cells = (64, aim.scenarios)
+        self._features: Floats = np.empty((64, len(encoding.owners)))
+        self._values: Floats = np.full((*cells, aim.values), np.nan)
+        self._asked: Bools = np.zeros(cells, dtype=np.bool_)
+        self._answered: Bools = np.zeros(cells, dtype=np.bool_)
+        self._failed: Bools = np.zeros(cells, dtype=np.bool_)
+        self.order: list[list[int]] = [[] for _ in range(aim.scenarios)]
+        """The sets that are answered in each scenario, by number, in the order of the answers."""
+        self._upwards = np.sign(np.where(np.isinf(aim.best) | np.isnan(aim.worst), aim.best, aim.best - aim.worst))
+        self.best: Floats = aim.best.astype(np.float64)
+        """The best value to be expected of a cell, shape (n_scenarios, n_values): what the aim says, or the best answer if it is better."""
+
+    def __contains__(self, indices: tuple[int, ...]) -> bool:
+        return indices in self._numbers
+
+    def begin(self, indices: tuple[int, ...], *, whole: bool = False, promise: float | None = None) -> BegunSet:
+        """Returns the set with these grid indices, a new one if it has not begun."""
+        if indices in self._numbers:
+            return self.sets[self._numbers[indices]]
+        number = self._numbers[indices] = len(self.sets)
+        if number == len(self._asked):
+            self._grow()
+        self._features[number] = self._encoding(np.array([indices], dtype=np.int64))[0]
+        self.sets.append(BegunSet(indices, number, whole, promise))
+        return self.sets[-1]
+
+    def _grow(self) -> None:
+        self._features = np.concatenate([self._features, np.empty_like(self._features)])
+        self._values = np.concatenate([self._values, np.full_like(self._values, np.nan)])
+        self._asked, self._answered, self._failed = (
+            np.concatenate([table, np.zeros_like(table)]) for table in (self._asked, self._answered, self._failed)
+        )
+
+    def ask(self, begun: BegunSet, scenario: int) -> None:
+        """Notes that a cell is asked."""
+        self._asked[begun.number, scenario] = True
+
+    def take(self, answer: CellAnswer) -> None:
+        """Notes an answer."""
+        begun, scenario = self.begin(answer.cell.indices), answer.cell.scenario
+        values = np.array(answer.values, dtype=np.float64)
+        self._asked[begun.number, scenario] = True
+        self._values[begun.number, scenario] = values
+        self._failed[begun.number, scenario] = answer.failed or bool(np.isnan(values).any())
+        if not self._answered[begun.number, scenario]:
+            self._answered[begun.number, scenario] = True
+            self.order[scenario].append(begun.number)
+        if not self._failed[begun.number, scenario]:
+            better = self._upwards[scenario] * (values - self.best[scenario]) > 0
+            self.best[scenario] = np.where(better, values, self.best[scenario])
+
+    def features(self, numbers: Sequence[int]) -> Floats:
+        """Returns the features of sets, shape (n, n_features)."""
+        return self._features[list(numbers)]
+
+    def known(self, scenario: int) -> tuple[Floats, Floats, Bools]:
+        """Returns features, values and failures of the answers in a scenario, in their order."""
+        order = self.order[scenario]
+        return self._features[order], self._values[order, scenario], self._failed[order, scenario]
+
+    def values(self, sets: Iterable[BegunSet]) -> Floats:
+        """Returns the values of sets, shape (n, n_scenarios, n_values); NaN without an answer."""
+        return self._values[[begun.number for begun in sets]]
+
+    def asked(self, begun: BegunSet) -> Bools:
+        """Returns a mask of the scenarios that a set was asked in."""
+        asked: Bools = self._asked[begun.number]
+        return asked
+
+    def answered(self, begun: BegunSet) -> Bools:
+        """Returns a mask of the scenarios that a set was answered in."""
+        answered: Bools = self._answered[begun.number]
+        return answered
+
+    def missing(self, begun: BegunSet) -> Indices:
+        """Returns the scenarios that a set was not asked in, rising."""
+        return np.flatnonzero(~self._asked[begun.number])
+
+    def is_pending(self, begun: BegunSet) -> bool:
+        """Returns whether a set has cells under way."""
+        return bool((self._asked[begun.number] & ~self._answered[begun.number]).any())
+
+    @property
+    def complete(self) -> list[BegunSet]:
+        """The sets with an answer in every scenario."""
+        return [self.sets[number] for number in np.flatnonzero(self._answered[: len(self.sets)].all(axis=1)).tolist()]
+
+    @property
+    def open(self) -> list[BegunSet]:
+        """The sets that a promise was made for, that were not asked in every scenario and not given up."""
+        whole = np.all(self._asked[: len(self.sets)], axis=1)
+        return [begun for begun in self.sets if not whole[begun.number] and not begun.given_up and begun.promise is not None]
+
+    @property
+    def unanswered(self) -> list[BegunSet]:
+        """The sets that are going to be complete, as it seems."""
+        whole = np.all(self._answered[: len(self.sets)], axis=1)
+        return [
+            begun
+            for begun in self.sets
+            if not whole[begun.number] and not begun.given_up and (begun.whole or begun.promise is not None)
+        ]
+
+    @property
+    def dormant(self) -> list[BegunSet]:
+        """The sets that are known in some scenarios from before the search."""
+        return [
+            begun
+            for begun in self.sets
+            if begun.promise is None and not begun.whole and len(self.missing(begun)) and not begun.beaten
+        ]
+
+    @property
+    def discarded(self) -> int:
+        """Cells of given-up sets that were not asked."""
+        given_up = [begun.number for begun in self.sets if begun.given_up]
+        return int((~self._asked[given_up]).sum())

@@ -1,0 +1,30 @@
+"""Gives sets up before they were asked in every scenario. This touches what is asked, never what is reported."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.optimizers.surrogate.answers import Answers, BegunSet
+from drivecal.optimizers.surrogate.merits import Standing
+from drivecal.plugins.search import Aim
+
+SHARE = 0.1
+"""A set is given up when its probability to beat the best falls below this share of its first value."""
+LEAST = 0.01
+"""The same, whatever the first value was."""
+
+
+def beaten(aim: Aim, answers: Answers, sets: Sequence[BegunSet], standing: Standing) -> npt.NDArray[np.bool_]:
+    """Returns which sets cannot be better than the best complete ones, even with the best value in every scenario left, shape (n,)."""
+    values = answers.values(sets)
+    missing = ~np.stack([answers.answered(begun) for begun in sets])
+    with np.errstate(invalid="ignore"):
+        objectives, violations = aim.judge(np.where(missing[:, :, np.newaxis], answers.best, values))
+    dead = (~missing & np.isnan(values).any(axis=2)).any(axis=1)
+    return standing.beats(objectives, violations) | dead
+
+
+def improbable(chance: float, promise: float) -> bool:
+    """Returns whether a set is not worth a simulation any more; `promise`: its first probability to beat the best."""
+    return chance < promise and chance <= max(SHARE * promise, LEAST)

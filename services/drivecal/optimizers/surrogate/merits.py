@@ -1,0 +1,76 @@
+"""The merit of sets: a number for each, with any number of objectives and constraints on results."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.plugins.ports import Floats
+from drivecal.plugins.search import Aim
+
+EQUAL = 1e-9
+"""Objectives that differ by no more are equal."""
+AUGMENTATION = 0.05
+"""Weight of the sum, which is added to the largest distance, so that every objective counts (Knowles 2006, ParEGO)."""
+
+
+@dataclass(frozen=True)
+class Standing:
+    """The judged complete sets: objectives, shape (n, m), and violations, shape (n,), without sets that lack a result."""
+
+    objectives: Floats
+    violations: Floats
+
+    @classmethod
+    def of(cls, aim: Aim, values: Floats) -> "Standing":
+        """Judges the values of complete sets, shape (n, n_scenarios, n_values)."""
+        objectives, violations = aim.judge(values) if len(values) else (np.empty((0, aim.objectives)), np.empty(0))
+        valid = ~(np.isnan(objectives).any(axis=1) | np.isnan(violations))
+        return cls(objectives[valid], violations[valid])
+
+    def beats(self, objectives: Floats, violations: Floats) -> npt.NDArray[np.bool_]:
+        """Returns which of k sets with such bounds cannot be better than all complete sets, shape (k,); NaN is no bound."""
+        less = self.violations < violations[:, np.newaxis] - EQUAL
+        as_much = self.violations <= violations[:, np.newaxis] + EQUAL
+        as_good = np.all(self.objectives >= objectives[:, np.newaxis] - EQUAL, axis=2)
+        beaten: npt.NDArray[np.bool_] = np.any(less | (as_much & as_good), axis=1)
+        return beaten
+
+
+class Merit:
+    """A number for each set, higher is better: the objective, or several as one, in units of what the complete sets range over.
+
+    Several are weighted by a direction, and the largest distance to the best of all counts. Sets that violate constraints are worse than
+    all others, by their violations.
+    """
+
+    def __init__(self, aim: Aim, standing: Standing, direction: Floats) -> None:
+        """`direction`: positive weights of the objectives, shape (m,), sum 1."""
+        self._aim, self._direction = aim, direction
+        kept = standing.objectives[standing.violations <= EQUAL]
+        reference = kept if len(kept) else standing.objectives
+        none = np.zeros(aim.objectives)
+        self._ideal = reference.max(axis=0) if len(reference) else none
+        lowest = reference.min(axis=0) if len(reference) else none
+        self._span = np.where(self._ideal > lowest, self._ideal - lowest, 1.0)
+        known = self._scalar(standing.objectives)
+        self._floor = float(known.min()) if len(known) else 0.0
+        self._unit = float(np.ptp(known)) if len(known) and np.ptp(known) > 0 else 1.0
+        self.best = float(self._with_violations(known, standing.violations).max()) if len(known) else -np.inf
+        """Merit of the best complete set."""
+
+    def __call__(self, values: Floats) -> Floats:
+        """Returns the merits of values, shape (n, n_scenarios, n_values); without a result negative infinity."""
+        objectives, violations = self._aim.judge(values)
+        merits = self._with_violations(self._scalar(objectives), violations)
+        return np.where(np.isnan(merits), -np.inf, merits)
+
+    def _scalar(self, objectives: Floats) -> Floats:
+        if self._aim.objectives == 1:
+            return objectives[:, 0]
+        away = self._direction * (self._ideal - objectives) / self._span
+        result: Floats = -away.max(axis=1) - AUGMENTATION * away.sum(axis=1)
+        return result
+
+    def _with_violations(self, merits: Floats, violations: Floats) -> Floats:
+        return np.where(violations > EQUAL, self._floor - self._unit * (1.0 + violations), merits)

@@ -1,0 +1,174 @@
+"""A model for each scenario: what its values and failures probably are at sets that were not asked there."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtr
+
+from drivecal.domain.parameters import Indices
+from drivecal.optimizers.surrogate.processes import GaussianProcess, Hyperparameters, fitted
+from drivecal.plugins.ports import Floats
+
+Bools = npt.NDArray[np.bool_]
+GROWTH = 1.15
+"""Hyperparameters are fitted again when its answers have grown by this factor."""
+MOST = 300
+"""Answers that a process learns from; of more, the newest and the nearest to the best ones."""
+FEWEST = 3
+"""Answers with which a process begins."""
+
+
+@dataclass(frozen=True, slots=True)
+class Warp:
+    """Strictly rising function of values, under which they are nearer to a normal distribution: none, or the logarithm of the distance
+    from an end of the range."""
+
+    origin: float = 0.0
+    sign: float = 0.0
+    """Direction of the values from the origin; 0: no warp."""
+
+    @classmethod
+    def chosen(cls, values: Floats, best: float) -> "Warp":
+        """Returns what makes values likelier (Box and Cox 1964); `best`: the better end of their range."""
+        spread = values.std()
+        if len(values) < FEWEST + 2 or spread <= 0:
+            return cls()
+        origin = best if np.isfinite(best) else 0.0
+        for sign in (1.0, -1.0):
+            away = sign * (values - origin)
+            if away.min() > 0:
+                logarithms = np.log(away)
+                # the logarithm of the likelihood's ratio, per value
+                if np.log(spread) > np.log(max(logarithms.std(), 1e-12)) + logarithms.mean():
+                    return cls(origin, sign)
+        return cls()
+
+    def __call__(self, values: Floats) -> Floats:
+        return np.log(np.maximum(self.sign * (values - self.origin), 1e-12)) if self.sign else values
+
+    def undone(self, warped: Floats) -> Floats:
+        """Inverts the warp."""
+        return self.origin + self.sign * np.exp(np.minimum(warped, 300.0)) if self.sign else warped
+
+
+@dataclass(slots=True)
+class Tuned:
+    """Hyperparameters of a process, and how many answers they were fitted to."""
+
+    hyperparameters: Hyperparameters
+    count: int = 0
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns plain data."""
+        return {"lengths": self.hyperparameters.lengths.tolist(), "noise": self.hyperparameters.noise, "count": self.count}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> "Tuned":
+        """Inverts `to_json`."""
+        return cls(Hyperparameters(np.array(document["lengths"], dtype=np.float64), document["noise"]), document["count"])
+
+
+@dataclass(slots=True)
+class Output:
+    """One of a scenario's values, or its failures as 0 and 1, as a process."""
+
+    learned: Tuned
+    warp: Warp = field(default_factory=Warp)
+    process: GaussianProcess | None = None
+    constant: float = 0.0
+    spread: float = 0.0
+
+    def learn(self, features: Floats, targets: Floats, owners: Indices, pending: Floats, warp: Warp, known: int) -> None:
+        """Learns from at least one answer. `known`: number of all answers, those left out included."""
+        self.warp = warp
+        warped = warp(targets)
+        self.constant, self.spread = float(warped.mean()), float(warped.std())
+        if len(targets) < FEWEST or self.spread <= 1e-12 * max(1.0, abs(self.constant)):
+            self.process = None
+            return
+        if known >= max(self.learned.count + 1, GROWTH * self.learned.count):
+            start = self.learned.hyperparameters
+            self.learned = Tuned(fitted(features, warped - warped.mean(), owners, start), known)
+        self.process = GaussianProcess(features, warped, owners, self.learned.hyperparameters, pending)
+
+    def predict(self, features: Floats, *, pending: bool) -> tuple[Floats, Floats]:
+        """Returns means and deviations of the warped value."""
+        if self.process is None:
+            return np.full(len(features), self.constant), np.full(len(features), self.spread)
+        return self.process.predict(features, pending=pending)
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Distribution of a scenario's values at n sets."""
+
+    means: Floats
+    """Means of the warped values, shape (n, n_values)."""
+    deviations: Floats
+    failing: Floats
+    """Probabilities of a failure, shape (n,)."""
+
+
+class ScenarioModel:
+    """The model of one scenario."""
+
+    def __init__(self, n_values: int, n_parameters: int, owners: Indices, best: Floats, worst: Floats) -> None:
+        self._owners, self._best, self._worst = owners, best, worst
+        self._outputs = [Output(Tuned(Hyperparameters.usual(n_parameters))) for _ in range(n_values)]
+        self._failure = Output(Tuned(Hyperparameters.usual(n_parameters)))
+
+    def learn(self, features: Floats, values: Floats, failed: Bools, pending: Floats) -> None:
+        """Learns from answers in the order of asking: features, shape (n, n_features), values, shape (n, n_values), and failures."""
+        known = len(failed)
+        held = _kept(features)
+        features, values, failed = features[held], values[held], failed[held]
+        for place, output in enumerate(self._outputs):
+            if not failed.all():
+                own = values[~failed, place]
+                output.learn(features[~failed], own, self._owners, pending, Warp.chosen(own, float(self._best[place])), known)
+        if len(failed):
+            self._failure.learn(features, failed.astype(np.float64), self._owners, pending[:0], Warp(), known)
+
+    def predict(self, features: Floats, *, pending: bool) -> Prediction:
+        """Predicts n sets. Pending points shrink the deviation or do not."""
+        predictions = [output.predict(features, pending=pending) for output in self._outputs]
+        label, unsure = self._failure.predict(features, pending=False)
+        failing = label if self._failure.process is None else ndtr((label - 0.5) / np.sqrt(unsure**2 + 0.04))
+        return Prediction(
+            np.stack([means for means, _ in predictions], axis=1),
+            np.stack([deviations for _, deviations in predictions], axis=1),
+            np.clip(failing, 0.0, 1.0),
+        )
+
+    def values(self, prediction: Prediction, normal: Floats, uniform: Floats) -> Floats:
+        """Returns draws of the values, shape (n_draws, n, n_values), from standard normal numbers, shape (n_draws, 1 or n, n_values), and
+        uniform ones, shape (n_draws, 1 or n)."""
+        warped = prediction.means + prediction.deviations * normal
+        values = np.stack([output.warp.undone(warped[:, :, place]) for place, output in enumerate(self._outputs)], axis=2)
+        return np.where((uniform < prediction.failing)[:, :, np.newaxis], self._worst, values)
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Returns as plain data what answers alone do not tell."""
+        return [output.learned.to_json() for output in (*self._outputs, self._failure)]
+
+    def restore(self, documents: Sequence[Mapping[str, Any]]) -> None:
+        """Inverts `to_json`."""
+        for output, document in zip((*self._outputs, self._failure), documents, strict=True):
+            output.learned = Tuned.from_json(document)
+
+
+def _kept(features: Floats) -> Indices:
+    """Returns the places of at most MOST answers, rising."""
+    count = len(features)
+    if count <= MOST:
+        return np.arange(count)
+    newest = np.arange(count - MOST // 3, count)
+    spread = np.linspace(0, count - MOST // 3 - 1, MOST // 3).astype(np.int64)
+    centre = features[-MOST // 3 :].mean(axis=0)
+    near = np.argsort(((features - centre) ** 2).sum(axis=1), kind="stable")
+    taken = np.unique(np.concatenate([newest, spread]))
+    rest = near[~np.isin(near, taken)][: MOST - len(taken)]
+    return np.sort(np.concatenate([taken, rest]))

@@ -1,0 +1,49 @@
+"""`optimizer: {kind: surrogate}`."""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from drivecal.optimizers.surrogate.search import SurrogateSearch
+from drivecal.plugins.ports import Ability
+from drivecal.plugins.search import AskedCell, CellAnswer, SearchPlugin, SearchTask
+
+
+class SurrogateSettings(BaseModel):
+    """Learns a Gaussian process for each scenario, asks cell by cell, and gives sets up that cannot win any more."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    kind: Literal["surrogate"] = "surrogate"
+    seed: Annotated[int, Field(ge=0, lt=2**63, description="Seed of all random numbers.")] = 1
+
+
+class SurrogatePlugin:
+    """See `drivecal.plugins.search.SearchPlugin`."""
+
+    name = "surrogate"
+    settings: type[BaseModel] = SurrogateSettings
+    supports: frozenset[Ability] = frozenset(get_args(Ability))
+
+    def begin(self, settings: BaseModel, task: SearchTask) -> SurrogateSearch:
+        """Begins a search."""
+        if not isinstance(settings, SurrogateSettings):
+            raise TypeError(f"settings must be {SurrogateSettings.__name__}, not {type(settings).__name__}")
+        return SurrogateSearch(settings.seed, task)
+
+    def resume(
+        self,
+        settings: BaseModel,
+        task: SearchTask,
+        rounds: Sequence[Sequence[AskedCell]],
+        answers: Sequence[Sequence[CellAnswer]],
+        state: Mapping[str, Any],
+    ) -> SurrogateSearch:
+        """Returns the search after these rounds."""
+        search = self.begin(settings, task)
+        search.restore(rounds, answers, state)
+        return search
+
+
+SURROGATE: SearchPlugin = SurrogatePlugin()

@@ -1,0 +1,315 @@
+"""The search: what to ask next, given a model for each scenario.
+
+The probability that a set beats the best one comes from draws of all its scenarios, which `Aim.judge` rounds and adds up as it does with
+answers. New sets have the largest expected improvement among candidates spread over the space and near the best sets. A set is asked
+scenario by scenario, first where the draws decide most, and given up early (`giving_up`).
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtri
+from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]  # it ships no types
+
+from drivecal.domain.parameters import Indices
+from drivecal.optimizers.surrogate.answers import Answers, BegunSet
+from drivecal.optimizers.surrogate.candidates import children
+from drivecal.optimizers.surrogate.giving_up import beaten, improbable
+from drivecal.optimizers.surrogate.merits import EQUAL, Merit, Standing
+from drivecal.optimizers.surrogate.models import ScenarioModel
+from drivecal.optimizers.surrogate.processes import Encoding
+from drivecal.plugins.ports import Floats
+from drivecal.plugins.search import AskedCell, CellAnswer, SearchTask
+
+FEWEST, MOST = 4, 10
+"""Sets of the first design."""
+DESIGN_SHARE = 0.2
+"""Share of the budget that the first design takes."""
+DRAWS = 64
+"""Draws for a candidate."""
+OPEN_DRAWS = 256
+"""Draws for a set that was begun."""
+SPREAD, NEAR = 300, 500
+"""Candidates over the whole space, and near the best sets."""
+PARENTS = 8
+REFINEMENTS, REFINED, REFINING = 2, 8, 150
+"""How often the most promising candidates have children, how many of them, and how many children."""
+TOGETHER = 8
+"""Most sets that are chosen from the same candidates: all but the first by a draw each."""
+GROUPS = 16
+"""Most groups of such sets in a round."""
+PENDING = 64
+"""Most unanswered sets that the models count as known."""
+DORMANT = 64
+"""Most sets with known answers from before that are looked at."""
+DESIGN, PROPOSAL, DRAWING, DIRECTION = range(4)
+"""Streams of random numbers."""
+
+
+class SurrogateSearch:
+    """See `drivecal.plugins.search.Search`."""
+
+    def __init__(self, seed: int, task: SearchTask) -> None:
+        self._seed, self._task, self._aim = seed, task, task.aim
+        encoding = Encoding(task.n_values, task.kinds)
+        self._encoding = encoding
+        self._answers = Answers(encoding, task.aim)
+        self._models = [
+            ScenarioModel(task.aim.values, len(task.kinds), encoding.owners, best, worst)
+            for best, worst in zip(task.aim.best, task.aim.worst, strict=True)
+        ]
+        self._learned: list[tuple[int, ...]] = [() for _ in self._models]
+        """Basis of each model: number of answers, and pending sets."""
+        self._standing = Standing.of(task.aim, np.empty((0, task.aim.scenarios, task.aim.values)))
+        self._merits: dict[int, Merit] = {}
+        self._spent = 0
+        for answer in task.known:
+            self._answers.take(answer)
+        self._begin_first_sets()
+        self._threads = ThreadpoolController()
+
+    def _begin_first_sets(self) -> None:
+        cells = self._task.cells
+        size = MOST if cells is None else int(np.clip(DESIGN_SHARE * cells / self._aim.scenarios, FEWEST, MOST))
+        size = max(0, size - len(self._answers.complete) - len(self._task.start))
+        drawn = self._task.sample(size, self._generator(DESIGN)) if size else self._task.start[:0]
+        for row in np.concatenate([self._task.start, drawn]).tolist():
+            self._answers.begin(tuple(row)).whole = True
+
+    def _generator(self, stream: int, number: int = 0) -> np.random.Generator:
+        return np.random.Generator(np.random.PCG64(np.random.SeedSequence((self._seed, stream, number))))
+
+    @property
+    def discarded(self) -> int:
+        """Cells of given-up sets that were not asked."""
+        return self._answers.discarded
+
+    def tell(self, answers: Sequence[CellAnswer]) -> None:
+        """Receives the answers of the oldest round that has not been told."""
+        for answer in answers:
+            self._answers.take(answer)
+
+    def state(self) -> dict[str, Any]:
+        """Returns the hyperparameters and the promise of each set; rounds and answers give the rest."""
+        return {
+            "models": [model.to_json() for model in self._models],
+            "sets": [[begun.promise, begun.improbable, begun.beaten] for begun in self._answers.sets],
+        }
+
+    def restore(
+        self, rounds: Sequence[Sequence[AskedCell]], answers: Sequence[Sequence[CellAnswer]], state: Mapping[str, Any]
+    ) -> None:
+        """Continues a search that has just begun after these rounds."""
+        for cell in (cell for cells in rounds for cell in cells):
+            self._answers.ask(self._answers.begin(cell.indices), cell.scenario)
+            self._spent += 1
+        for told in answers:
+            self.tell(told)
+        for begun, (promise, was_improbable, was_beaten) in zip(self._answers.sets, state.get("sets", ()), strict=False):
+            begun.promise, begun.improbable, begun.beaten = promise, was_improbable, was_beaten
+        for model, document in zip(self._models, state.get("models", ()), strict=False):
+            model.restore(document)
+
+    def ask(self, room: int) -> Sequence[AskedCell]:
+        """Returns the cells of the next round; see `drivecal.plugins.search.Search`."""
+        left = self._left
+        room = room if left is None else min(room, left)
+        cells: list[AskedCell] = []
+        for begun in self._answers.sets:
+            if begun.whole and len(cells) < room:
+                self._ask_all(begun, room, cells)
+        if len(cells) < room:
+            with self._threads.limit(limits=1):
+                self._search(room, cells)
+        return cells
+
+    @property
+    def _left(self) -> int | None:
+        return None if self._task.cells is None else max(0, self._task.cells - self._spent)
+
+    def _ask(self, begun: BegunSet, scenario: int, cells: list[AskedCell]) -> None:
+        self._answers.ask(begun, scenario)
+        cells.append(AskedCell(begun.indices, scenario))
+        self._spent += 1
+
+    def _ask_all(self, begun: BegunSet, room: int, cells: list[AskedCell]) -> None:
+        for scenario in self._answers.missing(begun)[: room - len(cells)].tolist():
+            self._ask(begun, scenario, cells)
+
+    def _search(self, room: int, cells: list[AskedCell]) -> None:
+        """Fills the room: sets that may still win are asked on, then new ones begin; at the end nothing that cannot be completed."""
+        self._standing = Standing.of(self._aim, self._answers.values(self._answers.complete))
+        self._merits = {}
+        self._learn()
+        promising = self._promising()
+        for begun, drawn in promising:
+            if len(cells) < room and not self._answers.is_pending(begun):
+                self._ask(begun, self._deciding(begun, drawn), cells)
+        first = True
+        while len(cells) < room and self._may_begin():
+            groups = -(-(room - len(cells)) // TOGETHER)
+            together = min(room - len(cells), max(1, -(-groups // GROUPS)) * TOGETHER if groups > 1 else 1)
+            if not first:
+                self._learn()
+            first = False
+            sets = self._proposed(together)
+            if not sets:
+                break
+            for begun, drawn in zip(sets, self._drawn(sets), strict=True):
+                self._ask(begun, self._deciding(begun, drawn), cells)
+        if len(cells) < room:
+            given_up = [begun for begun in self._answers.sets if begun.improbable and len(self._answers.missing(begun))]
+            for begun in [begun for begun, _ in promising] + sorted(given_up, key=lambda begun: -(begun.promise or 0.0)):
+                left = self._left
+                if left is None or len(self._answers.missing(begun)) <= left or not begun.improbable:
+                    begun.improbable = False
+                    self._ask_all(begun, room, cells)
+
+    def _may_begin(self) -> bool:
+        """Returns whether enough cells are left for a new set. Half of the cells of open sets are reserved: some are given up."""
+        left = self._left
+        reserved = sum(len(self._answers.missing(begun)) for begun in self._answers.open) // 2
+        return left is None or left - reserved >= self._aim.scenarios
+
+    def _learn(self) -> None:
+        pending = self._answers.unanswered[-PENDING:]
+        for scenario, model in enumerate(self._models):
+            numbers = [begun.number for begun in pending if not self._answers.answered(begun)[scenario]]
+            basis = (len(self._answers.order[scenario]), *numbers)
+            if basis != self._learned[scenario]:
+                model.learn(*self._answers.known(scenario), self._answers.features(numbers))
+                self._learned[scenario] = basis
+
+    def _merit(self, number: int) -> Merit:
+        """Returns what makes one number of objectives for a set; with several, each set has a direction of its own."""
+        key = number if self._aim.objectives > 1 else 0
+        if key not in self._merits:
+            direction = self._generator(DIRECTION, key).dirichlet(np.ones(self._aim.objectives))
+            self._merits[key] = Merit(self._aim, self._standing, direction)
+        return self._merits[key]
+
+    def _promising(self) -> list[tuple[BegunSet, Floats]]:
+        """Gives sets up; returns the remaining open sets, the most promising first, with draws of their values."""
+        sets = [
+            begun for begun in self._answers.sets if not begun.beaten and not begun.whole and len(self._answers.missing(begun))
+        ]
+        if sets:
+            for begun, is_beaten in zip(sets, beaten(self._aim, self._answers, sets, self._standing), strict=True):
+                begun.beaten = bool(is_beaten)
+        ranked: list[tuple[float, BegunSet, Floats]] = []
+        left = self._answers.open
+        for begun, drawn in zip(left, self._drawn(left), strict=True):
+            merit = self._merit(begun.number)
+            chance = float((merit(drawn) > merit.best + EQUAL).mean())
+            begun.improbable = improbable(chance, begun.promise or 0.0)
+            if not begun.improbable:
+                ranked.append((chance, begun, drawn))
+        return [(begun, drawn) for _, begun, drawn in sorted(ranked, key=lambda each: -each[0])]
+
+    def _draws(self, features: Floats, count: int, generator: np.random.Generator, *, pending: bool) -> Floats:
+        """Returns draws of values, shape (count, n, n_scenarios, n_values). All sets share the random numbers, so that they compare."""
+        shape = (count, 1, self._aim.scenarios, self._aim.values)
+        normal = ndtri((np.argsort(generator.random(shape), axis=0) + 0.5) / count)
+        uniform = (np.argsort(generator.random(shape[:3]), axis=0) + 0.5) / count
+        return np.stack(
+            [
+                model.values(model.predict(features, pending=pending), normal[:, :, place], uniform[:, :, place])
+                for place, model in enumerate(self._models)
+            ],
+            axis=2,
+        )
+
+    def _drawn(self, sets: Sequence[BegunSet]) -> Floats:
+        """Returns draws of the values of sets, shape (n, n_draws, n_scenarios, n_values), with the answers that are known."""
+        if not sets:
+            return np.empty((0, OPEN_DRAWS, self._aim.scenarios, self._aim.values))
+        features = self._answers.features([begun.number for begun in sets])
+        drawn = self._draws(features, OPEN_DRAWS, self._generator(DRAWING), pending=False).transpose(1, 0, 2, 3)
+        known = np.stack([self._answers.answered(begun) for begun in sets])[:, np.newaxis, :, np.newaxis]
+        return np.where(known, self._answers.values(sets)[:, np.newaxis], drawn)
+
+    def _deciding(self, begun: BegunSet, drawn: Floats) -> int:
+        """Returns the missing scenario whose draws alone change the merit most."""
+        missing = self._answers.missing(begun)
+        values = np.repeat(np.median(drawn, axis=0)[np.newaxis], len(missing) * DRAWS, axis=0)
+        values = values.reshape(len(missing), DRAWS, *values.shape[1:])
+        for place, scenario in enumerate(missing.tolist()):
+            values[place, :, scenario] = drawn[:: OPEN_DRAWS // DRAWS, scenario]
+        merits = self._merit(begun.number)(values.reshape(-1, *values.shape[2:])).reshape(len(missing), DRAWS)
+        spreads = np.where(np.isfinite(merits), merits, np.nanmin(np.where(np.isfinite(merits), merits, 0.0))).std(axis=1)
+        return int(missing[int(np.argmax(spreads))])
+
+    def _proposed(self, count: int) -> list[BegunSet]:
+        """Begins up to `count` sets, or goes on with a set that is known in part: the first has the largest expected improvement for its
+        cost, each further one is the best of a draw."""
+        number = len(self._answers.sets)
+        generator, merit = self._generator(PROPOSAL, number), self._merit(number)
+        rows = self._new(
+            np.concatenate([self._task.sample(SPREAD, generator), self._children(self._parents(), NEAR, generator)])
+        )
+        merits = self._merits_of(rows, merit, number)
+        for _ in range(REFINEMENTS if len(rows) else 0):
+            top = np.argsort(-self._improvements(merits, merit), kind="stable")[:REFINED]
+            more = self._new(self._children(rows[top], REFINING, generator))
+            rows, merits = np.concatenate([rows, more]), np.concatenate([merits, self._merits_of(more, merit, number)], axis=1)
+        improvements = self._improvements(merits, merit)
+        dormant = self._dormant(merit)
+        if dormant is not None and (not len(rows) or dormant[0] > improvements.max()):
+            dormant[1].promise = dormant[2]
+            return [dormant[1]]
+        if not len(rows):
+            return []
+        sets: list[BegunSet] = []
+        for place in range(count):
+            scores = improvements if place == 0 else merits[(number + place) % DRAWS]
+            chosen = next(
+                (row for row in np.argsort(-scores, kind="stable").tolist() if tuple(rows[row].tolist()) not in self._answers),
+                None,
+            )
+            if chosen is not None:
+                chance = float((merits[:, chosen] > merit.best + EQUAL).mean())
+                sets.append(self._answers.begin(tuple(rows[chosen].tolist()), promise=chance))
+        return sets
+
+    def _merits_of(self, rows: Indices, merit: Merit, number: int) -> Floats:
+        """Returns merits of draws, shape (DRAWS, n)."""
+        if not len(rows):
+            return np.empty((DRAWS, 0))
+        drawn = self._draws(self._encoding(rows), DRAWS, self._generator(DRAWING, number + 1), pending=True)
+        return merit(drawn.reshape(-1, *drawn.shape[2:])).reshape(DRAWS, len(rows))
+
+    @staticmethod
+    def _improvements(merits: Floats, merit: Merit) -> Floats:
+        """Returns the expected improvements, shape (n,); without a complete set the mean merits."""
+        finite = np.where(np.isfinite(merits), merits, -1e300)
+        result: Floats = finite.mean(axis=0) if np.isneginf(merit.best) else np.maximum(finite - merit.best, 0.0).mean(axis=0)
+        return result
+
+    def _dormant(self, merit: Merit) -> tuple[float, BegunSet, float] | None:
+        """Returns the most promising set that is known in part: its expected improvement for the cost of a new set, itself, its chance."""
+        sets = self._answers.dormant[-DORMANT:]
+        ranked: list[tuple[float, BegunSet, float]] = []
+        for begun, drawn in zip(sets, self._drawn(sets), strict=True):
+            merits = merit(drawn)
+            gain = float(self._improvements(merits[:, np.newaxis], merit)[0])
+            share = len(self._answers.missing(begun)) / self._aim.scenarios
+            ranked.append((gain / share if gain > 0 else gain, begun, float((merits > merit.best + EQUAL).mean())))
+        return max(ranked, key=lambda each: each[0], default=None)
+
+    def _new(self, rows: Indices) -> Indices:
+        """Returns the feasible ones of repaired rows that have not begun, each once."""
+        rows = np.unique(self._task.repair(rows), axis=0)
+        fresh = np.array([tuple(row) not in self._answers for row in rows.tolist()], dtype=np.bool_)
+        return rows[fresh & self._task.feasible(rows)]
+
+    def _parents(self) -> Indices:
+        """Returns the best complete sets, the best first; without any what a design would be."""
+        complete = self._answers.complete
+        if not complete:
+            return self._task.sample(PARENTS, self._generator(DESIGN, 1))
+        merits = self._merit(len(self._answers.sets))(self._answers.values(complete))
+        return np.array([complete[place].indices for place in np.argsort(-merits, kind="stable")[:PARENTS]], dtype=np.int64)
+
+    def _children(self, parents: Indices, count: int, generator: np.random.Generator) -> Indices:
+        return children(parents, count, self._task.n_values, self._task.kinds, generator)

@@ -1,0 +1,292 @@
+"""The search by models of scenarios, on small functions."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivecal.analysis.aims import JudgedGoals, WeightedScore
+from drivecal.analysis.goals import Aggregate, Bound, CellValue, Goals, Objective
+from drivecal.domain.parameters import Indices, Kind
+from drivecal.domain.scales import Direction, Scale
+from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
+from drivecal.plugins.ports import Floats
+from drivecal.plugins.search import Aim, AskedCell, CellAnswer, Search, SearchTask
+
+COST = Scale("cost", Direction.MINIMISE, lower=0.0, upper=10.0, tolerance=0.1, failed=20.0)
+POINTS = Scale("points", Direction.MAXIMISE, lower=0.0, upper=7.0, tolerance=1.0, failed=0.0, step=1.0)
+N_VALUES = np.array([101, 10**9, 9, 3], dtype=np.int64)
+KINDS: Sequence[Kind] = ("grid", "continuous", "integer", "choice")
+
+
+def mean_of(scale: Scale, scenarios: int) -> WeightedScore:
+    """Returns the mean of a score."""
+    return WeightedScore({f"S{place}": 1 / scenarios for place in range(scenarios)}, scale)
+
+
+def allowed(rows: Indices) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Returns which rows keep the constraint between the first and the third parameter."""
+    return rows[:, 0] / 100 >= rows[:, 2] / 8 - 0.5
+
+
+def repaired(rows: Indices) -> Indices:
+    """Moves the first parameter."""
+    rows = rows.copy()
+    rows[:, 0] = np.maximum(rows[:, 0], np.ceil(100 * (rows[:, 2] / 8 - 0.5)).astype(np.int64))
+    return rows
+
+
+def task_of(
+    aim: Aim, cells: int | None = 80, window: int = 1, n_values: Indices = N_VALUES, kinds: Sequence[Kind] = KINDS
+) -> SearchTask:
+    """Returns a task on the mixed space, or on another one without constraints."""
+    mixed = n_values is N_VALUES
+
+    def sample(count: int, generator: np.random.Generator) -> Indices:
+        rows = generator.integers(0, n_values, size=(count, len(n_values)))
+        return repaired(rows) if mixed else rows
+
+    def anything(rows: Indices) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        return np.ones(len(rows), dtype=np.bool_)
+
+    start = np.array([n_values // 2], dtype=np.int64)
+    return SearchTask(
+        n_values,
+        kinds,
+        aim,
+        allowed if mixed else anything,
+        repaired if mixed else (lambda rows: rows),
+        sample,
+        start,
+        (),
+        cells,
+        window,
+    )
+
+
+def cost(cell: AskedCell) -> tuple[float, bool]:
+    """A bowl, which lies elsewhere in each scenario; a corner of the space fails."""
+    x = np.array(cell.indices) / (N_VALUES - 1)
+    if x[0] + x[1] > 1.7:
+        return COST.failed, True
+    away = (x[:3] - 0.3 - 0.1 * cell.scenario) ** 2
+    return float(5 * away.sum() + (0.3 if cell.indices[3] != 1 else 0.0)), False
+
+
+def points(cell: AskedCell) -> tuple[float, bool]:
+    """The same as a rating of 0 to 7."""
+    value, failed = cost(cell)
+    return (POINTS.failed, True) if failed else (max(0.0, 7.0 - value), False)
+
+
+@dataclass
+class Played:
+    """The rounds and answers of a search."""
+
+    task: SearchTask
+    value: Callable[[AskedCell], tuple[float, bool]]
+    room: int
+    rounds: list[list[AskedCell]] = field(default_factory=list)
+    answers: list[list[CellAnswer]] = field(default_factory=list)
+
+    def play(self, search: Search, most: int | None = None) -> "Played":
+        """Asks and tells until the search is over, at most `most` rounds."""
+        while most is None or len(self.rounds) < most:
+            asked = list(search.ask(self.room))
+            if asked:
+                self.rounds.append(asked)
+            behind = len(self.rounds) - len(self.answers)
+            if not behind:
+                break
+            if not asked or behind >= self.task.window:
+                self.answers.append([self.answered(cell) for cell in self.rounds[len(self.answers)]])
+                search.tell(self.answers[-1])
+        return self
+
+    def answered(self, cell: AskedCell) -> CellAnswer:
+        """Returns the answer of a cell."""
+        value, failed = self.value(cell)
+        return CellAnswer(cell, (value,) * self.task.aim.values, failed)
+
+    @property
+    def cells(self) -> list[AskedCell]:
+        """All cells in the order of asking."""
+        return [cell for cells in self.rounds for cell in cells]
+
+    def complete(self) -> dict[tuple[int, ...], Floats]:
+        """Returns the values of the sets that are known in every scenario, shape (n_scenarios, n_values)."""
+        known: dict[tuple[int, ...], dict[int, tuple[float, ...]]] = {}
+        for answer in [*self.task.known, *(answer for answers in self.answers for answer in answers)]:
+            known.setdefault(answer.cell.indices, {})[answer.cell.scenario] = answer.values
+        scenarios = range(self.task.aim.scenarios)
+        return {
+            indices: np.array([values[scenario] for scenario in scenarios])
+            for indices, values in known.items()
+            if len(values) == len(scenarios)
+        }
+
+    def best(self) -> float:
+        """Returns the best objective."""
+        return float(self.task.aim.judge(np.stack(list(self.complete().values())))[0].max())
+
+
+def begun(task: SearchTask, seed: int = 1) -> Search:
+    """Returns a new search."""
+    return SURROGATE.begin(SurrogateSettings(seed=seed), task)
+
+
+rooms = st.integers(1, 9)
+windows = st.integers(1, 4)
+
+
+@settings(max_examples=6, deadline=None)
+@given(seed=st.integers(0, 1000), room=rooms, window=windows, steps=st.booleans())
+def test_cells_are_new_feasible_and_within_room_and_budget(seed: int, room: int, window: int, steps: bool) -> None:
+    task = task_of(mean_of(POINTS if steps else COST, 3), 60, window)
+    played = Played(task, points if steps else cost, room).play(begun(task, seed))
+    assert len(set(played.cells)) == len(played.cells) <= 60
+    assert all(len(cells) <= room for cells in played.rounds)
+    rows = np.array([cell.indices for cell in played.cells])
+    assert allowed(rows).all()
+    assert ((rows >= 0) & (rows < N_VALUES)).all()
+
+
+@settings(max_examples=6, deadline=None)
+@given(seed=st.integers(0, 1000), room=rooms, window=windows, data=st.data())
+def test_a_resumed_search_asks_for_the_same_cells(seed: int, room: int, window: int, data: st.DataObject) -> None:
+    task = task_of(mean_of(COST, 3), 60, window)
+    whole = Played(task, cost, room).play(begun(task, seed))
+    first = begun(task, seed)
+    part = Played(task, cost, room).play(first, data.draw(st.integers(0, len(whole.rounds))))
+    state = json.loads(json.dumps(first.state(), allow_nan=False))
+    again = SURROGATE.resume(SurrogateSettings(seed=seed), task, part.rounds, part.answers, state)
+    assert again.discarded == first.discarded
+    assert part.play(again).rounds == whole.rounds
+
+
+def test_answers_of_late_rounds_change_nothing_before_they_are_told() -> None:
+    task = task_of(mean_of(COST, 3), 60, window=3)
+    first, second = begun(task), begun(task)
+    early = [first.ask(4) for _ in range(6)]
+    late = [second.ask(4) for _ in range(6)]
+    assert early == late
+    assert len({cell for cells in early for cell in cells}) == 24
+
+
+@settings(max_examples=4, deadline=None)
+@given(seed=st.integers(0, 1000), steps=st.booleans())
+def test_sets_given_up_for_certain_would_not_be_better(seed: int, steps: bool) -> None:
+    task = task_of(mean_of(POINTS if steps else COST, 3), 90)
+    value = points if steps else cost
+    search = begun(task, seed)
+    played = Played(task, value, 1).play(search)
+    best = played.best()
+    sets = {cell.indices for cell in played.cells}
+    order = list(dict.fromkeys(cell.indices for cell in played.cells))
+    first = len(search.state()["sets"]) - len(order)  # none is known from before
+    assert first == 0
+    for (_, _, beaten), indices in zip(search.state()["sets"], order, strict=True):
+        if beaten:
+            values = [[value(AskedCell(indices, scenario))[0]] for scenario in range(3)]
+            assert task.aim.judge(np.array([values]))[0][0, 0] <= best + 1e-9
+    assert search.discarded <= 3 * len(sets) - len(played.cells)
+
+
+def test_it_beats_random_search() -> None:
+    task = task_of(mean_of(COST, 4), 120)
+    ours = [Played(task, cost, 1).play(begun(task, seed)).best() for seed in range(3)]
+    values = []
+    for seed in range(3):
+        rows = task.sample(30, np.random.default_rng(seed))
+        cells = [[[cost(AskedCell(tuple(row), scenario))[0]] for scenario in range(4)] for row in rows.tolist()]
+        values.append(float(task.aim.judge(np.array(cells))[0].max()))
+    assert min(ours) > max(values)
+
+
+def test_a_small_grid_is_searched_whole_and_then_the_search_is_over() -> None:
+    sizes = np.array([4, 3], dtype=np.int64)
+    task = task_of(mean_of(COST, 2), None, 2, sizes, ("grid", "choice"))
+
+    def value(cell: AskedCell) -> tuple[float, bool]:
+        return abs(cell.indices[0] - 2) + (cell.indices[1] != 1) + 0.1 * cell.scenario, False
+
+    search = begun(task)
+    played = Played(task, value, 3).play(search)
+    assert played.best() == pytest.approx(-0.05)
+    assert search.ask(5) == []
+    assert (2, 1) in played.complete()
+
+
+def test_known_answers_are_not_asked_again_and_partly_known_sets_are_finished() -> None:
+    task = task_of(mean_of(COST, 3), 45)
+    before = Played(task, cost, 1).play(begun(task)).answers
+    known = [answer for answers in before for answer in answers]
+    best = max(known, key=lambda answer: -answer.values[0]).cell.indices
+    known = [answer for answer in known if answer.cell != AskedCell(best, 1)]
+    again = replace(task, known=known, cells=30)
+    played = Played(again, cost, 1).play(begun(again))
+    assert not {answer.cell for answer in known} & set(played.cells)
+    assert played.best() >= max(
+        float(task.aim.judge(values[np.newaxis])[0][0, 0]) for values in Played(again, cost, 1).complete().values()
+    )
+
+
+def test_cells_without_a_result_end_their_set() -> None:
+    task = task_of(mean_of(COST, 3), 60)
+
+    def value(cell: AskedCell) -> tuple[float, bool]:
+        return (float("nan"), False) if cell.indices[3] == 0 else cost(cell)
+
+    played = Played(task, value, 2).play(begun(task))
+    later = played.cells[30:]
+    assert sum(cell.indices[3] == 0 for cell in later) < len(later) / 2
+    assert np.isfinite(played.best()) or np.isnan(played.best())
+
+
+def two_objectives() -> JudgedGoals:
+    """Two measures of a cell, and a constraint on the second one."""
+    first = CellValue(measure="a", failed=20.0)
+    second = CellValue(measure="b", failed=20.0)
+    shares = {"S0": 0.5, "S1": 0.5}
+    objectives = (
+        Objective("a", first, shares, Aggregate("mean"), sign=-1),
+        Objective("b", second, shares, Aggregate("max"), sign=-1),
+    )
+    return JudgedGoals(
+        Goals(objectives, (Bound("b", second, shares, Aggregate("max"), sign=-1, limit=0.9, span=1.0),)), ("S0", "S1")
+    )
+
+
+def test_several_objectives_spread_over_the_front_and_keep_constraints() -> None:
+    task = task_of(two_objectives(), 120)
+
+    @dataclass
+    class Two(Played):
+        def answered(self, cell: AskedCell) -> CellAnswer:
+            x = np.array(cell.indices) / (N_VALUES - 1)
+            rest = (x[0] - 0.5) ** 2 + (x[2] - 0.5) ** 2
+            return CellAnswer(cell, (float(x[1] + rest), float(1 - x[1] + rest + 0.1 * cell.scenario)))
+
+    played = Two(task, cost, 2).play(begun(task))
+    values = np.stack(list(played.complete().values()))
+    objectives, violations = task.aim.judge(values)
+    kept = objectives[violations == 0]
+    assert len(kept) > len(objectives) / 3
+    front = [row for row in kept if not ((kept >= row).all(axis=1) & (kept > row).any(axis=1)).any()]
+    assert np.ptp(np.array(front)[:, 0]) > 0.4
+
+
+def test_a_large_round_holds_different_sets() -> None:
+    task = task_of(mean_of(COST, 3), None)
+    played = Played(task, cost, 200).play(begun(task), 3)
+    assert [len(cells) for cells in played.rounds] == [200, 200, 200]
+    assert len({cell.indices for cell in played.rounds[0]}) > 100
+
+
+def test_the_settings_are_checked() -> None:
+    with pytest.raises(TypeError):
+        SURROGATE.begin(Scale, task_of(mean_of(COST, 3)))  # type: ignore[arg-type]  # the wrong settings are the point

@@ -1,0 +1,114 @@
+"""The processes of the surrogate search, against scikit-learn's."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import Matern
+
+from drivecal.optimizers.surrogate.models import FEWEST, MOST, ScenarioModel, Warp
+from drivecal.optimizers.surrogate.processes import Encoding, GaussianProcess, Hyperparameters, fitted
+from drivecal.plugins.ports import Floats
+
+ENCODING = Encoding(np.array([101, 51, 4], dtype=np.int64), ("grid", "integer", "choice"))
+
+
+def drawn(count: int, seed: int) -> tuple[Floats, Floats]:
+    """Returns features and targets of mean 0."""
+    generator = np.random.default_rng(seed)
+    features = ENCODING(generator.integers(0, [101, 51, 4], size=(count, 3)))
+    targets = np.sin(5 * features[:, 0]) + features[:, 1] ** 2 + features[:, 2]
+    return features, targets - targets.mean()
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    count=st.integers(3, 60),
+    seed=st.integers(0, 99),
+    lengths=st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3),
+    noise=st.floats(-9, -2),
+)
+def test_means_and_deviations_are_those_of_scikit_learn(count: int, seed: int, lengths: list[float], noise: float) -> None:
+    features, targets = drawn(count, seed)
+    process = GaussianProcess(features, targets, ENCODING.owners, Hyperparameters(np.array(lengths), noise), features[:0])
+    kernel = Matern(np.exp(lengths)[ENCODING.owners], nu=2.5)
+    oracle = GaussianProcessRegressor(kernel, alpha=np.exp(noise) + 1e-8, optimizer=None).fit(features, targets)
+    others, _ = drawn(20, seed + 1)
+    means, deviations = process.predict(others, pending=False)
+    expected_means, expected_deviations = oracle.predict(others, return_std=True)
+    np.testing.assert_allclose(means, expected_means, atol=1e-5)
+    np.testing.assert_allclose(deviations, np.sqrt(process.variance) * expected_deviations, atol=2e-4)
+
+
+def test_fitted_lengths_tell_what_matters() -> None:
+    features, _ = drawn(60, 1)
+    targets = np.sin(6 * features[:, 0])
+    tuned = fitted(features, targets - targets.mean(), ENCODING.owners, Hyperparameters.usual(3))
+    assert tuned.lengths[0] < min(tuned.lengths[1:]) - 1
+    assert tuned.noise < -6
+
+
+def test_pending_points_shrink_the_deviation_and_not_the_mean() -> None:
+    features, targets = drawn(10, 1)
+    pending, _ = drawn(3, 2)
+    process = GaussianProcess(features, targets, ENCODING.owners, Hyperparameters.usual(3), pending)
+    means, surer = process.predict(pending, pending=True)
+    same, deviations = process.predict(pending, pending=False)
+    np.testing.assert_allclose(means, same, rtol=1e-9)
+    assert (surer < deviations / 2).all()
+
+
+@given(values=st.lists(st.floats(0.01, 1e3), min_size=1, max_size=30), best=st.sampled_from([0.0, 2e3, np.inf, -np.inf]))
+def test_a_warp_is_inverted(values: list[float], best: float) -> None:
+    numbers = np.array(values)
+    warp = Warp.chosen(numbers, best)
+    np.testing.assert_allclose(warp.undone(warp(numbers)), numbers, rtol=1e-9)
+
+
+def test_skewed_costs_are_warped_and_others_are_not() -> None:
+    generator = np.random.default_rng(1)
+    assert Warp.chosen(np.exp(generator.normal(size=50)), 0.0).sign == 1.0
+    assert Warp.chosen(5 + generator.normal(size=50), -np.inf).sign == 0.0
+
+
+def scenario_model() -> ScenarioModel:
+    """Returns a model of one value, a cost."""
+    return ScenarioModel(1, 3, ENCODING.owners, np.array([0.0]), np.array([100.0]))
+
+
+def test_failures_are_a_class_of_their_own() -> None:
+    features, targets = drawn(80, 3)
+    failed = features[:, 0] > 0.6
+    values = np.where(failed, 100.0, 5 + targets)[:, np.newaxis]
+    model = scenario_model()
+    model.learn(features, values, failed, features[:0])
+    others, _ = drawn(200, 4)
+    others = others[np.abs(others[:, 0] - 0.6) > 0.15]
+    prediction = model.predict(others, pending=False)
+    assert (prediction.failing[others[:, 0] > 0.6] > 0.7).all()
+    assert (prediction.failing[others[:, 0] < 0.6] < 0.3).all()
+    draws = model.values(prediction, np.zeros((1, 1, 1)), np.full((1, 1), 0.5))
+    np.testing.assert_array_equal(draws[0, others[:, 0] > 0.6, 0], 100.0)
+    assert draws[0, others[:, 0] < 0.6, 0].max() < 10
+
+
+@pytest.mark.parametrize("count", [0, 1, FEWEST, MOST + 50])
+def test_any_number_of_answers_is_learned(count: int) -> None:
+    features, targets = drawn(count, 5) if count else (np.empty((0, len(ENCODING.owners))), np.empty(0))
+    model = scenario_model()
+    model.learn(features, 5 + targets[:, np.newaxis], np.zeros(count, dtype=np.bool_), features[:0])
+    prediction = model.predict(drawn(5, 6)[0], pending=True)
+    assert np.isfinite(prediction.means).all()
+    assert np.isfinite(prediction.deviations).all()
+
+
+def test_saved_hyperparameters_are_restored() -> None:
+    features, targets = drawn(30, 7)
+    known = (features, 5 + targets[:, np.newaxis], np.zeros(30, dtype=np.bool_), features[:0])
+    model, other = scenario_model(), scenario_model()
+    model.learn(*known)
+    other.restore(model.to_json())
+    other.learn(*known)
+    points, _ = drawn(10, 8)
+    np.testing.assert_array_equal(model.predict(points, pending=False).means, other.predict(points, pending=False).means)
