@@ -40,12 +40,6 @@ def test_a_constant_acceleration_is_its_own_peak() -> None:
     assert metrics["peak_longitudinal_acceleration_mps2"] == 0.0
 
 
-def test_a_ramp_has_its_slope_as_jerk() -> None:
-    metrics = comfort_metrics(motion(longitudinal=0.2 * TIME), np.zeros(200))
-    assert metrics["peak_longitudinal_jerk_mps3"] == pytest.approx(0.2)
-    assert metrics["peak_longitudinal_acceleration_mps2"] == pytest.approx(0.2 * 19.745)
-
-
 def test_a_jump_counts_as_if_it_took_half_a_second() -> None:
     """A new plan that moves the acceleration by 0.3 m/s^2 at once is a jerk of 0.6 m/s^3, not of 30."""
     metrics = comfort_metrics(motion(lateral=np.where(TIME < 10.0, 0.0, 0.3)), np.zeros(200))

@@ -128,3 +128,28 @@ def test_a_front_beyond_the_end_of_its_edge_stays_on_the_track() -> None:
     assert lanes.ahead("before", 1, end - 4.0)[:2] == ("before", 1)
     assert lanes.ahead("before", 1, end - 4.0).position == pytest.approx(end - 4.0)
     assert lanes.ahead("ramp", 0, 1000.0) == LanePlace("ramp", 0, 1000.0)
+
+
+@pytest.mark.parametrize("internal", [True, False])
+def test_vehicles_that_keep_their_lanes_are_where_sumo_has_them_until_they_arrive(internal: bool, tmp_path: Path) -> None:
+    """Also over junctions; without lanes inside, SUMO's vehicles skip their gaps."""
+    nodes = [node("a", 0, 0), node("b", 400, 0), node("c", 700, 60), node("d", 1000, 200)]
+    edges = [edge("A", "a", "b", 2), edge("B", "b", "c", 2), edge("C", "c", "d", 2)]
+    content = built(nodes, edges, [], *([] if internal else ["--no-internal-links"]))
+    vehicles = [{"s": 300, "speed": 30, "lane": 1}, {"s": 500, "speed": 20, "lane": 0}, {"s": 900, "speed": 30, "lane": 1}]
+    road, subject = traffic(written(content, tmp_path), ["A", "B", "C"], tmp_path, *vehicles)
+    assert subject.keeps_lanes
+    subject.motion[geometry.SIZE : geometry.SIZE + 2] = SIZE
+    for _ in range(2):
+        subject.reset()
+        for index in range(200):
+            s = 100.0 + index * STEP * 2.0
+            pose = np.array([*road.start(s, float(road.lanes[int(s / road.line[1, 0]), 0, 0])), 2.0, 0, 0, 0, 0])
+            geometry.place(road.line, road.lanes, pose, s, subject.motion)
+            assert subject.advance(index)
+            geometry.locate(road.line, road.lanes, subject.neighbours, subject.outlines, STEP, True)
+            for name, outline in zip(subject.names, subject.outlines.tolist(), strict=True):
+                x, y, heading, half = outline[:4]
+                front = x + half * np.cos(heading), y + half * np.sin(heading)
+                assert np.hypot(*np.subtract(GET_POSITION(name), front)) < (0.5 if internal else 1.0), (name, index)
+        assert subject.names == ["vehicle0"]

@@ -10,7 +10,7 @@ import pytest
 from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway.manoeuvres import Manoeuvre
-from drivecal.highway.scenarios.build import build, edge_ranges, without_origin
+from drivecal.highway.scenarios.build import build, without_origin
 from drivecal.highway.scenarios.designs import DESIGNS, line_of
 from drivecal.highway.scenarios.highway import HIGHWAY
 
@@ -68,32 +68,6 @@ def test_no_two_vehicles_start_at_the_same_place(scenario: Scenario) -> None:
     for index, (s, d, length) in enumerate(outlines):
         for other_s, other_d, other_length in outlines[:index]:
             assert abs(d - other_d) > 2.5 or abs(s - other_s) > (length + other_length) / 2 + 10.0
-
-
-def test_the_even_scenarios_of_lane_change_and_keeping_are_curved_and_the_odd_ones_straight() -> None:
-    bent = {scenario.id: bool(abs(reference_line(scenario.road)[:, 4]).max() > 1e-4) for scenario in SCENARIOS}
-    assert bent == {"S1": False, "S2": True, "S3": False, "S4": True, "S5": False, "S6": True}
-
-
-def test_the_limit_rises_in_s5_and_the_desired_speed_falls_before_the_curve_in_s6() -> None:
-    rising = HIGHWAY.scenarios["S5"]
-    assert rising.road.limits[1].speed > rising.road.limits[0].speed
-    falling = HIGHWAY.scenarios["S6"]
-    drop = falling.task.speeds[1]
-    assert drop.speed < falling.task.speeds[0].speed
-    line = reference_line(falling.road)
-    sharp = line[abs(line[:, 4]) > 0.9 * abs(line[:, 4]).max(), 0]
-    assert drop.s < sharp[0]
-
-
-@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
-def test_edges_cover_the_road_and_change_at_every_speed_limit(scenario: Scenario) -> None:
-    design = DESIGNS[scenario.id]
-    ranges = edge_ranges(design, line_of(design))
-    assert [begin for begin, _, _ in ranges] == [0.0, *(end for _, end, _ in ranges[:-1])]
-    assert ranges[-1][1] == design.length
-    assert scenario.route == tuple(f"e{number}" for number in range(len(ranges)))
-    assert {(knot.s, knot.speed) for knot in design.limits} <= {(begin, speed) for begin, _, speed in ranges}
 
 
 def test_the_digest_follows_definition_and_network() -> None:

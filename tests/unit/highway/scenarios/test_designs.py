@@ -17,13 +17,6 @@ def road(*knots: tuple[float, float], length: float = 600.0) -> RoadDesign:
 CURVY = road((100.0, 0.0), (180.3, 1 / 250), (260.1, 1 / 250), (333.3, -1 / 180), (600.0, -1 / 180))
 
 
-def test_a_straight_road_is_straight() -> None:
-    line = line_of(road((0.0, 0.0), length=100.2), 0.5)
-    assert line.shape == (202, 5)
-    assert line[-1].tolist() == [100.5, pytest.approx(100.5, abs=1e-12), 0.0, 0.0, 0.0]
-    np.testing.assert_allclose(np.diff(line[:, 0]), 0.5)
-
-
 @pytest.mark.parametrize("radius", [60.0, -60.0, 400.0])
 def test_constant_curvature_is_an_arc(radius: float) -> None:
     s, x, y, heading, curvature = line_of(road((0.0, 1 / radius))).T

@@ -1,7 +1,6 @@
 """The equations of motion and their integration: closed forms, order of convergence, consistency at the switch of models."""
 
 import itertools
-import math
 
 import numpy as np
 import pytest
@@ -37,19 +36,6 @@ def run(
     return state
 
 
-def test_straight_on_at_constant_speed_nothing_changes_but_the_position() -> None:
-    end = run(state_at(30.0, heading=0.5), 10.0)
-    assert end[:2] == pytest.approx([300.0 * math.cos(0.5), 300.0 * math.sin(0.5)], rel=1e-12)
-    assert end[2:].tolist() == [0.5, 30.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-
-
-def test_constant_acceleration_gives_the_schoolbook_distance() -> None:
-    end = run(state_at(20.0), 5.0, acceleration=1.5)
-    assert end[0] == pytest.approx(20.0 * 5.0 + 0.5 * 1.5 * 25.0, rel=1e-12)
-    assert end[3] == pytest.approx(27.5, rel=1e-12)
-    assert end[1] == 0.0
-
-
 @settings(max_examples=examples(60), deadline=None)
 @given(boxes, st.floats(8.0, 40.0))
 def test_steady_cornering_has_the_yaw_rate_gain_of_the_understeer_gradient(p: SingleTrackParameters, v: float) -> None:
@@ -63,15 +49,6 @@ def test_steady_cornering_has_the_yaw_rate_gain_of_the_understeer_gradient(p: Si
     assert end[7] == pytest.approx(v**2 * curvature, rel=1e-6)
     slip_gradient = p.mass * p.distance_front / (p.cornering_stiffness_rear * p.wheelbase)
     assert end[4] == pytest.approx((p.distance_rear - slip_gradient * v**2) * curvature, rel=1e-6, abs=1e-9)
-
-
-def test_steady_cornering_closes_the_circle() -> None:
-    v, delta = 25.0, 0.01
-    settled = run(state_at(v, delta), 20.0)
-    seconds = 2.0 * math.pi / settled[5]
-    step = seconds / 4000
-    around = run(settled, seconds, step=step)
-    assert around[:2] == pytest.approx(settled[:2], abs=1e-6)
 
 
 def test_the_integration_converges_with_order_four() -> None:
@@ -93,20 +70,6 @@ def test_an_oversteering_vehicle_above_its_critical_speed_spins_without_a_contro
     above = [abs(run(state_at(1.2 * critical, 0.001), seconds, tail_heavy)[5]) for seconds in (10.0, 20.0)]
     assert below[1] == pytest.approx(below[0], rel=0.01)
     assert above[1] > 10.0 * above[0]
-
-
-@pytest.mark.parametrize("speed", [1.0, 2.9, 3.0])
-def test_slow_steady_cornering_is_kinematic(speed: float) -> None:
-    delta = 0.05
-    end = run(state_at(speed, delta), 20.0)
-    assert end[5] == pytest.approx(speed * delta / NOMINAL.wheelbase, rel=1e-9)
-    assert end[4] == pytest.approx(NOMINAL.distance_rear / NOMINAL.wheelbase * delta, rel=1e-9)
-
-
-def test_slowly_it_stays_kinematic_while_it_steers_and_accelerates() -> None:
-    end = run(state_at(0.5), 4.0, steering_rate=0.02, acceleration=0.5)
-    assert end[5] == pytest.approx(2.5 * 0.08 / NOMINAL.wheelbase, rel=1e-6)
-    assert end[4] == pytest.approx(NOMINAL.distance_rear / NOMINAL.wheelbase * 0.08, rel=1e-6)
 
 
 @pytest.mark.parametrize("speed", [3.5, 4.0, 4.5, 4.99])
