@@ -145,7 +145,7 @@ def test_solutions_are_ranked_by_any_weights(api: RunningApi) -> None:
             {"optimizer": {"kind": "genetik", "population": "abc"}, "weights": {"S9": 1}, "reduction": {"audt": 1}},
             ["optimizer.population", "reduction.audt"],  # those of meaning come once all fields fit
         ),
-        ({"optimizer": {"kind": "genetik"}, "weights": {"S9": 1}}, ["optimizer.kind", "weights.S9"]),
+        ({"optimizer": {"kind": "genetik"}, "weights": {"S9": 1}}, ["weights.S9", "optimizer.kind"]),
         ({"sensitivity": {"map": "0" * 32}, "weights": {"S9": 1}}, ["weights.S9", "sensitivity.map"]),
         (
             {"optimizer": None, "sensitivity": {"map": "0" * 32}, "robustness": {"of": "1" * 32}},

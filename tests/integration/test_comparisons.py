@@ -11,14 +11,15 @@ from sqlalchemy import select, update
 from tests.support.comparisons import TWO_OPTIMIZERS, finish_comparison, have_ended, read_comparison, runs_of, submit_comparison
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
-from tests.support.problems import LIMITS
 from tests.support.pruning import set_column
 from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, nothing_matters, post_map, run, submit
 
 from drivecal.api import submission
+from drivecal.api.dependencies import Limits
 from drivecal.campaigns import comparison
 from drivecal.campaigns.comparison import CONFIRMED
 from drivecal.campaigns.results.verification import verify
+from drivecal.configuration.settings import load_settings
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
@@ -104,12 +105,12 @@ def test_common_cells_are_simulated_once_and_counted_by_each(compared: Compared)
 
 
 def test_a_repeated_request_queues_no_campaign_again(database: Database) -> None:
-    wanted, room = ComparisonSpecification.model_validate(TWO_OPTIMIZERS), replace(LIMITS, queued_campaigns=12)
+    wanted, room = ComparisonSpecification.model_validate(TWO_OPTIMIZERS), Limits.of(load_settings(queued_campaigns=12))
     tag = submission.compare(database, room, wanted, "key")
     queued = runs_of(database, tag)
     assert len(queued) == 12
     with pytest.raises(OverloadError):
-        submission.compare(database, replace(LIMITS, queued_campaigns=23), wanted, "other key")
+        submission.compare(database, Limits.of(load_settings(queued_campaigns=23)), wanted, "other key")
     set_column(database, queued[0], "idempotency_key", None)  # as its deletion does
     assert submission.compare(database, room, wanted, "key") == tag
     assert [campaign.id for campaign in runs_of(database, tag)] == [campaign.id for campaign in queued]

@@ -44,38 +44,27 @@ COMPUTED = 64
 class Limits:
     """Limits of the server."""
 
-    queued_campaigns: int
-    largest_campaign: int
-    pushed_problems: int
-    problem_bytes: int
+    settings: Settings
     event_streams: Places
-    large_bodies: CapacityLimiter
     waiting_bodies: Places
     archives: Places
     reports: Places
-    computing: CapacityLimiter
     computed: Places
+    large_bodies: CapacityLimiter
+    computing: CapacityLimiter
 
     @classmethod
     def of(cls, settings: Settings) -> Self:
         """Creates the limits of the settings, with no place taken. Call it in the event loop that uses them."""
-        streams = Places(settings.event_streams, "event streams are open", retry_seconds=10)
-        bodies = Places(WAITING_BODIES, "large documents are being read", retry_seconds=5)
-        archives = Places(OPEN_ARCHIVES, "archives of problems are being received or sent", retry_seconds=5)
-        reports = Places(REPORTS, "reports are being written", retry_seconds=5)
-        computed = Places(COMPUTED, "rankings, fronts and the like are being computed", retry_seconds=5)
         return cls(
-            queued_campaigns=settings.queued_campaigns,
-            largest_campaign=settings.largest_campaign,
-            pushed_problems=settings.pushed_problems,
-            problem_bytes=settings.problem_mb * 2**20,
-            event_streams=streams,
+            settings,
+            event_streams=Places(settings.event_streams, "event streams are open", retry_seconds=10),
+            waiting_bodies=Places(WAITING_BODIES, "large documents are being read", retry_seconds=5),
+            archives=Places(OPEN_ARCHIVES, "archives of problems are being received or sent", retry_seconds=5),
+            reports=Places(REPORTS, "reports are being written", retry_seconds=5),
+            computed=Places(COMPUTED, "rankings, fronts and the like are being computed", retry_seconds=5),
             large_bodies=CapacityLimiter(LARGE_BODIES),
-            waiting_bodies=bodies,
-            archives=archives,
-            reports=reports,
             computing=CapacityLimiter(COMPUTING),
-            computed=computed,
         )
 
 

@@ -112,7 +112,7 @@ def resolved(database: Database, specification: CampaignSpecification) -> Calibr
 
 def _checked(database: Database, limits: Limits, specification: CampaignSpecification) -> CalibrationProblem:
     """Returns the resolved campaign. Raises TooLargeError if its stages propose too many cells."""
-    problem, largest = resolved(database, specification), limits.largest_campaign
+    problem, largest = resolved(database, specification), limits.settings.largest_campaign
     runs = problem.expected_runs()
     stages = {"optimizer": runs.calibration_proposed, "sensitivity": runs.sensitivity_at_most} | {
         study: getattr(runs, study) for study in STUDIES
@@ -168,7 +168,7 @@ def compare(database: Database, limits: Limits, specification: ComparisonSpecifi
         admission.alone(connection)
         if admission.earlier(connection, body_digest, *keys) is not None:
             return tag
-        admission.admit(connection, limits.queued_campaigns, None, len(problem.runs))
+        admission.admit(connection, limits.settings.queued_campaigns, None, len(problem.runs))
         map_id = _compared_map(connection, problem)
         for own, run in zip(keys, problem.runs, strict=True):
             stored = campaigns.insert(
@@ -205,11 +205,9 @@ def expected_comparison(database: Database, limits: Limits, specification: Compa
 
 def _checked_comparison(database: Database, limits: Limits, specification: ComparisonSpecification) -> ComparisonProblem:
     problem = resolve_comparison(specification, stored_bundles(database))
-    if problem.proposed > limits.largest_campaign:
+    if problem.proposed > limits.settings.largest_campaign:
         message = f"the {len(problem.runs):,} campaigns of the comparison may propose {problem.proposed:,} cells"
-        remedy = (
-            f"this server takes {limits.largest_campaign:,}; reduce populations, iterations, seeds, optimizers or scenarios"
-        )
+        remedy = f"this server takes {limits.settings.largest_campaign:,}; reduce populations, iterations, seeds, optimizers or scenarios"
         raise TooLargeError(Problem("populations", message, remedy))
     return problem
 
@@ -227,7 +225,7 @@ def evaluate(database: Database, limits: Limits, specification: EvaluationSpecif
         return earlier
     problem = resolve_evaluation(specification, stored_bundles(database))
     with database.transaction() as connection:
-        admission.admit(connection, limits.queued_campaigns, key)
+        admission.admit(connection, limits.settings.queued_campaigns, key)
         stored = campaigns.insert(
             connection,
             name="evaluation",
@@ -249,7 +247,7 @@ def _queue(
     rerun_of: str | None = None,
 ) -> StoredCampaign:
     specification = problem.specification
-    admission.admit(connection, limits.queued_campaigns, key)
+    admission.admit(connection, limits.settings.queued_campaigns, key)
     if rerun_of is not None:
         campaigns.get(connection, rerun_of)  # it may have been deleted since it was read
     used = _stored_parts(connection, problem)

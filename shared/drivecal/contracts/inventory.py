@@ -100,18 +100,6 @@ class ScenarioPage(Page[ScenarioAnswer]):
     broken: list[BrokenPluginAnswer] = Field(default_factory=list)
 
 
-class ProblemScenario(Answer):
-    """A scenario of a pushed problem. `data` is given to its simulator as it is."""
-
-    id: str
-    problem: str
-    data: dict[str, Any]
-
-
-class ProblemScenarioPage(Page[ProblemScenario]):
-    """All scenarios of a pushed problem."""
-
-
 class ParameterAnswer(Answer):
     """A parameter with `n_values` equally spaced values; bounds of a choice are positions in `choices`. A continuous one has any value from
     `lower` to `upper`: `step` and `n_values` are null."""

@@ -264,24 +264,19 @@ def test_only_a_few_archives_are_in_memory_at_a_time(serve: Serve) -> None:
     assert [client.get(f"{PROBLEMS}/acc/archive").status_code for _ in range(OPEN_ARCHIVES + 1)] == [200] * (OPEN_ARCHIVES + 1)
 
 
-def test_parameters_and_scenarios_of_a_problem_are_listed(serve: Serve) -> None:
+def test_a_problem_is_shown_with_its_parameters_and_scenarios(serve: Serve) -> None:
     client = serve(tokens=True)
     author = {"Authorization": f"Bearer {TOKENS['author']}"}
-    manifest = MANIFEST.format(name="acc").replace(
-        "  mode:", "  T: {{lower: 0.8, upper: 2.5, unit: s}}\n  mode:".replace("{{", "{").replace("}}", "}")
-    )
+    manifest = MANIFEST.format(name="acc").replace("  mode:", "  T: {lower: 0.8, upper: 2.5, unit: s}\n  mode:")
     digest = client.post(PROBLEMS, content=packed(**{"problem.yaml": manifest}), headers=ZIP | author).json()["digest"]
     for name in ("acc", digest):
-        [space] = client.get("/api/v1/parameters", params={"problem": name}, headers=author).json()["items"]
-        assert (space["driving_function"], space["name"]) == ("acc", "acc")
-        grid, continuous, choice = space["parameters"]
-        assert (grid["kind"], grid["step"], grid["n_values"]) == ("grid", 0.1, 11)
-        assert (continuous["kind"], continuous["lower"], continuous["upper"]) == ("continuous", 0.8, 2.5)
-        assert (continuous["step"], continuous["n_values"]) == (None, None)
-        assert (choice["choices"], choice["n_values"]) == (["eco", "sport"], 2)
-        scenarios = client.get("/api/v1/scenarios", params={"problem": name}, headers=author).json()["items"]
-        assert scenarios == [{"id": "city", "problem": "acc", "data": {"gap": 30}}]
-    for path in ("parameters", "scenarios"):
-        assert client.get(f"/api/v1/{path}", params={"problem": "none"}, headers=author).status_code == 404
-    shown = client.get("/api/v1/scenarios", params={"problem": "highway"}, headers=author).json()["items"]
-    assert [scenario["id"] for scenario in shown] == ["S1", "S2", "S3", "S4", "S5", "S6"]
+        shown = client.get(f"{PROBLEMS}/{name}", headers=author).json()
+        assert {parameter: entry["step"] for parameter, entry in shown["parameters"].items()} == {
+            "x": 0.1,
+            "T": None,
+            "mode": None,
+        }
+        assert shown["parameters"]["mode"]["choices"] == ["eco", "sport"]
+        assert shown["scenarios"] == {"city": {"gap": 30}}
+    assert client.get(f"{PROBLEMS}/none", headers=author).status_code == 404
+    assert list(client.get(f"{PROBLEMS}/highway", headers=author).json()["scenarios"]) == ["S1", "S2", "S3", "S4", "S5", "S6"]

@@ -57,12 +57,12 @@ def report_of(database: Database, identifier: str) -> Report:
     sets = (ranked.solutions(start, start + ROWS_AT_A_TIME) for start in range(0, len(ranked), ROWS_AT_A_TIME))
     tables = {
         "generations": _csv(columns_of(Generation), [iterations]),
-        "solutions": _csv(ranked_columns(Solution, ranked.scenarios, resolved)(), sets),
-        "optima": _csv(ranked_columns(OptimumRow, ranked.scenarios, resolved)(), [data.optima]),
+        "solutions": _csv(ranked_columns(Solution, ranked.scenarios, resolved), sets),
+        "optima": _csv(ranked_columns(OptimumRow, ranked.scenarios, resolved), [data.optima]),
         "influence": _csv(columns_of(Influence), [data.influence]),
     }
     for study in data.results.of_stage("robustness")[:1]:
-        tables["robustness"] = _csv(ranked_columns(RobustnessRow, resolved.weights, resolved)(), [study.robustness])
+        tables["robustness"] = _csv(ranked_columns(RobustnessRow, resolved.weights, resolved), [study.robustness])
     for study in data.results.of_stage("validation")[:1]:
         tables["validation"] = _csv(columns_of(ValidationRow), [study.validation])
     return Report(data, tables)

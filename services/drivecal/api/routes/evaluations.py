@@ -151,7 +151,7 @@ def read_trace(
         admission.alone(connection)  # before the evaluation's lock: what removes cells takes both in this order
         if is_to_be_made(connection, traces.find(connection, number, for_update=True)):
             refuse_reader(request)
-            admission.admit(connection, limits.queued_campaigns, None)
+            admission.admit(connection, limits.settings.queued_campaigns, None)
         made = request_trace(connection, number)
         again = traces.find(connection, number)
         if again is not None and again.content is not None:

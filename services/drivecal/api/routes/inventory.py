@@ -10,7 +10,7 @@ from drivecal.api.live.dispatcher_health import judge
 from drivecal.bundles.archives import files_of
 from drivecal.bundles.highway import TaskScenario
 from drivecal.bundles.installed import installed
-from drivecal.campaigns.resolve.workbench import parameters_of, stored_bundles
+from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.contracts.inventory import (
     BrokenPluginAnswer,
     OptimizerAnswer,
@@ -18,8 +18,6 @@ from drivecal.contracts.inventory import (
     ParameterAnswer,
     ParameterSpaceAnswer,
     ParameterSpacePage,
-    ProblemScenario,
-    ProblemScenarioPage,
     ReferenceAnswer,
     ReferencePage,
     RoadAnswer,
@@ -53,14 +51,8 @@ DIGITS = 6
 
 
 @router.get("/scenarios")
-def scenarios(database: DatabaseDependency, problem: str | None = None) -> ScenarioPage | ProblemScenarioPage:
-    """The scenarios of all installed catalogues, and the catalogues that cannot be used; with `problem` those of a pushed problem, by its
-    name or digest."""
-    if problem is not None:
-        manifest = stored_bundles(database)(problem).manifest
-        return ProblemScenarioPage(
-            items=[ProblemScenario(id=name, problem=manifest.problem, data=data) for name, data in manifest.scenarios.items()]
-        )
+def scenarios() -> ScenarioPage:
+    """The scenarios of all installed catalogues, and the catalogues that cannot be used."""
     items = [
         ScenarioAnswer.of(scenario, **_heading(catalogue.name, scenario))
         for catalogue in registry.catalogues()
@@ -87,15 +79,8 @@ def scenario(
 
 
 @router.get("/parameters")
-def parameters(database: DatabaseDependency, problem: str | None = None) -> ParameterSpacePage:
-    """The parameter spaces of all installed driving functions, and the functions that cannot be used; with `problem` that of a pushed
-    problem, by its name or digest."""
-    if problem is not None:
-        manifest = stored_bundles(database)(problem).manifest
-        listed = list(map(_parameter, parameters_of(manifest)))
-        return ParameterSpacePage(
-            items=[ParameterSpaceAnswer(driving_function=manifest.problem, name=manifest.problem, parameters=listed)]
-        )
+def parameters() -> ParameterSpacePage:
+    """The parameter spaces of all installed driving functions, and the functions that cannot be used."""
     spaces = [
         ParameterSpaceAnswer(driving_function=function.name, name=name, parameters=list(map(_parameter, space)))
         for function in registry.driving_functions()

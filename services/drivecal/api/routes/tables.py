@@ -21,7 +21,7 @@ from drivecal.api.http.queries import (
 from drivecal.api.responses import calibration, evaluation_row
 from drivecal.api.tables import influence
 from drivecal.api.tables.front import front_table, judged_sets, summary, trade_off, weighted
-from drivecal.api.tables.paging import Columns, Pages, Row, listed, page_or_file, slices, table_answer
+from drivecal.api.tables.paging import Row, listed, page_or_file, slices, table_answer
 from drivecal.api.tables.ranking import ranking
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
@@ -109,7 +109,7 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
     begun_with = _pinned(campaign)
     ranked = ranking(database, campaign, begun_with, query.weights, query.score)
     columns = ranked_columns(Solution, ranked.scenarios, replace(begun_with, scale=ranked.scale, goals=ranked.goals))
-    return table_answer(f"solutions-{campaign.id}", query, accept, columns, slices(ranked.solutions, len(ranked)))
+    return table_answer(f"solutions-{campaign.id}", query, accept, lambda: columns, slices(ranked.solutions, len(ranked)))
 
 
 @router.get("/optima", responses=page_or_file(OptimumRow))
@@ -127,14 +127,14 @@ def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependenc
         return [OptimumRow(**dict(solution), region=at.region, to_worse=at.to_worse) for solution, at in placed]
 
     columns = ranked_columns(OptimumRow, ranked.scenarios, begun_with)
-    return table_answer(f"optima-{campaign.id}", query, accept, columns, slices(rows, len(known)))
+    return table_answer(f"optima-{campaign.id}", query, accept, lambda: columns, slices(rows, len(known)))
 
 
 @router.get("/influence", responses=page_or_file(InfluenceRow))
 def list_influence(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The influence map that the campaign uses: one row per scenario and searched parameter, none if it has no map (yet)."""
     campaign = _campaign(database, campaign_id)
-    return listed(f"influence-{campaign.id}", query, accept, InfluenceRow, _influence_rows(database, campaign))
+    return listed(f"influence-{campaign.id}", query, accept, columns_of(InfluenceRow), _influence_rows(database, campaign))
 
 
 @router.get("/robustness", responses=page_or_file(RobustnessRow))
@@ -144,8 +144,8 @@ def list_robustness(campaign_id: str, query: TableQuery, database: DatabaseDepen
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
     columns = ranked_columns(RobustnessRow, begun_with.weights, begun_with)
-    pages = _study(database, campaign, StageName.ROBUSTNESS, RobustnessRow)
-    return table_answer(f"robustness-{campaign.id}", query, accept, columns, pages)
+    rows = _study(database, campaign, StageName.ROBUSTNESS, RobustnessRow)
+    return listed(f"robustness-{campaign.id}", query, accept, columns, rows)
 
 
 @router.get("/validation", responses=page_or_file(ValidationRow))
@@ -153,25 +153,24 @@ def list_validation(campaign_id: str, query: TableQuery, database: DatabaseDepen
     """Share of answers that differ although the influence map excludes it, by scenario. None before the
     validation stage."""
     campaign = _campaign(database, campaign_id)
-    pages = _study(database, campaign, StageName.VALIDATION, ValidationRow)
-    return table_answer(f"validation-{campaign.id}", query, accept, lambda: columns_of(ValidationRow), pages)
+    rows = _study(database, campaign, StageName.VALIDATION, ValidationRow)
+    return listed(f"validation-{campaign.id}", query, accept, columns_of(ValidationRow), rows)
 
 
-def _study(database: Database, campaign: StoredCampaign, stage: StageName, model: type[BaseModel]) -> Pages:
+def _study(database: Database, campaign: StoredCampaign, stage: StageName, model: type[BaseModel]) -> list[BaseModel]:
     with database.read() as connection:
         stored = studies.get(connection, campaign.sequence, stage)
-    items = [] if stored is None else stored["items"]
-    return slices(lambda start, stop: [model.model_validate(item) for item in items[start:stop]], len(items))
+    return [] if stored is None else [model.model_validate(item) for item in stored["items"]]
 
 
-def ranked_columns(model: type[BaseModel], scenarios: Iterable[str], begun_with: ResolvedSpec) -> Columns:
+def ranked_columns(model: type[BaseModel], scenarios: Iterable[str], begun_with: ResolvedSpec) -> list[Column]:
     """Returns the columns of a file with a column for each score and parameter."""
     keys: dict[str, list[str] | dict[str, Kind]] = {
         "constraints": [] if begun_with.goals is None else begun_with.goals.bound_names,
         "scores": list(scenarios),
         "parameters": kinds_of(begun_with.space),
     }
-    return lambda: columns_of(model, keys, whole_scores=begun_with.scale.is_whole)
+    return columns_of(model, keys, whole_scores=begun_with.scale.is_whole)
 
 
 def kinds_of(space: ParameterSpace) -> dict[str, Kind]:
@@ -223,9 +222,8 @@ def list_front(campaign_id: str, query: FrontQuery, database: DatabaseDependency
         "answers": list(resolved.weights),
         "parameters": kinds_of(resolved.space),
     }
-    pages = slices(lambda start, stop: rows[start:stop], len(rows))
     columns = columns_of(FrontRow, keys, whole_scores=resolved.scale.is_whole)
-    return table_answer(f"front-{campaign_id}", query, accept, lambda: columns, pages)
+    return listed(f"front-{campaign_id}", query, accept, columns, rows)
 
 
 @router.get("/front/summary")
@@ -244,8 +242,7 @@ def list_evaluated(campaign_id: str, query: EvaluatedQuery, database: DatabaseDe
     _, _, front = _front(database, campaign_id, everything=query.everything)
     rows = judged_sets(front)
     columns = columns_of(JudgedSet, {"objectives": [goal.name for goal in front.goals.objectives]})
-    pages = slices(lambda start, stop: rows[start:stop], len(rows))
-    return table_answer(f"evaluated-{campaign_id}", query, accept, lambda: columns, pages)
+    return listed(f"evaluated-{campaign_id}", query, accept, columns, rows)
 
 
 @router.get("/front/trade-off")

@@ -96,12 +96,12 @@ def _store(database: Database, limits: Limits, content: bytes, signed: str | Non
     """Checks an archive and stores it. Raises InvalidInputError for its faults."""
     if signed is not None and sha256(content).hexdigest() != signed:
         raise HTTPException(403, f"the header {HEADER} signs another body")
-    files = files_of(content, limits.problem_bytes)
+    files = files_of(content, limits.settings.problem_mb * 2**20)
     manifest = read_archived(files)
     digest = content_digest(content)
     document = manifest.model_dump(mode="json")
     with database.transaction() as connection:
-        admission.admit_problem(connection, digest, limits.pushed_problems)
+        admission.admit_problem(connection, digest, limits.settings.pushed_problems)
         return bundles.add(connection, digest=digest, name=manifest.problem, manifest=document, archive=content)
 
 

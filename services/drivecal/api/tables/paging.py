@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from drivecal.api.http.queries import PARQUET, TableOf, form_of
 from drivecal.client.frames import arrow_schema, arrow_table
 from drivecal.contracts.campaign import Page
-from drivecal.contracts.tables import Column, columns_of, file_row, spreadsheet_text
+from drivecal.contracts.tables import Column, file_row, spreadsheet_text
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.storage.engine.records import decode_cursor, encode_cursor
 
@@ -209,10 +209,9 @@ def table_answer(name: str, query: TableOf, accept: str, columns: Columns, pages
     return download(name, form, columns(), _all(pages, keeps, ROWS_AT_FIRST if form == "csv" else ROWS_AT_A_TIME))
 
 
-def listed(name: str, query: TableOf, accept: str, model: type[BaseModel], rows: Sequence[BaseModel]) -> Response:
+def listed(name: str, query: TableOf, accept: str, columns: Sequence[Column], rows: Sequence[BaseModel]) -> Response:
     """Returns `table_answer` of rows in memory."""
-    pages = slices(lambda start, stop: rows[start:stop], len(rows))
-    return table_answer(name, query, accept, lambda: columns_of(model), pages)
+    return table_answer(name, query, accept, lambda: columns, slices(lambda start, stop: rows[start:stop], len(rows)))
 
 
 def _flat(row: BaseModel | Row) -> Row:
