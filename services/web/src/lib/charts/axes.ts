@@ -25,9 +25,9 @@ export interface Colouring {
   best: number;
 }
 
-/** A quantity with its unit; the unit 1 is not worth a word. */
+/** A quantity with its unit; 1 and points are not worth a word. */
 export function titled(name: string, unit: string | null | undefined): string {
-  return unit && unit !== "1" ? `${name} / ${unitText(unit)}` : name;
+  return unit && unit !== "1" && unit !== "points" ? `${name} / ${unitText(unit)}` : name;
 }
 
 /** The parameter that a column holds. */
@@ -51,12 +51,7 @@ export function parameterAxes(table: Table, parameters: readonly Ranged[]): Axis
 /** The axis of a score: its usual range, and what lies beyond. */
 export function scoreAxis(table: Table, name: string, scale: Scale): Axis {
   const seen = extent(table, name) ?? [scale.lower, scale.upper];
-  return { name, title: titled(name, unitOf(scale)), lower: Math.min(scale.lower, seen[0]), upper: Math.max(scale.upper, seen[1]) };
-}
-
-/** Unit of a score; points are what scores are counted in anyway. */
-function unitOf(scale: Scale): string {
-  return scale.unit === "points" ? "1" : scale.unit;
+  return { name, title: titled(name, scale.unit), lower: Math.min(scale.lower, seen[0]), upper: Math.max(scale.upper, seen[1]) };
 }
 
 export function isMinimised(scale: Pick<Scale, "direction">): boolean {

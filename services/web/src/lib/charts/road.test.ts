@@ -3,7 +3,7 @@ import type { ReplayAnswer } from "../server/types";
 import { driveIn, driveOf, type Drive, type Scene } from "./drive";
 import type { Trace } from "./geometry";
 import { SERIES } from "./palette";
-import { HEIGHT, colours, seen, svgOf, type Path, type Shape } from "./road";
+import { colours, seen, type Path, type Shape } from "./road";
 
 const along = Array.from({ length: 60 }, (_, index) => index * 5);
 const SCENE: Scene = {
@@ -39,13 +39,6 @@ test("a plan is there once it was made, and who is not on the road is not drawn"
   expect(strokes(at(0.5), "#d55e00").length).toBe(0);
   expect(strokes(at(1), "#d55e00").length).toBe(1);
   expect(at(0).filter((entry) => "text" in entry).map((entry) => ("text" in entry ? entry.text : ""))).toEqual(["a<b"]);
-});
-
-test("as an SVG it has the size of the view, and names cannot break it", () => {
-  const written = svgOf(at(1), 800);
-  expect(written).toContain(`viewBox="0 0 800 ${HEIGHT}"`);
-  expect(written).toContain(">a&lt;b</text>");
-  expect(written).not.toContain("NaN");
 });
 
 test("an ego vehicle beside another has a colour of its own, with its way and its plan", () => {

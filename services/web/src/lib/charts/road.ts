@@ -1,4 +1,4 @@
-/** The road from above at a moment of a replay, as shapes: painted on a canvas many times a second, or written as an SVG once. */
+/** The road from above at a moment of a replay, as shapes. */
 
 import { onGround } from "./palette";
 import type { Drive, Vehicle } from "./drive";
@@ -125,43 +125,7 @@ function turned(x: number, y: number, ahead: number, right: number, angle: numbe
   return [x + ahead * Math.cos(angle) - right * Math.sin(angle), y + ahead * Math.sin(angle) + right * Math.cos(angle)];
 }
 
-export function paint(pen: CanvasRenderingContext2D, shapes: readonly Shape[]): void {
-  pen.lineJoin = "round";
-  for (const shape of shapes) {
-    if ("text" in shape) {
-      pen.fillStyle = shape.colour;
-      pen.font = "11px sans-serif";
-      pen.textAlign = "center";
-      pen.fillText(shape.text, ...shape.at);
-      continue;
-    }
-    pen.globalAlpha = shape.opacity ?? 1;
-    pen.beginPath();
-    shape.points.forEach(([x, y], index) => (index === 0 ? pen.moveTo(x, y) : pen.lineTo(x, y)));
-    if (shape.fill) {
-      pen.closePath();
-      pen.fillStyle = shape.fill;
-      pen.fill();
-    }
-    if (shape.stroke) {
-      pen.strokeStyle = shape.stroke;
-      pen.lineWidth = shape.width ?? 1;
-      pen.setLineDash(shape.dash ?? []);
-      pen.lineDashOffset = shape.dashOffset ?? 0;
-      pen.stroke();
-    }
-    pen.globalAlpha = 1;
-  }
-}
-
-export function svgOf(shapes: readonly Shape[], width: number): string {
-  const escaped = (text: string): string => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;");
-  const drawn = shapes.map((shape) => {
-    if ("text" in shape) return `<text x="${shape.at[0].toFixed(1)}" y="${shape.at[1].toFixed(1)}" fill="${shape.colour}" text-anchor="middle">${escaped(shape.text)}</text>`;
-    const points = shape.points.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L");
-    const stroke = shape.stroke ? ` stroke="${shape.stroke}" stroke-width="${shape.width ?? 1}"` : "";
-    const dash = shape.dash ? ` stroke-dasharray="${shape.dash.map((entry) => entry.toFixed(1)).join(" ")}" stroke-dashoffset="${(shape.dashOffset ?? 0).toFixed(1)}"` : "";
-    return `<path d="M${points}${shape.fill ? "Z" : ""}" fill="${shape.fill ?? "none"}"${stroke}${dash}${shape.opacity === undefined ? "" : ` opacity="${shape.opacity}"`}/>`;
-  });
-  return `<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${HEIGHT}" viewBox="0 0 ${width} ${HEIGHT}" font-family="sans-serif" font-size="11" stroke-linejoin="round">${drawn.join("")}</svg>`;
+/** A path as the `d` of an SVG. */
+export function outlineOf({ points, fill }: Path): string {
+  return `M${points.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L")}${fill ? "Z" : ""}`;
 }

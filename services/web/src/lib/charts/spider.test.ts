@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { byScenario, largest, piece, segment } from "./spider";
+import { largest, piece, segment } from "./spider";
 import type { InfluenceRow } from "../server/types";
 
 const ROW: InfluenceRow = {
@@ -16,7 +16,6 @@ test("the influential part is told in shares of the range", () => {
 
 test("all scenarios have one scale", () => {
   expect(largest([ROW, { ...ROW, s_rel_intervals: [2] }, { ...ROW, s_rel_intervals: null }])).toBe(2);
-  expect(byScenario([ROW, { ...ROW, scenario: "S2" }, ROW]).map(([name, rows]) => [name, rows.length])).toEqual([["S1", 2], ["S2", 1]]);
 });
 
 test("a spoke begins at the hub and ends at the rim", () => {

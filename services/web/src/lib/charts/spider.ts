@@ -20,12 +20,6 @@ export function piece(from: number, to: number, start: number, end: number, radi
   return `M${point(inner, start)}A${inner.toFixed(2)} ${inner.toFixed(2)} 0 0 1 ${point(inner, end)}L${point(outer, end)}A${outer.toFixed(2)} ${outer.toFixed(2)} 0 0 0 ${point(outer, start)}Z`;
 }
 
-export function byScenario(rows: readonly InfluenceRow[]): [string, InfluenceRow[]][] {
-  const groups = new Map<string, InfluenceRow[]>();
-  for (const row of rows) groups.set(row.scenario, [...(groups.get(row.scenario) ?? []), row]);
-  return [...groups];
-}
-
 /** The largest s_rel of all: the one scale of all scenarios. */
 export function largest(rows: readonly InfluenceRow[]): number {
   return Math.max(1e-9, ...rows.flatMap((row) => row.s_rel_intervals ?? []).map((value) => value ?? 0));

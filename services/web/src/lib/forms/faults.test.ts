@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { fieldName, gridId, gridPlace, inWords, partName, placesOf } from "./faults";
+import { fieldName, gridId, gridPlace, partName, placesOf } from "./faults";
 
 const WANTED = { parameters: [{ name: "P7" }, { name: "P2", lower: 1 }] };
 
@@ -24,9 +24,4 @@ test("what is nearest to a fault comes into sight", () => {
   expect(placesOf("parameters[1]", WANTED).at(-1)).toBe("field-parameters");
   expect(placesOf("constraints[0].at_least", {})).toEqual(["field-constraints[0].at_least", "field-constraints[0]", "field-constraints"]);
   expect(placesOf("fixed.P7", {}).at(-1)).toBe("field-parameters");
-});
-
-test("a remedy names fields as the form does, and leaves names of choices", () => {
-  expect(inWords({ field: "constraints[0]", message: "it has no limit", remedy: "give at_least or at_most" }).remedy).toBe("give at least or at most");
-  expect(inWords({ field: "optimizer.kind", message: "x", remedy: "give cma_es" }).remedy).toBe("give cma_es");
 });

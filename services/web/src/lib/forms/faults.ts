@@ -1,8 +1,5 @@
 /** Where in a form a fault stands, in the words of its labels. */
 
-import type { FieldProblem } from "../server/types";
-import fields from "./fields.json";
-
 type Wanted = Readonly<Record<string, unknown>>;
 
 /** A cell of the grid of parameters; without a column the whole row. */
@@ -58,13 +55,4 @@ export function placesOf(path: string, wanted: Wanted): string[] {
 /** The id of a field of the grid, or of its row. */
 export function gridId({ parameter, column }: GridPlace): string {
   return `grid-${parameter}${column && `-${column.replace(" ", "-")}`}`;
-}
-
-/** Names of fields that no label has as the API writes them. */
-const WRITTEN = new RegExp(`\\b(${[...new Set(Object.keys(fields.help).map((path) => path.split(".").at(-1) ?? ""))].filter((name) => name.includes("_")).join("|")})\\b`, "g");
-
-/** A fault in the words of the form: `give at least or at most`. */
-export function inWords(problem: FieldProblem): FieldProblem {
-  const said = (text: string): string => text.replaceAll(WRITTEN, (name) => name.replaceAll("_", " "));
-  return { ...problem, message: said(problem.message), remedy: said(problem.remedy) };
 }

@@ -1,6 +1,7 @@
 /** Scenarios and parameters of a campaign as a form shows them: read from the specification, and written into it only where they differ from the problem's own. */
 
 import type { Shape, ShapeParameter } from "../server/shape";
+import { changed } from "./schema";
 
 export type Wanted = Readonly<Record<string, unknown>>;
 export type Value = number | string;
@@ -49,7 +50,7 @@ export function withRange(shape: Shape, wanted: Wanted, name: string, changes: P
   const rows = parameterRows(shape, wanted).map((row) => (row.parameter.name === name ? { ...row, ...changes } : row));
   const same = ({ parameter, lower, upper, step, choices }: ParameterRow): boolean =>
     JSON.stringify(ownRange(parameter)) === JSON.stringify({ lower, upper, step, choices: choices.length > 0 ? choices : parameter.choices }) || (parameter.kind === "choice" && choices.length === parameter.choices.length);
-  return put(wanted, "parameters", rows.every(same) ? undefined : rows.map(entryOf));
+  return changed(wanted, "parameters", rows.every(same) ? undefined : rows.map(entryOf));
 }
 
 function entryOf({ parameter: { name, kind, unit }, lower, upper, step, choices }: ParameterRow): Record<string, unknown> {
@@ -58,18 +59,18 @@ function entryOf({ parameter: { name, kind, unit }, lower, upper, step, choices 
 }
 
 export function withFixed(wanted: Wanted, name: string, value: Value | undefined): Wanted {
-  return put(wanted, "fixed", filled(mapOf(wanted["fixed"]), name, value));
+  return changed(wanted, "fixed", filled(mapOf(wanted["fixed"]), name, value));
 }
 
 /** The specification with another value of the baseline; the other values stay those of the problem's own. */
 export function withBaseline(shape: Shape, wanted: Wanted, name: string, value: Value | undefined): Wanted {
   const baseline = filled(mapOf(wanted["baseline"] ?? shape.baseline), name, value);
-  return put(wanted, "baseline", JSON.stringify(baseline) === JSON.stringify(shape.baseline ?? undefined) ? undefined : baseline);
+  return changed(wanted, "baseline", JSON.stringify(baseline) === JSON.stringify(shape.baseline ?? undefined) ? undefined : baseline);
 }
 
 /** A whole baseline; empty: none of its own. */
 export function withBaselineOf(wanted: Wanted, values: Readonly<Record<string, Value>>): Wanted {
-  return put(wanted, "baseline", Object.keys(values).length > 0 ? values : undefined);
+  return changed(wanted, "baseline", Object.keys(values).length > 0 ? values : undefined);
 }
 
 /** Name, sign and value: `P1=0.5`, `"P1": 0.5,`, or the cells of a table. */
@@ -109,12 +110,12 @@ export function withScenario(shape: Shape, wanted: Wanted, id: string, used: boo
   const left = rows.filter((row) => row.used).map((row) => row.id);
   if (left.length === 0) return wanted;
   const catalogue = typeof wanted["catalogue"] === "string" ? wanted["catalogue"] : undefined;
-  const listed = put(wanted, "catalogue", left.length === rows.length ? catalogue : left);
+  const listed = changed(wanted, "catalogue", left.length === rows.length ? catalogue : left);
   return used ? listed : withWeight(listed, id, 1);
 }
 
 export function withWeight(wanted: Wanted, id: string, weight: number): Wanted {
-  return put(wanted, "weights", filled(mapOf(wanted["weights"]), id, weight === 1 ? undefined : weight));
+  return changed(wanted, "weights", filled(mapOf(wanted["weights"]), id, weight === 1 ? undefined : weight));
 }
 
 /** The parts of a specification that belong to a problem: another one begins without them. */
@@ -124,18 +125,11 @@ export function withProblem(wanted: Wanted, problem: string | undefined): Wanted
   const left = Object.fromEntries(Object.entries(wanted).filter(([name]) => !OF_A_PROBLEM.includes(name)));
   const optimizer = mapOf(left["optimizer"]) as Record<string, unknown>;
   if (optimizer["start_sets"] !== undefined) left["optimizer"] = Object.fromEntries(Object.entries(optimizer).filter(([name]) => name !== "start_sets"));
-  return put(left, "problem", problem);
+  return changed(left, "problem", problem);
 }
 
-function filled(values: Readonly<Record<string, Value>>, name: string, value: Value | undefined): Record<string, Value> | undefined {
-  const made: Record<string, Value> = { ...values };
-  if (value === undefined) delete made[name];
-  else made[name] = value;
+/** Values with one changed; undefined without any. */
+function filled(values: Readonly<Record<string, Value>>, name: string, value: Value | undefined): Record<string, unknown> | undefined {
+  const made = changed(values, name, value);
   return Object.keys(made).length > 0 ? made : undefined;
-}
-
-function put(wanted: Wanted, name: string, value: unknown): Wanted {
-  const made: Record<string, unknown> = { ...wanted, [name]: value };
-  if (value === undefined) delete made[name];
-  return made;
 }

@@ -75,6 +75,11 @@ export function unitText(unit: unknown): string {
   return typeof unit === "string" && unit !== "1" ? unit.replaceAll("^2", "²").replaceAll("^3", "³") : "";
 }
 
+/** The unit after a value, with a space; points are what scores are counted in anyway. */
+export function unitAfter(unit: string): string {
+  return unit === "1" || unit === "points" ? "" : ` ${unitText(unit)}`;
+}
+
 /** Units at the end of names, as the built-in problem writes them. */
 const SUFFIXES: Readonly<Record<string, string>> = { m: "m", s: "s", mps: "m/s", mps2: "m/s²", mps3: "m/s³", mps15: "m/s¹·⁵", rad: "rad", radps: "rad/s", deg: "°" };
 
@@ -89,8 +94,7 @@ export function measured(name: string, declared?: unknown): { words: string; uni
 
 /** A score with its unit; of points the unit goes without saying. */
 export function scored(value: number | null | undefined, scale: { unit: string }, digits = 3): string {
-  const unit = value === null || value === undefined || scale.unit === "1" || scale.unit === "points" ? "" : ` ${unitText(scale.unit)}`;
-  return number(value, digits) + unit;
+  return number(value, digits) + (value === null || value === undefined ? "" : unitAfter(scale.unit));
 }
 
 /** The largest difference of scores that is no error, with its unit. */
