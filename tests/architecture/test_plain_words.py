@@ -5,7 +5,7 @@ from tests.architecture.plain_words import NAMES, OPENER, PARAMETER, PROSE, patt
 
 CEILINGS = {
     "services/drivecal": 373,
-    "services/web": 86,
+    "services/web": 0,
     "shared/drivecal": 171,
     "workers/drivecal": 22,
     "docs": 118,

@@ -30,7 +30,7 @@ DESKTOP, PHONE = ViewportSize(width=1280, height=900), ViewportSize(width=390, h
 
 
 def barriers(page: Page, *, contrast_alone: bool = False) -> list[tuple[str, list[str]]]:
-    """What axe-core finds in the page as it is: the rule, and the first elements that break it. Whatever does not fit into the page's
+    """Returns what axe-core finds in the page as it is: the rule, and the first elements that break it. Whatever does not fit into the page's
     width counts as well. Skips where axe-core is not there."""
     if not AXE.is_file():
         pytest.skip("axe-core is not there: `make test` could not fetch it")

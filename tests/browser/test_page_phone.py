@@ -56,7 +56,7 @@ def middle(place: Locator) -> tuple[float, float]:
 
 
 def drag(fingers: CDPSession, x: float, y: float, by: float) -> None:
-    """Draws a finger down by this many pixels and rests it there: after a fling, the browser takes the next tap as one that stops it."""
+    """Draws a finger down by this many pixels and rests it there: after a fling, the browser takes the next tap as a tap that stops it."""
     fingers.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
     for step in range(1, 11):
         fingers.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": [{"x": x, "y": y + by * step / 10}]})

@@ -123,7 +123,7 @@ def test_campaigns_are_searched_sorted_and_ticked_to_be_compared(shown: Shown, o
     heads = page.get_by_role("region", name="Settings").get_by_role("columnheader")
     expect(heads).to_have_count(3)
     page.goto(f"{shown.api.url}/#/compare?ids={shown.campaign.id},{shown.campaign.id}")
-    expect(page.get_by_role("img", name=re.compile("Courses of the searches")).locator("path")).to_have_count(2)
+    expect(page.get_by_role("img", name=re.compile("Best scores of the searches")).locator("path")).to_have_count(2)
 
 
 def test_a_scatter_keeps_ranges_that_the_table_and_the_export_follow(shown: Shown, opening: Opening) -> None:

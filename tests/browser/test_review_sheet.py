@@ -26,7 +26,7 @@ NARROW = """[...document.querySelectorAll('td, th, p, pre, figure, li')]
 
 
 def large(identifier: str) -> ReviewedSet:
-    """Of 25 scenarios and 30 parameters with long names and all digits."""
+    """Returns a set of 25 scenarios and 30 parameters with long names and all digits."""
     scenarios = [f"scenario_with_a_long_name_{number:03d}" for number in range(25)]
     names = [f"ACC_ComfortLongitudinalControl_tGapDesired_{number:03d}_C" for number in range(30)]
     setups = [

@@ -1,4 +1,4 @@
-"""What the page's forms say of fields by themselves fits what there is: fields that exist, and all plug-ins that come with drivecal."""
+"""The texts of the page's forms are about existing fields, and name all plug-ins that come with drivecal."""
 
 import json
 from collections.abc import Iterator
@@ -35,11 +35,11 @@ def paths(schema: dict[str, Any], definitions: dict[str, Any], at: str = "") -> 
 
 
 def test_every_field_that_is_explained_exists() -> None:
-    found: set[str] = set()
+    known: set[str] = set()
     for model in (CampaignSpecification, ComparisonSpecification):
         schema = model.model_json_schema()
-        found.update(paths(schema, schema["$defs"]))
-    assert set(FIELDS["help"]) | set(FIELDS["names"]) <= found
+        known.update(paths(schema, schema["$defs"]))
+    assert set(FIELDS["help"]) | set(FIELDS["names"]) <= known
 
 
 @pytest.mark.parametrize("path", sorted(GROUPS))

@@ -1,6 +1,6 @@
 /** The URL holds everything a user may return to or share, behind the `#`. */
 
-import { parse, write, type Place } from "./address";
+import { brushText, parse, write, type Place } from "./address";
 
 function read(): Place {
   return parse(location.hash);
@@ -44,6 +44,11 @@ export function amend(changes: Record<string, string | null>): void {
     // A user who followed a link meanwhile is not taken back: browsers report it late.
     if (location.hash === here) history.replaceState(null, "", write(place));
   }, WRITE_MILLISECONDS);
+}
+
+/** Keeps ranges of columns in the query; null takes one out. */
+export function keep(ranges: Readonly<Record<string, readonly [number, number] | null>>): void {
+  amend(Object.fromEntries(Object.entries(ranges).map(([column, range]) => [`b.${column}`, range === null ? null : brushText(range)])));
 }
 
 export function link(path: readonly string[], query: Record<string, string> = {}): string {

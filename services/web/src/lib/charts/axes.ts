@@ -88,7 +88,7 @@ export function chosen(axis: Pick<Axis, "choices">, [low, high]: readonly [numbe
 
 const MOST_TICKS = 12;
 
-/** The choices that are written beside their axis, with their places: of many, some. */
+/** The choices that an axis names, with their places: not all, if there are many. */
 export function marks(choices: readonly string[]): [number, string][] {
   const every = Math.ceil(choices.length / MOST_TICKS);
   return choices.map((word, place): [number, string] => [place, word.length > 12 ? `${word.slice(0, 11)}…` : word]).filter(([place]) => place % every === 0);

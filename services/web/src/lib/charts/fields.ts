@@ -34,7 +34,7 @@ export function parts(axis: Ends, most = PARTS): number[] {
   return Array.from({ length: most + 1 }, (_, place) => (place === most && axis.upper > axis.lower ? axis.upper : axis.lower + place * wide));
 }
 
-/** The part in which a value lies; the last part has its upper end, values beyond the axis lie in the part at its end. */
+/** The part that holds a value; the last part has its upper end, values beyond the axis lie in the part at its end. */
 function partOf(ends: readonly number[], value: number): number {
   const [first = 0, last = 1] = [ends[0], ends.at(-1)];
   const place = Math.floor(((value - first) / (last - first)) * (ends.length - 1));

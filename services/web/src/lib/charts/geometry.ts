@@ -74,7 +74,7 @@ export function camera(ego: Pose, scale: number, centre: readonly [number, numbe
   };
 }
 
-/** Round numbers between two ends, about so many. */
+/** Round numbers between two ends. `about`: their number, roughly. */
 export function ticks(low: number, high: number, about: number): number[] {
   if (!(high > low)) return [low];
   const rough = (high - low) / about;

@@ -29,7 +29,7 @@ function alike(campaigns: readonly Compared[], part: (campaign: Compared) => unk
   return new Set(campaigns.map((campaign) => JSON.stringify(part(campaign)))).size < 2;
 }
 
-/** Searches by what their objectives are: those of other names, units or directions need an axis of their own. */
+/** Searches by what their objectives are: other names, units or directions need another axis. */
 export function byMeasure<T extends { of: Pick<Campaign, "scale" | "objective"> }>(searches: readonly T[]): { measure: Measure; searches: T[] }[] {
   const groups = new Map<string, { measure: Measure; searches: T[] }>();
   for (const search of searches) {

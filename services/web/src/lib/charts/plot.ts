@@ -9,13 +9,13 @@ export interface Series {
   colour: string;
   dash?: string;
   kind?: "line" | "area" | "bar";
-  /** Its own places, if it does not share those of the chart. */
+  /** Its own places, if they differ from the chart's. */
   x?: readonly number[];
   /** Series of one group have one entry in the legend. */
   group?: string;
   /** Holds each value until the next place. */
   steps?: boolean;
-  /** Pixels by which its line is moved, so that lines of equal value do not hide each other. */
+  /** Offset of its line in pixels, so that lines of equal value do not hide each other. */
   shift?: number;
 }
 
@@ -144,7 +144,7 @@ export function outline(line: Series, x: readonly number[], floor: readonly numb
   return line.kind === "area" ? `M${points.join("L")}L${back.reverse().join("L")}Z` : `M${points.join("L")}`;
 }
 
-/** Whether counts are so unlike that small ones could not be seen beside the large ones. */
+/** Whether counts are so unlike that the large ones would hide the small ones. */
 export function spansDecades(counts: readonly number[]): boolean {
   const seen = counts.filter((count) => count > 0);
   return seen.length > 1 && Math.max(...seen) > 50 * Math.min(...seen);

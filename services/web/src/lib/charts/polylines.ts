@@ -24,7 +24,7 @@ const LEAST_QUOTA = 100;
 const MOST_QUOTA = 4_000;
 /** Milliseconds from one frame to the next. */
 const SLOW_FRAME = 40;
-/** A frame that lasts so many times as long as the shortest is slow, too: the screen was ready, and the lines were not. */
+/** A frame is slow, too, if it lasts this many times as long as the shortest: the screen was ready, and the lines were not. */
 const SLOWER = 1.5;
 const FIRST_PASS = 2_000;
 
@@ -38,7 +38,7 @@ export function valueAt(axis: Axis, height: number): number {
   return share >= 1 ? axis.upper : axis.lower + share * (axis.upper - axis.lower);
 }
 
-/** A range of an axis with one of its ends moved by so many steps of a twentieth, or of a choice, within the axis. */
+/** A range of an axis with one of its ends moved by a number of steps within the axis: twentieths, or choices. */
 export function moved(axis: Axis, range: readonly [number, number] | undefined, steps: number, end: "lower" | "upper"): [number, number] {
   const [low, high] = range ?? [axis.lower, axis.upper];
   const by = axis.choices ? steps : (steps * (axis.upper - axis.lower)) / 20;

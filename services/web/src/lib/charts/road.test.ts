@@ -52,7 +52,7 @@ test("an ego vehicle beside another has a colour of its own, with its way and it
   expect(strokes(drawn, colours(false).ego)).toEqual([]);
 });
 
-/** A road of two lanes of 4 and 2.5 m from (0, 0) on, of which the left one ends after 200 m, with a ramp from the right; at any place in any direction. */
+/** A road of two lanes of 4 and 2.5 m from (0, 0), whose left lane ends after 200 m, with a ramp from the right; at any place in any direction. */
 function network(origin: readonly [number, number], heading: number): ReplayAnswer {
   const place = (along: number, left: number): number[] => [
     origin[0] + along * Math.cos(heading) - left * Math.sin(heading),

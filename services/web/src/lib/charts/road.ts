@@ -35,7 +35,7 @@ const SMALLEST = 4.6;
 const BEYOND = 1200;
 const BEYOND_METRES = 130;
 
-/** `own`: the colour of an ego vehicle that is shown beside others. Its plan has it, too: another would be that of another vehicle. */
+/** `own`: the colour of one of several ego vehicles. Its plan has it, too: another colour would belong to another vehicle. */
 export function colours(dark: boolean, own?: string) {
   const usual = dark
     ? { ground: "#14181d", road: "#2b323b", line: "#dfe5ec", mark: "#8b96a3", ego: "#4db5f5", plan: "#ffa96b", other: "#b9c2cc", glass: "#10151a", way: "#4db5f5", name: "#e8ebef" }

@@ -2,14 +2,14 @@
 
 import type { Axis } from "./polylines";
 
-/** So many rows of many, evenly over their order: enough to see a shape, few enough for a frame. */
+/** At most `most` rows, evenly over their order: enough to see a shape, few enough for a frame. */
 export function thinned(rows: Uint32Array, most: number): Uint32Array {
   if (rows.length <= most) return rows;
   const every = rows.length / most;
   return Uint32Array.from({ length: most }, (_, place) => rows[Math.floor(place * every)] ?? 0);
 }
 
-/** The best of `ys` in each of so many equal parts of the x axis, as points at the middle of their part; parts without a value are left out. `sign`: 1 if more is better, else -1. */
+/** The best of `ys` in each of the equal parts of the x axis, as points at the middle of their part; parts without a value are left out. `sign`: 1 if more is better, else -1. */
 export function envelope(rows: Uint32Array, xs: Float64Array, ys: Float64Array, axis: Pick<Axis, "lower" | "upper" | "choices">, sign: number, parts = 20): [number, number][] {
   const many = axis.choices ? axis.choices.length : parts;
   const wide = axis.choices ? 1 : (axis.upper - axis.lower) / many || 1;

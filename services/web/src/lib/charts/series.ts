@@ -19,7 +19,7 @@ const TIMES = ["time", "time_s", "t", "t_s"];
 /** Series of one unit share a chart unless the smaller of them would be a flat line on it. */
 const FLAT = 6;
 const MOST_LINES = 6;
-/** Charts of two runs beside each other. */
+/** Charts of two runs. */
 const MOST_CHARTS = 6;
 
 /** The series over which the others are drawn: a time that never goes back. Null if there is none. */
@@ -86,7 +86,7 @@ function roomy(values: readonly number[]): [number, number] {
   return [low - margin, high + margin];
 }
 
-/** Charts of what several runs report, each over its own time; `left`: what is not drawn, in words. */
+/** Charts of what several runs report, each over its own time; `left` says what is not drawn. */
 export function reportsBeside(runs: readonly { title: string; colour: string; reported: Reported }[], units: Readonly<Record<string, string>>): { charts: SeriesChart[]; left: string } {
   const times = runs.map(({ reported }) => timeOf(reported));
   const time = times.find((name) => name !== null) ?? null;

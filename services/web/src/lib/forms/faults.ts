@@ -30,7 +30,7 @@ export function fieldName(path: string, wanted: Wanted = {}): string {
   const weight = /^weights\.(.+)$/.exec(path);
   if (weight) return `weight of ${weight[1] ?? ""}`;
   const parts = path.split(".");
-  /** From here on names are those of a user. */
+  /** The first part that a user named. */
   const own = parts.findIndex((_, at) => OWN.includes((parts[at - 1] ?? "").replace(/\[.*/, "")));
   return parts.map((part, at) => (own >= 0 && at >= own ? part : part.replaceAll("_", " ")).replace(/^(.*?)s?((?:\[\d+\])+)$/, (_, name: string, places: string) => `${name} ${counted(places)}`)).join(", ");
 }

@@ -34,7 +34,7 @@ export function beginAt(path: string): Readonly<Record<string, unknown>> {
   return BEGINS[path.replace(/\[\d+\]/g, "[]")] ?? {};
 }
 
-/** From these numbers on a limit is one that few fields reach. */
+/** Few fields reach a limit above this number. */
 const BEYOND = 1e6;
 
 /** The first paragraph of a description, without references to a paper that few readers have at hand. */

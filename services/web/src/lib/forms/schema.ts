@@ -28,7 +28,7 @@ export interface Schema {
 
 export type Definitions = Record<string, Schema>;
 
-/** `list`: of words and numbers; `objects`: of objects, each with fields of its own. */
+/** A `list` holds words and numbers; `objects` have fields of their own. */
 export type Kind = "choice" | "truth" | "whole" | "number" | "text" | "object" | "list" | "objects" | "json";
 
 export interface Described {
@@ -96,7 +96,7 @@ export function withDefault(definitions: Definitions, model: string, property: s
   return { ...definitions, [model]: { ...known, properties: { ...known.properties, [property]: { ...known.properties[property], default: value } } } };
 }
 
-/** What an empty field says: the default that holds then, if it is one that can be written. */
+/** What an empty field says: the default that holds then, if it can be written. */
 export function emptyText({ schema, optional }: Pick<Described, "schema" | "optional">): string {
   const text = listText(schema.default);
   return text !== "" ? `${text} by default` : optional ? "none" : schema.default === undefined ? "needed" : "default";

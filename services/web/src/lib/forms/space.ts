@@ -62,7 +62,7 @@ export function withFixed(wanted: Wanted, name: string, value: Value | undefined
   return changed(wanted, "fixed", filled(mapOf(wanted["fixed"]), name, value));
 }
 
-/** The specification with another value of the baseline; the other values stay those of the problem's own. */
+/** The specification with another value of the baseline; the problem keeps the other values. */
 export function withBaseline(shape: Shape, wanted: Wanted, name: string, value: Value | undefined): Wanted {
   const baseline = filled(mapOf(wanted["baseline"] ?? shape.baseline), name, value);
   return changed(wanted, "baseline", JSON.stringify(baseline) === JSON.stringify(shape.baseline ?? undefined) ? undefined : baseline);
@@ -78,7 +78,7 @@ const PAIR = /^\s*"?([^"=:,\s]+)"?\s*([=:,\t ])\s*"?(.*?)"?\s*,?\s*$/;
 /** Between pairs; a comma within a value is none. */
 const BETWEEN = /[\n;{}]|,(?=\s*"?[A-Za-z][\w.-]*"?\s*[=:])/;
 
-/** A set as people write it: `P1=0.5` in lines or between commas, the first two columns of a table, or JSON. `faults`: what is not of the problem, and why. */
+/** A set as people write it: `P1=0.5` in lines or between commas, the first two columns of a table, or JSON. `faults` name what the problem does not have, and why. */
 export function pastedSet(text: string, parameters: readonly ShapeParameter[]): { values: Record<string, Value>; faults: string[] } {
   const [values, faults]: [Record<string, Value>, string[]] = [{}, []];
   for (const part of text.split(BETWEEN)) {

@@ -26,7 +26,7 @@ const ABOVE = 11;
 const BELOW = 3;
 /** Half the width of a point. */
 const POINT = 5;
-/** Beside the point, then farther and farther away. */
+/** Next to the point, then farther and farther away. */
 const TRIES = [
   [11, 4, "start"], [-11, 4, "end"], [0, -11, "middle"], [0, 20, "middle"], [9, -9, "start"], [-9, 17, "end"], [9, 17, "start"], [-9, -9, "end"],
   [0, -25, "middle"], [0, 34, "middle"], [9, 34, "start"], [-9, 34, "end"], [9, -25, "start"], [-9, -25, "end"], [9, 48, "start"], [-9, 48, "end"], [0, -39, "middle"],

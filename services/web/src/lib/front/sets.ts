@@ -109,7 +109,7 @@ export interface Pair {
   other: number | null;
 }
 
-/** The pair that the address names by ranks. If it names none, the winner is in view, beside the knee; a set is never compared with itself. */
+/** The pair that the address names by ranks. If it names none, the winner is compared with the knee; a set is never compared with itself. */
 export function pairOf(rows: readonly Pick<FrontRow, "rank" | "knee">[], row: string | undefined, other: string | undefined, winner: number | null): Pair {
   const place = (rank: string | undefined): number | null => {
     const at = rank === undefined ? -1 : rows.findIndex((entry) => entry.rank === Number(rank));

@@ -66,7 +66,7 @@ export function weightsText(weights: readonly number[], goals: readonly Pick<Goa
   return goals.map(({ name }, place) => `${name}=${Number((weights[place] ?? 1).toFixed(4))}`).join(",");
 }
 
-/** A range of the first of two weights in which a set wins. */
+/** Weights of the first of two objectives that make a set win. */
 export interface Segment {
   place: number;
   from: number;
@@ -81,7 +81,7 @@ export function segments(rows: readonly Pick<FrontRow, "weights">[]): Segment[] 
   }).sort((one, other) => one.from - other.from);
 }
 
-/** Segments beside each other joined until each is so wide, named after its widest part: thousands of them are thinner than a pixel. */
+/** Neighbouring segments, joined until each has the least width, and named after the widest part: thousands are thinner than a pixel. */
 export function joined(segments: readonly Segment[], least: number): Segment[] {
   const wide: Segment[] = [];
   let widest = 0;
@@ -116,7 +116,7 @@ export function pointOf(weights: readonly number[], width: number): Point {
   return [0, 1].map((axis) => corners.reduce((sum, corner, place) => sum + (weights[place] ?? 0) * (corner[axis] as number), 0)) as Point;
 }
 
-/** The weights at a point; outside of the triangle those of a near point on its border. */
+/** The weights at a point; outside of the triangle the weights of a near point on its border. */
 export function weightsAt([x, y]: readonly [number, number], width: number): number[] {
   const first = 1 - y / height(width);
   const third = x / width - first / 2;

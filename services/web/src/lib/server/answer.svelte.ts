@@ -1,7 +1,6 @@
 /** Answers of the server as views hold them. */
 
-import { messageOf } from "./api";
-import { reach } from "./reach.svelte";
+import { messageOf, reach } from "./api.svelte";
 
 /** The last answer to a question, whether one is awaited, and why it failed. */
 export class Answer<T> {

@@ -1,5 +1,5 @@
 import { afterEach, expect, test, vi } from "vitest";
-import { all, ask, newKey, whenRefused } from "./api";
+import { all, ask, newKey, whenRefused } from "./api.svelte";
 
 afterEach(() => vi.unstubAllGlobals());
 

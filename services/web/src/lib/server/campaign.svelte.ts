@@ -1,6 +1,6 @@
 /** One campaign as it is now: read once, moved on by what the live connection tells, read again where more than its progress changed. */
 
-import { Refusal, Tagged, all, isUnreached } from "./api";
+import { Refusal, Tagged, all, isUnreached } from "./api.svelte";
 import { follow } from "./live.svelte";
 import type { Campaign, CampaignEvent, Generation } from "./types";
 

@@ -1,10 +1,10 @@
 /** From a set to the evaluations that it was ranked by. */
 
-import { get } from "./api";
+import { get } from "./api.svelte";
 import { go } from "../route.svelte";
 import type { Best, CellNumber, EvaluationDetail, PageSolution } from "./types";
 
-/** A set as a view shows it beside another. */
+/** One of two sets that a view compares. */
 export interface SetSide {
   title: string;
   /** Heads its column. */

@@ -1,6 +1,6 @@
 /** Tables as CSV (RFC 4180). */
 
-/** The numbers beside a drawing. */
+/** The numbers of a drawing. */
 export interface Sheet {
   head: readonly string[];
   rows: readonly (readonly (string | number | null)[])[];

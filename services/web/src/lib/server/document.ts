@@ -1,7 +1,7 @@
 /** The API's own description: its OpenAPI document. */
 
 import type { Definitions } from "../forms/schema";
-import { Refusal, ask } from "./api";
+import { Refusal, ask } from "./api.svelte";
 
 let reading: Promise<Definitions> | null = null;
 

@@ -1,12 +1,12 @@
 /** Changes of campaigns from a list or from their own view, one campaign after the other. */
 
 import { deletionText } from "../text/labels";
-import { messageOf, send } from "./api";
+import { messageOf, send } from "./api.svelte";
 import type { Campaign, Deletion } from "./types";
 
 type Named = Pick<Campaign, "id" | "name">;
 
-/** Tags are added and removed by name: those that others add meanwhile stay. */
+/** Tags are added and removed by name: tags that others add meanwhile stay. */
 export interface Labels {
   add_tags?: string[];
   remove_tags?: string[];

@@ -1,6 +1,6 @@
 /** The campaigns of a filter as the server lists them. */
 
-import { Tagged } from "./api";
+import { Tagged } from "./api.svelte";
 import type { Campaign, CampaignPage } from "./types";
 
 interface Held {
@@ -14,7 +14,7 @@ export class CampaignList {
   /** `path`: the request of the newest page. */
   constructor(private readonly path: string) {}
 
-  /** Reads the newest pages, of which each begins where the one before ends now; unchanged pages are not sent again. `goesOn`: the server has older campaigns. */
+  /** Reads the newest pages: each begins where the page before ends now, and unchanged pages are not sent again. `goesOn`: the server has older campaigns. */
   async read(pages: number): Promise<{ items: Campaign[]; goesOn: boolean }> {
     const held = new Map<string, Held>();
     const items: Campaign[] = [];

@@ -1,6 +1,6 @@
 /** The live connection of a campaign: a WebSocket that is opened again while a view follows. */
 
-import { ROOT } from "./api";
+import { ROOT } from "./api.svelte";
 import type { CampaignEvent, Moving } from "./types";
 
 export interface Follower {

@@ -26,7 +26,7 @@ export function inside(problem: FieldProblem, path: string): boolean {
   return problem.field.startsWith(`${path}.`) || problem.field.startsWith(`${path}[`);
 }
 
-/** The problems to show at the field of `path`: its own and, if it has no `fields`, those of anything inside it. */
+/** The problems to show at the field of `path`: its own and, if it has no `fields`, the problems of anything inside it. */
 export function at(problems: readonly FieldProblem[], path: string, fields = false): string[] {
   return problems.flatMap((problem) => (problem.field === path ? [said(problem)] : !fields && inside(problem, path) ? [`${partName(problem.field.slice(path.length))}: ${said(problem)}`] : []));
 }

@@ -1,6 +1,6 @@
 /** A run as views show it: its result, and its drive or time series. These are not stored with runs: the first reader has the run simulated once more. */
 
-import { Refusal, ask, get, isUnreached, messageOf } from "./api";
+import { Refusal, ask, get, isUnreached, messageOf } from "./api.svelte";
 import { driveIn, driveOf, type Drive, type Scene } from "../charts/drive";
 import type { Trace } from "../charts/geometry";
 import type { Reported } from "../charts/series";

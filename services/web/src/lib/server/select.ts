@@ -1,4 +1,4 @@
-/** Which rows of a table are wanted, and in which order. */
+/** Selections of rows of a table, and their order. */
 
 import { chosen, positions } from "../charts/axes";
 import type { Axis } from "../charts/polylines";
@@ -31,7 +31,7 @@ export function select(table: Table, wanted: Wanted): Uint32Array {
   return picked(numbered(kept.length), (row) => kept[row] === 1);
 }
 
-/** Those of `rows` that are in a selection, in their order. */
+/** The `rows` that are in a selection, in their order. */
 export function within(rows: Uint32Array, selected: Uint32Array): Uint32Array {
   const kept = new Uint8Array(rows.length);
   for (const row of selected) kept[row] = 1;
@@ -55,7 +55,7 @@ export function conditions({ words, ranges, axes = [] }: Wanted): string[] {
   const bounds = Object.entries(ranges).flatMap(([name, [low, high]]) => {
     const axis = axes.find((entry) => entry.name === name && entry.choices);
     if (!axis) return [...(Number.isFinite(low) ? [`${name}>=${low}`] : []), ...(Number.isFinite(high) ? [`${name}<=${high}`] : [])];
-    // To the API words of a column are alternatives: a range of its choices keeps some of those that are wanted.
+    // To the API words of a column are alternatives: a range of its choices keeps some of the wanted words.
     const within = chosen(axis, [low, high]);
     kept.set(name, kept.get(name)?.filter((word) => within.includes(word)) ?? within);
     return [];
@@ -70,7 +70,7 @@ export interface Share {
   /** 1 where more is better, else -1. */
   sign: number;
   share: number;
-  /** So many are drawn in any case. */
+  /** The least number of lines. */
   least: number;
 }
 
@@ -130,7 +130,7 @@ export function tally(table: Table, name: string): [string, number][] {
     .sort(([a], [b]) => a.localeCompare(b, "en", { numeric: true }));
 }
 
-/** The numbers from 0 on. */
+/** The numbers from 0 to `length` - 1. */
 export function numbered(length: number): Uint32Array {
   const numbers = new Uint32Array(length);
   for (let row = 0; row < length; row++) numbers[row] = row;

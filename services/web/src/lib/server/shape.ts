@@ -1,6 +1,6 @@
 /** A problem as forms and tables need it, whether it is installed or was pushed. */
 
-import { get } from "./api";
+import { get } from "./api.svelte";
 import type { ParameterSpacePage, ProblemAnswer, ScenarioPage } from "./types";
 
 /** Of a campaign that names none. */

@@ -1,7 +1,7 @@
 /** A table of a campaign as the page holds it: whole, and read again when it has grown. */
 
 import { parameterOf, type Ranged } from "../charts/axes";
-import { Refusal, ask } from "./api";
+import { Refusal, ask } from "./api.svelte";
 import { CsvReader, EMPTY, type Table } from "./columns";
 
 /** Rows of a long table that are shown at once, and the growth until more of it is shown. */

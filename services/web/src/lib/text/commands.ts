@@ -41,7 +41,7 @@ function options(query: Readonly<Record<string, string>>): string[] {
   return Object.entries(query).map(([name, value]) => (value === "true" ? `--${name}` : `--${name} ${quoted(value)}`));
 }
 
-/** A word of a shell. The one of Windows knows double quotes alone; within them others read some characters. */
+/** A word of a shell. Windows knows double quotes alone; other shells read some characters within them. */
 function quoted(text: string): string {
   if (/^[\w.,:/=-]+$/.test(text)) return text;
   return /["$`\\!%]/.test(text) ? `'${text.replaceAll("'", "'\\''")}'` : `"${text}"`;

@@ -83,7 +83,7 @@ export function unitAfter(unit: string): string {
 /** Units at the end of names, as the built-in problem writes them. */
 const SUFFIXES: Readonly<Record<string, string>> = { m: "m", s: "s", mps: "m/s", mps2: "m/s²", mps3: "m/s³", mps15: "m/s¹·⁵", rad: "rad", radps: "rad/s", deg: "°" };
 
-/** The words of a measure's name, and its unit: the declared one, else the one that its name ends with. */
+/** The words of a measure's name, and its unit: the declared unit, else the suffix of the name. */
 export function measured(name: string, declared?: unknown): { words: string; unit: string } {
   const parts = name.split("_");
   const suffix = parts.length > 1 ? SUFFIXES[parts.at(-1) ?? ""] : undefined;

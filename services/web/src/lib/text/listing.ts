@@ -17,7 +17,7 @@ export interface Listed<T> {
   below: boolean;
 }
 
-/** The cells of the search; of a campaign without one, those of all its stages together. */
+/** The cells of the search; without a search, the cells of all stages together. */
 export function countedCells(campaign: Pick<Known, "cells" | "stages">): Pick<CellCounts, "requested" | "simulated" | "repeated" | "reused" | "predicted"> {
   if (campaign.cells.proposed > 0) return campaign.cells;
   const sum = (name: keyof CellCounts): number => Object.values(campaign.stages).reduce((total, cells) => total + (cells[name] ?? 0), 0);
@@ -30,7 +30,7 @@ export function savedShare(campaign: Pick<Known, "cells" | "stages">): number | 
   return cells.requested > 0 ? withoutSimulation(cells) / cells.requested : null;
 }
 
-/** Weights in few words, the heaviest first; those of weight 1 go without saying. Empty if all have it. */
+/** Weights in few words, the heaviest first, without weights of 1. Empty if all are 1. */
 export function weighted(weights: Readonly<Record<string, number>> | null | undefined, most = 4): string {
   const told = Object.entries(weights ?? {}).filter(([, weight]) => weight !== 1).sort(([, a], [, b]) => b - a);
   if (told.length === 0) return "";

@@ -2,7 +2,7 @@
 
 export interface Entry {
   title: string;
-  /** What it is, beside the title. */
+  /** What it is. */
   about: string;
   /** Further words that find it. */
   words?: string;
@@ -10,7 +10,7 @@ export interface Entry {
   act?: () => void;
 }
 
-/** At most so many entries with all written words, first those whose title begins with the first word; the others stay in their order. */
+/** The entries with all written words, at most `most`: first entries whose title begins with the first word; the others stay in their order. */
 export function found(entries: readonly Entry[], written: string, most = 12): Entry[] {
   const words = written.toLowerCase().split(/\s+/).filter(Boolean);
   const begins = ({ title }: Entry): number => Number(title.toLowerCase().startsWith(words[0] ?? ""));

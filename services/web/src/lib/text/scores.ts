@@ -1,4 +1,4 @@
-/** The scores by which a ranking of stored sets can be ordered: those of the campaign's push of its problem, and what the latest push declares otherwise. */
+/** The scores that can order a ranking of stored sets: the scores of the campaign's push of its problem, and what the latest push declares otherwise. */
 
 import { scoreText, shapeOf, type ShapeScore } from "../server/shape";
 import type { Campaign, ProblemAnswer, Scale } from "../server/types";

@@ -32,7 +32,7 @@ export function hasEnded(state: string): boolean {
   return ENDED.includes(state);
 }
 
-/** The counters of the stage that runs; of an ended campaign, those of the calibration, or of the last stage that asked for anything. */
+/** The counters of the stage that runs; of an ended campaign, the counters of the calibration, or of the last stage with cells. */
 export function cellsOf(campaign: Moving, stage: string | null): Partial<CellCounts> {
   return campaign.stages[stage ?? "calibration"] ?? {};
 }
@@ -81,5 +81,5 @@ export const LIGHTS: Record<"green" | "amber" | "red" | "neutral" | "open", { si
   amber: { sign: "!", title: "Check first", meaning: "The best set has its scores, but something limits what they mean." },
   red: { sign: "✕", title: "Do not use", meaning: "There is no result, or its scores are in doubt." },
   neutral: { sign: "≈", title: "Neutral", meaning: "It speaks neither for nor against the result." },
-  open: { sign: "…", title: "Open until the end", meaning: "The light comes when the search has ended." },
+  open: { sign: "…", title: "Verdict after the search", meaning: "The light comes when the search has ended." },
 };

@@ -31,11 +31,32 @@ export function whenRefused(handler: () => void): void {
 let shut = false;
 const SESSION = "/session";
 
-let heard: (answered: boolean) => void = () => undefined;
+const RETRY_MILLISECONDS = 1_000;
+let lost = $state(false);
+let returns = $state(0);
+let timer: ReturnType<typeof setTimeout> | undefined;
 
-/** What to do when the server answers, and when it cannot be reached. */
-export function whenHeard(handler: (answered: boolean) => void): void {
-  heard = handler;
+/** Whether the server can be reached. While it cannot, the page retries; views read what they missed when it is back. */
+export const reach = {
+  get lost(): boolean {
+    return lost;
+  },
+  /** How often it came back, or a user did: what reads this in an effect runs again then. */
+  get returns(): number {
+    return returns;
+  },
+};
+
+/** Has views read what they missed: after a login. */
+export function returned(): void {
+  returns += 1;
+}
+
+function heard(answered: boolean): void {
+  clearTimeout(timer);
+  if (answered && lost) returned();
+  lost = !answered;
+  if (lost) timer = setTimeout(() => void ask("/healthz", { cache: "no-store" }, "").catch(() => undefined), RETRY_MILLISECONDS);
 }
 
 /** Whether a request failed because the server cannot be reached. */
