@@ -169,7 +169,6 @@ AWAY = ("ERR_INTERNET_DISCONNECTED", LOST)
 def away_and_back(page: Page, address: str) -> None:
     """Opens a view while the server cannot be reached, and waits until the view is there, by itself, when the server is back."""
     leave(page, address.partition("#")[0])
-    page.wait_for_load_state("networkidle")  # the other views are fetched behind the first
     page.evaluate("window.neverReloaded = true")
     page.context.set_offline(True)
     page.goto(address)

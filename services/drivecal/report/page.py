@@ -26,6 +26,8 @@ from drivecal.report.html import document
 from drivecal.report.robustness import robustness_blocks
 
 SPECIFICATION = "campaign.json"
+SUMMARY = {"converged", "not_converged", "map_wrong", "map_validated", "predictions_validated"}
+"""Codes of verdicts in the summary."""
 MOST_CHARACTERS = 10_000
 """Settings of a specification on the page; the file has all."""
 
@@ -87,7 +89,8 @@ def _searches(campaign: Campaign) -> bool:
 
 def _summary(findings: ReportData) -> list[Block]:
     results, campaign, best = findings.results, findings.results.campaign, findings.results.campaign.best
-    studies = _studies(findings)
+    row = results.recommended
+    studies = [] if row is None else [f"Recommended after the robustness study: rank {row.rank}, because it has {row.reason}."]
     if best is None:
         nothing = (
             "No parameter set has a result in every scenario." if _searches(campaign) else "This campaign searched nothing."
@@ -100,20 +103,9 @@ def _summary(findings: ReportData) -> list[Block]:
     first = f"The best objective is {objective_text(best.objective)} ({sections.objective_words(campaign)}); {share}."
     if campaign.baseline is not None and campaign.baseline.objective is not None:
         first += f" The baseline has {objective_text(campaign.baseline.objective)}."
-    verdicts = [each.text for each in results.trust.verdicts if each.code in {"converged", "not_converged"}][:1]
+    verdicts = [each.text for each in results.trust.verdicts if each.code in SUMMARY]
     cost = [] if results.accounting is None else [results.accounting.sentence]
     return [Bullets([first, *verdicts, *cost, *studies]), _compared(findings, best)]
-
-
-def _studies(findings: ReportData) -> list[str]:
-    results, row = findings.results, findings.results.recommended
-    sentences = []
-    if row is not None:
-        sentences.append(f"Recommended after the robustness study: rank {row.rank} of its table, because it has {row.reason}.")
-    for validated in results.of_stage("validation")[:1]:
-        what = "variants in the validation of the influence map"
-        sentences.append(sections.errors_text(what, validated.validation, results.campaign.scale))
-    return [sentence for sentence in sentences if sentence]
 
 
 def _compared(findings: ReportData, best: Best) -> Table:

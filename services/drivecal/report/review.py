@@ -31,6 +31,8 @@ ORIGINS = {
     "failed": ("no result", "no result after all attempts"),
 }
 """Short and long meaning of the outcomes of cells."""
+DOUBTS = {"failed", "constraints_broken", "scores_copied"}
+"""Codes of verdicts that a sheet begins with."""
 Text = Callable[[float], str]
 
 
@@ -64,16 +66,11 @@ def sheet(review: Review) -> str:
 def _warnings(review: Review) -> list[str]:
     warnings = []
     for each in review.sets.values():
-        campaign, chosen = each.results.campaign, each.chosen
+        campaign = each.results.campaign
         if not CampaignState(campaign.state).ended:
             warnings.append(f"Draft: campaign {campaign.id} is {campaign.state}, and its results may change.")
-        if chosen.reused:
-            where = ", ".join(chosen.reused)
-            warnings.append(f"The scores in {where} of {each.words} are copied: this very set was not simulated there.")
-        if chosen.violation > 0:
-            warnings.append(f"{each.words.capitalize()} breaks constraints by {chosen.violation:.1%}.")
-        if campaign.error:
-            warnings.append(campaign.error)
+        doubts = [verdict.text for verdict in each.results.trust.verdicts if verdict.code in DOUBTS]
+        warnings += [f"{each.words.capitalize()}: {text}" for text in doubts]
     return list(dict.fromkeys(warnings))
 
 

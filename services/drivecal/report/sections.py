@@ -30,7 +30,6 @@ from drivecal.report.blocks import (
     objective_number,
     percent,
     shortened,
-    totals,
 )
 from drivecal.sensitivity.thresholds import caveats
 
@@ -405,20 +404,6 @@ def evaluation_command(
     return " ".join(["drivecal evaluate", *words])
 
 
-def errors_text(what: str, rows: Sequence[ValidationRow], scale: Scale) -> str:
-    """Returns a sentence about compared answers, whose plural is `what`.
-
-    Wrong answers are off by more than the tolerance: R_err alone does not say how many are off by less. Nearly all scores without steps
-    are, a little.
-    """
-    count, different, wrong = totals(rows, "compared", "different", "wrong")
-    if not count:
-        return ""
-    differ = "" if scale.step is None else f"{different:,} had another score ({different / count:.2%}); "
-    tolerated = scale.amount(scale.tolerance)
-    return f"Of {count:,} {what} {differ}{wrong:,} were wrong, off by more than {tolerated} (R_err {wrong / count:.2%})."
-
-
 def validation_tables(rows: Sequence[ValidationRow], scale: Scale, command: str = "") -> list[Block]:
     """Returns the shares of wrong answers by scenario: of released predictions, or of variants that a map calls equal."""
     if any(row.released is not None for row in rows):
@@ -443,7 +428,6 @@ def validation_tables(rows: Sequence[ValidationRow], scale: Scale, command: str 
             ]
             for row in rows
         ]
-        text = errors_text("predictions", rows, scale)
     else:
         header = ["scenario", "reducible", "effects", "covered", "drawn", "bases", "variants", "compared", "different", "wrong"]
         caption = (
@@ -458,9 +442,9 @@ def validation_tables(rows: Sequence[ValidationRow], scale: Scale, command: str 
             ]
             for row in rows
         ]
-        text = errors_text("variants, which differ from a basis only where the map says that it does not matter,", rows, scale)
     header += ["R_err", "95 % from", "to"]
-    return [Table(header, cells, caption, command, wrap_header=True), *([Paragraph(text)] if text else [])]
+    caption += f"; wrong: off by more than {scale.amount(scale.tolerance)}"
+    return [Table(header, cells, caption, command, wrap_header=True)]
 
 
 def _rate(row: ValidationRow) -> list[object]:

@@ -192,7 +192,7 @@ def test_a_study_of_other_sets_is_not_said_to_have_failed() -> None:
     campaign = Campaign(id="1" * 32, name="study", state="succeeded", spec={"optimizer": None, "sensitivity": {"map": "m"}})
     nothing = dict.fromkeys(("generations", "solutions", "optima", "influence"), ())
     text = page(findings(results(campaign=campaign, accounting=None, studies=STUDIES[:1]), **nothing), {}, [], "0")
-    assert "rank 1 of its table" in text
+    assert "Recommended after the robustness study: rank 1" in text
     assert "No parameter set" not in text
 
 

@@ -69,7 +69,7 @@ def reviewed(identifier: str = "a" * 32, **given: Any) -> ReviewedSet:
     known: dict[str, Any] = {
         "campaign": CAMPAIGN.model_copy(update={"id": identifier, "baseline": baseline, "released": released}),
         "accounting": None,
-        "trust": ResultTrust(light="amber", verdicts=[verdict("not_better", "amber")]),
+        "trust": ResultTrust(light="amber", verdicts=[verdict("not_better", "amber"), verdict("scores_copied", "amber", scenarios=["S2"])]),
         "studies": [robust(CHOSEN)],
     }
     found = results(**known | {name: given.pop(name) for name in list(given) if name in {*known, "setup"}})
@@ -121,7 +121,7 @@ def test_the_sheet_shows_values_results_origins_and_confidence() -> None:
         "amber: No set is better than the baseline.",
         "S2 0 4 1 90 30 2 5.0% 3.40%",
         "degree of robustness 7",
-        "The scores in S2 of set 1",
+        "was not simulated in S2",
     ):
         assert expected in text
 

@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import { Broken } from "../server/problems";
-import { changed, describe, differences, emptyText, insteadWith, listText, others, withDefault, written, writtenList, type Definitions } from "./schema";
+import { changed, describe, differences, emptyText, insteadWith, listText, others, pairsText, withDefault, written, writtenList, writtenPairs, type Definitions } from "./schema";
 
 const DEFINITIONS: Definitions = {
   Search: { type: "object", properties: { kind: { enum: ["genetic", "random"] }, seed: { type: "integer", default: 1 } } },
@@ -33,6 +33,13 @@ test("a word or a number may stand for a list, and an object for a choice", () =
   const all = { choices: ["all"], single: true };
   expect([writtenList("all", all), writtenList("S1", all), writtenList("S1, all", all), writtenList("2", all), writtenList("2, 3", all)]).toEqual(["all", ["S1"], ["S1", "all"], 2, [2, 3]]);
   expect([listText("all"), listText(2)]).toEqual(["all", "2"]);
+});
+
+test("numbers by name are written as on the command line, or as JSON", () => {
+  expect(describe({ type: "object", patternProperties: { "^S": { type: "number" } } }, {}).kind).toBe("pairs");
+  expect([writtenPairs("S1=2, S2 = 0.5\nS3=0"), writtenPairs('{"S1": 2}'), writtenPairs(" ")]).toEqual([{ S1: 2, S2: 0.5, S3: 0 }, { S1: 2 }, undefined]);
+  for (const text of ["S1", "S1=", "=2", "S1=two", "S1=1=2", "S1=1e999", "S1=2, S1=3", '{"S1"']) expect(writtenPairs(text)).toBeInstanceOf(Broken);
+  expect([pairsText({ S1: 2, S2: 0.5 }), pairsText(undefined), pairsText(writtenPairs("S1="))]).toEqual(["S1=2, S2=0.5", "", "S1="]);
 });
 
 test("objects are described behind references and choices, and whether they may be left out", () => {

@@ -28,8 +28,8 @@ export interface Schema {
 
 export type Definitions = Record<string, Schema>;
 
-/** A `list` holds words and numbers; `objects` have fields of their own. */
-export type Kind = "choice" | "truth" | "whole" | "number" | "text" | "object" | "list" | "objects" | "json";
+/** A `list` holds words and numbers, `pairs` numbers by name; `objects` have fields of their own. */
+export type Kind = "choice" | "truth" | "whole" | "number" | "text" | "object" | "list" | "pairs" | "objects" | "json";
 
 export interface Described {
   kind: Kind;
@@ -79,6 +79,8 @@ export function describe(given: Schema, definitions: Definitions): Described {
   if (only.type === "string") return make("text", only);
   if (only.type === "array" && only.items && resolve(only.items, definitions).properties) return make("objects", only);
   if (isWords(only, definitions)) return make("list", only);
+  const named = Object.values(only.patternProperties ?? {});
+  if (named.length > 0 && named.every((entry) => entry.type === "number")) return make("pairs", only);
   return make("json", only);
 }
 
@@ -121,6 +123,23 @@ export function listText(value: unknown): string {
   if (value instanceof Broken) return value.text;
   if (!Array.isArray(value)) return typeof value === "string" || typeof value === "number" ? String(value) : "";
   return value.some((entry) => typeof entry === "object") ? JSON.stringify(value) : value.join(", ");
+}
+
+/** Numbers by name as on the command line, `S1=2, S2=0.5`; JSON is taken, too. */
+export function writtenPairs(text: string): unknown {
+  if (text.trim() === "") return undefined;
+  if (/^\s*[[{]/.test(text)) return written(text);
+  const pairs = text.split(/[,\n]/).map((part) => part.trim()).filter(Boolean).map((part) => part.split("=").map((side) => side.trim()));
+  const wrong = pairs.find(([name, value, ...more]) => !name || !value || more.length > 0 || !Number.isFinite(Number(value)));
+  if (wrong) return new Broken(text, `${wrong.join("=")} is no name with a number`, "write S1=2, S2=0.5, for example");
+  const twice = pairs.find(([name], place) => pairs.some(([other], before) => before < place && other === name));
+  if (twice) return new Broken(text, `${twice[0] ?? ""} is there twice`, "write each name once");
+  return Object.fromEntries(pairs.map(([name = "", value]) => [name, Number(value)]));
+}
+
+export function pairsText(value: unknown): string {
+  if (value instanceof Broken) return value.text;
+  return typeof value === "object" && value !== null ? Object.entries(value).map(([name, number]) => `${name}=${String(number)}`).join(", ") : "";
 }
 
 /** What an object holds besides the fields that its schema names: settings of a plug-in, for example. */

@@ -29,7 +29,7 @@ function standalone(drawing: SVGSVGElement, ground = "none"): string {
   copy.setAttribute("width", String(box.width));
   copy.setAttribute("height", String(box.height));
   copy.setAttribute("color", paper().ink);
-  copy.setAttribute("style", `color-scheme: ${isDark() ? "dark" : "light"}`);
+  copy.style.colorScheme = isDark() ? "dark" : "light";
   copy.setAttribute("font-family", "sans-serif");
   copy.insertAdjacentHTML("afterbegin", `<rect x="${box.x}" y="${box.y}" width="${box.width}" height="${box.height}" fill="${ground}"/>`);
   // No style sheet of the page reaches into the file.

@@ -37,8 +37,10 @@ export class TableState {
   askFor(path: string): void {
     const abort = new AbortController();
     const answer = ask(path, { signal: abort.signal, headers: { Accept: "text/csv" } });
-    answer.catch(() => undefined); // the reading reports it
-    this.ahead = { path, abort, answer };
+    const ahead = (this.ahead = { path, abort, answer });
+    answer.catch(() => {
+      if (this.ahead === ahead) this.ahead = null; // the reading asks again
+    });
   }
 
   /** Reads a table, another one at once; the same one after the reading that is under way, which a fast search would never let end. */

@@ -71,6 +71,16 @@ test("a table that was asked for ahead is asked for once, and for its own path a
   expect([rows.table.length, rows.shown, asked.length]).toEqual([2, "/others", 3]);
 });
 
+test("a table that was refused ahead is asked for again", async () => {
+  let answers = 0;
+  vi.stubGlobal("fetch", async () => (answers++ === 0 ? new Response("{}", { status: 503 }) : new Response("rank\n1\n")));
+  const rows = new TableState();
+  rows.askFor("/solutions");
+  await new Promise((done) => setTimeout(done, 20));
+  await rows.load("/solutions");
+  expect([answers, rows.problem, rows.table.length]).toEqual([2, "", 1]);
+});
+
 test("the first rows of a long table are shown at once", async () => {
   const { send } = answers();
   const rows = new TableState(() => [], () => 12_000);
