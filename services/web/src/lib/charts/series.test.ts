@@ -6,17 +6,16 @@ test("series are drawn over the time that the simulator reports", () => {
   expect(timeOf({ t: [0, 2, 1], time_s: [0] })).toBeNull();
 });
 
-test("series of one unit and size share a chart, and every series is on one", () => {
+test("series of one unit share a chart, and every series is on one", () => {
   const series = { time: [0, 1, 2], speed: [10, 20, 15], wanted: [20, 20, 20], gap: [60, 50, 40], travelled: [0, 500, 1000], events: [1, 2], mode: [0, 1, 1] };
   const charts = chartsOf(series, { time: "s", speed: "m/s", wanted: "m/s", gap: "m", travelled: "m" });
   expect(charts.map((chart) => [chart.title, chart.xTitle, chart.yTitle])).toEqual([
     ["speed, wanted", "time / s", "m/s"],
-    ["gap", "time / s", "m"],
-    ["travelled", "time / s", "m"],
+    ["gap, travelled", "time / s", "m"],
     ["events", "step", ""],
     ["mode", "time / s", ""],
   ]);
-  expect(charts[3]?.x).toEqual([0, 1]);
+  expect(charts[2]?.x).toEqual([0, 1]);
 });
 
 test("without a time everything is drawn by its steps", () => {

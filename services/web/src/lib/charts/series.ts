@@ -16,8 +16,6 @@ export interface SeriesChart {
 }
 
 const TIMES = ["time", "time_s", "t", "t_s"];
-/** Series of one unit share a chart unless the smaller of them would be a flat line on it. */
-const FLAT = 6;
 const MOST_LINES = 6;
 /** Charts of two runs. */
 const MOST_CHARTS = 6;
@@ -30,20 +28,18 @@ export function timeOf(series: Reported): string | null {
   }) ?? null;
 }
 
-/** Charts of all series in their order; series that have not the length of the time are drawn by their steps. */
+/** Charts of all series in their order, of one unit in one chart; series that have not the length of the time are drawn by their steps. */
 export function chartsOf(series: Reported, units: Readonly<Record<string, string>>): SeriesChart[] {
   const time = timeOf(series);
   const times = time === null ? [] : (series[time] ?? []);
-  const groups: { unit: string; timed: boolean; size: number; names: string[] }[] = [];
+  const groups: { unit: string; timed: boolean; names: string[] }[] = [];
   for (const [name, values] of Object.entries(series)) {
     if (name === time || values.length === 0) continue;
     const unit = units[name] ?? "1";
     const timed = time !== null && values.length === times.length;
-    const size = values.reduce((most, value) => Math.max(most, Math.abs(value)), 0);
-    const fits = (other: number): boolean => size <= FLAT * other && other <= FLAT * size;
-    const group = groups.find((entry) => unit !== "1" && entry.unit === unit && entry.timed === timed && entry.names.length < MOST_LINES && fits(entry.size) && (timed || series[entry.names[0] ?? ""]?.length === values.length));
+    const group = groups.find((entry) => unit !== "1" && entry.unit === unit && entry.timed === timed && entry.names.length < MOST_LINES && (timed || series[entry.names[0] ?? ""]?.length === values.length));
     if (group) group.names.push(name);
-    else groups.push({ unit, timed, size, names: [name] });
+    else groups.push({ unit, timed, names: [name] });
   }
   return groups.map(({ unit, timed, names }) => ({
     title: names.map((name) => name.replaceAll("_", " ")).join(", "),

@@ -1,7 +1,7 @@
 import { expect, test } from "vitest";
 import { cell } from "../server/columns";
 import type { FrontRow } from "../server/types";
-import { growthOf, hasFront, isOf, kindOf, madeOfText, marksOf, neighbour, pairOf, rangeOf, tableOf, withColumns } from "./sets";
+import { hasFront, isOf, kindOf, madeOfText, marksOf, neighbour, pairOf, rangeOf, tableOf, withColumns } from "./sets";
 
 const row = (rank: number, more: Partial<FrontRow> = {}): FrontRow => ({
   rank, objectives: { f1: rank, f2: -rank }, weighted: null, violation: 0, constraints: { y: 2 }, values: { "f2@plain": -rank }, knee: rank === 2, best_in: rank === 1 ? ["f1"] : [], wins: 0.2, weights: null,
@@ -70,9 +70,4 @@ test("far dominated sets do not press the front into a corner, unless all are as
   expect(rangeOf([0, 10], undefined, [11, 500], true)).toEqual([0, 500]);
   expect(rangeOf([5], undefined, [], false)).toEqual([5, 5]);
   expect(rangeOf([5, 5], undefined, [2, 40], false)).toEqual([2, 40]);
-});
-
-test("the growth of a front is counted from 1, what was stored before from 0", () => {
-  const growth = [{ iteration: -1, hypervolume: 1, size: 3 }, { iteration: 0, hypervolume: null, size: 4 }];
-  expect(growthOf(growth)).toEqual({ x: [0, 1], volumes: [1, null], sizes: [3, 4] });
 });

@@ -2,7 +2,7 @@
 
 import { COLOURS, SERIES } from "../charts/palette";
 import type { Column, Table } from "../server/columns";
-import type { FrontRow, FrontSummary, TradeOff } from "../server/types";
+import type { FrontRow, TradeOff } from "../server/types";
 
 type Value = number | string | boolean | null | undefined;
 
@@ -152,9 +152,4 @@ export function rangeOf(front: readonly number[], baseline: number | undefined, 
 export function isOf({ objectives, parameters }: Pick<TradeOff, "objectives" | "parameters">, first: Pick<FrontRow, "objectives" | "parameters">, second: Pick<FrontRow, "objectives" | "parameters">): boolean {
   const like = (pairs: TradeOff["objectives"], of: "objectives" | "parameters"): boolean => pairs.every((pair) => pair.first === first[of][pair.name] && pair.second === second[of][pair.name]);
   return like(objectives, "objectives") && like(parameters, "parameters");
-}
-
-/** The summary's iterations as a chart counts them: from 1, and 0 for what was stored before. */
-export function growthOf(growth: FrontSummary["growth"]): { x: number[]; volumes: (number | null)[]; sizes: number[] } {
-  return { x: growth.map(({ iteration }) => iteration + 1), volumes: growth.map(({ hypervolume }) => hypervolume), sizes: growth.map(({ size }) => size) };
 }

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { height, joined, leading, moved, normalised, pointOf, segments, shares, sums, triangle, weightsAt, weightsOf, weightsText } from "./weights";
+import { height, leading, moved, normalised, pointOf, segments, shares, sums, triangle, weightsAt, weightsOf, weightsText } from "./weights";
 
 const GOALS = [{ name: "comfort", direction: "maximise", tolerance: 0 }, { name: "jerk", direction: "minimise", tolerance: 0 }];
 const ROWS = [{ objectives: { comfort: 6, jerk: 9 } }, { objectives: { comfort: 5, jerk: 4 } }, { objectives: { comfort: 2, jerk: 1 } }];
@@ -33,13 +33,6 @@ test("weights are written as the API reads them, also of names with a sign of eq
 test("the intervals of two objectives lie beside each other, and sets that never win have none", () => {
   const rows = [{ weights: [[1, 0], [0.6, 0.4]] }, { weights: [] }, { weights: [[0.6, 0.4], [0, 1]] }, { weights: [[0.6, 0.4]] }, { weights: null }];
   expect(segments(rows)).toEqual([{ place: 2, from: 0, to: 0.6 }, { place: 0, from: 0.6, to: 1 }]);
-});
-
-test("segments that are thinner than a pixel are joined and named after the widest", () => {
-  const thin = [{ place: 9, from: 0, to: 0.2 }, { place: 8, from: 0.2, to: 0.21 }, { place: 7, from: 0.21, to: 0.24 }, { place: 6, from: 0.24, to: 0.3 }, { place: 5, from: 0.3, to: 1 }];
-  expect(joined(thin, 0.05)).toEqual([{ place: 9, from: 0, to: 0.2 }, { place: 6, from: 0.2, to: 0.3 }, { place: 5, from: 0.3, to: 1 }]);
-  expect(joined(thin, 0)).toEqual(thin);
-  expect(thin[1]).toEqual({ place: 8, from: 0.2, to: 0.21 });
 });
 
 test("a point of the triangle and its weights are the same thing", () => {

@@ -81,24 +81,6 @@ export function segments(rows: readonly Pick<FrontRow, "weights">[]): Segment[] 
   }).sort((one, other) => one.from - other.from);
 }
 
-/** Neighbouring segments, joined until each has the least width, and named after the widest part: thousands are thinner than a pixel. */
-export function joined(segments: readonly Segment[], least: number): Segment[] {
-  const wide: Segment[] = [];
-  let widest = 0;
-  for (const segment of segments) {
-    const last = wide.at(-1);
-    const width = segment.to - segment.from;
-    if (last && last.to - last.from < least) {
-      if (width > widest) [last.place, widest] = [segment.place, width];
-      last.to = segment.to;
-    } else {
-      wide.push({ ...segment });
-      widest = width;
-    }
-  }
-  return wide;
-}
-
 type Point = [number, number];
 
 /** The corners of a triangle of this width that stands on its side: the first objective at the top, the second left, the third right. */

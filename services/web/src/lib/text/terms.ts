@@ -34,16 +34,8 @@ export function anchorOf(word: Word): string {
   return word in TERMS ? word : "cell";
 }
 
-/** How texts of the server and of settings write the terms. */
-const WRITTEN: readonly [Word, RegExp][] = [
-  ["influence-map", /\binfluence maps?\b/i],
-  ["lot", /\blots?\b/i],
-  ["audit", /\baudit(s|ed)?\b/i],
-  ["reference", /\breferences?\b/i],
-  ["released", /\breleased\b/i],
-  ["sample", /\bsample(?= of each lot)\b/i],
-  ["knee", /\bknee\b/i],
-];
+/** How texts of the server and of settings write the terms; code in backticks is none. */
+const WRITTEN = /`[^`]*`|\b(?:influence map|lot|audit|reference|released|sample(?= of each lot)|knee)(?:s|ed)?\b/gi;
 
 export interface Piece {
   text: string;
@@ -51,23 +43,19 @@ export interface Piece {
   word?: Word;
 }
 
-/** Texts in pieces, with each term marked where it is met first; code in backticks stays as it is. */
+/** Texts in pieces, with each term marked where it is met first. */
 export function explained(texts: readonly string[]): Piece[][] {
-  const open = new Map(WRITTEN);
+  const known = new Set<string>();
   return texts.map((text) => {
     const pieces: Piece[] = [];
-    let rest = text;
-    for (;;) {
-      const code = [...rest.matchAll(/`[^`]*`/g)].map((match): [number, number] => [match.index, match.index + match[0].length]);
-      const next = [...open].map(([word, pattern]) => ({ word, match: pattern.exec(rest) }))
-        .flatMap(({ word, match }) => (match && !code.some(([from, to]) => match.index > from && match.index < to) ? [{ word, at: match.index, text: match[0] }] : []))
-        .sort((one, other) => one.at - other.at)[0];
-      if (next === undefined) break;
-      open.delete(next.word);
-      if (next.at > 0) pieces.push({ text: rest.slice(0, next.at) });
-      pieces.push({ text: next.text, word: next.word });
-      rest = rest.slice(next.at + next.text.length);
+    let from = 0;
+    for (const { 0: found, index } of text.matchAll(WRITTEN)) {
+      const word = found.toLowerCase().replace(/^(audit|lot|reference|influence map)(s|ed)$/, "$1").replace(" ", "-");
+      if (found.startsWith("`") || known.has(word)) continue;
+      known.add(word);
+      pieces.push({ text: text.slice(from, index) }, { text: found, word: word as Word });
+      from = index + found.length;
     }
-    return rest === "" ? pieces : [...pieces, { text: rest }];
+    return [...pieces, { text: text.slice(from) }];
   });
 }
