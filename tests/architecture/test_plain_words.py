@@ -4,7 +4,7 @@ import pytest
 from tests.architecture.plain_words import NAMES, OPENER, PARAMETER, PROSE, patterns_in, phrases_in
 
 CEILINGS = {
-    "services/drivecal": 373,
+    "services/drivecal": 350,
     "services/web": 0,
     "shared/drivecal": 171,
     "workers/drivecal": 22,
