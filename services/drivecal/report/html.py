@@ -5,8 +5,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
-from drivecal.report.blocks import Block, Bullets, Emphasized, Figure, FileLinks, Heading, Number, Paragraph, Table
+from drivecal.report.blocks import Block, Emphasized, Number, Paragraph, Table
 
 SHORT = 16
 """Rows up to which a table stays on one printed page."""
@@ -50,8 +51,8 @@ def document(
     kept = {name: section for name, section in sections.items() if section}
     with_commands = template != "page.html.jinja"
     parts = [
-        *(_MACROS.heading(title), _MACROS.paragraph(subtitle, "sub"), _MACROS.contents(kept)),
-        *(_MACROS.paragraph(text, "warn") for text in warnings if text),
+        *(_MACROS.title(title), _MACROS.paragraph(Paragraph(subtitle, "sub")), _MACROS.contents(kept)),
+        *(_MACROS.paragraph(Paragraph(text, "warn")) for text in warnings if text),
         *(
             _MACROS.section(name, [_drawn(block, with_commands=with_commands) for block in section])
             for name, section in kept.items()
@@ -60,32 +61,23 @@ def document(
     return _ENVIRONMENT.get_template(template).render(title=title, parts=parts, **values)
 
 
-def _drawn(block: Block, *, with_commands: bool) -> str:
+def _drawn(block: Block, *, with_commands: bool) -> Markup:
     """Returns the markup of a block, which the macros have escaped."""
-    html: str
-    if isinstance(block, Table):
-        html = _table(block) + (_MACROS.command(block.command) if with_commands and block.command else "")
-    elif isinstance(block, Figure):
-        html = _MACROS.figure(block.svg, block.caption, block.files)
-    elif isinstance(block, Paragraph):
-        html = _MACROS.paragraph(block.text, block.kind)
-    elif isinstance(block, Bullets):
-        html = _MACROS.bullets(block.items)
-    elif isinstance(block, FileLinks):
-        html = _MACROS.files(block.names)
-    else:
-        html = (_MACROS.subheading if isinstance(block, Heading) else _MACROS.verbatim)(block.text)
-    return html
+    macro = getattr(_MACROS, type(block).__name__.lower())
+    markup: Markup = macro(block, **_cells(block)) if isinstance(block, Table) else macro(block)
+    if with_commands and isinstance(block, Table) and block.command:
+        markup += _MACROS.command(block.command)
+    return markup
 
 
-def _table(table: Table) -> str:
+def _cells(table: Table) -> dict[str, Any]:
     lines = [list(row) for row in table.rows]
     places = range(len(table.header))
-    numeric = [all(isinstance(row[place], (int, float, Number, type(None))) for row in lines) for place in places]
-    cells = [[(cell_text(value), isinstance(value, Emphasized)) for value in row] for row in lines]
-    short = len(lines) <= SHORT
-    html: str = _MACROS.table(table.header, cells, numeric, table.caption, short, table.wrap, table.wrap_header, table.kind)
-    return html
+    return {
+        "rows": [[(cell_text(value), isinstance(value, Emphasized)) for value in row] for row in lines],
+        "numeric": [all(isinstance(row[place], (int, float, Number, type(None))) for row in lines) for place in places],
+        "short": len(lines) <= SHORT,
+    }
 
 
 def cell_text(value: object) -> str:
