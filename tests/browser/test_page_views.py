@@ -206,7 +206,7 @@ def test_a_study_leads_with_what_it_examines_and_what_it_found(shown: Shown, ope
 
 def test_an_overview_says_what_was_asked_for_and_leads_to_the_replay(shown: Shown, opening: Opening) -> None:
     page = opening(shown.at())
-    expect(page.get_by_text("genetic: population 40, iterations 5")).to_be_visible()
+    expect(page.get_by_text(re.compile("genetic: .*population 40, iterations 5"))).to_be_visible()
     page.get_by_role("table", name="Scores by scenario").get_by_role("button").first.click()
     expect(page.get_by_role("heading", level=1)).to_contain_text("S1 · evaluation")
 
