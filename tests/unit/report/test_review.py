@@ -69,7 +69,9 @@ def reviewed(identifier: str = "a" * 32, **given: Any) -> ReviewedSet:
     known: dict[str, Any] = {
         "campaign": CAMPAIGN.model_copy(update={"id": identifier, "baseline": baseline, "released": released}),
         "accounting": None,
-        "trust": ResultTrust(light="amber", verdicts=[verdict("not_better", "amber"), verdict("scores_copied", "amber", scenarios=["S2"])]),
+        "trust": ResultTrust(
+            light="amber", verdicts=[verdict("not_better", "amber"), verdict("scores_copied", "amber", scenarios=["S2"])]
+        ),
         "studies": [robust(CHOSEN)],
     }
     found = results(**known | {name: given.pop(name) for name in list(given) if name in {*known, "setup"}})
