@@ -30,8 +30,9 @@ DESKTOP, PHONE = ViewportSize(width=1280, height=900), ViewportSize(width=390, h
 
 
 def barriers(page: Page, *, contrast_alone: bool = False) -> list[tuple[str, list[str]]]:
-    """Returns what axe-core finds in the page as it is: the rule, and the first elements that break it. Whatever does not fit into the page's
-    width counts as well. Skips where axe-core is not there."""
+    """Returns what axe-core finds in the page as it is: the rule, and the first elements that break it.
+
+    Content that does not fit into the page's width counts as well. Skips where axe-core is not there."""
     if not AXE.is_file():
         pytest.skip("axe-core is not there: `make test` could not fetch it")
     expect(page.get_by_role("main")).not_to_contain_text(BUSY)
