@@ -1,7 +1,6 @@
 """Fixtures that every suite may use: the servers that are too slow to start for each test."""
 
 import gc
-import hashlib
 import os
 import signal
 from collections.abc import Generator, Iterator
@@ -22,7 +21,6 @@ from drivecal.campaigns.resolve.problem import trial
 from drivecal.execution.processes.backend import ProcessBackend
 from drivecal.execution.ray.backend import RayBackend, RayOptions
 from drivecal.execution.supervised import WorkerLimits
-from drivecal.storage import lots
 
 # Everyday examples are the same everywhere, so that a newcomer's first run is no lottery. No test asserts a time: a first example that
 # imports or compiles something may take as long as it likes.
@@ -35,28 +33,6 @@ event.listen(Pool, "checkout", leave_it_to_the_system)
 
 # A shell that runs the tests in the background has SIGINT ignored, and every process that a test starts would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-class Secrets:
-    """The secrets that draw the samples of lots: in the everyday form those of a test are the same in every run."""
-
-    def __init__(self) -> None:
-        self.made = 0
-
-    def token_bytes(self, length: int) -> bytes:
-        """Returns the next secret of the current test."""
-        self.made += 1
-        return hashlib.shake_128(str(self.made).encode()).digest(length)
-
-
-SECRETS = Secrets()
-if not effort.LONG:
-    lots.secrets = SECRETS  # type: ignore[attr-defined, assignment]  # stands for a module of the standard library
-
-
-def pytest_runtest_setup() -> None:
-    """Begins the secrets of a test, before its first fixture."""
-    SECRETS.made = 0
 
 
 # Collecting makes objects by the million that stay to the end: looking through them for garbage takes longer than many tests.

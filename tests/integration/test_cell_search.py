@@ -87,3 +87,12 @@ def test_the_best_set_of_a_search_is_simulated_in_every_scenario(database: Datab
     with database.read() as connection:
         rows = [row for row in results.stream(connection, ended.sequence) if row.parameters.floats == ended.best.parameters]
     assert {row.scenario for row in rows} == {"S1", "S2", "S3"}
+
+
+def test_the_same_search_again_simulates_nothing_and_another_begins_with_what_is_stored(database: Database) -> None:
+    spec: dict[str, Any] = {"optimizer": {"kind": "surrogate"}, "budget": {"simulations": 60}} | WITH_SIX
+    first = carried_out(database, likeness="a", **spec)
+    again = carried_out(database, likeness="a", **spec)
+    other = carried_out(database, likeness="b", weights={"S1": 3.0}, **spec)
+    assert (again.cells.runs, again.cells.repeated, again.best == first.best) == (0, 60, True)
+    assert other.cells.runs == 60

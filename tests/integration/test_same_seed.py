@@ -13,6 +13,7 @@ from tests.support.runs import everything, run, submit
     "optimizer",
     [
         {"kind": "genetic"},
+        {"kind": "surrogate"},
         {"kind": "swarm"},
         {"kind": "random"},
         {"kind": "cma_es"},
@@ -24,8 +25,10 @@ from tests.support.runs import everything, run, submit
 def test_the_same_seed_gives_the_same_campaign(tmp_path: Path, optimizer: dict[str, Any]) -> None:
     def searched(name: str, seed: int) -> tuple[Any, ...]:
         database = migrated(f"sqlite:///{tmp_path / name}.db")
-        chosen = optimizer | {"population": 12, "iterations": 4, "seed": seed}
-        results = everything(database, run(database, submit(database, optimizer=chosen, reduction={"mode": "exact"})))
+        size = {} if optimizer["kind"] == "surrogate" else {"population": 12, "iterations": 4}
+        budget = None if size else {"simulations": 60}
+        chosen = submit(database, optimizer=optimizer | size | {"seed": seed}, budget=budget, reduction={"mode": "exact"})
+        results = everything(database, run(database, chosen))
         database.dispose()
         return results
 

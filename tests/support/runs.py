@@ -83,7 +83,7 @@ def post_map(database: Database, scenarios: dict[str, Any]) -> str:
         return store_posted_map(connection, posted).id
 
 
-def submit(database: Database, *, stored_map: str | None = None, **changes: Any) -> StoredCampaign:
+def submit(database: Database, *, stored_map: str | None = None, likeness: str | None = None, **changes: Any) -> StoredCampaign:
     """Queues `SMALL` with changes, on a stored map where one is given."""
     document = SMALL | changes
     document["reduction"] = {**SMALL["reduction"], **document["reduction"]}
@@ -92,7 +92,7 @@ def submit(database: Database, *, stored_map: str | None = None, **changes: Any)
     specification = CampaignSpecification.model_validate(document)
     with database.transaction() as connection:
         return campaigns.insert(
-            connection, name="test", spec=specification.model_dump(mode="json"), influence_map_id=stored_map
+            connection, name="test", spec=specification.model_dump(mode="json"), influence_map_id=stored_map, likeness=likeness
         )
 
 

@@ -259,10 +259,17 @@ def _queue(
         rerun_of=rerun_of,
         idempotency_key=key,
         body_digest=body_digest,
+        likeness=_likeness(problem),
         priority=specification.priority,
         notes=warnings_of(connection, problem, used, now()),
     )
     return _pinned(connection, stored, problem)
+
+
+def _likeness(problem: CalibrationProblem) -> str:
+    """Returns a digest of everything that decides a search; equal weights are equal, however they are written."""
+    document = problem.specification.model_dump(mode="json", exclude={"name", "priority", "weights"})
+    return digest(canonical_json(document | {"weights": dict(problem.weights)}).encode())
 
 
 def _pinned(connection: Connection, stored: StoredCampaign, problem: CalibrationProblem | EvaluationProblem) -> StoredCampaign:
@@ -313,6 +320,8 @@ def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: Re
         given: BaseModel | None = getattr(changes, section)
         if given is not None:
             document[section] = _merged(document[section], given.model_dump(mode="json", exclude_unset=True))
+    if changes.budget is not None:
+        document["budget"] = changes.budget.model_dump(mode="json")
     for name in ("evaluator", "problem"):
         if getattr(changes, name) is not None:
             document[name] = getattr(changes, name)

@@ -216,12 +216,13 @@ def insert(
     tags: Sequence[str] = (),
     idempotency_key: str | None = None,
     body_digest: str | None = None,
+    likeness: str | None = None,
     priority: int = 0,
     notes: Sequence[str] = (),
 ) -> StoredCampaign:
     """Queues a campaign, or gives the one that an earlier request with the same `idempotency_key` queued.
 
-    `body_digest` identifies the request by all that tells requests apart, the path included.
+    `body_digest` identifies the request by all that tells requests apart, the path included; `likeness` campaigns that search the same.
 
     Raises ConflictError if the earlier request was another one.
     """
@@ -239,6 +240,7 @@ def insert(
         **{f"{stage}_of": (spec.get(stage) or {}).get("of") for stage in ("robustness", "validation")},
         "idempotency_key": idempotency_key,
         "body_digest": body_digest,
+        "likeness": likeness,
         "notes": list(notes),
         "progress": Progress().model_dump(mode="json"),
         "error_rate": {},
@@ -375,6 +377,14 @@ def start(connection: Connection, sequence: int) -> StoredCampaign | None:
         return None
     _tell(connection, sequence, EventKind.RUNNING, CampaignState.RUNNING)
     return by_sequence(connection, sequence)
+
+
+def first_watermark(connection: Connection, sequence: int) -> int:
+    """Returns the watermark of the first campaign that searched the same as a started campaign, or its own."""
+    here = select(campaigns.c.likeness).where(campaigns.c.sequence == sequence).scalar_subquery()
+    alike = (campaigns.c.likeness == here) | (campaigns.c.sequence == sequence)
+    query = select(campaigns.c.watermark).where(alike, campaigns.c.watermark.is_not(None), campaigns.c.sequence <= sequence)
+    return int(connection.scalar(query.order_by(campaigns.c.sequence).limit(1)) or 0)
 
 
 def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> None:

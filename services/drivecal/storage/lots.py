@@ -1,9 +1,9 @@
 """Lots of predicted or reused answers: a batch of a scenario with its sampling plan and, once its sample is simulated, its verdict."""
 
-import secrets
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
+from hashlib import sha256
 from typing import Any
 
 from sqlalchemy import Connection, Row, case, func, select, update
@@ -58,15 +58,11 @@ class StoredLot(NewLot):
         return self.size - self.sample if self.verdict is LotVerdict.RELEASED else 0
 
 
-def secret(connection: Connection, campaign_sequence: int) -> bytes:
-    """Returns the key that draws a campaign's samples, and creates it at the first call."""
-    here = campaigns.c.sequence == campaign_sequence
-    stored = connection.scalar(select(campaigns.c.secret).where(here))
-    if stored is not None:
-        return bytes(stored)
-    created = secrets.token_bytes(16)
-    connection.execute(update(campaigns).where(here).values(secret=created))
-    return created
+def sample_key(connection: Connection, campaign_sequence: int) -> bytes:
+    """Returns the key that draws a campaign's samples: a stream of the campaign's seed that no optimizer and no model draws from."""
+    spec = connection.scalar(select(campaigns.c.spec).where(campaigns.c.sequence == campaign_sequence)) or {}
+    seed = (spec.get("optimizer") or {}).get("seed", 1)
+    return sha256(f"samples of lots, seed {seed}".encode()).digest()[:16]
 
 
 def insert(connection: Connection, campaign_sequence: int, new: Sequence[NewLot]) -> list[int]:

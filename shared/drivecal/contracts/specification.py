@@ -128,7 +128,7 @@ class OptimizerSection(BaseModel):
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
 
-    kind: Identifier = "genetic"
+    kind: Identifier = "surrogate"
     """Its name; `GET /api/v1/optimizers` lists the installed ones."""
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
     start_sets: Annotated[list[Values], Field(max_length=LARGEST_POPULATION, fail_fast=True)] = []

@@ -8,7 +8,7 @@ from tests.support.storage import campaign, new_evaluation, new_run, sample_set_
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.scales import COMFORT
-from drivecal.storage import audits, evaluations, lots, results
+from drivecal.storage import audits, campaigns, evaluations, lots, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import AnsweredCell
 from drivecal.storage.lots import LotVerdict, NewLot
@@ -18,14 +18,12 @@ CALIBRATION = StageName.CALIBRATION
 LOT = NewLot(2, 0, "S1", 3, 1, 0, 0.0, 0.05, 400, 0.25, Outcome.PREDICTED)
 
 
-def test_a_secret_is_made_once_for_each_campaign(database: Database) -> None:
+def test_samples_are_drawn_by_the_seed_of_their_campaign(database: Database) -> None:
     with database.transaction() as connection:
-        first, other = campaign(connection).sequence, campaign(connection).sequence
-        secret = lots.secret(connection, first)
-        assert lots.secret(connection, other) != secret
-    with database.transaction() as connection:
-        assert lots.secret(connection, first) == secret
-    assert len(secret) == 16
+        one, same, other = (
+            campaigns.insert(connection, name="seeded", spec={"optimizer": {"seed": seed}}).sequence for seed in (1, 1, 2)
+        )
+        assert lots.sample_key(connection, one) == lots.sample_key(connection, same) != lots.sample_key(connection, other)
 
 
 def test_lots_keep_their_order_and_wait_for_their_verdict(database: Database) -> None:

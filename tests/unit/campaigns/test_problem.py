@@ -26,7 +26,7 @@ def test_the_default_campaign_is_the_papers_problem() -> None:
     assert problem.scenarios == ("S1", "S2", "S3", "S4", "S5", "S6")
     assert problem.space.names == tuple(f"P{i}" for i in range(1, 12))
     assert sum(problem.weights.values()) == pytest.approx(1.0)
-    assert problem.expected_runs().calibration_proposed == 120_000
+    assert problem.expected_runs().calibration_at_most == 600
     assert len({setup.fingerprint for setup in problem.bench.setups.values()}) == 6
 
 

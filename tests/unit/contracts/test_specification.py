@@ -93,7 +93,7 @@ def test_an_empty_file_is_the_papers_problem() -> None:
     found = CampaignSpecification.model_validate({})
     assert found.catalogue == found.parameters == "highway"
     assert found.optimizer is not None
-    assert (found.optimizer.kind, found.optimizer.model_extra, found.budget) == ("genetic", {}, None)
+    assert (found.optimizer.kind, found.optimizer.model_extra, found.budget) == ("surrogate", {}, None)
     assert found.sensitivity is None
     assert (found.reduction.mode, found.reduction.tolerance_on(COMFORT), found.reduction.limit) == ("predicted", 0, 0.05)
     assert (found.reduction.certified, found.reduction.confirm) == (True, 20)

@@ -76,7 +76,7 @@ class Inspection:
     def _draw(self, connection: Connection, lot: _OpenLot) -> dict[int, StoredEvaluation]:
         cells = sorted(lot.members.values(), key=lambda cell: cell.individual)
         identities = [f"{cell.scenario}:{cell.iteration}:{cell.individual}".encode() for cell in cells]
-        chosen = [cells[place] for place in draw(identities, lot.plan.sample, lots.secret(connection, self._campaign))]
+        chosen = [cells[place] for place in draw(identities, lot.plan.sample, lots.sample_key(connection, self._campaign))]
         for cell in chosen:
             del lot.members[cell.id]
             lot.sampled.add(cell.id)

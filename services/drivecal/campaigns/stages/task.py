@@ -12,6 +12,7 @@ from drivecal.domain.parameters import Indices, ParameterSet
 from drivecal.optimizers.population import start_population
 from drivecal.plugins.search import AskedCell, CellAnswer, SearchTask
 from drivecal.reduction.narrowing import SearchArea
+from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import runs
 
@@ -62,9 +63,10 @@ def _known(
     """Returns the stored answers of sets in the area, in the order of references."""
     evaluator, answers = view.bench.evaluator_id, []
     with database.transaction() as connection:
+        watermark = campaigns.first_watermark(connection, view.campaign)  # the same again is the same
         setups = ensure_setups(connection, view.bench)
         for place, scenario in enumerate(problem.scenarios):
-            stored = runs.rated(connection, setups[scenario], evaluator, view.watermark, MOST_KNOWN)
+            stored = runs.rated(connection, setups[scenario], evaluator, watermark, MOST_KNOWN)
             measured = {} if problem.goals is None else runs.values_of(connection, [run.evaluation for run in stored])
             for run in stored:
                 indices = _place_in(area, run.parameters)

@@ -17,7 +17,7 @@ from typing import Any
 import typer
 
 from drivecal.cli.application import ExitCode, JsonOption, app, tell
-from drivecal.cli.views.output import duration, print_blocks, print_cells, print_json, print_solutions, saved
+from drivecal.cli.views.output import duration, print_blocks, print_cells, print_columns, print_json, print_solutions, saved
 from drivecal.cli.views.progress import show_until_ended
 from drivecal.client.client import Client
 from drivecal.configuration.settings import load_settings
@@ -153,8 +153,17 @@ BASELINE: dict[str, float] = {
 CAMPAIGN: Mapping[str, Any] = {
     "name": "demo: comfort in six motorway scenarios",
     "baseline": BASELINE,
-    "optimizer": {"kind": "genetic", "population": 150, "iterations": 12, "seed": 1},
+    "budget": {"simulations": 600},
 }
+PAPER: Mapping[str, Any] = {
+    "optimizer": {"kind": "genetic", "population": 1000, "iterations": 20},
+    "reduction": {"mode": "exact"},
+}
+"""The paper's search, of which the demo shows the cost."""
+RERUN: Mapping[str, Any] = {"simulations": 150}
+"""Budget of the second campaign, which begins with what the first has simulated."""
+MARKS = (50, 100, 200, 300, 450, 600)
+"""Simulations after which the course of the search is shown."""
 OTHER_WEIGHTS = {"S1": 3, "S2": 3}
 SHOWN = 5
 """Number of printed solutions."""
@@ -188,17 +197,16 @@ def demo(as_json: JsonOption = False) -> None:
 
 
 def _first(client: Client, as_json: bool) -> Campaign:
-    expected = client.expected_runs(CAMPAIGN)
-    optimizer = CAMPAIGN["optimizer"]
+    paper = client.expected_runs(PAPER)
     tell(
-        f"submitting a campaign: {optimizer['population']} individuals x 6 scenarios x {optimizer['iterations']} iterations = "
-        f"{expected.calibration_proposed:,} cells, a parameter set in a scenario each; the optimizer changes at most "
-        f"{expected.calibration_at_most:,} of them"
+        f"submitting a campaign with a budget of {CAMPAIGN['budget']['simulations']} simulations, of a parameter set in one of six"
+        f" scenarios each; the paper's search requests at most {paper.calibration_at_most:,} such cells"
     )
     campaign = _carried_out(client, client.submit(CAMPAIGN))
     if not as_json:
         _print_best(client, campaign, "The best parameter sets, with the comfort score (0 to 7) in each scenario")
         _print_comparison(campaign)
+        _print_course(client, campaign)
         results = client.results(campaign.id)
         _print_answers("How its cells were answered", campaign=campaign)
         print_blocks(trust_blocks(results.trust))
@@ -209,10 +217,10 @@ def _first(client: Client, as_json: bool) -> Campaign:
 
 def _second(client: Client, first: Campaign, as_json: bool) -> Campaign:
     tell("running it again with lane changes (S1, S2) weighing three times as much")
-    campaign = _carried_out(client, client.rerun(first.id, {"weights": OTHER_WEIGHTS}))
+    campaign = _carried_out(client, client.rerun(first.id, {"weights": OTHER_WEIGHTS, "budget": dict(RERUN)}))
     if not as_json:
         _print_best(client, campaign, "The best sets when lane changes weigh three times as much")
-        _print_answers("What the first campaign had simulated was not simulated again", campaign=first, rerun=campaign)
+        _print_answers("The second search began with what the first had simulated", campaign=first, rerun=campaign)
     return campaign
 
 
@@ -243,6 +251,16 @@ def _print_comparison(campaign: Campaign) -> None:
         f"\nThe middle of all ranges scores {campaign.baseline.objective:.3f}; the best is {better:.3f} better, "
         f"and {campaign.best.alternatives} sets share it."
     )
+
+
+def _print_course(client: Client, campaign: Campaign) -> None:
+    """Prints the best objective after some numbers of simulations."""
+    simulated, rows = 0, dict[int, float | None]()
+    for row in client.rows(campaign.id, "generations"):
+        simulated += row["simulated"] + row["failed"]
+        rows |= {mark: row["best"] for mark in MARKS if simulated >= mark and mark not in rows}
+    typer.echo("\nThe course of the search:\n")
+    print_columns(["simulations", "best"], [(mark, "-" if best is None else f"{best:.3f}") for mark, best in rows.items()])
 
 
 def _print_end(campaign: Campaign, folder: Path, seconds: float) -> None:

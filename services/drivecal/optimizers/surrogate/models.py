@@ -102,7 +102,7 @@ class Output:
 
 
 @dataclass(frozen=True, slots=True)
-class Prediction:
+class Belief:
     """Distribution of a scenario's values at n sets."""
 
     means: Floats
@@ -132,18 +132,18 @@ class ScenarioModel:
         if len(failed):
             self._failure.learn(features, failed.astype(np.float64), self._owners, pending[:0], Warp(), known)
 
-    def predict(self, features: Floats, *, pending: bool) -> Prediction:
+    def predict(self, features: Floats, *, pending: bool) -> Belief:
         """Predicts n sets. Pending points shrink the deviation or do not."""
         predictions = [output.predict(features, pending=pending) for output in self._outputs]
         label, unsure = self._failure.predict(features, pending=False)
         failing = label if self._failure.process is None else ndtr((label - 0.5) / np.sqrt(unsure**2 + 0.04))
-        return Prediction(
+        return Belief(
             np.stack([means for means, _ in predictions], axis=1),
             np.stack([deviations for _, deviations in predictions], axis=1),
             np.clip(failing, 0.0, 1.0),
         )
 
-    def values(self, prediction: Prediction, normal: Floats, uniform: Floats) -> Floats:
+    def values(self, prediction: Belief, normal: Floats, uniform: Floats) -> Floats:
         """Returns draws of the values, shape (n_draws, n, n_values), from standard normal numbers, shape (n_draws, 1 or n, n_values), and
         uniform ones, shape (n_draws, 1 or n)."""
         warped = prediction.means + prediction.deviations * normal

@@ -1,13 +1,15 @@
 """`optimizer: {kind: surrogate}`."""
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from drivecal.optimizers.surrogate.search import SurrogateSearch
 from drivecal.plugins.ports import Ability
-from drivecal.plugins.search import AskedCell, CellAnswer, SearchPlugin, SearchTask
+from drivecal.plugins.search import AskedCell, CellAnswer, Search, SearchPlugin, SearchTask
+
+if TYPE_CHECKING:
+    from drivecal.optimizers.surrogate.search import SurrogateSearch
 
 
 class SurrogateSettings(BaseModel):
@@ -26,8 +28,15 @@ class SurrogatePlugin:
     settings: type[BaseModel] = SurrogateSettings
     supports: frozenset[Ability] = frozenset(get_args(Ability))
 
-    def begin(self, settings: BaseModel, task: SearchTask) -> SurrogateSearch:
+    def begin(self, settings: BaseModel, task: SearchTask) -> Search:
         """Begins a search."""
+        return self._begin(settings, task)
+
+    def _begin(self, settings: BaseModel, task: SearchTask) -> "SurrogateSearch":
+        from drivecal.optimizers.surrogate.search import (
+            SurrogateSearch,  # scipy takes seconds, which not every command need pay
+        )
+
         if not isinstance(settings, SurrogateSettings):
             raise TypeError(f"settings must be {SurrogateSettings.__name__}, not {type(settings).__name__}")
         return SurrogateSearch(settings.seed, task)
@@ -39,9 +48,9 @@ class SurrogatePlugin:
         rounds: Sequence[Sequence[AskedCell]],
         answers: Sequence[Sequence[CellAnswer]],
         state: Mapping[str, Any],
-    ) -> SurrogateSearch:
+    ) -> Search:
         """Returns the search after these rounds."""
-        search = self.begin(settings, task)
+        search = self._begin(settings, task)
         search.restore(rounds, answers, state)
         return search
 

@@ -70,6 +70,7 @@ campaigns = Table(
     Column("validation_of", Name),
     Column("idempotency_key", Name, unique=True),
     Column("body_digest", Name),
+    Column("likeness", Name),  # campaigns that search the same have the same (`campaigns.first_alike`)
     Column("watermark", Identity),
     Column("degraded", Text),
     Column("error", Text),
@@ -77,8 +78,6 @@ campaigns = Table(
     Column("progress", Document, nullable=False),
     Column("error_rate", Document, nullable=False),
     Column("released", Document),
-    # Draws the samples of lots; no user reads it, because who knows it knows which predictions are checked.
-    Column("secret", LargeBinary),
     Column("best", Document),
     Column("search", Document),
     Column("confirmation", Document),
@@ -95,7 +94,7 @@ campaigns = Table(
     Column("pruned", Document),  # when most of its cells were removed, what stayed and was known (`storage.retention`)
     *(
         _partial_index(None, name, where=f"{name} IS NOT NULL")
-        for name in ("rerun_of", "influence_map_id", "robustness_of", "validation_of")
+        for name in ("rerun_of", "influence_map_id", "robustness_of", "validation_of", "likeness")
     ),
     # Lists show these: without it, a page reads past every single evaluation.
     _partial_index("ix_campaigns_listed", "sequence", where="kind <> 'evaluation'"),
