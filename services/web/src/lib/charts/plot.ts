@@ -1,6 +1,6 @@
 /** Where the marks of a chart lie: scales, ticks and paths, in pixels from the upper left corner. */
 
-import type { Sheet } from "../server/csv";
+import type { Sheet } from "../server/columns";
 import { nearestTo, ticks } from "./geometry";
 
 export interface Series {

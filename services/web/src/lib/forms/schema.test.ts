@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { Broken } from "../server/problems";
+import { Broken } from "./faults";
 import { changed, describe, differences, emptyText, insteadWith, listText, others, pairsText, withDefault, written, writtenList, writtenPairs, type Definitions } from "./schema";
 
 const DEFINITIONS: Definitions = {

@@ -1,6 +1,6 @@
 /** Forms from the API's own description: what a JSON schema says of a value, as a field for it. */
 
-import { Broken } from "../server/problems";
+import { Broken } from "./faults";
 
 export interface Schema {
   $ref?: string;

@@ -1,7 +1,5 @@
 /** Whole tables of the API in little memory: they come as CSV, piece by piece, and are kept column by column. */
 
-import { unmarked } from "./csv";
-
 export interface NumberColumn {
   kind: "number";
   name: string;
@@ -156,4 +154,27 @@ export function extent(table: Table, name: string): [number, number] | null {
     if (value > high) high = value;
   }
   return low <= high ? [low, high] : null;
+}
+
+/** The numbers of a drawing. */
+export interface Sheet {
+  head: readonly string[];
+  rows: readonly (readonly (string | number | null)[])[];
+}
+
+/** Texts that a spreadsheet would carry out as a formula begin with an apostrophe, as in the server's files. */
+const isFormula = (text: string): boolean => /^[=+\-@\t\r]/.test(text) && Number.isNaN(Number(text));
+
+/** A text of a file without the apostrophe that marks it as no formula. */
+function unmarked(text: string): string {
+  return text.startsWith("'") && isFormula(text.slice(1)) ? text.slice(1) : text;
+}
+
+export function csvOf(sheet: Sheet): string {
+  const field = (value: string | number | null): string => {
+    const plain = value === null ? "" : String(value);
+    const text = isFormula(plain) ? `'${plain}` : plain;
+    return /[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
+  };
+  return [sheet.head, ...sheet.rows].map((row) => row.map(field).join(",")).join("\n") + "\n";
 }
