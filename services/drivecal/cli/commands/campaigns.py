@@ -48,7 +48,7 @@ MaybeCampaign = Annotated[
 ]
 MOST_TAGGED = 1_000
 _DONE: Mapping[Action, tuple[str, ...]] = {"pause": ("paused",), "resume": ("queued", "running"), "cancel": ("cancelled",)}
-"""States in which an action has nothing left to do."""
+"""States for which an action has nothing left to do."""
 
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the file and count the runs, submit nothing.")]
 
@@ -293,7 +293,7 @@ def kind_text(campaign: Campaign) -> str:
 
 
 def counted(campaign: Campaign) -> CellCounts:
-    """Returns the cells of the search; of a campaign without one, those of all its stages together."""
+    """Returns the cells of the search; without a search the cells of all stages together."""
     if campaign.cells.proposed:
         return campaign.cells
     fields = CellCounts.model_fields

@@ -1,14 +1,14 @@
 """The command that compares optimizers and reductions."""
 
-import time
 from collections.abc import Sequence
 from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import ExitCode, JsonOption, UrlOption, WaitTimedOutError, app, connect, tell
+from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption
 from drivecal.cli.views.output import duration, print_answer, print_columns
+from drivecal.cli.views.progress import attached, pauses
 from drivecal.client.client import Client
 from drivecal.client.documents import opened_document
 from drivecal.contracts.comparison import ComparedGroup, Comparison, ExpectedComparison, ReductionEffect
@@ -57,22 +57,15 @@ def compare_optimizers(
 
 def _wait_for(client: Client, comparison: Comparison, timeout: float | None) -> Comparison:
     """Reports the number of ended campaigns until all have ended. Raises WaitTimedOutError after `timeout` seconds."""
-    deadline = None if timeout is None else time.monotonic() + timeout
-    come_back = f"the campaigns go on; `drivecal cancel --tag {comparison.tag}` ends them"
-    ended = -1
-    try:
+    asking, ended = pauses(SECONDS_BETWEEN_LOOKS, timeout), -1
+    with attached(f"the campaigns go on; `drivecal cancel --tag {comparison.tag}` ends them", timeout):
         while True:
             if ended != (ended := sum(CampaignState(run.state).ended for run in comparison.runs)):
                 tell(f"{ended} of {len(comparison.runs)} campaigns have ended")
             if ended == len(comparison.runs):
                 return comparison
-            if deadline is not None and time.monotonic() >= deadline:
-                raise WaitTimedOutError(f"not ended after {duration(timeout or 0)}: {come_back}")
-            time.sleep(SECONDS_BETWEEN_LOOKS)
+            next(asking)
             comparison = client.comparison(comparison.tag)
-    except KeyboardInterrupt as error:
-        tell(f"detached: {come_back}")
-        raise typer.Exit(ExitCode.INTERRUPTED) from error
 
 
 def _exit_code(comparison: Comparison) -> ExitCode:

@@ -71,7 +71,7 @@ def upgrade(database_url: DatabaseOption = None, as_json: JsonOption = False) ->
 
 @database.command()
 def check(full: FullOption = False, database_url: DatabaseOption = None, as_json: JsonOption = False) -> None:
-    """Say whether the database is current and whole. Only reads, beside a running server too; exit status 1 if not."""
+    """Say whether the database is current and whole. Only reads, and may do so while a server runs; exit status 1 if not."""
     with _opened(database_url) as (_, opened):
         opened.check()
         report = _verified(opened, full=full)
@@ -133,7 +133,7 @@ def prune(
     database_url: DatabaseOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Remove cells and runs of old campaigns, but for their best sets and what other campaigns refer to. A server may work beside it."""
+    """Remove cells and runs of old campaigns, but for their best sets and what other campaigns refer to. A server may run meanwhile."""
     from drivecal.campaigns import retention
     from drivecal.storage.engine.types import now
 

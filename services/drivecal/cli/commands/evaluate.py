@@ -1,25 +1,14 @@
 """`drivecal evaluate`: drives one parameter set."""
 
-import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import (
-    CampaignArgument,
-    ExitCode,
-    JsonOption,
-    UrlOption,
-    WaitTimedOutError,
-    app,
-    code_of_state,
-    connect,
-    tell,
-)
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, tell
 from drivecal.cli.views import time_series
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_evaluation
+from drivecal.cli.views.progress import attached, pauses
 from drivecal.cli.views.time_series import RecordedScenario, measurement, require_library, run_facts
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments, settings, value_text
@@ -97,24 +86,13 @@ def evaluate(
     raise typer.Exit(code_of_state(evaluation.state))
 
 
-def _pauses(timeout: float | None, message: str) -> Iterator[None]:
-    """Pauses before each question. Raises WaitTimedOutError after `timeout` seconds."""
-    deadline = None if timeout is None else time.monotonic() + timeout
-    while deadline is None or time.monotonic() <= deadline:
-        time.sleep(SECONDS_BETWEEN_QUESTIONS)
-        yield
-    raise WaitTimedOutError(message)
-
-
 def _ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Evaluation:
-    pauses = _pauses(timeout, f"evaluation {evaluation.id} has no result after {timeout or 0:g} s; it goes on")
-    try:
+    goes_on = f"evaluation {evaluation.id} goes on; `drivecal show {evaluation.id}` prints it, `drivecal cancel {evaluation.id}` ends it"
+    asking = pauses(SECONDS_BETWEEN_QUESTIONS, timeout)
+    with attached(goes_on, timeout):
         while not CampaignState(evaluation.state).ended:
-            next(pauses)
+            next(asking)
             evaluation = client.evaluation(evaluation.id)
-    except KeyboardInterrupt as error:
-        tell(f"detached: evaluation {evaluation.id} continues; end it with `drivecal cancel {evaluation.id}`")
-        raise typer.Exit(ExitCode.INTERRUPTED) from error
     return evaluation
 
 
@@ -123,9 +101,10 @@ def trace_of(client: Client, evaluation: str, timeout: float | None = None) -> T
 
     Raises WaitTimedOutError after `timeout` seconds.
     """
-    pauses = _pauses(timeout, f"the time series of evaluation {evaluation} are not there after {timeout or 0:g} s; ask again")
-    while (trace := client.trace(evaluation)) is None:
-        next(pauses)
+    asking = pauses(SECONDS_BETWEEN_QUESTIONS, timeout)
+    with attached(f"the time series of evaluation {evaluation} are still being made; ask again", timeout):
+        while (trace := client.trace(evaluation)) is None:
+            next(asking)
     return trace
 
 

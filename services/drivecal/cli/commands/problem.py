@@ -224,7 +224,7 @@ def _print_check(report: Mapping[str, Any], checked: Sequence["CheckedScenario"]
 
 
 def _doubts_elsewhere(manifest: "Manifest", checked: Sequence["CheckedScenario"]) -> list[str]:
-    """Returns a warning for each scenario in which the other set alone has no result or a score without a value, or another result in a
+    """Returns a warning for each scenario where the other set alone has no result or a score without a value, or another result in a
     new process."""
     warnings = []
     for result in checked:

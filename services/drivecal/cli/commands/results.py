@@ -285,7 +285,7 @@ def _print(pieces: Iterator[bytes], stream: TextIO) -> None:
 @contextmanager
 def _whole_or_not_at_all(path: Path) -> Iterator[BinaryIO]:
     """Opens a file that appears under its name only when it is complete. Devices and pipes are written as they are."""
-    is_special = path.exists() and not path.is_file()  # before links are followed: those of /dev/stdout lead nowhere
+    is_special = path.exists() and not path.is_file()  # before links are followed: /dev/stdout links to nothing
     path = path if is_special else path.resolve()
     written = path if is_special else path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

@@ -53,8 +53,8 @@ def _bench(campaign: Campaign) -> dict[str, Any]:
 
 
 def known(client: Client, campaign: Campaign, wanted: Wanted) -> Campaign | None:
-    """Returns the campaign that made the wanted study: itself, else the newest, if it succeeded; one that makes it now is followed to its
-    end. None without a study."""
+    """Returns the campaign that made the wanted study: itself, else the newest, if it succeeded; a campaign that makes it now is
+    followed to its end. None without a study."""
     if campaign.state == CampaignState.SUCCEEDED and campaign.spec.get(wanted.stage) and wanted.is_made_by(campaign):
         return campaign
     for study in client.studies(campaign.id).items:

@@ -33,7 +33,7 @@ from drivecal.report.sections import (
 Shown = TypeVar("Shown", bound=BaseModel)
 
 OUTCOME_COLOURS = dict(zip(OUTCOMES, ("#e69f00", "#56b4e9", "#3f9fe0", "#cc79a7", "#d55e00"), strict=True))
-"""Colours on terminals, those of the page on a dark ground."""
+"""Colours on terminals: the same as on the page with a dark ground."""
 
 
 def dumped(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:

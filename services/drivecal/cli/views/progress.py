@@ -105,14 +105,31 @@ def follow(client: Client, identifier: str, timeout: float | None = None, *, fro
     come_back = (
         f"the campaign goes on; come back with `drivecal watch {identifier}`, end it with `drivecal cancel {identifier}`"
     )
-    try:
+    with attached(come_back, timeout):
         deadline = None if timeout is None else time.monotonic() + timeout
         return show_until_ended(client, identifier, deadline, from_beginning=from_beginning)
+
+
+@contextmanager
+def attached(come_back: str, timeout: float | None) -> Iterator[None]:
+    """Says how to `come_back` to what goes on, after Ctrl-C, which ends the command, and after a TimeoutError, for which it raises
+    WaitTimedOutError."""
+    try:
+        yield
     except KeyboardInterrupt as error:
         tell(f"detached: {come_back}")
         raise typer.Exit(ExitCode.INTERRUPTED) from error
     except TimeoutError as error:
         raise WaitTimedOutError(f"not ended after {duration(timeout or 0)}: {come_back}") from error
+
+
+def pauses(seconds: float, timeout: float | None) -> Iterator[None]:
+    """Pauses for `seconds` before each question. Raises TimeoutError after `timeout` seconds."""
+    deadline = None if timeout is None else time.monotonic() + timeout
+    while deadline is None or time.monotonic() <= deadline:
+        time.sleep(seconds)
+        yield
+    raise TimeoutError
 
 
 def show_until_ended(

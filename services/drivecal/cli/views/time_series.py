@@ -30,7 +30,7 @@ _UNPRINTABLE = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010fff
 
 @dataclass(frozen=True, slots=True)
 class RecordedScenario:
-    """The time series of a run in a scenario. `facts`: what the file says of the run; `units`: of a bundle's series, by name."""
+    """The time series of a run in a scenario. `facts` stand in the file; `units` are the units of a bundle's series, by name."""
 
     scenario: str
     trace: TraceAnswer | SeriesAnswer
