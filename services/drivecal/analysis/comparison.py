@@ -48,7 +48,7 @@ class Course:
     simulations: Sequence[int]
     ended: bool
     reused: bool = False
-    """Whether references or predictions answered any cell."""
+    """True if references or predictions answered any cell."""
     simulated_best: float | None = None
     """Then: the best objective of a set whose every score was simulated for itself."""
     confirmations: int = 0
@@ -109,7 +109,7 @@ def best_of(objectives: Iterable[float | None], sign: int = 1) -> float | None:
 
 
 def succeeds(course: Course, best: float | None, sign: int = 1) -> bool:
-    """Whether a run found an optimum as good as `best`."""
+    """Returns whether a run found an optimum as good as `best`."""
     return best is not None and course.optimum is not None and sign * (course.optimum - best) >= -EQUAL
 
 

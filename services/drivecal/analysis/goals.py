@@ -110,7 +110,7 @@ class Objective(Goal):
     unit: str = "1"
 
     def is_weighted_mean(self, shares: Mapping[str, float]) -> bool:
-        """Whether it is the mean of the campaign's score with these weights (Eq. 6)."""
+        """Returns whether it is the mean of the campaign's score with these weights (Eq. 6)."""
         same = self.shares.keys() == shares.keys() and all(isclose(self.shares[name], share) for name, share in shares.items())
         return self.value.key == SCORE and self.aggregate.kind == "mean" and same
 
@@ -198,7 +198,7 @@ class Goals:
 
     @property
     def is_vector(self) -> bool:
-        """Whether an optimizer needs the ability `objectives`."""
+        """True if an optimizer needs the ability `objectives`."""
         return len(self.objectives) > 1 or bool(self.bounds)
 
     def values(self, measures: Mapping[str, float | None], failure: str | None) -> dict[str, float]:

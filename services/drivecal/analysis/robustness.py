@@ -71,7 +71,7 @@ def deviation(nominal: Floats, scores: Floats, condition: Condition, least: floa
 
 
 def holds(deviations: Floats, settings: RobustnessSettings) -> bool:
-    """Whether the condition holds in every scenario. A vehicle without a result cannot be vouched for: it does not hold then."""
+    """Returns whether the condition holds in every scenario. A vehicle without a result cannot be vouched for: it does not hold then."""
     within = deviations <= settings.eta if settings.condition == "max" else deviations < settings.eta
     return bool(within.all())  # a comparison with NaN is false
 

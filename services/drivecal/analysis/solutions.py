@@ -137,7 +137,7 @@ class Ranking:
         return self._front(self._solutions.values())
 
     def reaches_front(self, cells: Mapping[str, CellScore]) -> bool:
-        """Whether no set with scores of its own dominates one with these cells, nor has the same objectives. Needs goals."""
+        """Returns whether no set with scores of its own dominates one with these cells, nor has the same objectives. Needs goals."""
         if self._goals is None:
             raise ValueError("there are no goals")
         judgement = self._goals.judge(cells)
@@ -224,7 +224,7 @@ class Ranking:
 
 
 def _counts_more(new: CellScore, known: CellScore | None) -> bool:
-    """Whether an answer takes the place of another one for the same cell: a result counts more than none, an own one than a copy,
+    """Returns whether an answer takes the place of another one for the same cell: a result counts more than none, an own one than a copy,
     a copy than a prediction, an earlier one than a later one."""
     if known is None:
         return True

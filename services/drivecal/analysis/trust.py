@@ -63,7 +63,7 @@ class BesideBaseline:
 
     @property
     def is_alike(self) -> bool:
-        """Whether the difference does not count."""
+        """True if the difference does not count."""
         return abs(self.gain) <= max(EQUAL, self.tolerance)
 
 

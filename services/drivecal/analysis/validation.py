@@ -74,7 +74,7 @@ class Coverage:
 
     @property
     def complete(self) -> bool:
-        """Whether all effects are covered."""
+        """True if all effects are covered."""
         return self.covered == self.effects
 
 

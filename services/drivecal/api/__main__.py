@@ -41,7 +41,7 @@ def main() -> int:
         else:
             family = socket.AF_INET6 if ":" in arguments.host else socket.AF_INET
             created = socket.create_server((arguments.host, arguments.port), family=family)
-            listener = socket.socket(fileno=created.detach())  # with its protocol, by which asyncio sends small answers at once
+            listener = socket.socket(fileno=created.detach())  # with its protocol: asyncio then sends small answers at once
         check_exposure(listener.getsockname()[0], settings)
         server = Server(configuration(create_app(settings, _pushing(settings, listener.getsockname()[0]))))
     except (DrivecalError, OSError) as error:

@@ -66,7 +66,7 @@ def _first_objective(stored: StoredCampaign) -> FirstObjective | None:
 
 
 def state_of(stored: StoredCampaign | ProgressSnapshot) -> CampaignState:
-    """Returns the state of a campaign as clients see it: one that is asked to cancel counts as cancelling already."""
+    """Returns the state of a campaign as clients see it: it counts as cancelling as soon as it is asked to cancel."""
     asked = stored.requested_action == "cancel" and not stored.state.ended
     return CampaignState.CANCELLING if asked else stored.state
 

@@ -35,7 +35,7 @@ ASSUMED_MILLISECONDS = 8.0
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """A simulation occupies a worker for so many `milliseconds`, `measured` in these setups or else assumed; `workers`: None if the
+    """A simulation occupies a worker for `milliseconds`, `measured` in these setups or else assumed; `workers`: None if the
     dispatcher is silent."""
 
     milliseconds: float
@@ -43,7 +43,7 @@ class Pace:
     workers: int | None
 
     def seconds(self, simulations: int) -> float | None:
-        """Returns the time of so many simulations; None without workers."""
+        """Returns the time that simulations take; None without workers."""
         return None if self.workers is None else simulations * self.milliseconds / 1000 / self.workers
 
 

@@ -45,7 +45,7 @@ class _Block:
         return any(token.text == keyword and not token.is_string for token in self.tokens[9:])
 
     def after(self, keyword: str, first: int) -> list[str]:
-        """Returns the texts behind a keyword from position `first` on, empty if it is missing."""
+        """Returns the texts behind a keyword, at position `first` or later; empty if it is missing."""
         for position in range(first, len(self.tokens)):
             if self.tokens[position].text == keyword and not self.tokens[position].is_string:
                 return [token.text for token in self.tokens[position + 1 : position + 8]]
@@ -214,7 +214,7 @@ class _Raster:
     offset: float = 0.0
 
     def first_from(self, lower: float) -> float:
-        """Returns the least value of the raster from a limit on; the limit itself if it is on the raster."""
+        """Returns the least value of the raster that is not below a limit."""
         count = (lower - self.offset) / self.step
         if not math.isfinite(count):
             return lower

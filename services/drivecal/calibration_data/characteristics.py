@@ -18,7 +18,7 @@ class Characteristic:
     """A scalar value of a control unit. What a file does not say is None or empty.
 
     `value`: a number, or the text of a choice, in physical units. `lower`, `upper`, `step`: limits and resolution. `choices`: texts of an
-    enumeration, with their numbers in `codes`. `line`: where it is in its file. `fault`: the reason why it cannot become a parameter; the
+    enumeration, with their numbers in `codes`. `line` is its line in the file. `fault`: the reason why it cannot become a parameter; the
     other characteristics of its file can.
     """
 
@@ -40,7 +40,7 @@ class Characteristic:
 class Quality:
     """Quality data of a chosen set, in the terms of CDF's history.
 
-    `state`: maturity, e.g. `calibrated`; `date`: ISO 8601; `figures`: what is known of the set, by name, e.g. `score S1`.
+    `state`: maturity, e.g. `calibrated`; `date`: ISO 8601; `figures`: known numbers of the set, by name, e.g. `score S1`.
     """
 
     state: str

@@ -24,7 +24,8 @@ class RankedBy:
 def characteristics_of(
     values: Mapping[str, float | str], parameters: Sequence[SearchedParameter], labels: Mapping[str, str]
 ) -> list[Characteristic]:
-    """Returns the values of a parameter set under their labels, in the order of the parameters. `labels`: by parameter; else its name."""
+    """Returns the values of a parameter set under their labels, in the order of the parameters. Parameters without one among
+    the `labels` keep their names."""
     return [
         Characteristic(
             labels.get(parameter.name, parameter.name),
@@ -105,7 +106,7 @@ def solution_figures(known: CampaignResults, chosen: Solution, ranked_by: Ranked
 def front_figures(
     known: CampaignResults, chosen: FrontRow, summary: FrontSummary, weights: Mapping[str, float] | None
 ) -> Iterator[tuple[str, str]]:
-    """Yields what is known of a set of the front. `weights`: those of the objectives that rank, None if the first objective does."""
+    """Yields what is known of a set of the front. `weights`: weights of the objectives; None if the first objective alone ranks."""
     for name, amount in chosen.objectives.items():
         yield f"objective {name}", _number(amount)
     baseline = {} if summary.baseline is None else summary.baseline.objectives

@@ -35,7 +35,7 @@ def write(form: CalibrationFormat, characteristics: Sequence[Characteristic], qu
 
 
 def labels_of(document: object, parameters: Sequence[str] | None = None) -> dict[str, str]:
-    """Returns a checked file of names, the label of each parameter: `{P1: ACC_tGap_C}`. `parameters`: those that there are, if known."""
+    """Returns a checked file of names, the label of each parameter: `{P1: ACC_tGap_C}`. `parameters`: the existing parameters, if known."""
     if not isinstance(document, dict):
         raise InvalidInputError(Problem("--names", "it is not a list of names", "give lines such as P1: ACC_tGap_C"))
     problems, used = [], dict[str, str]()

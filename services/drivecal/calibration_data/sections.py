@@ -18,14 +18,14 @@ MOST_PARAMETERS = 200
 SINGLE = 2.0**-23
 """Relative precision of a number of 32 bits."""
 CHANGE = 1e-6
-"""Share of its range by which a value may change when it is written with nine decimals."""
+"""Largest change of a value that is written with nine decimals, as a share of its range."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
 
 
 @dataclass(slots=True)
 class Sections:
     """`parameters` and `baseline`, ready for `problem.yaml`. `guessed`: parameters whose range is only a span around their value.
-    `left_out`: texts whose choices no file has, e.g. those of a DCM without its A2L."""
+    `left_out`: texts whose choices no file has, as in a DCM without its A2L."""
 
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
     baseline: dict[str, float | str] = field(default_factory=dict)
@@ -125,7 +125,7 @@ def _value(characteristic: Characteristic, name: str, entry: Mapping[str, Any]) 
 
 
 def _settled(value: float, entry: Mapping[str, Any], name: str) -> float:
-    """Returns a value with nine decimals. One that equals an end of the range or a step in single precision becomes that end or step.
+    """Returns a value with nine decimals. A value that equals an end of the range or a step in single precision becomes that end or step.
     Raises InvalidInputError if the decimals change it."""
     lower, upper, step = entry["lower"], entry["upper"], entry.get("step")
     places = [lower, upper] if step is None else [lower + round((value - lower) / step) * step]

@@ -154,7 +154,7 @@ class Client(Transport):
         return campaign
 
     def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
-        """Returns the campaign, None if it is still the one of `etag`; its ETag; the seconds to wait before the next request."""
+        """Returns the campaign, None if its ETag is still `etag`; its ETag; the seconds to wait before the next request."""
         place, headers = ("campaigns", identifier), {"If-None-Match": etag} if etag else {}
         ask = self._once if etag else self._request  # later, `Following` has a patience of its own
         response = ask("GET", place, headers=headers)
@@ -230,7 +230,7 @@ class Client(Transport):
             identifier: Id of the campaign.
             weights: Weights of the scenarios, `{"S1": 2, "S2": 1}` or `S1=2,S2=1`; by default the campaign's.
             limit: Largest number of sets.
-            score: Another score of the problem, or `NAME@PUSH`: one that another push declares.
+            score: Another score of the problem, or `NAME@PUSH`: a score that another push declares.
         """
         return self._get(
             RankedSets, "campaigns", identifier, "solutions", weights=weights_text(weights), limit=limit, score=score
@@ -285,7 +285,7 @@ class Client(Transport):
 
         Args:
             identifier: Id of the campaign.
-            weights: Weights of the objectives, by which the sets are ordered.
+            weights: Weights of the objectives, for the order of the sets.
             everything: Whether all stored sets of the same setups and space count, by any campaign.
         """
         return self._rows_of(identifier, "front", FrontRow, weights=weights_text(weights), everything=everything or None)
@@ -363,7 +363,7 @@ class Client(Transport):
         return self._get(Evaluation, "evaluations", identifier)
 
     def cell(self, identifier: str, iteration: int, individual: int, scenario: str) -> int:
-        """Returns the number of the evaluation by which a set is ranked in a scenario.
+        """Returns the number of the evaluation that ranks a set in a scenario.
 
         Args:
             identifier: Id of the campaign.
@@ -375,7 +375,7 @@ class Client(Transport):
         return self._get(CellNumber, "campaigns", identifier, "cell", **query).evaluation
 
     def trace(self, evaluation: str) -> TraceAnswer | SeriesAnswer | None:
-        """Returns the time series of an evaluation, None while they are being made; of a bundle's, those of its simulator.
+        """Returns the time series of an evaluation, None while they are being made. Runs of a bundle have the series of its simulator.
 
         `evaluation`: its number, or the id of a single evaluation in one scenario.
         """
@@ -464,7 +464,7 @@ class Client(Transport):
         return self._answer(self._request("DELETE", place), Deletion, place)
 
     def saved_views(self, campaign: str | None = None) -> list[SavedView]:
-        """Returns the saved views of the page for all campaigns, and those of a `campaign`."""
+        """Returns the saved views of the page: for all campaigns, and for a `campaign`."""
         return self._get(SavedViewList, "views", campaign=campaign).items
 
     def report(self, identifier: str, form: Literal["html", "zip"] = "html") -> bytes:
@@ -483,7 +483,7 @@ class Client(Transport):
             identifier: Id of the campaign.
             rank: Rank of the set in the solutions, by default the first.
             front: Rank of the set on the front, by default the first if there are several objectives.
-            against: Another set beside it: a rank, a campaign's id, or `ID:RANK`.
+            against: Another set to compare with: a rank, a campaign's id, or `ID:RANK`.
         """
         place = ("campaigns", identifier, "review")
         if against is not None:

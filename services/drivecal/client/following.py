@@ -31,7 +31,7 @@ class Source(Protocol):
     """Reads campaigns."""
 
     def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
-        """Returns the campaign, None if it is still the one of `etag`; its ETag; the seconds to wait before the next request.
+        """Returns the campaign, None if its ETag is still `etag`; its ETag; the seconds to wait before the next request.
 
         Raises NotFoundError, and UnavailableError if nothing answers.
         """
@@ -84,7 +84,7 @@ class Following:
 
     @property
     def _streams(self) -> bool:
-        """Whether a stream may be opened. It may be silent for READ_SECONDS, so that none is opened shortly before the deadline."""
+        """True if a stream may be opened. It may be silent for READ_SECONDS, so that none is opened shortly before the deadline."""
         in_time = self._deadline is None or self._deadline - time.monotonic() > READ_SECONDS
         return in_time and self._empty_streams < EMPTY_STREAMS
 

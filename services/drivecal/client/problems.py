@@ -60,7 +60,7 @@ def read_archived(files: Mapping[str, BundleFile]) -> Manifest:
 
 
 def read_manifest(content: bytes, files: Mapping[str, bool] | None = None) -> Manifest:
-    """Returns the manifest in the text of a `problem.yaml`. `files`: whether each file of the bundle is executable, None if unknown.
+    """Returns the manifest in the text of a `problem.yaml`. `files` says which files of the bundle are executable, None if unknown.
 
     Raises InvalidInputError with the lines of all faults.
     """
@@ -123,7 +123,8 @@ def archive_of(problem: Pushed) -> bytes:
 
 
 def push_headers(archive: bytes, *, signed: bool) -> dict[str, str]:
-    """Returns the headers of a push. `signed`: by the secret of the server with this home folder, if this user can read it."""
+    """Returns the headers of a push. With `signed` they hold a signature by the secret of the server with this home folder, if this user
+    can read it."""
     headers = {"Content-Type": "application/zip"}
     secret = read_secret(load_settings().home) if signed else None
     return headers if secret is None else headers | {HEADER: sign(secret, archive)}

@@ -49,7 +49,8 @@ _log = logging.getLogger("drivecal")
 def configure(process: Process, settings: Settings, stream: TextIO | None = None) -> None:
     """Sends everything that this process logs to `stream` (standard error), Python's warnings and uncaught exceptions included.
 
-    drivecal's own records are shown from `settings.log_level` on, those of libraries from `warning` on, or `info` while debugging.
+    drivecal's own records are shown at `settings.log_level` and above, records of libraries at `warning` and above, or `info` while
+    debugging.
     """
     target = stream or sys.stderr
     handler = logging.StreamHandler(target)

@@ -29,7 +29,7 @@ _SIGNED = re.compile(r"([0-9a-f]{64}):([0-9a-f]{64})")
 
 @dataclass(frozen=True, slots=True)
 class Pushing:
-    """Whether a server takes problems, and from whom. `secret`: of a server without tokens; `home`: the folder that holds it."""
+    """Who may push problems. A server without tokens has a `secret`, which the folder `home` holds."""
 
     allowed: bool
     secret: bytes | None = field(default=None, repr=False)
@@ -61,7 +61,7 @@ def create_secret(home: Path) -> bytes:
     secret = secrets.token_urlsafe(SHORTEST).encode()
     try:
         home.mkdir(parents=True, exist_ok=True, mode=0o700)
-        path.unlink(missing_ok=True)  # the file of another user, or one that others could read
+        path.unlink(missing_ok=True)  # the file of another user, or readable by others
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "wb") as file:
             file.write(secret)

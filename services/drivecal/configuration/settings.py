@@ -54,13 +54,13 @@ class Settings(BaseSettings):
     queued_campaigns: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
     """Largest number of waiting campaigns and evaluations; further ones are refused (429)."""
     largest_campaign: Annotated[int, Field(ge=1, le=10**12)] = 10_000_000
-    """Cells that one campaign may propose, those of its sensitivity analysis included, before it is refused (413)."""
+    """Cells that one campaign may propose, including its sensitivity analysis, before it is refused (413)."""
     pushed_problems: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
     """Pushed problems that are kept before further ones are refused (413); each content counts."""
     problem_mb: Annotated[int, Field(ge=1, le=64)] = 64
     """Largest size of a pushed problem in megabytes, packed and unpacked; workers take no larger ones."""
     allow_push: bool | None = None
-    """Whether problems, which carry code, may be pushed; none: on loopback addresses only."""
+    """True if problems, which carry code, may be pushed; if it is left out, on loopback addresses only."""
     event_streams: Annotated[int, Field(ge=1, le=10_000)] = 100
     """Largest number of open event streams and pages; further ones are refused (429)."""
     backend: Literal["ray", "processes"] | None = None
@@ -73,7 +73,7 @@ class Settings(BaseSettings):
     """Format of the server's log: readable lines, or a JSON document per line."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     running_campaigns: Annotated[int, Field(ge=1, le=1000)] = 8
-    """Campaigns at a time; the others wait, those of higher priority the shortest. Single evaluations do not count."""
+    """Campaigns at a time; the others wait, the shortest with the highest priority. Single evaluations do not count."""
 
     @field_validator("home", "tokens_file", "database_password_file")
     @classmethod

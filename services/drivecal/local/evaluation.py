@@ -27,7 +27,7 @@ _SIMULATION = Lock()
 
 @dataclass(frozen=True, slots=True)
 class SimulatedCell:
-    """The result in one scenario. `score`, `rating` and `metrics` are those of the server's answer.
+    """The result in one scenario. `score`, `rating` and `metrics` are the same as in the server's answer.
 
     `failure` names why a run is worth a failed one. If the run broke down, `score` and `rating` are None and `error` says why.
     """
@@ -36,7 +36,7 @@ class SimulatedCell:
     score: float | None
     rating: float | None
     metrics: Mapping[str, float]
-    """Measures: of the motorway's runs with units in their names, of a problem those that it declares."""
+    """Measures: of the motorway's runs with units in their names, of a problem its declared ones."""
     failure: str | None
     error: str | None
     milliseconds: float

@@ -73,8 +73,8 @@ class OtherRun(CheckedRun):
 class CheckedScenario(CheckedRun):
     """Result of a scenario's two runs, and of another set.
 
-    `repeats`: both runs gave the same bits. `seconds`: of each run, wall-clock; `start_seconds`: until the simulator was ready. `other`:
-    None if no other set was tried.
+    `repeats`: both runs gave the same bits. `seconds`: wall-clock time of each run; `start_seconds`: time until the simulator was ready.
+    `other`: None if no other set was tried.
     """
 
     scenario: str

@@ -54,7 +54,7 @@ def url_of(listener: socket.socket, host: str) -> str:
     """Returns the server's address for clients on this machine."""
     address, port = listener.getsockname()[:2]
     if is_loopback(address) and host != "localhost":
-        host = address  # whatever name it was given by, this is one that a server without tokens answers to
+        host = address  # a server without tokens answers to this address, whatever name was given
     if host in {"0.0.0.0", "::", ""}:  # noqa: S104  # compared, not bound
         host = "127.0.0.1"
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"

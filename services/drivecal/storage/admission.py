@@ -43,7 +43,7 @@ def admit(connection: Connection, most: int, idempotency_key: str | None, count:
 
 
 def add_installed(connection: Connection) -> None:
-    """Stores the installed problems, so that they are listed and shown beside those that were pushed, and outlive an upgrade."""
+    """Stores the installed problems, so that they are listed and shown like pushed ones, and outlive an upgrade."""
     alone(connection)
     for problem in installed_problems().values():
         if not is_stored(connection, problem.digest):

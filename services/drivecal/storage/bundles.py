@@ -16,7 +16,7 @@ from drivecal.storage.engine.types import now
 
 KIND = "problem"
 MOST_NAMES = 1_000
-"""Names, last pushed first, among which one that is similar to a misspelt one is searched."""
+"""Largest number of names, last pushed first, that are compared with a misspelt one."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _later = bundles.alias("later")
 _latest = ~exists().where(_later.c.name == bundles.c.name, _later.c.pushed > bundles.c.pushed)
@@ -25,7 +25,7 @@ _HEADING: list[Any] = [column for column in bundles.c if column.name not in {"ar
 
 @dataclass(frozen=True, slots=True)
 class BundleHeading:
-    """A bundle in a list. `digest`: of its content; `size`: of the archive, in bytes."""
+    """A bundle in a list, with the `digest` of its content and the `size` of its archive in bytes."""
 
     digest: str
     name: str

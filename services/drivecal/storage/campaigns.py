@@ -220,7 +220,7 @@ def insert(
     priority: int = 0,
     notes: Sequence[str] = (),
 ) -> StoredCampaign:
-    """Queues a campaign, or gives the one that an earlier request with the same `idempotency_key` queued.
+    """Queues a campaign, or returns the campaign that an earlier request with the same `idempotency_key` queued.
 
     `body_digest` identifies the request by all that tells requests apart, the path included; `likeness` campaigns that search the same.
 
@@ -366,7 +366,7 @@ def change_state(connection: Connection, sequence: int, expected: Collection[Cam
 
 
 def start(connection: Connection, sequence: int) -> StoredCampaign | None:
-    """Takes a queued campaign up: running from now on, with its watermark. None if it is not queued any more."""
+    """Takes a queued campaign up: it is running, with its watermark. None if it is not queued any more."""
     watermark = func.coalesce(campaigns.c.watermark, runs.largest_id(connection))
     statement = (
         _of(sequence)

@@ -39,7 +39,7 @@ SAMPLED = and_(evaluations.c.inspected, evaluations.c.reference.is_(None))
 @dataclass(frozen=True, slots=True)
 class AnsweredCell:
     """Answer of a pending cell. `failure` is a `Failure` of a run or a `Breakdown` of the attempts, whose cause `detail` says in words;
-    `agrees`: whether a sampled cell has its predicted score."""
+    `agrees` is true if a sampled cell has its predicted score."""
 
     id: int
     outcome: Outcome
@@ -63,7 +63,7 @@ def of_iteration(campaign_sequence: int, stage: StageName, iteration: int) -> tu
 def stored_after(campaign_sequence: int, after: int) -> tuple[ColumnElement[bool], ...]:
     """Returns the conditions on evaluations that select a campaign's cells stored after a cell's id, or all for id 0.
 
-    The sum keeps SQLite from an index by campaign, by which it would read all the campaign's cells for the newest hundreds.
+    The sum keeps SQLite from an index by campaign: it would read all the campaign's cells for the newest hundreds.
     """
     mine = evaluations.c.campaign_sequence
     return (mine + 0 == campaign_sequence, evaluations.c.id > after) if after else (mine == campaign_sequence,)

@@ -25,7 +25,7 @@ class Figures:
 
     @property
     def flat(self) -> dict[str, Any]:
-        """The figures by name, with the counters beside the others."""
+        """The figures by name, counters included."""
         return self.cells.model_dump() | self._results
 
     @property
@@ -92,7 +92,7 @@ def insert(
 
 
 def is_stored(connection: Connection, campaign_sequence: int, iteration: int) -> bool:
-    """Whether an iteration was requested, at least in part."""
+    """Returns whether an iteration was requested, at least in part."""
     here = generations.c.campaign_sequence == campaign_sequence, generations.c.iteration == iteration
     return connection.execute(select(generations.c.iteration).where(*here)).first() is not None
 

@@ -82,7 +82,7 @@ def end(connection: Connection, evaluation_ids: Sequence[int]) -> None:
 
 
 def breakdowns(connection: Connection, evaluation_ids: Sequence[int]) -> dict[int, int]:
-    """Returns the breakdowns of evaluations by id, without those that never broke down."""
+    """Returns the breakdowns of evaluations by id, for evaluations that broke down."""
     query = select(leases.c.evaluation_id, leases.c.attempts).where(leases.c.attempts > 0)
     return dict(rows_among(connection, query, leases.c.evaluation_id, list(evaluation_ids)))
 

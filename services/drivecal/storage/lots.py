@@ -74,7 +74,7 @@ def insert(connection: Connection, campaign_sequence: int, new: Sequence[NewLot]
 
 
 def of_campaign(connection: Connection, campaign_sequence: int, kind: Outcome | None = None) -> list[StoredLot]:
-    """Returns the lots of a campaign, or those of a kind, in the order of their batches."""
+    """Returns the lots of a campaign, all or of a kind, in the order of their batches."""
     query = select(lots).where(lots.c.campaign_sequence == campaign_sequence).order_by(lots.c.id)
     if kind is not None:
         query = query.where(lots.c.kind == kind)

@@ -63,7 +63,7 @@ class StoredEvaluation:
     run_id: int | None
     reference: int | None
     inspected: bool
-    """Whether it was simulated to check the reference or the prediction that could have answered it."""
+    """True if it was simulated to check the reference or the prediction that could have answered it."""
     agrees: bool | None
     failure: str | None
     milliseconds: float | None
@@ -78,17 +78,17 @@ class StoredEvaluation:
 
     @property
     def audited(self) -> bool:
-        """Whether it was simulated to check a reference."""
+        """True if it was simulated to check a reference."""
         return self.inspected and self.reference is not None
 
     @property
     def sampled(self) -> bool:
-        """Whether it was simulated to check a prediction."""
+        """True if it was simulated to check a prediction."""
         return self.inspected and self.reference is None
 
     @property
     def is_copied(self) -> bool:
-        """Whether no run of the very cell is known of its answer: a reused or predicted one."""
+        """True if no run of the very cell is known of its answer: a reused or predicted one."""
         return self.outcome in COPIED
 
 
@@ -153,7 +153,7 @@ def stream(connection: Connection, campaign_sequence: int) -> Iterator[StoredEva
 
 
 def pending(connection: Connection, campaign_sequence: int) -> list[StoredEvaluation]:
-    """Returns the cells of a campaign that wait for their answers, in the order in which they were stored."""
+    """Returns the cells of a campaign that wait for their answers, in the order of their storage."""
     query = _select().where(evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.outcome.is_(None))
     return list(_evaluations(connection.execute(query.order_by(evaluations.c.id))))
 
@@ -248,7 +248,7 @@ def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapp
 
 
 def sets_since(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> list[int]:
-    """The parameter sets that a stage asked for from an iteration on, one after the other: their ids, in that order."""
+    """The parameter sets that a stage asked for since an iteration, one after the other: their ids, in that order."""
     table = evaluations.c
     query = select(table.iteration, table.parameter_set_id).where(
         table.campaign_sequence == campaign_sequence, table.stage == stage, table.iteration >= iteration
@@ -270,7 +270,7 @@ def released(connection: Connection, campaign_sequence: int) -> list[StoredEvalu
 
 
 def first_copy(connection: Connection, campaign_sequence: int, scenario: str, parameter_set_id: int) -> StoredEvaluation | None:
-    """Returns the cell by which a calibration answered a parameter set first without a run of its own; None without one."""
+    """Returns the cell with a calibration's first answer of a parameter set, without a run of its own; None without one."""
     table = evaluations.c
     query = _select().where(
         table.campaign_sequence == campaign_sequence,
@@ -296,7 +296,7 @@ def outcomes_of(connection: Connection, campaign_sequence: int, sets: Sequence[i
 def is_requested(
     connection: Connection, campaign_sequence: int, stage: StageName, iteration: int, individual: int | None = None
 ) -> bool:
-    """Whether cells of an iteration, or of an individual in it, were requested."""
+    """Returns whether cells of an iteration, or of an individual in it, were requested."""
     query = select(evaluations.c.id).where(*of_iteration(campaign_sequence, stage, iteration))
     if individual is not None:
         query = query.where(evaluations.c.individual == individual)
@@ -304,7 +304,7 @@ def is_requested(
 
 
 def is_pending(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> bool:
-    """Whether a cell of an iteration waits for its answer."""
+    """Returns whether a cell of an iteration waits for its answer."""
     query = select(evaluations.c.id).where(*of_iteration(campaign_sequence, stage, iteration), evaluations.c.outcome.is_(None))
     return connection.execute(query.limit(1)).first() is not None
 

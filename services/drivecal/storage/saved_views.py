@@ -28,7 +28,7 @@ class StoredView:
 
 
 def listed(connection: Connection, campaign: str | None) -> list[StoredView]:
-    """Returns the views for all campaigns and those of a `campaign`, by name."""
+    """Returns the views for all campaigns, and with a `campaign` also its own, by name."""
     wanted = ["", *([] if campaign is None else [campaign])]
     query = select(saved_views).where(saved_views.c.campaign.in_(wanted))
     return [record(StoredView, row) for row in connection.execute(query.order_by(saved_views.c.name, saved_views.c.sequence))]

@@ -73,7 +73,7 @@ def is_in_own_vehicle(study: StoredStudy, campaign: StoredCampaign) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class MapError:
-    """Wrong answers of an influence map in a scenario, among those that a campaign's validation or audits compared."""
+    """Wrong answers of an influence map in a scenario, among the answers that a campaign's validation or audits compared."""
 
     campaign: str
     scenario: str

@@ -36,7 +36,7 @@ def ask(connection: Connection, evaluation_id: int, campaign_sequence: int) -> N
 
 
 def is_made_by(connection: Connection, campaign_sequence: int) -> bool:
-    """Whether a single evaluation makes the trace."""
+    """Returns whether a single evaluation makes the trace."""
     return connection.scalar(select(exists().where(traces.c.campaign_sequence == campaign_sequence))) or False
 
 

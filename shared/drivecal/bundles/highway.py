@@ -205,7 +205,7 @@ class HighwaySimulator(SimulatorEntry):
 
     @property
     def renews(self) -> bool:
-        """Whether each run has a new process."""
+        """True if each run has a new process."""
         return not all(getattr(part, "reset", True) for part in (self.controller, self.vehicle))
 
 

@@ -74,7 +74,7 @@ class CommandSimulator(SimulatorEntry):
 
     @property
     def renews(self) -> bool:
-        """Whether each run has a new process."""
+        """True if each run has a new process."""
         return True
 
 
@@ -110,7 +110,7 @@ class FmuSimulator(SimulatorEntry):
 
     @property
     def renews(self) -> bool:
-        """Whether each run has a new process."""
+        """True if each run has a new process."""
         return not self.reset
 
 
@@ -198,7 +198,7 @@ class Manifest(Model):
 
     @property
     def is_driven(self) -> bool:
-        """Whether drivecal's own planner drives scenarios with tasks: such runs need no child process."""
+        """True if drivecal's own planner drives scenarios with tasks: such runs need no child process."""
         return is_driven(self.simulator, self.scenarios)
 
     @property

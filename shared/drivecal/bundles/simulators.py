@@ -37,5 +37,5 @@ class SimulatorEntry(Model):
 
     @property
     def renews(self) -> bool:
-        """Whether each run has a new process."""
+        """True if each run has a new process."""
         return False

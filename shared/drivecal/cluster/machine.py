@@ -1,4 +1,4 @@
-"""CPUs and memory that this process may use: those of its machine, within the limits of its container."""
+"""CPUs and memory that this process may use: all of its machine, within the limits of its container."""
 
 import math
 import os

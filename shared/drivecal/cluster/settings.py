@@ -37,7 +37,7 @@ ALERT = {
     # A node exits if its head does not come back; its restart policy lets it join the next head.
     "RAY_gcs_rpc_server_reconnect_timeout_s": "30",
 }
-"""Environment of the nodes of a cluster, beside `QUIET`."""
+"""Environment of the nodes of a cluster, in addition to `QUIET`."""
 
 
 PACKAGES = ("domain", "api", "runtime")

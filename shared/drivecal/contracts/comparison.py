@@ -50,7 +50,7 @@ class ComparisonSpecification(ProblemSpecification):
     reductions: Annotated[list[AnyReduction], Field(min_length=1, max_length=20, json_schema_extra=UNIQUE)] = Field(
         default_factory=lambda: EXACT_ALONE
     )
-    """Modes, alone or with settings. Only those that use a map or `narrow` get it. The others are compared with the first, seed by seed.
+    """Modes, alone or with settings. Only modes that use a map or `narrow` get it. The others are compared with the first, seed by seed.
     All are `isolated`; those with references or predictions confirm up to 100 sets unless `confirm` is given."""
 
     @field_validator("reductions")
@@ -73,7 +73,7 @@ class ExpectedComparison(Answer):
     milliseconds: float
     """Time for which one simulation occupies a worker: CPU time, or wall-clock time if the simulator waits."""
     measured: bool
-    """Whether that was measured in these setups; else none was made yet, and it is assumed."""
+    """True if that was measured in these setups; else none was made yet, and it is assumed."""
     workers: int | None
     """Workers at this moment; null if the dispatcher is silent."""
     seconds: float | None
@@ -103,7 +103,7 @@ class ComparedRun(Answer):
     campaign: str
     name: str
     optimizer: str
-    """Its kind, with the settings in which the compared campaigns differ."""
+    """Its kind, with the settings that differ between the compared campaigns."""
     population: int
     seed: int
     reduction: str
@@ -130,7 +130,7 @@ class ComparedRun(Answer):
     alternatives_converged_at: int | None
     success: bool
     course: list[Improvement]
-    """The first iteration with a result, those that improved on it, and the last one."""
+    """The first iteration with a result, each that improved on it, and the last one."""
 
 
 class ComparedGroup(Answer):
@@ -183,7 +183,7 @@ class ReductionEffect(Answer):
 
     `mean_difference` with the 95 % confidence interval of Student's t, null for less than two pairs and without spread. `better`, `equal`,
     `worse`: the final optimum with the reduction; `sign_test`: two-sided p of the exact sign test; `different_upper_95`: upper end of the
-    exact 95 % interval of the share of searches that end elsewhere. `saved_share`: of the simulations without it.
+    exact 95 % interval of the share of searches that end elsewhere. `saved_share` is a share of the simulations without it.
     """
 
     optimizer: str | None
@@ -207,8 +207,8 @@ class ReductionEffect(Answer):
 class Comparison(Answer):
     """The campaigns of a tag, compared: in their order, by optimizer, population and reduction, and seed by seed.
 
-    `pairs`: each succeeded campaign beside the one that differs from it in the reduction alone; none if there is one reduction.
-    `effects`: whether a reduction changes the final optimum, and its savings, over all pairs.
+    `pairs`: each succeeded campaign and its counterpart that differs in the reduction alone; none if there is one reduction.
+    `effects` say whether a reduction changes the final optimum, and its savings, over all pairs.
     """
 
     tag: str

@@ -24,7 +24,7 @@ class EvaluatedCell(Answer):
     detail: str | None = None
     """Reason of the missing result, if all attempts failed."""
     metrics: dict[str, float | None] | None = None
-    """The measured metrics, their units in their names; null is one that this run does not define."""
+    """The measured metrics, their units in their names; null if this run does not define it."""
 
 
 class CampaignOfEvaluation(Answer):
@@ -49,7 +49,7 @@ class EvaluationDetail(EvaluationRow):
 
 
 class CellNumber(Answer):
-    """The number of the evaluation by which a set is ranked in a scenario."""
+    """The number of the evaluation that ranks a set in a scenario."""
 
     evaluation: int
 
@@ -67,7 +67,7 @@ class TraceAnswer(Answer):
     """A run step by step; lists have a value for each of `time_s`, the times after each step. SI units, in the names.
 
     `ego`: s_m, d_m (Frenet), x_m, y_m, heading_rad, speed_mps, side_slip_rad, yaw_rate_radps, accelerations (longitudinal and lateral) and
-    their jerks over the last 0.5 s. `neighbours`: by vehicle, s_m, d_m, s_dot_mps, d_dot_mps, x_m, y_m, heading_rad. `plans`: each
+    their jerks over the last 0.5 s. `neighbours` has by vehicle s_m, d_m, s_dot_mps, d_dot_mps, x_m, y_m, heading_rad. `plans`: each
     trajectory that the driving function decided for, when it was made (`made_at_s`), rounded to six decimals.
     """
 
@@ -143,7 +143,7 @@ class ReplayAnswer(Answer):
 class SeriesAnswer(Answer):
     """A run of a problem bundle with the time series that its simulator reported; the manifest has their units.
 
-    `replay`: what a run of a simulator `highway` looks like from above; null for other simulators, and if the drive has no length.
+    `replay` shows a run of a simulator `highway` from above; null for other simulators, and if the drive has no length.
     """
 
     measures: dict[str, float | None]

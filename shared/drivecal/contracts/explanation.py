@@ -23,8 +23,8 @@ Reason = Literal["repeated", "reused", "predicted", "simulated", "checked", "fai
 
 
 class Difference(Answer):
-    """A parameter in which the cell and the stored set differ. `lower` and `upper` are the inclusive influential bounds of the map, null
-    if it has none on that side. `blocks`: the two values do not lie in the same non-influential region."""
+    """A parameter that differs between the cell and the stored set. `lower` and `upper` are the inclusive influential bounds of the map,
+    null if it has none on that side. `blocks`: the two values do not lie in the same non-influential region."""
 
     parameter: str
     value: float | str
@@ -94,7 +94,7 @@ class Neighbour(Answer):
 
 
 class Prediction(Answer):
-    """A prediction. `confidence`: the share of votes for scores within the tolerance, 0 to 1. `agrees`: whether the simulation
+    """A prediction. `confidence`: the share of votes for scores within the tolerance, 0 to 1. `agrees` is true if the simulation
     of a sampled cell confirmed it. `neighbours`: the stored answers with most weight, heaviest first."""
 
     score: Score

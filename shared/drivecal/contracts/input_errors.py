@@ -94,7 +94,7 @@ def _path(detail: Detail, document: object) -> tuple[int | str, ...]:
 
 
 def _merged(located: Sequence[tuple[tuple[int | str, ...], Detail]], model: type[BaseModel]) -> list[Problem]:
-    """Merges errors of a union: those of the fitting member count, else the types that any member takes."""
+    """Merges errors of a union: errors of the fitting member count, else the types that any member takes."""
     merged: list[Problem] = []
     for path, detail in located:
         if detail["type"] not in _WANTED:

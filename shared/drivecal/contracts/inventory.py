@@ -58,7 +58,7 @@ class VehicleAnswer(Answer):
 
 class RoadAnswer(Answer):
     """The carriageway. The centre of lane i lies at d = i times `lane_width_m`; that of lane 0, the rightmost, is the `reference_line` of
-    Frenet coordinates. `boundaries`: from right to left, the first and the last are the road's edges."""
+    Frenet coordinates. `boundaries` go from right to left; the first and the last are the road's edges."""
 
     length_m: float
     lanes: int
@@ -139,7 +139,7 @@ class OptimizerAnswer(Answer):
 
 
 class OptimizerPage(Page[OptimizerAnswer]):
-    """All optimizers. `broken`: those that cannot be used."""
+    """All optimizers. `broken`: the unusable ones."""
 
     broken: list[BrokenPluginAnswer] = Field(default_factory=list)
 
@@ -182,14 +182,15 @@ class WorkerPage(Page[WorkerAnswer]):
 
 
 class Readiness(Answer):
-    """Whether work can be accepted and will be done; `problems` says what is missing."""
+    """True if work can be accepted and will be done; `problems` says what is missing."""
 
     ready: bool
     problems: list[str] = Field(default_factory=list)
 
 
 class ProblemHeading(Answer):
-    """A pushed problem in a list. `digest`: of its content; `size`: of its archive in bytes; `latest`: whether its name means it."""
+    """A pushed problem in a list, with the `digest` of its content and the `size` of its archive in bytes. `latest` is true if its name
+    means it."""
 
     name: str
     digest: str

@@ -33,7 +33,7 @@ class CampaignChanges(Model):
 
 
 class Referring(Answer):
-    """A campaign that refers to another one; `use`: what it needs of it."""
+    """A campaign that refers to another one. `use` names the needed part."""
 
     campaign: str
     name: str

@@ -76,8 +76,8 @@ class FrontObjective(Answer):
 
 
 class FrontGrowth(Answer):
-    """The front of all sets up to an `iteration`, counted from 0; -1: those of other campaigns. `hypervolume` is null for more than three
-    objectives."""
+    """The front of all sets up to an `iteration`, counted from 0; -1: the sets of other campaigns. `hypervolume` is null for more than
+    three objectives."""
 
     iteration: int
     hypervolume: float | None
@@ -113,7 +113,7 @@ class FrontSummary(Answer):
 
 
 class ValuePair(Answer):
-    """Two values of the same thing; `gain`: by how much the second is better, null if neither is."""
+    """Two values of the same thing. `gain` is positive if the second is better, null if neither can be."""
 
     name: str
     first: Score | str | None
@@ -124,7 +124,7 @@ class ValuePair(Answer):
 class TradeOff(Answer):
     """Two sets of a front, by rank: all objectives, constrained amounts, scores by scenario, and the parameters that differ.
 
-    `distance`: root mean square, in shares of the searched ranges; `text`: what the second gains and costs, a line per objective."""
+    `distance`: root mean square, in shares of the searched ranges; `text` says what the second gains and costs, a line per objective."""
 
     first: int
     second: int
@@ -147,7 +147,7 @@ class StudyResult(Answer):
 
     @property
     def is_of_predictions(self) -> bool:
-        """Whether it simulated released predictions, and not variants that an influence map calls equal."""
+        """True if it simulated released predictions, and not variants that an influence map calls equal."""
         return bool(self.study.settings.get("of")) and self.study.stage == "validation"
 
 

@@ -53,7 +53,7 @@ class FileForm:
 
 
 LEAST_BINS = 7
-"""Bins on both sides of 0 that every file has: those of the comfort score."""
+"""Bins on both sides of 0 that every file has, enough for the comfort score."""
 JSON_ONLY = "JSON only"
 """Mark of a field that no file has."""
 _JOINED = FileForm("text", " ".join)
@@ -183,7 +183,7 @@ class _Iteration(Answer):
 
 
 class Generation(GenerationCounts, _Iteration):
-    """An iteration of the calibration stage. `mean` and `minimum` (the worst): of all its sets, also of those that break constraints."""
+    """An iteration of the calibration stage. `mean` and `minimum` (the worst) are over all its sets, also sets that break constraints."""
 
     best: float | None
     """The best objective so far."""
@@ -265,7 +265,7 @@ class JudgedSet(Answer):
     objectives: Annotated[dict[str, float], Spread("objective_")]
     violation: float
     on_front: bool
-    """Whether no other set dominates it."""
+    """True if no other set dominates it."""
     iteration: int | None
     """Counted from 0; null for a set that only other campaigns evaluated."""
     individual: int | None
@@ -292,7 +292,7 @@ class InfluenceRow(Answer):
     sigma: float | None = None
     mu_star: float | None = None
     unknown: bool = False
-    """Whether nothing is known about it, which counts as influential: the map does not list it, or no run of the scenario was better than a
+    """True if nothing is known about it, which counts as influential: the map does not list it, or no run of the scenario was better than a
     failed one."""
     unit: str | None = None
     space_lower: float | None = None

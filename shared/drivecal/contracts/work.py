@@ -17,7 +17,7 @@ class SetupRequest:
     """A scenario of a problem, to be run with parameter sets. The worker returns measures; the coordinator rates them."""
 
     bundle: str
-    """Digest of the problem's files, of which the worker has an archive, or which are installed with a package there."""
+    """Digest of the problem's files. The worker has an archive of them, or a package there installs them."""
     problem: str
     scenario: str
     data: Mapping[str, Any]
@@ -46,7 +46,7 @@ class SetupRequest:
     evaluator_version: str | None = None
     """The coordinator's: ratings of another one must not be stored under its name."""
     is_driven: bool = False
-    """Whether it runs in the worker's own process: the code is drivecal's or an installed plug-in's, none of a user's files is run."""
+    """True if it runs in the worker's own process: the code is drivecal's or an installed plug-in's, none of a user's files is run."""
 
     @property
     def key(self) -> SetupKey:
@@ -99,9 +99,9 @@ class CellResult:
     breakdown: str | None = None
     detail: str | None = None
     contained: bool = False
-    """Whether a `breakdown` happened in a child process of a user's simulator: it says nothing about the worker."""
+    """True if a `breakdown` happened in a child process of a user's simulator: it says nothing about the worker."""
     repeats: bool | None = None
-    """Whether a second run of a bundle's cell gave the same measures, bit by bit; None if there was none."""
+    """True if a second run of a bundle's cell gave the same measures, bit by bit; None if there was none."""
     trace: bytes | None = None
     """The time series that were wanted, as gzipped JSON."""
     checking: float = 0.0
@@ -129,4 +129,4 @@ class BatchResult:
     tools: str | None = None
     """Answer of the `probe` on this worker, if the batch has no cells, or if it is refused because of that answer."""
     unsuitable: bool = False
-    """Whether it is refused because of the problem's files, so that no other worker is able to run the setup either."""
+    """True if it is refused because of the problem's files, so that no other worker is able to run the setup either."""

@@ -18,7 +18,7 @@ class DrivecalError(Exception):
 class Problem:
     """A fault of an input.
 
-    `field`: the dotted path of the field (`optimizer.population`); `message`: what is wrong; `remedy`: how to fix it.
+    `field`: the dotted path of the field (`optimizer.population`); `message` describes the fault; `remedy`: how to fix it.
     """
 
     field: str

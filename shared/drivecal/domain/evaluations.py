@@ -1,4 +1,4 @@
-"""Results of cells, i.e. (parameter set, scenario) pairs, and the ways in which cells are answered."""
+"""Results of cells, i.e. (parameter set, scenario) pairs, and the ways to answer cells."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from drivecal.domain.parameters import ParameterSet
 
 
 class Outcome(StrEnum):
-    """The way in which a requested cell was answered, in the order of trying: repeated, reused, predicted, simulated."""
+    """The way a requested cell was answered, in the order of trying: repeated, reused, predicted, simulated."""
 
     REPEATED = "repeated"
     """Stored result of the same parameter set in the same setup."""
@@ -91,10 +91,10 @@ class Donor(NamedTuple):
 class RequestedCell:
     """A cell that a stage asks for: `plan` and the fields after it are known once it is planned.
 
-    `individual` numbers the parameter sets of an iteration. `reference_key` is None without an influence map. `is_given`: of the baseline
-    or a start set, whose score no reference answers, for others are compared with it. `donor`: the stored result that answers the cell (its
-    `plan` says on which basis: an equal set, or an influence map), or that an inspection does not trust. `leader`: the same for a cell of
-    the population that is still to be simulated, by its position.
+    `individual` numbers the parameter sets of an iteration. `reference_key` is None without an influence map. `is_given` marks the baseline
+    and start sets: no reference answers their scores, because others are compared with them. `donor`: the stored result that answers the
+    cell (its `plan` says on which basis: an equal set, or an influence map), or that an inspection does not trust. `leader`: the same
+    for a cell of the population that is still to be simulated, by its position.
     """
 
     individual: int
@@ -118,7 +118,7 @@ class RequestedCell:
 
     @property
     def answered_at_once(self) -> bool:
-        """Whether a stored result is the cell's answer as soon as the cell is stored: it waits for no leader and no verdict."""
+        """True if a stored result is the cell's answer as soon as the cell is stored: it waits for no leader and no verdict."""
         return self.donor is not None and self.lot is None and self.plan in COPIES
 
 

@@ -51,7 +51,7 @@ class EventKind(StrEnum):
     BASELINE = "baseline"
     """The result of the user's own parameter set is known: `objective`, `scores`."""
     LOT_REJECTED = "lot_rejected"
-    """The first lot of references in a `scenario` was rejected: so many `audited` cells were `wrong` until then."""
+    """The first lot of references in a `scenario` was rejected. Until then `wrong` of the `audited` cells were wrong."""
     NOTE = "note"
     """A remark for the reader, as `text`."""
 

@@ -1,4 +1,4 @@
-"""Influence maps: the ranges, by scenario and parameter, in which a change can change the score (P_sens, PB_sens of the paper)."""
+"""Influence maps: the ranges, by scenario and parameter, where a change can change the score (P_sens, PB_sens of the paper)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -34,7 +34,7 @@ class InfluenceMap:
     ranges: Mapping[str, tuple[Decimal, Decimal]] = field(default_factory=dict)
     choices: Mapping[str, frozenset[str]] = field(default_factory=dict)
     shares_bounds: bool = True
-    """Whether a bound lies in the cut region as well, as the edge between two intervals of an analysis does."""
+    """True if a bound lies in the cut region as well, as the edge between two intervals of an analysis does."""
 
     def influence(self, scenario: str, parameter: str) -> Influence:
         """Returns the influence of one parameter in one scenario, `EVERYWHERE` if the map does not list it."""

@@ -29,8 +29,8 @@ def reference_line(road: Road, spacing: float = 0.5) -> Floats:
 def resampled(line: Floats, length: float, spacing: float) -> Floats:
     """Returns a reference line from 0 to `length` in rows `spacing` metres apart; itself if it is that.
 
-    Curvature, x and y are those of `pose_on`; heading is the integral of the new rows' linear curvature. Raises InvalidInputError if length
-    or spacing are not positive.
+    Curvature, x and y are the same as of `pose_on`; heading is the integral of the new rows' linear curvature. Raises InvalidInputError
+    if length or spacing are not positive.
     """
     if not length > 0 or not spacing > 0:
         raise InvalidInputError(Problem("road.length", f"{length} m in rows of {spacing} m", "both must be positive"))

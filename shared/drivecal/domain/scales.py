@@ -19,7 +19,7 @@ MOST_BARS = 100
 
 
 class Direction(StrEnum):
-    """Whether larger or smaller scores are better."""
+    """Sense of a score: larger ones or smaller ones are better."""
 
     MAXIMISE = "maximise"
     MINIMISE = "minimise"
@@ -56,11 +56,11 @@ class Scale:
 
     @property
     def is_whole(self) -> bool:
-        """Whether every score is a whole number."""
+        """True if every score is a whole number."""
         return self.step is not None and self.step.is_integer()
 
     def is_better(self, score: float, other: float) -> bool:
-        """Whether `score` is better than `other`."""
+        """Returns whether `score` is better than `other`."""
         return self.sign * score > self.sign * other
 
     def worth(self, score: float, *, failed: bool = False) -> float:
@@ -68,7 +68,7 @@ class Scale:
         return self.failed if failed or self.cuts(score) else score
 
     def cuts(self, score: float) -> bool:
-        """Whether a score is worse than `failed`, so that it counts as a failed run's."""
+        """Returns whether a score is worse than `failed`, so that it counts as a failed run's."""
         return self.is_better(self.failed, score)
 
     @property
@@ -82,7 +82,7 @@ class Scale:
         return self.tolerance + ROUNDING_SHARE * self.span
 
     def is_wrong(self, difference: float) -> bool:
-        """Whether scores with this difference count as wrong."""
+        """Returns whether scores with this difference count as wrong."""
         return abs(difference) > self.largest_agreeing
 
     @property

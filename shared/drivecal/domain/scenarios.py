@@ -15,7 +15,7 @@ from drivecal.domain.setups import canonical_json, digest
 
 @dataclass(frozen=True, slots=True)
 class SpeedKnot:
-    """A speed (m/s) that holds from arc length s on, until the next knot."""
+    """A speed (m/s) that holds from arc length `s` until the next knot."""
 
     s: float
     speed: float
@@ -25,7 +25,7 @@ class SpeedKnot:
 class Road:
     """A motorway carriageway of equal lanes, as its network has it: `drivecal.roads.carriageway` measures it.
 
-    `line`, shape (n, 5): the reference line, as in `domain.roads`; `length`: of the route along it.
+    `line`, shape (n, 5): the reference line, as in `domain.roads`; `length` is the length of the route along it.
     """
 
     line: npt.NDArray[np.float64]
@@ -105,7 +105,7 @@ class Scenario:
     id: str
     title: str
     rated_as: str
-    """Class by which evaluators rate its runs; each catalogue has its own."""
+    """Class that evaluators rate its runs as; each catalogue has its own."""
     duration: float
     step: float
     network: bytes

@@ -1,6 +1,6 @@
 """Array files of learned plug-ins: plain `.npz` files that contain no executable content and are checked bit by bit.
 
-Beside its arrays a file holds a `format` (purpose and version of the layout) and the `digest` of all arrays.
+In addition to its arrays a file holds a `format` (purpose and version of the layout) and the `digest` of all arrays.
 """
 
 import zipfile

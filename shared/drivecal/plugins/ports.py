@@ -46,7 +46,7 @@ class Planner(Protocol):
         """Starts a new run with these parameter values, in the order of the driving function's parameters."""
 
     def plan(self, observation: Observation) -> Floats:
-        """Returns the trajectory to follow from now on, shape (n, 7), at least `period` plus one second long.
+        """Returns the trajectory to follow, shape (n, 7), at least `period` plus one second long.
 
         Rows every scenario step; columns: t from now, x, y, heading, curvature, speed, acceleration.
         """
@@ -193,7 +193,7 @@ class Optimizer(Protocol):
 
         `tie_breakers` rank equal objectives (the weighted continuous rating).
 
-        An optimizer that declares `objectives` gets those of a campaign with several, or with constraints on results, in shape (n, m), and
+        An optimizer that declares `objectives` gets them from a campaign with several or with constraints on results, in shape (n, m), and
         in the place of tie breakers the sums of violations, shape (n,): 0 for individuals that keep all constraints, which are better than
         all that do not. NaN in both for individuals without a result.
         """

@@ -78,7 +78,7 @@ def _installed(group: str) -> dict[str, tuple[EntryPoint, ...]]:
 
 
 def names(group: str) -> list[str]:
-    """Returns the names registered in an entry point group, sorted, those of broken plug-ins included."""
+    """Returns the names registered in an entry point group, sorted, including broken plug-ins."""
     return list(_installed(group))
 
 
@@ -129,7 +129,7 @@ def _find(group: str, name: str, field: str) -> Any:
 
 
 def _listed(group: str) -> Iterator[Any]:
-    """Yields the plug-ins of a group, broken ones included, without those that lack an optional package."""
+    """Yields the plug-ins of a group, broken ones included, except if an optional package is missing."""
     for name in names(group):
         with suppress(InvalidInputError):
             yield _load(group, name)

@@ -35,8 +35,8 @@ def start_limit(timeout: float) -> float:
 class RunOutcome:
     """Result of one simulation: `measures` by name, the name of a `failure` of the system under test, and time series by name.
 
-    `cpu_seconds`: CPU time of child processes during the run, no part of the result; `start_seconds`: time before the run in which a
-    simulator was started again, which is no run's. `replay`: the drive from above, reported with the series by `highway` alone.
+    `cpu_seconds`: CPU time of child processes during the run, no part of the result; `start_seconds`: time before the run for
+    another start of the simulator, which is no run's. `replay`: the drive from above, reported with the series by `highway` alone.
     """
 
     measures: Mapping[str, float]
@@ -51,7 +51,7 @@ class RunOutcome:
 class Declared:
     """Names that a manifest declares of a simulator's answers. Without declared `failures`, a simulator may report any name.
 
-    `units`: of measures and series by name, if they are known; they decide no result. `parameters`: units of the parameters by name.
+    `units` has the known units of measures and series by name; they decide no result. `parameters`: units of the parameters by name.
     """
 
     problem: str

@@ -37,11 +37,11 @@ ASK_AGAIN_SECONDS = 600.0
 """Age of an answer after which the probe runs again: tools may be upgraded while a worker lives."""
 _SHOWN = 150
 _REMEDIES = {"sumo": "the same version of libsumo"}
-"""What to install if a part of a setup (`fingerprints.parts_of`) differs; else the same drivecal and plug-ins."""
+"""Package to install if a part of a setup (`fingerprints.parts_of`) differs; else the same drivecal and plug-ins."""
 
 
 class OtherToolsError(UnavailableError):
-    """This machine has other versions of tools than the campaign began with. `answer`: of the probe here."""
+    """This machine has other versions of tools than the campaign began with. `answer` is the answer of the probe here."""
 
     def __init__(self, command: str, answer: str, expected: str) -> None:
         super().__init__(
@@ -67,7 +67,7 @@ class Tools:
         return answer
 
     def check(self, setup: SetupRequest, folder: Callable[[], Path]) -> None:
-        """Raises OtherToolsError if the tools are not those of the setup. The probe runs unless its last answer is recent and agrees."""
+        """Raises OtherToolsError if the setup has other tools. The probe runs unless its last answer is recent and agrees."""
         if setup.tools is None:
             return
         answer, since = self._answers.get(setup.bundle, ("", 0.0))
@@ -160,7 +160,7 @@ class BundleSessions:
                 self._close_idle()
 
     def watch(self) -> None:
-        """Holds the sessions to their limits between their runs, and closes those that are unused for long. Thread-safe."""
+        """Holds the sessions to their limits between their runs, and closes sessions that are unused for long. Thread-safe."""
         for session in list(self._sessions.values()):
             if isinstance(session, ProcessSession):
                 session.watch()

@@ -67,7 +67,7 @@ class BundleCache:
         self._tidied = False
 
     def has(self, digest: str) -> bool:
-        """Whether a bundle is there, or installed with a package."""
+        """Returns whether a bundle is there, or installed with a package."""
         return installed(digest) is not None or (self._folder / digest).is_dir()
 
     def folder(self, digest: str) -> Path:
@@ -186,7 +186,7 @@ class BundleCache:
             raise UnavailableError(f"the files of the bundle {digest} are not on this machine{reason}")
 
     def _remove_leftovers(self) -> None:
-        """Removes what killed workers left of bundles that they unpacked. Other names than those of `unpack` are never touched."""
+        """Removes what killed workers left of bundles that they unpacked. Only names that `unpack` makes are touched."""
         self._tidied = True
         for path in self._folder.glob(".*-*"):
             named = path.name[1:].partition("-")[0]

@@ -15,7 +15,7 @@ SHIPPED = "DRIVECAL_KERNELS"
 def prepare_cache() -> None:
     """Sets a folder for compiled kernels if numba has none. Call it before importing numba.
 
-    numba stores kernels beside the sources or, if drivecal is installed read-only, in the user's cache folder. Several processes may share
+    numba stores kernels next to the sources or, if drivecal is installed read-only, in the user's cache folder. Several processes may share
     either folder, because files are replaced atomically. If neither is writable (containers, service accounts), numba would refuse to
     compile. The processes of the user then share a temporary folder.
 

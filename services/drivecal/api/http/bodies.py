@@ -22,7 +22,7 @@ LARGE = 16_384
 
 
 class StrictRoute(APIRoute):
-    """A route whose JSON body is read and checked beside the event loop."""
+    """A route whose JSON body is read and checked outside the event loop."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Returns FastAPI's handler behind the strict reader."""

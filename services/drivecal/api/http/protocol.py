@@ -19,7 +19,7 @@ SECONDS_IDLE = 15
 """Seconds that a connection stays open for the next request."""
 SECONDS_TO_STOP = 5
 SECONDS_TO_READ = 2.0
-"""Time in which a refused client may read the refusal. A socket that is closed with unread bytes is reset, and the answer lost."""
+"""Time for a refused client to read the refusal. A socket that is closed with unread bytes is reset, and the answer lost."""
 MOST_IGNORED = 64 * 1_048_576
 """Bytes of a body that a client may still send after its answer, before its connection is closed."""
 LARGEST_LIVE_MESSAGE = 4_096
@@ -39,7 +39,7 @@ class Protocol(H11Protocol):
             self._refuse(503, f"{MOST_CONNECTIONS:,} connections are open already; try again later", "Retry-After: 2\r\n")
 
     def data_received(self, data: bytes) -> None:
-        """Receives data, but for those of a refused client, and ends a body that goes on after its answer."""
+        """Receives data, except from a refused client, and ends a body that goes on after its answer."""
         if self._is_refused:
             return
         super().data_received(data)

@@ -34,7 +34,7 @@ class Parameters(BaseModel):
 
 
 def check_names(connection: HTTPConnection) -> None:
-    """Raises InvalidInputError for parameters that the operation does not have, and for those that are given twice and are no list.
+    """Raises InvalidInputError for parameters that the operation does not have, and for parameters that are given twice and are no list.
 
     Probes and the page's files may be asked with any.
     """
@@ -79,7 +79,7 @@ class PageOf(Parameters):
 
 
 class CampaignsOf(PageOf):
-    """A page of campaigns: by default without archived ones; with several tags those that have all of them."""
+    """A page of campaigns: by default without archived ones; with several tags campaigns that have all of them."""
 
     state: CampaignState | None = None
     archived: Archived = "without"
@@ -87,7 +87,7 @@ class CampaignsOf(PageOf):
 
 
 class ViewsOf(Parameters):
-    """Saved views for all campaigns, and those of a `campaign`."""
+    """Saved views for all campaigns, and with `campaign` also its own."""
 
     campaign: Annotated[str, StringConstraints(max_length=64)] | None = None
 
@@ -116,14 +116,14 @@ class TableOf(PageOf, FormOf):
 
 class SolutionsOf(TableOf):
     """A page of solutions, ranked by weights such as `S1=2,S2=1`; other scenarios have weight 1. `score`: another one of the problem, or
-    `NAME@PUSH`: one that another push of it declares, by its name or digest."""
+    `NAME@PUSH`: a score that another push of it declares, by its name or digest."""
 
     weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
     score: Annotated[str, StringConstraints(max_length=300)] | None = None
 
 
 class EvaluationsOf(TableOf):
-    """A page of evaluations; with `measures`, behind all other columns those of the run that answered each."""
+    """A page of evaluations; with `measures`, the measures of the run that answered each follow behind all other columns."""
 
     measures: bool = False
 

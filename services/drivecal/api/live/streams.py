@@ -302,7 +302,7 @@ def _event(number: int | None, kind: str, campaign: str, at: datetime, data: Map
 
 
 async def _within(seconds: float, event: asyncio.Event) -> bool:
-    """Returns whether an event was set within so many seconds."""
+    """Returns whether an event was set within `seconds`."""
     try:
         async with asyncio.timeout(seconds):
             await event.wait()

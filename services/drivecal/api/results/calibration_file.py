@@ -31,8 +31,9 @@ class RankedOtherwise:
 def written(
     database: Database, choice: Choice, form: CalibrationFormat, by: RankedOtherwise, labels: Sequence[str], *, everything: bool
 ) -> bytes:
-    """Returns the file of a set. `labels`: of parameters, `P1=ACC_tGap_C`. `everything`: the front of all stored sets. Raises NotFoundError
-    for an unknown campaign, InvalidInputError for a set that it does not have and unusable options, ConflictError as `review_of`."""
+    """Returns the file of a set. `labels`: names for parameters, `P1=ACC_tGap_C`. `everything`: the front of all stored sets. Raises
+    NotFoundError for an unknown campaign, InvalidInputError for a set that it does not have and unusable options, ConflictError as
+    `review_of`."""
     with database.read() as connection:
         stored = calibration(campaigns.get(connection, choice.campaign), ", which ranks nothing")
     resolved = resolved_spec(stored)

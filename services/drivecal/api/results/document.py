@@ -40,7 +40,7 @@ from drivecal.storage.references import influence_maps, setups
 from drivecal.storage.studies import StoredStudy
 
 SAME_FOR_A_MAP = ("setups", "evaluator", "space", "fixed")
-"""Parts of the setup that a validation shares with every campaign whose map it confirms, beside the measure of the scale."""
+"""Parts of the setup that a validation shares with every campaign whose map it confirms, in addition to the measure of the scale."""
 
 
 def results_of(
@@ -79,7 +79,7 @@ def results_of(
 
 
 def setup_of(connection: Connection, campaign: StoredCampaign) -> CampaignSetup:
-    """Returns the parameters, versions and fingerprints that a campaign began with; while it is queued, those of today."""
+    """Returns the parameters, versions and fingerprints that a campaign began with; while it is queued, the current ones."""
     begun_with = resolved_spec(campaign)
     documents = setups.documents(connection, list(begun_with.setups.values()))
     words = _descriptions(connection, campaign)
@@ -120,7 +120,7 @@ def account_of(connection: Connection, campaign: StoredCampaign) -> Accounting:
     predictors: dict[str, float] = defaultdict(float)
     for lot in lots.of_campaign(
         connection, campaign.sequence, Outcome.PREDICTED
-    ):  # `released` sums up those of whole generations
+    ):  # `released` sums up the lots of whole generations
         predictors[lot.scenario] += lot.seconds
     known = [*campaign.error_rate, *(row.scenario for row in rows if row.stage is StageName.CALIBRATION)]
     return account(
@@ -181,8 +181,8 @@ def _compromises(database: Database, campaign: StoredCampaign, front: CampaignFr
 def set_at(
     database: Database, stored: StoredCampaign, front: CampaignFront, place: tuple[int, int], baseline: EvaluatedSet | None
 ) -> Chosen:
-    """Returns the set at a `place` of the search, its iteration and individual, with its objectives beside those of the `baseline`. Raises
-    NotFoundError if the search has no such place."""
+    """Returns the set at a `place` of the search, its iteration and individual, with its objectives and the `baseline` to compare with.
+    Raises NotFoundError if the search has no such place."""
     scenario = next(iter(front.goals.objectives[0].shares))
     with database.read() as connection:
         cell = results.by_id(connection, results.number_at(connection, stored.sequence, *place, scenario))
@@ -209,7 +209,7 @@ def set_at(
 
 
 def _tolerance(goal: Objective, objectives: int) -> float:
-    """Returns the differences that do not count: the objective's own; if it is the only one, else those of its score's scale."""
+    """Returns the differences that do not count: the objective's own; if it is the only one, else the tolerance of its score's scale."""
     if goal.tolerance or objectives > 1 or goal.value.scale is None:
         return goal.tolerance
     return goal.value.scale.tolerance
@@ -266,7 +266,7 @@ def _scenario(name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mappi
 
 
 def about(connection: Connection, campaign: StoredCampaign) -> list[StoredStudy]:
-    """Returns the studies of a campaign's best sets and its map, its own and those of other campaigns, the newest first."""
+    """Returns the studies of a campaign's best sets and its map, also by other campaigns, the newest first."""
     made = studies.about(connection, campaign.id, campaign.sequence, campaign.influence_map_id)
     return [study for study in made if _of_the_same(study, campaign)]
 

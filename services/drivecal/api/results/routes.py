@@ -96,7 +96,7 @@ def read_results(campaign_id: str, query: PlaceQuery, database: DatabaseDependen
 
 @router.get("/setup")
 def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
-    """The parameters, versions and fingerprints that the campaign began with; while it is queued, those of today."""
+    """The parameters, versions and fingerprints that the campaign began with; while it is queued, the current ones."""
     with database.read() as connection:
         return setup_of(connection, calibration(campaigns.get(connection, campaign_id)))
 
@@ -113,7 +113,7 @@ def show_importance(campaign_id: str, query: ImportanceQuery, database: Database
 
 @router.get("/studies")
 def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
-    """The robustness and validation studies of its best sets and its map, its own and those of other campaigns, newest first."""
+    """The robustness and validation studies of its best sets and its map, also by other campaigns, newest first."""
     with database.read() as connection:
         campaign = calibration(campaigns.get(connection, campaign_id))
         made = about(connection, campaign)

@@ -91,7 +91,7 @@ def parameters() -> ParameterSpacePage:
 
 @router.get("/optimizers")
 def optimizers() -> OptimizerPage:
-    """The installed optimizers with their settings, and those that cannot be used."""
+    """The installed optimizers with their settings, and the unusable ones."""
     items = [
         OptimizerAnswer(name=plugin.name, supports=sorted(supported(plugin)), settings=plugin.settings.model_json_schema())
         for plugin in registry.optimizers()

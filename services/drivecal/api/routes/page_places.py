@@ -27,7 +27,7 @@ class CellOf(Parameters):
 
 @router.get("/campaigns/{campaign_id}/cell")
 def find_cell(campaign_id: str, query: Annotated[CellOf, Query()], database: DatabaseDependency) -> CellNumber:
-    """The evaluation by which the set at a place of the calibration stage is ranked."""
+    """The evaluation that ranks the set at a place of the calibration stage."""
     with database.read() as connection:
         campaign = campaigns.get(connection, campaign_id)
         evaluation = results.number_at(connection, campaign.sequence, query.iteration, query.individual, query.scenario)
@@ -36,7 +36,7 @@ def find_cell(campaign_id: str, query: Annotated[CellOf, Query()], database: Dat
 
 @router.get("/views")
 def list_views(query: ViewsQuery, database: DatabaseDependency) -> SavedViewList:
-    """The saved views for all campaigns, and with `campaign` those of that one, by name."""
+    """The saved views for all campaigns, and with `campaign` also its own, by name."""
     with database.read() as connection:
         listed = saved_views.listed(connection, query.campaign)
     return SavedViewList(items=[_view(stored) for stored in listed])

@@ -1,4 +1,4 @@
-"""Logging in, for the page: a token is shown once, and a cookie that no script can read stands for it from then on."""
+"""Logging in, for the page: a token is shown once, and then a cookie that no script can read stands for it."""
 
 from fastapi import APIRouter, Request, Response
 

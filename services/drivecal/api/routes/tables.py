@@ -71,7 +71,8 @@ def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDepe
 def list_evaluations(
     campaign_id: str, query: EvaluationsQuery, database: DatabaseDependency, accept: Accept = "*/*"
 ) -> Response:
-    """Requested cells, ordered by stage, iteration, individual and scenario; with `measures` also those of the runs that answered them."""
+    """Requested cells, ordered by stage, iteration, individual and scenario; with `measures` also the measures of the runs that answered
+    them."""
     campaign = _campaign(database, campaign_id)
     measures = _measures(database, campaign) if query.measures else ()
 
@@ -115,7 +116,7 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
 @router.get("/optima", responses=page_or_file(OptimumRow))
 @computed
 def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """The sets that share the best objective, the region of the space in which each lies, and how far the nearest worse set is; at
+    """The sets that share the best objective, the region of the space where each lies, and how far the nearest worse set is; at
     most the first 10,000 of them."""
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
@@ -188,7 +189,7 @@ def _pinned(campaign: StoredCampaign) -> ResolvedSpec:
 
 
 def _evaluation_columns(database: Database, campaign: StoredCampaign) -> list[Column]:
-    """Returns the columns of a file, with the parameters of the first row, or without rows those of the coming rows."""
+    """Returns the columns of a file, with the parameters of the first row, or, without a row, of the rows to come."""
     with database.read() as connection:
         rows, _ = results.page(connection, campaign.sequence, limit=1)
     begun_with = resolved_spec(campaign)

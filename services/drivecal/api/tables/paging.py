@@ -168,12 +168,12 @@ def _read(condition: str, known: Mapping[str, Column]) -> tuple[str, str, object
 
 ROWS_AT_A_TIME = 2000
 ROWS_AT_FIRST = 250
-"""Of CSV: readers that take it as it comes, as the page does, have the first rows after an eighth of the time."""
+"""Rows of CSV: readers that take it as it comes, as the page does, have the first rows after an eighth of the time."""
 
 Rows = Sequence[BaseModel] | Sequence[Row]
 """Models, or plain rows that are the same in JSON and in a file."""
 Pages = Callable[[int, str | None], tuple[Rows, str | None]]
-"""Returns at most so many rows from a cursor on, and the cursor of the next row."""
+"""Takes a number of rows and a cursor. Returns at most that number after the cursor, and the cursor of the next row."""
 Columns = Callable[[], Sequence[Column]]
 """Returns the columns of a file."""
 

@@ -1,6 +1,6 @@
 """Ranking of the evaluated sets of a campaign.
 
-A score of the campaign's problem is named by its name, and one that another push declares by `NAME@PUSH`, the name or digest of the push.
+A score of the campaign's problem is named by its name, and a score of another push by `NAME@PUSH`, the name or digest of the push.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -34,7 +34,7 @@ LARGEST_WEIGHT = 1e6
 
 @dataclass(frozen=True)
 class CampaignRanking:
-    """The ranked parameter sets of a campaign; their values are read only for those that are shown."""
+    """The ranked parameter sets of a campaign; only shown ones have their values read."""
 
     database: Database
     ranked: Sequence[Ranked]
@@ -151,7 +151,7 @@ def later_best(database: Database, campaign: StoredCampaign) -> Later | None:
 
 
 def _constrained_alike(database: Database, campaign: StoredCampaign, other: StoredCampaign) -> bool:
-    """Whether the pushes that two campaigns name allow the same sets."""
+    """Returns whether the pushes that two campaigns name allow the same sets."""
     pushes = [stored_bundles(database)(each.spec["problem"]).manifest.constraints for each in (campaign, other)]
     return pushes[0] == pushes[1]
 
@@ -212,7 +212,7 @@ def _rated(
 
     for cell in results.answers(connection, campaign.sequence, StageName.CALIBRATION, corrected_by=evaluator, valued=rate):
         score = cell.values.get(value.key)
-        known = score is not None  # of a run of this very cell, or of one that it provably repeats
+        known = score is not None  # of a run of this very cell, or of a run that it provably repeats
         own = {} if cell.score is None else {SCORE: cell.score}
         yield replace(
             cell,
@@ -225,7 +225,7 @@ def _rated(
 
 
 def given_weights(text: str, names: Sequence[str], kind: str) -> Mapping[str, float]:
-    """Returns weights by scenario or objective in the campaign's order; those that are not named have weight 1, as in a campaign file."""
+    """Returns weights by scenario or objective in the campaign's order; names without a weight have weight 1, as in a campaign file."""
     given = assignments(text.split(","), "weights")
     problems: list[Problem] = []
     for name, weight in given.items():

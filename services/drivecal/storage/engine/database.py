@@ -35,7 +35,7 @@ class Patience:
     statement: int | None
     """Limit for one statement; None: no limit."""
     watched: bool
-    """Whether to notice a server that accepts connections and does not answer, within seconds; see `answering`."""
+    """True to notice within seconds a server that accepts connections and does not answer; see `answering`."""
     cache: int = 64
     """Largest memory for pages of an SQLite file, MB."""
 
@@ -49,7 +49,7 @@ PROMPT = Patience(lock=4, connect=2, statement=30, watched=True, cache=16)
 QUEUE_SECONDS = 0.003
 """Pause between two looks whether another process has begun to write."""
 QUEUE_KEPT_SECONDS = 0.5
-"""Time in which waiting threads of a process write one after the other, before another process does."""
+"""Time for waiting threads of a process to write one after the other, before another process does."""
 QUEUE_LEFT_SECONDS = 10.0
 """Time for which a process writes without the queue after it waited in vain."""
 
@@ -115,7 +115,7 @@ class Turns:
 
     def _enter_queue(self, deadline: float) -> None:
         """Locks the file. If that fails, or takes half of a writer's time, SQLite's own lock has to do for a while: a process that is
-        stopped while it has the file locked holds up nobody for longer."""
+        stopped while it has the file locked holds up others no longer."""
         begun = time.monotonic()
         try:
             self._queue.touch(mode=0o600)

@@ -41,7 +41,7 @@ class ServerLock(Protocol):
 
 
 def hold(url: str, otherwise: str = "name another database by DRIVECAL_DATABASE_URL", server: int | None = None) -> ServerLock:
-    """Takes the lock. Raises DatabaseError naming the holder if another server has it; `otherwise`: what to do but stop it.
+    """Takes the lock. Raises DatabaseError naming the holder if another server has it; `otherwise`: another remedy than to stop it.
 
     `server`: the process that a user stops, if it is not this one: a supervisor restarts its dispatcher.
     """

@@ -15,7 +15,7 @@ from drivecal.domain.errors import DatabaseError
 from drivecal.storage.engine.urls import sqlite_file
 
 REVISION_TABLE = "drivecal_revision"
-"""Holds the revision. Its name tells drivecal's databases from those of other programs that use Alembic."""
+"""Holds the revision. Its name tells drivecal's databases from databases of other programs that use Alembic."""
 MIGRATIONS = Path(__file__).parents[1] / "migrations"
 """Folder of the revisions."""
 UPGRADE_LOCK = 0x64726976
@@ -50,7 +50,7 @@ def prepare_file(url: URL) -> None:
     elif not os.access(file.parent, os.W_OK):
         raise DatabaseError(f"{file.parent} is not writable; give the user that runs drivecal the right to write there")
     else:
-        file.touch(mode=0o600)  # SQLite gives the files beside it the same mode
+        file.touch(mode=0o600)  # SQLite gives its companion files the same mode
 
 
 def refuse_foreign(connection: Connection, database: str) -> None:
@@ -75,7 +75,7 @@ def refuse_unmigrated(connection: Connection, database: str) -> None:
 
 
 def use_write_ahead_log(url: URL) -> None:
-    """Switches to write-ahead logging, in which readers do not wait for the writer. The mode stays in the file."""
+    """Switches to write-ahead logging: readers do not wait for the writer. The mode stays in the file."""
     file = sqlite_file(url)
     if file is not None:
         with closing(sqlite3.connect(file, timeout=30)) as connection:

@@ -21,7 +21,7 @@ Document = JSON(none_as_null=True)
 """JSON as text, never JSONB, which would forget the order of keys (scenarios, parameters); None is SQL's NULL."""
 
 ORDER = {stage: number for number, stage in enumerate(StageName, 1)}
-"""Stored numbers of the stages, by which the database sorts them as they run."""
+"""Stored numbers of the stages: the database sorts them in running order."""
 
 
 class StageNumber(TypeDecorator[StageName]):

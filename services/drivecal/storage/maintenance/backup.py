@@ -53,7 +53,7 @@ Progress = Callable[[str, int, int], None]
 
 
 def tables_of(connection: Connection) -> list[Table]:
-    """The tables of a database but that of its revision, in an order in which they can be filled."""
+    """The tables of a database, without its revision, in an order that allows to fill them."""
     return _reflected(connection, [name for name in inspect(connection).get_table_names() if name != REVISION_TABLE])
 
 
@@ -135,7 +135,7 @@ def _write(connection: Connection, table: Table, rows: Sequence[Row]) -> None:
     names = ", ".join(column.name for column in table.columns)
     driver: Any = connection.connection.driver_connection
     if connection.dialect.name == "postgresql":
-        connection.execute(text("SET LOCAL TIME ZONE 'UTC'"))  # in which it reads moments that name none
+        connection.execute(text("SET LOCAL TIME ZONE 'UTC'"))  # the zone of moments that name none
         with driver.cursor() as cursor, cursor.copy(f"COPY {table.name} ({names}) FROM STDIN") as copy:
             for row in rows:
                 copy.write_row(row)
@@ -182,14 +182,14 @@ def _postgresql_sequence(connection: Connection, table: str) -> str | None:
 
 
 def _counts(connection: Connection) -> bool:
-    """Whether SQLite has its table of sequences: it comes with the first table that is numbered without gaps."""
+    """Returns whether SQLite has its table of sequences: it comes with the first table that is numbered without gaps."""
     return bool(connection.scalar(text("SELECT count(*) FROM sqlite_master WHERE name = 'sqlite_sequence'")))
 
 
 PAGES = 4_096
 """Pages of an SQLite database that are copied at a time, 16 MB."""
 BESIDE = ("-journal", "-wal", "-shm")
-"""Suffixes of the files beside an SQLite database that SQLite applies to it when it is opened."""
+"""Suffixes of the companion files of an SQLite database that SQLite applies to it when it is opened."""
 PASSING = ("processes",)
 """Tables of the processes that served a database: a database with rows only there counts as empty."""
 
@@ -315,7 +315,7 @@ def _settle(file: Path) -> None:
 
 @contextmanager
 def _partial(file: Path) -> Iterator[Path]:
-    """Yields a temporary file beside `file`, and removes it unless it was published."""
+    """Yields a temporary file in the folder of `file`, and removes it unless it was published."""
     try:
         handle, name = tempfile.mkstemp(prefix=f"{file.name}.", suffix=".partial", dir=file.parent)
     except OSError as error:
@@ -333,7 +333,7 @@ def _publish(partial: Path, file: Path) -> None:
     with partial.open("rb+") as written:
         os.fsync(written.fileno())
     _settle(file)
-    _sync_folder(file.parent)  # or a file beside the earlier one could come back after a power cut
+    _sync_folder(file.parent)  # or a companion of the earlier file could come back after a power cut
     partial.replace(file)
     _sync_folder(file.parent)
 
@@ -350,7 +350,7 @@ def _sync_folder(path: Path) -> None:
 def _copy_pages(source: Connection, target: Path, progress: Progress) -> None:
     """Copies an SQLite database in the source's transaction, so that others may write meanwhile and the copy does not see it. The target
     is changed in one transaction of its own."""
-    source.exec_driver_sql("SELECT count(*) FROM sqlite_master")  # a transaction sees its moment from its first statement on
+    source.exec_driver_sql("SELECT count(*) FROM sqlite_master")  # a transaction sees the moment of its first statement
     driver: Any = source.connection.driver_connection
     with translated(str(target)), closing(sqlite3.connect(target, timeout=30)) as copy:
         driver.backup(copy, pages=PAGES, progress=lambda _, left, total: progress("pages", total - left, total))

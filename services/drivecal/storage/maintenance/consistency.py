@@ -58,7 +58,7 @@ STREAMED = 10_000
 
 
 def check_tables(connection: Connection) -> Iterator[str]:
-    """Tables, columns, indexes and constraints are those of this drivecal's revision."""
+    """Tables, columns, indexes and constraints are as in this drivecal's revision."""
     context = MigrationContext.configure(connection, opts={"version_table": REVISION_TABLE, "compare_type": True})
     for difference in compare_metadata(context, metadata):
         step = difference[0] if isinstance(difference, list) else difference
@@ -155,7 +155,7 @@ ROWS = 100
 
 
 def check_counters(connection: Connection) -> Iterator[str]:
-    """The counters of each campaign are those of its cells, and add up."""
+    """The counters of each campaign count its cells, and add up."""
     counted: dict[tuple[int, int], dict[str, int]] = {}
     stage, audited = type_coerce(evaluations.c.stage, SmallInteger), func.sum(case((AUDITED, 1), else_=0))
     sampled = func.sum(case((SAMPLED, 1), else_=0))
@@ -182,11 +182,11 @@ def check_counters(connection: Connection) -> Iterator[str]:
 
 _NOT_IN_ROWS = {"unrepeatable", "unscored", "cut", "runs", "discarded"}
 _WHOLE = campaigns.c.pruned.is_(None) & campaigns.c.deleted_at.is_(None)
-"""Campaigns with all their cells: a pruned or deleted one counts those that it had."""
+"""Campaigns with all their cells: a pruned or deleted one counts its former cells."""
 
 
 def check_ended(connection: Connection) -> Iterator[str]:
-    """Campaigns that have ended have no leases, and those that succeeded no cell without an answer; answered cells have no lease."""
+    """Campaigns that have ended have no leases, and succeeded ones no cell without an answer; answered cells have no lease."""
     ended = campaigns.c.state.in_(ENDED)
     for row in connection.execute(select(campaigns.c.id, campaigns.c.state).where(ended != campaigns.c.ended_at.is_not(None))):
         yield f"campaign {row.id} is {row.state}, and its end is {'not ' if row.state in ENDED else ''}written down"

@@ -94,7 +94,7 @@ def read(connection: Connection, tally: Tally) -> tuple[Statistics, Tally]:
     sums, following = _advance(connection, tally)
     dispatcher = processes.read(connection, processes.DISPATCHER)
     out = 0
-    if dispatcher is not None:  # as many as are at workers, and those that broke down: never many
+    if dispatcher is not None:  # cells at workers, and cells that broke down: never many
         # whatever the time: a slow cell outlasts its lease, which ends when the cell comes back
         current = (leases_table.c.term == dispatcher.term) & (leases_table.c.expires_at != leases.OVER)
         out = connection.scalar(select(func.count()).select_from(leases_table).where(current)) or 0

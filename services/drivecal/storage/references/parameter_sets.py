@@ -13,7 +13,7 @@ from drivecal.storage.engine.tables import parameter_sets
 
 
 def ensure(connection: Connection, given: Sequence[ParameterSet]) -> list[int]:
-    """The ids of parameter sets, in order; those that are new are stored. Safe beside others that store the same sets."""
+    """The ids of parameter sets, in order; new ones are stored. Safe while others store the same sets."""
     keys = [parameter_set.key for parameter_set in given]
     ids = _ids(connection, list(dict.fromkeys(keys)))
     missing: dict[bytes, str] = {}

@@ -1,4 +1,4 @@
-"""Ratings of stored runs by other evaluators than the one that rated them first.
+"""Ratings of stored runs by other evaluators than their first one.
 
 They follow from the metrics that are stored with a run, so that whether an evaluator has an opinion of a run does not depend on when,
 or for which campaign, it was asked. (Ratings that a run is simulated again for are written down by `runs.insert_results`.)

@@ -32,7 +32,7 @@ class SetupCount:
 
 
 def ensure(connection: Connection, given: Sequence[Setup]) -> list[int]:
-    """The ids of setups, in order; those that are new are stored."""
+    """The ids of setups, in order; new ones are stored."""
     documents = {setup.fingerprint: setup for setup in given}
     rows = [
         {"fingerprint": fingerprint, "scenario": setup.scenario, "document": setup.document}

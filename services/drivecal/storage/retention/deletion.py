@@ -29,7 +29,7 @@ SLICE = 20_000
 
 @dataclass(frozen=True, slots=True)
 class CampaignUse:
-    """A campaign that refers to another one; `use`: what it needs of it."""
+    """A campaign that refers to another one. `use` names the needed part."""
 
     campaign: str
     name: str
@@ -37,7 +37,7 @@ class CampaignUse:
 
 
 def references(connection: Connection, campaign: StoredCampaign) -> list[CampaignUse]:
-    """Returns the campaigns that refer to a campaign: reruns, studies of its sets or predictions, and those that use its map."""
+    """Returns the campaigns that refer to a campaign: reruns, studies of its sets or predictions, and users of its map."""
     table = campaigns.c
     outside = table.sequence != campaign.sequence, table.deleted_at.is_(None)
     maps = select(influence_maps.c.id).where(influence_maps.c.source == campaign.id)
@@ -110,7 +110,7 @@ def _mark(connection: Connection, sequence: int, identifier: str) -> None:
 
 
 def remove_slice(connection: Connection, sequence: int, numbers: range) -> None:
-    """Removes the cells of a campaign with these numbers, without those that others may refer to."""
+    """Removes the cells of a campaign with these numbers, except cells that others may refer to."""
     cell = evaluations.c
     # "+ 0", or the database might go through all cells of the campaign for each slice
     mine = cell.id.between(numbers.start, numbers.stop - 1) & (cell.campaign_sequence + 0 == sequence)

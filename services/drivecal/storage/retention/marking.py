@@ -79,7 +79,7 @@ class _Campaign:
     ended_at: datetime | None
     setups: frozenset[str]
     known: bool
-    """Whether its setups are known."""
+    """True if its setups are known."""
     names: frozenset[str]
     """Ids of campaigns that it reruns or examines, and of the maker of its influence map."""
     problem: str | None
@@ -88,7 +88,7 @@ class _Campaign:
 
 
 def select_campaigns(connection: Connection, before: datetime, problems: Collection[str] | None) -> Selection:
-    """Returns the campaigns that ended `before` a moment; with `problems` only those of these names or digests.
+    """Returns the campaigns that ended `before` a moment; with `problems` only campaigns of these names or digests.
 
     A campaign stays whole while a campaign that stays reruns it, examines its sets or uses its influence map. So does one whose setups a
     started campaign uses: that may be answered by its runs at any moment.
@@ -288,7 +288,7 @@ class _Needs:
         return _Cells(listed[:, 0], listed[:, 1], listed[:, 4], listed[:, 5], self._pairs(listed), listed[:, -1] == 1)
 
     def read_runs(self) -> None:
-        """Reads which cell made each run, and in which setup."""
+        """Reads which cell made each run, and its setup."""
         self._origin = np.zeros(len(self._runs), dtype=np.int64)
         self._setup = np.zeros(len(self._runs), dtype=np.int64)
         pairs = np.zeros(len(self._runs), dtype=np.int64)
@@ -311,7 +311,7 @@ class _Needs:
             self._need_runs_of(cells.pair[here & cells.copied])
 
     def doomed(self, cells: _Cells) -> Doomed:
-        """Returns the cells that are not marked. A cell goes after those that refer to it or to the run that it made."""
+        """Returns the cells that are not marked. A cell goes after cells that refer to it or to the run that it made."""
         goes = ~self._cells[cells.id]
         ids = cells.id[goes]
         made = np.zeros(len(self._cells), dtype=np.int64)

@@ -1,6 +1,6 @@
 """Removal of cells, runs and campaigns, each call in the transaction of its caller and small enough that other writers do not wait.
 
-Rows go in an order in which no remaining row points to one that is gone, so that the database is whole after every transaction.
+Rows go in an order that leaves no row pointing to a removed one, so that the database is whole after every transaction.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def remove_keys(connection: Connection, index: int) -> bool:
 
 
 def remove_records(connection: Connection, sequence: int) -> None:
-    """Removes what is stored of a campaign beside its row and its cells."""
+    """Removes what is stored of a campaign, except its row and its cells."""
     for table in (campaign_stages, generations, lots, studies, events):
         connection.execute(delete(table).where(table.c.campaign_sequence == sequence))
 

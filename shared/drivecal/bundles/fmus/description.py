@@ -53,7 +53,7 @@ class FmuVariable:
     name: str
     causality: str
     whole: bool
-    """Whether only whole numbers fit: integers, enumerations, and 0 or 1 of a Boolean."""
+    """True if only whole numbers fit: integers, enumerations, and 0 or 1 of a Boolean."""
     start: float | None = None
     lower: float | None = None
     upper: float | None = None
@@ -66,12 +66,12 @@ class FmuVariable:
 
     @property
     def is_number(self) -> bool:
-        """Whether it holds one number."""
+        """True if it holds one number."""
         return not self.is_array and self.kind in NUMBERS | _WHOLE
 
     @property
     def is_settable(self) -> bool:
-        """Whether a constant can give it: arrays, binary values and clocks have no place in a manifest."""
+        """True if a constant can give it: arrays, binary values and clocks have no place in a manifest."""
         return not self.is_array and (self.is_number or self.kind == "String")
 
 
