@@ -41,6 +41,8 @@ def _road(network: bytes, route: tuple[str, ...], name: str) -> Road:
     lanes, width = len(measured.tracks), float(measured.widths[0, 0])
     if any(track.begin > 0.0 or track.end < measured.length for track in measured.tracks):
         raise _refused(name, "has lanes that begin or end on the way")
+    if not measured.parallel:
+        raise _refused(name, "has a lane that leads to two others, or two that lead to one")
     if float(np.max(np.abs(measured.widths - width))) > WIDTH_TOLERANCE:
         raise _refused(name, "has lanes of different widths")
     if float(np.max(np.abs(measured.centres - np.arange(lanes) * width))) > LANE_TOLERANCE:

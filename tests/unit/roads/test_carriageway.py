@@ -36,6 +36,9 @@ def test_a_road_is_measured_once() -> None:
     assert carriageway(S5.network, list(S5.route), "S5.net.xml") is S5.road
 
 
+WAY = b'<connection from="e0" to="e1" fromLane="0" toLane="0" dir="s" state="M"/>'
+
+
 @pytest.mark.parametrize(
     ("content", "route"),
     [
@@ -43,6 +46,7 @@ def test_a_road_is_measured_once() -> None:
         (network(3.5, 3.5, limit="20"), ["e"]),
         (network(3.5, 3.5).replace(b"3.5 200,3.5", b"4.2 200,4.2"), ["e"]),
         (entrance(), ["before", "beside", "after"]),
+        (S5.network.replace(WAY, WAY + WAY.replace(b'toLane="0"', b'toLane="1"')), ["e0", "e1"]),
         (S5.network, ["e1", "e0"]),
         (S5.network, ["e9"]),
         (S5.network.replace(b"</net>", b""), ["e0", "e1"]),
@@ -50,7 +54,7 @@ def test_a_road_is_measured_once() -> None:
         (b"", ["e0"]),
         (b"<net/>", ["e0"]),
     ],
-    ids=["widths", "limits", "gap", "ramp", "order", "unknown", "open", "half", "empty", "no network"],
+    ids=["widths", "limits", "gap", "ramp", "two ways", "order", "unknown", "open", "half", "empty", "no network"],
 )
 def test_what_is_no_carriageway_is_refused(content: bytes, route: list[str]) -> None:
     with pytest.raises(InvalidInputError, match=r"road\.net\.xml"):

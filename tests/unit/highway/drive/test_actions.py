@@ -7,11 +7,11 @@ import pytest
 
 from drivecal.bundles.highway import TrafficEntry
 from drivecal.highway.drive import actions
-from drivecal.highway.drive.actions import ActionError, Actions, EgoPlace, Moving
+from drivecal.highway.drive.actions import ActionError, Actions, Moving
 from drivecal.highway.sumo import FREE, FREE_BUT_SAFE, MODEL
 
 STEP = 0.5
-FAR_AWAY = EgoPlace(0.0, 1.0)
+FAR_AWAY = Moving(0.0, 0.0, 0.0, 2.5)
 
 
 class Sumo:
@@ -66,8 +66,8 @@ def of(action: dict[str, Any], **vehicle: Any) -> Actions:
     return Actions({"v": TrafficEntry.model_validate({"s": 100, "speed": 30, "length": 5.0, "actions": [action]} | vehicle)})
 
 
-def act(these: Actions, step: int, ego: EgoPlace = FAR_AWAY) -> None:
-    these.act(step * STEP, STEP, {"v": Moving(100.0, 0.0, 30.0, 2.5)}, ego, 5.0)
+def act(these: Actions, step: int, ego: Moving = FAR_AWAY, stretch: float = 1.0) -> None:
+    these.act(step * STEP, STEP, {"v": Moving(100.0, 0.0, 30.0, 2.5), "ego": ego}, stretch)
 
 
 def several(*actions: dict[str, Any], **vehicle: Any) -> Actions:
@@ -150,14 +150,14 @@ def test_a_model_gets_its_speed_back(sumo: Sumo) -> None:
 @pytest.mark.parametrize(("stretch", "begins"), [(1.0, False), (0.9, True)])
 def test_a_gap_is_metres_of_the_way_and_not_of_the_line(sumo: Sumo, stretch: float, begins: bool) -> None:
     these = of({"do": "brake", "gap": 21})
-    act(these, 0, EgoPlace(72.0, stretch))  # 28 m of the line between the centres; vehicles of 5 m
+    act(these, 0, Moving(72.0, 0.0, 0.0, 2.5), stretch)  # 28 m of the line between the centres; vehicles of 5 m
     assert (FREE_BUT_SAFE in sumo.modes) is begins
 
 
 def test_a_cut_in_that_is_due_in_a_junction_waits_for_the_next_edge(sumo: Sumo) -> None:
     these = of({"do": "cut_in", "gap": 30, "lane": 1, "seconds": 1})
     sumo.road = ":n1_0"
-    act(these, 0, EgoPlace(90.0, 1.0))
+    act(these, 0, Moving(90.0, 0.0, 0.0, 2.5))
     assert (sumo.offsets, these.pending) == ([], True)
     sumo.road = "e1"
     act(these, 1)  # the gap has grown meanwhile
@@ -179,14 +179,14 @@ def test_a_speed_is_reached_in_a_time_or_a_distance_or_as_another_s(
 ) -> None:
     these = of({"do": "brake", "time": 0} | change, model="constant")
     for step in range(3):
-        act(these, step, EgoPlace(0.0, 1.0, 24.0 - 2.0 * step))
+        act(these, step, Moving(0.0, 0.0, 24.0 - 2.0 * step, 2.5))
     assert sumo.speeds == pytest.approx(speeds)
 
 
 def test_a_speed_that_is_already_another_s_is_kept_to_it(sumo: Sumo) -> None:
     these = of({"do": "brake", "time": 0, "like": "ego", "continuous": True, "seconds": 2.0}, model="constant")
     for step in range(3):
-        act(these, step, EgoPlace(0.0, 1.0, 30.0 - 2.0 * step))
+        act(these, step, Moving(0.0, 0.0, 30.0 - 2.0 * step, 2.5))
     assert sumo.speeds == pytest.approx([30, 28, 26])
 
 
@@ -198,7 +198,7 @@ def test_a_vehicle_changes_to_the_lane_beside_its_own_or_another_s(
     sumo: Sumo, target: dict[str, Any], d: float, way: float
 ) -> None:
     these = of({"do": "cut_in", "time": 0, "seconds": 1.0} | target, model="constant")
-    act(these, 0, EgoPlace(0.0, 1.0, 30.0, d))
+    act(these, 0, Moving(0.0, d, 30.0, 2.5))
     assert sumo.offsets == [pytest.approx(0.5 * way)]  # half of the way after half of the time
 
 
@@ -233,7 +233,7 @@ def test_an_action_waits_until_another_is_done(sumo: Sumo) -> None:
 
 
 def test_what_waits_for_an_action_that_does_nothing_waits_for_it_once(sumo: Sumo) -> None:
-    near = EgoPlace(80.0, 1.0)
+    near = Moving(80.0, 0.0, 0.0, 2.5)
     wait = {"id": "near", "do": "wait", "gap": 20}
     these = several(
         wait, {"do": "brake", "speed": 0, "rate": 10, "when": [{"done": "near"}, {"quantity": "time", "above": 1.5}]}

@@ -172,15 +172,6 @@ class ActionError(DrivecalError):
     """A vehicle cannot do what the scenario says, e.g. cut into a lane that does not exist."""
 
 
-class EgoPlace(NamedTuple):
-    """Place of the ego vehicle: s of its centre (m), metres of its way per metre of s, its speed (m/s), and d (m)."""
-
-    s: float
-    stretch: float
-    speed: float = 0.0
-    d: float = 0.0
-
-
 Lateral = Callable[[float, float, float], float]
 """Returns d at an s (last) of the centre of the lane that holds a place (s, d)."""
 
@@ -241,13 +232,13 @@ class Actions:
         """Some action is still to be done."""
         return bool(self._waiting or self._late or self._speeding or self._shifts)
 
-    def act(self, time: float, step: float, vehicles: Mapping[str, Moving], ego: EgoPlace, length: float) -> None:
-        """Begins and continues actions for the step from `time` on. `vehicles` and `ego` belong to that time; `length`: the ego vehicle's.
+    def act(self, time: float, step: float, vehicles: Mapping[str, Moving], stretch: float) -> None:
+        """Begins and continues actions for the step from `time` on. `vehicles`, ego among them, and `stretch` are as in `Moment`.
 
         Vehicles that have left the network do nothing. Vehicles that are due to cut in inside of a junction do so behind it, on the edge
         whose lanes the scenario numbers.
         """
-        moment = Moment(time, {**vehicles, EGO: Moving(ego.s, ego.d, ego.speed, 0.5 * length)}, ego.stretch, self._stretch)
+        moment = Moment(time, vehicles, stretch, self._stretch)
         self._events.follow(moment.vehicles, step)
         waiting: list[tuple[str, Action, Watch | None]] = []
         due: list[tuple[str, Action]] = [*self._late]

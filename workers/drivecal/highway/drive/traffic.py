@@ -22,7 +22,7 @@ from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem
 from drivecal.domain.roads import Floats
 from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
-from drivecal.highway.drive.actions import Actions, EgoPlace, Moving
+from drivecal.highway.drive.actions import Actions, Moving
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.routes import (
     drive_alone,
@@ -153,8 +153,9 @@ class Traffic:
         self._actions = Actions(vehicles, road.lateral, road.stretch)
         self._has_actions = self._actions.pending
         curvature = point(road.line, self.start_s)[3]
-        self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d, ego.speed, self.start_d)
-        """Place of the ego vehicle when `others` were read."""
+        start = Moving(self.start_s, self.start_d, ego.speed, 0.5 * ego.length)
+        self._ego = self._ego_start = start, 1.0 - curvature * self.start_d
+        """The ego vehicle when the others were read, and metres of its way per metre of s."""
         self._track, self._placed, self._border = -1, 0.0, 0.0
         """The track on which SUMO has the ego vehicle, -1 if it is not known, how far along it is and where its lane ends (m, as SUMO
         counts)."""
@@ -293,9 +294,11 @@ class Traffic:
         """Begins and continues actions, all vehicles being where they were at the end of the last step."""
         rows = zip(self.names, self.neighbours.tolist(), self.outlines[:, 5].tolist(), strict=True)
         vehicles = {name: Moving(row[0], row[1], along, 0.5 * row[4]) for name, row, along in rows}
-        self._actions.act(time, self.step, vehicles, self._ego, self.scenario.ego.length)
+        ego, stretch = self._ego
+        self._actions.act(time, self.step, vehicles | {EGO: ego}, stretch)
         at = self._at
-        self._ego = EgoPlace(at[geometry.S], at[geometry.STRETCH], at[geometry.OWN_SPEED], at[geometry.D])
+        ego = Moving(at[geometry.S], at[geometry.D], at[geometry.OWN_SPEED], at[geometry.SIZE])
+        self._ego = ego, at[geometry.STRETCH]
 
     def _guide(self, index: int) -> None:
         """Puts SUMO's ego vehicle to where it reaches its place at the end of the step.
