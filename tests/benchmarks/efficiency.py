@@ -24,7 +24,7 @@ import psutil
 from drivecal.cli.commands.demo import coordinator, fresh_folder
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
-from drivecal.highway.drive.tasks import EpisodeRunner
+from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.plugins import registry
 
 HOME = Path(".drivecal/bench/efficiency")
@@ -111,7 +111,7 @@ def single_process_cost(cells: list[tuple[str, list[float]]]) -> float:
     catalogue, evaluator = registry.catalogue("highway"), registry.evaluator("reference")
     seconds = 0.0
     for scenario in sorted({scenario for scenario, _ in cells}):
-        runner = EpisodeRunner(catalogue.scenarios[scenario], driving_function, vehicle.create(nominal), evaluator)
+        runner = TaskRunner(catalogue.scenarios[scenario], driving_function, vehicle.create(nominal), evaluator)
         mine = [parameters for name, parameters in cells if name == scenario]
         runner.run(mine[0])
         begin = time.perf_counter()

@@ -20,7 +20,7 @@ from scipy.stats import qmc
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway import sumo as sumo_calls
 from drivecal.highway.comfort.reference import REFERENCE
-from drivecal.highway.drive.tasks import EpisodeRunner
+from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.sumo import EGO
@@ -47,13 +47,13 @@ def latin_hypercube(count: int, seed: int) -> list[list[float]]:
     ]
 
 
-def runner_of(scenario: Scenario) -> EpisodeRunner:
+def runner_of(scenario: Scenario) -> TaskRunner:
     """With the vehicle's nominal values."""
     vehicle = SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
-    return EpisodeRunner(scenario, FRENET, vehicle, REFERENCE)
+    return TaskRunner(scenario, FRENET, vehicle, REFERENCE)
 
 
-def alone(runner: EpisodeRunner) -> float:
+def alone(runner: TaskRunner) -> float:
     """Seconds that SUMO needs for the runner's scenario by itself, as it is loaded, the reset not included."""
     traffic, scenario = runner._loop._traffic, runner._scenario
     traffic.reset()

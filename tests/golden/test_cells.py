@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from drivecal.highway.comfort.reference import REFERENCE
-from drivecal.highway.drive.tasks import EpisodeRunner
+from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.vehicle.single_track import SINGLE_TRACK
@@ -45,7 +45,7 @@ def results() -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     for name, scenario in HIGHWAY.scenarios.items():
         vehicle = SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
-        runner = EpisodeRunner(scenario, FRENET, vehicle, REFERENCE)
+        runner = TaskRunner(scenario, FRENET, vehicle, REFERENCE)
         for label, parameters in SETS.items():
             result = runner.run(parameters)
             floats = {"rating": result.rating.rating} | {metric: result.metrics[metric] for metric in METRICS}

@@ -9,7 +9,7 @@ from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.evaluations import FAILED_RATING, Failure, RunResult
 from drivecal.highway.comfort.learned import LEARNED
 from drivecal.highway.comfort.reference import REFERENCE
-from drivecal.highway.drive.tasks import EpisodeRunner
+from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.vehicle.hybrid import HYBRID
@@ -24,7 +24,7 @@ every_scenario = pytest.mark.parametrize("name", list(SCENARIOS))
 
 
 def run(name: str, parameters: list[float], vehicle: Vehicle = HYBRID, evaluator: Evaluator = LEARNED) -> RunResult:
-    return EpisodeRunner(SCENARIOS[name], FRENET, vehicle.create(NOMINAL), evaluator).run(parameters)
+    return TaskRunner(SCENARIOS[name], FRENET, vehicle.create(NOMINAL), evaluator).run(parameters)
 
 
 @every_scenario
@@ -38,7 +38,7 @@ def test_both_learned_parts_rate_and_drive_every_scenario(name: str) -> None:
 
 def test_a_missed_task_scores_0_whatever_the_evaluator() -> None:
     missed = replace(SCENARIOS["S1"], task=replace(SCENARIOS["S1"].task, speed_tolerance=1e-9))
-    result = EpisodeRunner(missed, FRENET, HYBRID.create(NOMINAL), LEARNED).run(CALM)
+    result = TaskRunner(missed, FRENET, HYBRID.create(NOMINAL), LEARNED).run(CALM)
     assert result.failure is Failure.TASK_MISSED
     assert result.rating == FAILED_RATING
 

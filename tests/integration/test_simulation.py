@@ -21,7 +21,7 @@ from drivecal.domain.scenarios import Scenario, TrafficVehicle
 from drivecal.highway import sumo
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive import geometry
-from drivecal.highway.drive.tasks import EpisodeRunner, road_of
+from drivecal.highway.drive.tasks import TaskRunner, road_of
 from drivecal.highway.drive.trace import EGO_COLUMNS
 from drivecal.highway.drive.traffic import Traffic, TrafficError
 from drivecal.highway.scenarios.highway import HIGHWAY
@@ -77,8 +77,8 @@ def model() -> VehicleModel:
     return SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
 
 
-def runner(scenario: Scenario, vehicle: VehicleModel | None = None) -> EpisodeRunner:
-    return EpisodeRunner(scenario, Gliding(), vehicle or model(), REFERENCE)  # type: ignore[arg-type]  # it has no space to search
+def runner(scenario: Scenario, vehicle: VehicleModel | None = None) -> TaskRunner:
+    return TaskRunner(scenario, Gliding(), vehicle or model(), REFERENCE)  # type: ignore[arg-type]  # it has no space to search
 
 
 def driven(scenario: Scenario, *parameters: float) -> list[bytes]:

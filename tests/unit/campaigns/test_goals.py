@@ -9,7 +9,7 @@ from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.measures import CLOSED_LOOP_MEASURES
 from drivecal.highway.comfort.reference import REFERENCE
-from drivecal.highway.drive.tasks import EpisodeRunner
+from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.vehicle.single_track import SINGLE_TRACK
@@ -102,6 +102,6 @@ def test_a_map_of_one_score_narrows_no_search_for_another_value() -> None:
 
 def test_the_measures_of_the_closed_loop_are_those_of_its_runs() -> None:
     vehicle = SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
-    runner = EpisodeRunner(HIGHWAY.scenarios["S1"], FRENET, vehicle, REFERENCE)
+    runner = TaskRunner(HIGHWAY.scenarios["S1"], FRENET, vehicle, REFERENCE)
     values = [float(parameter.lower) for parameter in FRENET.spaces["highway"]]
     assert runner.run(values).metrics.keys() == CLOSED_LOOP_MEASURES.keys()

@@ -24,9 +24,9 @@ class Highway:
         self, scenario: Scenario, function: DrivingFunction, vehicle: Vehicle, values: Mapping[str, float], evaluator: Evaluator
     ) -> Runner:
         """Creates the runner of a setup."""
-        from drivecal.highway.drive.tasks import EpisodeRunner
+        from drivecal.highway.drive.tasks import TaskRunner
 
-        return EpisodeRunner(scenario, function, vehicle.create(values), evaluator)
+        return TaskRunner(scenario, function, vehicle.create(values), evaluator)
 
 
 HIGHWAY: DriveSimulator = Highway()

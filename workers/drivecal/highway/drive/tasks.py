@@ -78,7 +78,7 @@ def road_of(scenario: Scenario) -> HighwayRoad:
     return HighwayRoad(corridor_of(scenario.network, scenario.route, name), carriageway=road)
 
 
-class EpisodeRunner:
+class TaskRunner:
     """Simulates and rates parameter sets in one scenario, in the only SUMO simulation of this process.
 
     Runners of several scenarios may coexist; switching between them costs a reload of some milliseconds. Equal parameters give equal bits,

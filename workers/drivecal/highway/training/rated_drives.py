@@ -10,7 +10,7 @@ from drivecal.domain.evaluations import Rating
 from drivecal.highway.comfort import reference
 from drivecal.highway.comfort.metrics import comfort_metrics
 from drivecal.highway.comfort.rocket import Integers, channels_of
-from drivecal.highway.drive.tasks import EpisodeRunner
+from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
@@ -80,7 +80,7 @@ def simulated(total: int, numbers: Sequence[int], seed: int) -> list[RatedDrive]
     for scenario in HIGHWAY.scenarios.values():
         recorder = _Recorder()
         models = SingleTrackModel(NOMINAL), HybridModel(NOMINAL, shipped())
-        runners = [EpisodeRunner(scenario, FRENET, model, recorder) for model in models]
+        runners = [TaskRunner(scenario, FRENET, model, recorder) for model in models]
         for number in numbers:
             row = zip(unit[number], space, strict=True)
             values = [float(parameter.value(round(u * (parameter.n_values - 1)))) for u, parameter in row]
