@@ -10,8 +10,6 @@ from tests.support.answered_campaigns import METRICS, carry_out, carry_out_evalu
 from tests.support.server import RunningApi, problem_of
 from tests.support.values import MIDDLE
 
-from drivecal.storage import campaigns
-
 SMALL: dict[str, Any] = {"name": "small", "sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
 
 
@@ -51,14 +49,6 @@ def test_an_etag_spares_what_has_not_changed(api: RunningApi) -> None:
     assert changed.json()["state"] == "succeeded"
     assert changed.json()["best"]["parameters"] == carried.sets[-1].floats
     assert "retry-after" not in changed.headers
-
-
-def test_a_running_campaign_that_is_asked_to_cancel_is_cancelling(api: RunningApi) -> None:
-    campaign = submit(api)
-    carry_out(api.database, campaign["id"], end=False)
-    assert api.http.post(f"/api/v1/campaigns/{campaign['id']}/cancel").json()["state"] == "cancelling"
-    with api.database.read() as connection:
-        assert campaigns.get(connection, campaign["id"]).requested_action == "cancel"
 
 
 def test_a_rerun_takes_over_everything_but_what_is_changed(api: RunningApi) -> None:
@@ -105,20 +95,6 @@ def test_the_rows_of_a_campaign_come_in_pages_and_whole(api: RunningApi) -> None
     parquet = pq.read_table(io.BytesIO(api.http.get(url, params={"format": "parquet"}).content))
     assert parquet.column_names == names
     assert parquet.to_pylist() == rows
-
-
-def test_generations_are_shown_in_order(api: RunningApi) -> None:
-    campaign = submit(api)
-    carry_out(api.database, campaign["id"])
-    url = f"/api/v1/campaigns/{campaign['id']}/generations"
-    [row] = api.http.get(url).json()["items"]
-    assert (row["iteration"], row["simulated"], row["best"]) == (0, 30, 3.5)
-    [line] = csv.DictReader(io.StringIO(api.http.get(url, params={"format": "csv"}).text))
-    assert {name: line[name] for name in ("iteration", "requested", "mean")} == {
-        "iteration": "0",
-        "requested": "30",
-        "mean": "3.0",
-    }
 
 
 def test_solutions_are_ranked_by_any_weights(api: RunningApi) -> None:

@@ -61,17 +61,6 @@ def test_rows_are_ranked_marked_and_win_everywhere_together(ended: Ended) -> Non
     assert all(row["violation"] == 0 and row["iteration"] is not None for row in rows)
 
 
-def test_solutions_are_ranked_by_the_first_objective_and_under_weights_by_the_score(ended: Ended) -> None:
-    with Client(ended.api.url) as client:
-        ranked, best = client.solutions(ended.first, limit=5).items, client.campaign(ended.first).best
-        weighted = client.solutions(ended.first, {"S1": 1, "S2": 0, "S3": 0}, limit=5).items
-    assert best is not None
-    assert ranked[0].objective == best.objective
-    comfort = rows_of(ended, ended.first)[0]["objectives"]["comfort"]
-    assert comfort == pytest.approx(best.objective, abs=1e-12), "of another set with the same sum of other scores, perhaps"
-    assert [each.objective for each in weighted] == [each.scores["S1"] for each in weighted]
-
-
 def test_weights_order_the_front_and_agree_with_who_wins(ended: Ended) -> None:
     by_rank = {json.dumps(row["parameters"]): row for row in rows_of(ended, ended.first)}
     for weight in (0.0, 0.2, 0.5, 1.0):
@@ -123,22 +112,6 @@ def test_a_trade_off_tells_what_the_second_set_gains_and_costs(ended: Ended) -> 
         assert [(each.first, each.second)[place] for each in answer.values] == list(row.values.values())
         assert max(row.values.values()) == row.objectives[JERK]
     assert [each.name for each in answer.values] == [f"{JERK}@{scenario}" for scenario in rows[0].scores]
-
-
-def test_a_trade_off_calls_no_difference_within_the_tolerance_better_or_worse(ended: Ended) -> None:
-    comfort, jerk = SPEC["objectives"]
-    tolerant = run_posted(
-        ended.api, SPEC | {"objectives": [comfort | {"tolerance": 0.5}, jerk | {"tolerance": 0.5}]}, backend()
-    )
-    with Client(ended.api.url) as client:
-        answers = [client.trade_off(tolerant, rank, rank + 1) for rank in range(1, len(rows_of(ended, tolerant)))]
-    told = [
-        (abs(pair.gain or 0) <= 0.5, text)
-        for answer in answers
-        for pair, text in zip(answer.objectives, answer.text, strict=True)
-    ]
-    assert {within for within, _ in told} == {True, False}
-    assert all(("stays within its tolerance of 0.5" in text) is within for within, text in told)
 
 
 def test_every_evaluated_set_is_listed_by_its_objectives(ended: Ended) -> None:

@@ -149,13 +149,6 @@ def test_a_campaign_that_is_too_large_is_refused_with_its_numbers(
         client.submit(specification)
 
 
-def test_a_rerun_that_is_too_large_is_refused(small: RunningApi) -> None:
-    first = post(small, SMALL).json()
-    carry_out(small.database, first["id"])
-    changes = {"weights": {}, "optimizer": {"population": 2000}}
-    assert problem(post(small, changes, path=f"campaigns/{first['id']}/rerun"), 413)["errors"][0]["field"] == "optimizer"
-
-
 class Wire:
     """A connection on which anything can be sent."""
 

@@ -12,12 +12,8 @@ from prometheus_client.openmetrics import parser as openmetrics
 from sqlalchemy import text, update
 from tests.support.server import RunningApi, new_database, serving
 
-from drivecal.contracts.campaign import CellCounts
-from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.evaluations import Outcome
 from drivecal.execution.measures import BOUNDS, Measures
-from drivecal.storage import campaigns, processes
-from drivecal.storage.engine.tables import campaigns as table
+from drivecal.storage import processes
 from drivecal.storage.engine.tables import processes as process_table
 from drivecal.storage.engine.types import now
 
@@ -86,45 +82,6 @@ def busy(api: RunningApi) -> Measures:
     workers = [{"id": f"worker-{n}", "node": "here", "state": state, "cells": 0} for n, state in enumerate(states)]
     beat(api, {"workers": workers, "degraded": "one worker is missing", "measures": measures.snapshot()})
     return measures
-
-
-@pytest.mark.slow("postgresql")
-def test_the_sums_are_those_of_all_campaigns(api: RunningApi) -> None:
-    cells = [
-        {
-            "proposed": 34,
-            "pending": 9,
-            "requested": 25,
-            "repeated": 1,
-            "reused": 2,
-            "predicted": 4,
-            "simulated": 17,
-            "failed": 1,
-        },
-        {"proposed": 10, "pending": 0, "requested": 10, "simulated": 10},
-    ]
-    with api.database.transaction() as connection:
-        for cell in cells:
-            stored = campaigns.insert(connection, name="x", spec={})
-            values = {"simulating_seconds": 2.5, "state": "running"}
-            campaigns.save_counts(connection, stored.sequence, {StageName.CALIBRATION: CellCounts(**cell)})
-            connection.execute(update(table).where(table.c.sequence == stored.sequence).values(values))
-        campaigns.end(connection, stored.sequence, CampaignState.FAILED)
-    found = metrics(api)
-    assert value(found, "drivecal_database_up") == 1
-    by_outcome = {
-        outcome.value: value(found, "drivecal_cells", stage="calibration", outcome=outcome.value) for outcome in Outcome
-    }
-    assert by_outcome == {"repeated": 1, "reused": 2, "predicted": 4, "simulated": 27, "failed": 1}
-    assert sum(by_outcome.values()) == 35, "requested is the sum of the outcomes"
-    assert value(found, "drivecal_cells_pending", stage="calibration") == 9
-    assert value(found, "drivecal_campaigns", kind="calibration", state="running") == 1
-    assert value(found, "drivecal_campaigns", kind="calibration", state="failed") == 1
-    assert sum(samples(found["drivecal_campaigns"]).values()) == 2
-    assert value(found, "drivecal_simulating_seconds") == 5.0
-    again = metrics(api)
-    for name in ("drivecal_cells", "drivecal_cells_pending", "drivecal_campaigns", "drivecal_simulating_seconds"):
-        assert samples(again[name]) == samples(found[name])
 
 
 def test_the_dispatchers_measures_come_through(api: RunningApi) -> None:

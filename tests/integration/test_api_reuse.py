@@ -133,14 +133,6 @@ def test_a_validation_of_its_map_by_another_campaign_changes_the_light_of_a_camp
     assert results_of(ended, study).trust == ResultTrust(light=None, verdicts=[])
 
 
-def test_the_light_judges_the_course_of_the_search_and_the_ends_of_the_ranges(ended: Ended) -> None:
-    verdicts = {each.code: each for each in results_of(ended, ended.first).trust.verdicts}
-    rows = ended.api.http.get(f"{ended.first['links']['self']}/generations").json()["items"]
-    assert ("stood_still" in verdicts) is (len({(row["best"], row["rating"]) for row in rows}) == 1)
-    at_end = {name for name in ("P1", "P2", "P3", "P4") if ended.first["best"]["parameters"][name] in {0, 1}}
-    assert set(verdicts["at_ends"].numbers["values"] if "at_ends" in verdicts else ()) == at_end
-
-
 def test_before_a_campaign_the_share_from_which_the_map_pays_is_told(ended: Ended) -> None:
     def expected(**changes: Any) -> dict[str, Any]:
         response = ended.api.http.post("/api/v1/campaigns?validate_only=true", json=WITH_ANALYSIS | changes)

@@ -2,12 +2,11 @@
 
 import random
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import select, update
+from sqlalchemy import update
 from tests.support.comparisons import TWO_OPTIMIZERS, finish_comparison, have_ended, read_comparison, runs_of, submit_comparison
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
@@ -24,20 +23,9 @@ from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError, NotFoundError, OverloadError
-from drivecal.storage import generations, results
-from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage import results
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
-
-
-def cells_of(database: Database, campaign: StoredCampaign, iteration: int = 0) -> list[tuple[Any, ...]]:
-    """The cells that a campaign requested in an iteration."""
-    with database.read() as connection:
-        return [
-            (row.scenario, *row.parameters.floats.values())
-            for row in results.stream(connection, campaign.sequence)
-            if row.iteration == iteration
-        ]
 
 
 def findings(database: Database, tag: str) -> list[tuple[Any, ...]]:
@@ -77,19 +65,6 @@ def test_each_optimizer_population_and_seed_is_a_campaign(compared: Compared) ->
         assert (compared_run.course[-1].iteration, compared_run.course[-1].best) == (compared_run.iterations, compared_run.best)
         assert compared_run.course[-1].simulations == compared_run.simulations - compared_run.confirmations
     assert [check for check in verify(database, full=True) if check.problems] == []
-
-
-def test_campaigns_of_one_population_size_start_alike(compared: Compared) -> None:
-    database, tag, _ = compared
-    for population in (6, 9):
-        starts = {
-            tuple(cells_of(database, campaign))
-            for campaign in runs_of(database, tag)
-            if campaign.spec["optimizer"]["population"] == population
-        }
-        assert len(starts) == 1
-    second = {tuple(cells_of(database, campaign, 1)) for campaign in runs_of(database, tag)}
-    assert len(second) == 12, "and then each goes its own way"
 
 
 def test_common_cells_are_simulated_once_and_counted_by_each(compared: Compared) -> None:
@@ -229,25 +204,6 @@ def test_unconfirmed_campaigns_have_the_best_they_simulated(database: Database, 
     assert any(run.best != run.simulated_best for run in runs)
 
 
-def test_predicted_cells_are_no_simulations_of_a_run(database: Database) -> None:
-    tag = submit_comparison(database, optimizers=[{"kind": "genetic"}], populations=[6])
-    before = finish_comparison(database, tag).runs
-    with database.transaction() as connection:
-        pages = [generations.page(connection, campaign.sequence)[0] for campaign in runs_of(database, tag)]
-        columns = tables.generations.c
-        for row in connection.execute(select(tables.generations).where(columns.iteration > 0)).all():
-            cells = row.cells | {"predicted": row.cells["simulated"], "simulated": 0}
-            here = columns.campaign_sequence == row.campaign_sequence, columns.iteration == row.iteration
-            connection.execute(update(tables.generations).where(*here).values(cells=cells, best=row.best - 1))
-    after = read_comparison(database, tag).runs
-    predicted = [sum(figures.cells.simulated for iteration, figures in page if iteration) for page in pages]
-    assert [run.simulations - run.confirmations for run in after] == [
-        run.simulations - run.confirmations - answered for run, answered in zip(before, predicted, strict=True)
-    ]
-    assert min(predicted) > 0
-    assert [run.simulated_best for run in after] == [run.simulated_best for run in before], "confirmed sets count"
-
-
 def test_any_campaigns_with_a_common_tag_are_compared(database: Database) -> None:
     tagged = [
         submit(database, optimizer={"kind": kind, "population": 6, "iterations": 2, "seed": 1}) for kind in ("random", "swarm")
@@ -258,25 +214,6 @@ def test_any_campaigns_with_a_common_tag_are_compared(database: Database) -> Non
     assert [(run.campaign, run.optimizer) for run in answer.runs] == [(tagged[0].id, "random"), (tagged[1].id, "swarm")]
     with pytest.raises(NotFoundError):
         read_comparison(database, "yours")
-
-
-def test_the_first_objective_has_its_own_direction(database: Database) -> None:
-    objectives = [{"measure": "offset_rms_m", "direction": "minimise"}]
-    optimizer = {"kind": "random", "population": 6, "iterations": 2}
-    for seed in (1, 2):
-        submit(database, objectives=objectives, optimizer=optimizer | {"seed": seed}, reduction={"mode": "exact"})
-    with database.transaction() as connection:
-        connection.execute(update(tables.campaigns).values(tags=["mine"]))
-    measured = ComputedBackend(answer=lambda scenario, cell: _with_offset(computed(scenario, cell)))
-    answer = finish_comparison(database, "mine", measured)
-    best = [run.best for run in answer.runs if run.best is not None]
-    assert (answer.direction, answer.groups[0].best, answer.groups[0].minimum) == ("minimise", min(best), max(best))
-    assert [run.success for run in answer.runs] == [value == min(best) for value in best]
-    assert best[0] != best[1]
-
-
-def _with_offset(result: CellResult) -> CellResult:
-    return replace(result, failure=None, metrics={"offset_rms_m": result.metrics["rating"]})
 
 
 def test_a_confirmed_campaign_has_the_optimum_of_its_objective(database: Database) -> None:

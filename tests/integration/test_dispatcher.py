@@ -5,15 +5,13 @@ from pathlib import Path
 
 import pytest
 from sqlalchemy import select
-from tests.support.computed import IGNORED, ComputedBackend, computed
+from tests.support.computed import IGNORED, ComputedBackend
 from tests.support.databases import migrated
 from tests.support.effort import tries
 from tests.support.runs import dispatcher, everything, post_map, request, submit
 
 from drivecal.contracts.specification import EvaluationSpecification
-from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -115,24 +113,6 @@ def test_a_campaign_that_was_killed_again_and_again_ends_like_one_that_was_not(t
     assert found[0] == found[1]
 
 
-def test_every_copy_names_the_simulated_evaluation_that_answers_it(database: Database) -> None:
-    campaign = submit(database, stored_map=post_map(database, TRUE_MAP))
-    _run(database, campaign)
-    with database.read() as connection:
-        rows = {row.id: row for row in results.stream(connection, campaign.sequence)}
-    copies = [row for row in rows.values() if row.outcome in {Outcome.REPEATED, Outcome.REUSED}]
-    assert copies
-    for row in copies:
-        assert row.reference is not None
-        donor = rows[row.reference]
-        assert donor.outcome is Outcome.SIMULATED
-        assert (donor.scenario, donor.score, donor.rating) == (row.scenario, row.score, row.rating)
-        assert (donor.iteration, donor.individual) < (row.iteration, row.individual)
-        differing = {name for name, value in row.parameters.floats.items() if donor.parameters.floats[name] != value}
-        assert differing <= {IGNORED.get(row.scenario)}
-        assert (row.outcome is Outcome.REPEATED) == (not differing)
-
-
 def test_a_rerun_with_other_weights_and_the_same_seed_is_answered_mostly_from_the_table(database: Database) -> None:
     first = _run(database, submit(database))
     again = _run(database, submit(database))
@@ -145,28 +125,6 @@ def test_a_rerun_with_other_weights_and_the_same_seed_is_answered_mostly_from_th
     with database.read() as connection:
         keys = connection.execute(select(runs.c.setup_id, runs.c.parameter_set_id)).all()
     assert len(keys) == len(set(keys)) == first.cells.simulated + other.cells.simulated
-
-
-def _sometimes_broken(scenario: str, cell: Cell) -> CellResult:
-    if cell.parameters["P1"] == 0.5 and scenario == "S2":
-        return CellResult(cell.id, None, None, {}, None, 1.0, "crash", "segmentation fault")
-    return computed(scenario, cell)
-
-
-def test_cells_without_a_result_are_failed_ranked_last_and_nobodys_reference(database: Database) -> None:
-    campaign = submit(database, stored_map=post_map(database, TRUE_MAP))
-    ended = _run(database, campaign, ComputedBackend(answer=_sometimes_broken))
-    assert ended.state is CampaignState.SUCCEEDED
-    assert ended.cells.failed > 0
-    assert ended.best is not None
-    assert ended.best.parameters["P1"] != 0.5
-    with database.read() as connection:
-        rows = {row.id: row for row in results.stream(connection, campaign.sequence)}
-    failed = {row.id for row in rows.values() if row.outcome is Outcome.FAILED}
-    for row in rows.values():
-        if row.id in failed:
-            assert (row.score, row.failure, row.run_id) == (None, "crash", None)
-        assert row.outcome is Outcome.FAILED or row.reference not in failed
 
 
 def test_pause_stops_the_work_and_resume_goes_on_to_the_same_result(tmp_path: Path) -> None:

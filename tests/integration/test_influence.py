@@ -51,12 +51,6 @@ def test_an_analysis_gives_bounds_in_units_and_its_measures(api: RunningApi, ana
     assert all(row.reason for row in rows.values())
 
 
-def test_a_scenario_that_tells_nothing_is_unknown_and_counts_as_influential(api: RunningApi, analysed: dict[str, Any]) -> None:
-    row = rows_of(api, analysed)["S2", "P1"]
-    assert (row.influential, row.unknown, row.lower, row.upper, row.mu) == (True, True, 0, 1, None)
-    assert row.decided_by == "unknown"
-
-
 def test_a_map_says_what_it_rests_on_and_gives_the_same_rows(api: RunningApi, analysed: dict[str, Any]) -> None:
     url = api.http.get(f"/api/v1/campaigns/{analysed['id']}").json()["links"]["influence_map"]
     found = api.http.get(url).json()

@@ -13,10 +13,10 @@ from tests.support.mixed import MIXED, rated
 from tests.support.runs import dispatcher, everything, get, run, submit
 
 from drivecal.api.app import create_app
-from drivecal.campaigns.resolve.problem import resolve, resolve_evaluation
+from drivecal.campaigns.resolve.problem import resolve
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.configuration.settings import load_settings
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
+from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.plugins import registry
@@ -154,14 +154,3 @@ def test_an_optimizer_that_declares_nothing_is_refused_for_what_it_may_not_know(
     assert [problem.field for problem in refused.value.problems] == ["optimizer.kind"] * 3
     said = " ".join(problem.message for problem in refused.value.problems)
     assert all(word in said for word in ("continuous parameters (speed)", "choice parameters (mode, tyre)", "constraints"))
-
-
-def test_a_single_evaluation_takes_texts_and_keeps_constraints() -> None:
-    problem = resolve_evaluation(EvaluationSpecification.model_validate({"parameters": BASELINE, "driving_function": "mixed"}))
-    assert problem.parameter_set.floats == BASELINE
-    for wrong, field in (({"mode": "fast"}, "parameters.mode"), ({"limit": 1}, "parameters")):
-        with pytest.raises(InvalidInputError) as refused:
-            resolve_evaluation(
-                EvaluationSpecification.model_validate({"parameters": BASELINE | wrong, "driving_function": "mixed"})
-            )
-        assert {problem.field for problem in refused.value.problems} == {field}

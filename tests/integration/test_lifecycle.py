@@ -12,13 +12,12 @@ from tests.support.runs import finish, get, request
 
 from drivecal.campaigns.resolve.maps import resolve_map, store_posted_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.stages.campaign import StagedCampaign
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import ConflictError, UnavailableError
+from drivecal.domain.errors import UnavailableError
 from drivecal.execution.pool import StoredLeases, WorkPool
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
@@ -130,22 +129,6 @@ def test_a_pause_whose_answer_is_lost_simulates_nothing_more_until_it_is_resumed
     request(database, campaign, "resume")
     assert finish(database, campaign, dispatcher).state is CampaignState.SUCCEEDED
     assert max(Counter(backend.sent).values()) == 1
-
-
-def test_a_failure_whose_answer_is_lost_simulates_nothing_more(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(_job: StagedCampaign, _completions: object) -> None:
-        raise ConflictError("for a test")
-
-    campaign, backend = _submit(database), ComputedBackend()
-    used: Any = _LostAnswer(database, campaign, CampaignState.FAILED)
-    dispatcher = _dispatcher(used, backend)
-    with monkeypatch.context() as patched:
-        patched.setattr(StagedCampaign, "record", fails)
-        _lose_the_answer(used, dispatcher)
-    sent = len(backend.sent)
-    for _ in range(5):
-        dispatcher.step()
-    assert (len(backend.sent), dispatcher._active) == (sent, {})
 
 
 @pytest.mark.parametrize("part", ["setups", "evaluator", "space"])

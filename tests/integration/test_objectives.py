@@ -98,18 +98,6 @@ def test_a_killed_search_ends_with_the_same_rows(
     assert vectors(database, killed) == vectors(database, whole)
 
 
-def test_feasible_sets_win(database: Database) -> None:
-    bound = [{"measure": JERK, "at_most": 7.0, "failed": 20.0}]
-    spec: dict[str, Any] = {"optimizer": NSGA2, "reduction": {"mode": "exact"}, "constraints": bound}
-    ended = run(database, submit(database, **spec), backend())
-    best = ranking_of(database, ended).best()
-    assert best is not None
-    assert best[0].violation == 0
-    assert ended.best is not None
-    jerks = [measured(name, Cell(0, dict(ended.best.parameters))) for name in ended.best.scores]
-    assert all(answer.failure is None and answer.metrics[JERK] <= 7.0 for answer in jerks)
-
-
 def test_one_score_in_several_scenarios_is_answered_by_references_and_confirmed(database: Database) -> None:
     stored_map = post_map(database, nothing_matters())
     spec: dict[str, Any] = {"objectives": SPLIT, "optimizer": NSGA2, "reduction": {"mode": "influence", "confirm": 500}}

@@ -11,7 +11,6 @@ from tests.support.command import Run
 from tests.support.server import RunningApi, serving
 
 from drivecal.client import Client
-from drivecal.domain.errors import NotFoundError
 
 SMALL: dict[str, Any] = {"sensitivity": None, "catalogue": ["S1"], "optimizer": {"population": 10, "iterations": 2}}
 
@@ -58,20 +57,6 @@ def test_labels_filter_the_list_and_archived_campaigns_are_hidden_but_found(api:
     client.label(first, archived=False)
     assert names(client) == ["second", "first"]
     assert client.full_id(second[:6]) == second
-
-
-def test_deleting_twice_is_deleting_and_what_was_simulated_is_still_explained(api: RunningApi, client: Client) -> None:
-    campaign = ended(api, "gone")
-    rows = client.rows(campaign, "evaluations")
-    number = next(row["id"] for row in rows if row["outcome"] == "simulated")
-    for _ in range(2):
-        deletion = client.delete(campaign)
-        assert (deletion.deleted, deletion.archived, deletion.referring) == (True, False, [])
-    with pytest.raises(NotFoundError):
-        client.campaign(campaign)
-    assert names(client, archived="with") == []
-    assert client.explanation(str(number)).evaluation == number
-    assert api.http.get(f"/api/v1/evaluations/{number}").json()["campaign"]["id"] == campaign
 
 
 def test_a_rerun_keeps_the_weights_that_it_does_not_change(api: RunningApi, client: Client) -> None:

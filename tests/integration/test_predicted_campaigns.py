@@ -65,22 +65,6 @@ def predicted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Databa
     database.dispose()
 
 
-def test_counts_of_lots_cells_and_campaign_agree(predicted: tuple[Database, StoredCampaign]) -> None:
-    database, campaign = predicted
-    rows, stored = rows_of(database, campaign), lots_of(database, campaign)
-    outcomes = Counter(row.outcome for row in rows)
-    assert campaign.cells.predicted == outcomes[Outcome.PREDICTED] > 0
-    assert campaign.cells.sampled == sum(row.sampled for row in rows) == sum(lot.sample for lot in stored)
-    assert campaign.cells.predicted == sum(lot.released for lot in stored)
-    assert {row.iteration for row in rows if row.outcome is Outcome.PREDICTED} >= {ITERATIONS - 1}
-    for scenario, released in campaign.released.items():
-        here = [lot for lot in stored if lot.scenario == scenario and lot.verdict is not None]
-        assert released.predicted == sum(lot.released for lot in here)
-        assert released.different == sum(lot.errors or 0 for lot in here)
-        assert released.upper_95 is None or 0.0 <= released.upper_95 <= 1.0
-    assert [check for check in verify(database, full=True) if check.problems] == []
-
-
 def test_a_sample_is_compared_and_its_lot_released_or_simulated_whole(predicted: tuple[Database, StoredCampaign]) -> None:
     database, campaign = predicted
     rows = rows_of(database, campaign)

@@ -38,12 +38,6 @@ def test_every_reused_cell_is_explained_by_its_donor_and_what_differs(database: 
     assert (again.reason, again.differences, again.stored) == ("repeated", [], None)
 
 
-def test_the_first_cell_of_all_finds_nothing_stored(database: Database) -> None:
-    campaign = run(database, submit(database, stored_map=post_map(database, TRUE_MAP)))
-    first = _explain(database, rows_of(database, campaign)[0])
-    assert (first.reason, first.reference, first.stored) == ("simulated", None, 0)
-
-
 @pytest.mark.parametrize(
     ("changes", "with_map"), [({"reduction": {"mode": "off"}}, True), ({"reduction": {"mode": "exact"}}, True), ({}, False)]
 )

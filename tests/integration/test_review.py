@@ -1,6 +1,5 @@
 """The review sheet over HTTP, by the client, and on the command line."""
 
-import html
 import json
 import re
 from collections.abc import Iterator
@@ -15,14 +14,11 @@ from tests.support.command import command
 from tests.support.runs import SMALL, run_posted
 from tests.support.server import RunningApi, serving
 
-from drivecal.analysis.goals import EQUAL
 from drivecal.calibration_data import dcm
 from drivecal.client import Client
 from drivecal.contracts.tables import RobustnessRow
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError
-from drivecal.domain.scales import unit_text
-from drivecal.report.sheet import read_sheet
 from drivecal.storage import campaigns, studies
 from drivecal.storage.engine import tables
 
@@ -82,48 +78,6 @@ def test_a_sheet_holds_what_the_other_answers_say(ended: Ended) -> None:
     assert answer.text == ended.api.http.get(f"/api/v1/campaigns/{ended.several}/review?front=1").text
 
 
-def test_each_set_of_a_sheet_is_compared_with_the_baseline_in_every_objective(ended: Ended) -> None:
-    with Client(ended.api.url) as client:
-        rows, summary, trust = (
-            client.front(ended.several),
-            client.front_summary(ended.several),
-            client.results(ended.several).trust,
-        )
-        page = html.unescape(client.review(ended.several, front=1, against=str(len(rows))))
-    assert summary.baseline is not None
-    before = summary.baseline.objectives
-    for chosen in (rows[0], rows[-1]):
-        units = {goal.name: unit_text(goal.unit) for goal in summary.objectives}
-        changes = [
-            f"{name} {chosen.objectives[name]:.6g}{unit}, baseline {before[name]:.6g}{unit}:" for name, unit in units.items()
-        ]
-        [about_the_baseline] = [line for line in re.findall(r"<li>([^<]*)</li>", page) if all(each in line for each in changes)]
-        signs = [1 if goal.direction == "maximise" else -1 for goal in summary.objectives]
-        gains = [sign * (chosen.objectives[name] - before[name]) for sign, name in zip(signs, before, strict=True)]
-        assert about_the_baseline.startswith("green" if min(gains) >= 0 < max(gains) else "amber")
-    result = page[page.index("<h2>Result</h2>") :]
-    for name, amount in before.items():
-        assert row(result, name, 2)[1] == f"{amount:.6g}"
-    assert "The best set" not in page
-    pairs = list(zip(signs, before, strict=True))
-    of_sets = [[sign * (each.objectives[name] - before[name]) for sign, name in pairs] for each in rows]
-    beaten = [each for each in of_sets if min(each) > -EQUAL and max(each) > EQUAL]
-    [verdict] = [each for each in trust.verdicts if each.code in {"front_beats_baseline", "front_not_better"}]
-    assert verdict.light == ("green" if beaten else "amber")
-    assert verdict.numbers.get("dominating", 0) == len(beaten)
-
-
-def test_two_sets_and_two_campaigns_are_compared(ended: Ended) -> None:
-    with Client(ended.api.url) as client:
-        own = client.review(ended.several[:8], against="2")
-        other = client.review(ended.several[:8], 1, against=f"{ended.plain[:8]}:3")
-        assert read_sheet(own, "own").query == {"front": "1", "against": f"{ended.several}:2"}
-        assert read_sheet(other, "other").query == {"set": "1", "against": f"{ended.plain}:3"}
-        assert "set 3 of the solutions of campaign " + ended.plain in other
-        third = client.solutions(ended.plain, limit=3).items[2]
-    assert f"{third.objective:.6g}" in cells(other)
-
-
 @pytest.mark.parametrize(
     ("query", "field"),
     [
@@ -140,13 +94,6 @@ def test_a_set_that_does_not_exist_is_refused_by_its_field(ended: Ended, query: 
     answer = ended.api.http.get(f"/api/v1/campaigns/{ended.several}/review?{query}")
     assert answer.status_code == 422
     assert [each["field"] for each in answer.json()["errors"]] == [field]
-
-
-def test_an_unknown_campaign_is_not_found(ended: Ended) -> None:
-    with Client(ended.api.url) as client, pytest.raises(NotFoundError):
-        client.review("f" * 32)
-    with Client(ended.api.url) as client, pytest.raises((NotFoundError, InvalidInputError)):
-        client.review(ended.several, against="f" * 32)
 
 
 def test_a_sheet_is_verified_and_a_changed_number_named(ended: Ended, tmp_path: Path) -> None:

@@ -1,24 +1,19 @@
 """Campaigns whose scores have another scale than comfort: less is better, 0 to 100, no steps, a failed run is worth 100."""
 
-import numpy as np
 import pytest
 from tests.support.computed import ComputedBackend, rating_of
-from tests.support.runs import WITH_ANALYSIS, nothing_matters, post_map, rows_of, run, submit
+from tests.support.runs import rows_of, run, submit
 from tests.support.scales import COST
 
 from drivecal.analysis.solutions import Ranking
 from drivecal.api.responses import campaign_answer
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import resolve
-from drivecal.campaigns.results.explanation import explain
-from drivecal.campaigns.stages.validation import compared
 from drivecal.contracts.campaign import Campaign
-from drivecal.contracts.specification import CampaignSpecification, ReductionSpecification
-from drivecal.contracts.tables import ValidationRow
+from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.scales import COMFORT
 from drivecal.storage import events, generations, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -64,51 +59,8 @@ def test_the_search_minimises_and_a_failed_run_never_wins(database: Database) ->
     assert means[-1] < means[0]
 
 
-def test_audits_of_reuse_are_wrong_beyond_the_tolerance(database: Database) -> None:
-    """A map that says that nothing matters is found out, and cells say by how much it is wrong."""
-    stored_map = post_map(database, nothing_matters())
-    reduction = {"mode": "influence", "audit": 0.5, "max_error": 1.0}
-    ended = run(database, submit(database, stored_map=stored_map, reduction=reduction), ComputedBackend(answer=costly))
-    rows = {row.id: row for row in rows_of(database, ended)}
-    audited = [row for row in rows.values() if row.audited]
-    changes = [abs((row.score or 0.0) - (rows[row.reference or 0].score or 0.0)) for row in audited]
-    rates = ended.error_rate.values()
-    assert sum(rate.audited for rate in rates) == len(audited) > 0
-    assert sum(rate.wrong for rate in rates) == sum(change > 2 + 1e-6 for change in changes)
-    assert sum(rate.different for rate in rates) == sum(change > 1e-6 for change in changes)
-    assert sum(rate.contradictions for rate in rates) > 0
-    with database.read() as connection:
-        for row, change in zip(audited, changes, strict=True):
-            check = explain(connection, row.id).check
-            assert check is not None
-            assert (check.wrong, check.agrees) == (change > 2 + 1e-6, change <= 1e-6)
-
-
-def test_an_analysis_of_scores_beyond_the_comfort_scale_ends(database: Database) -> None:
-    ended = run(database, submit(database, **WITH_ANALYSIS), ComputedBackend(answer=costly))
-    assert ended.influence_map_id is not None
-    assert ended.best is not None
-    assert ended.best.objective < 100
-
-
 def test_differences_of_scores_cannot_exceed_their_range() -> None:
     given = {"sensitivity": None, "reduction": {"tolerance": 101.0}, "robustness": {"eta": 250.0}}
     with pytest.raises(InvalidInputError) as raised:
         resolve(CampaignSpecification.model_validate(given))
     assert [problem.field for problem in raised.value.problems] == ["robustness.eta", "reduction.tolerance"]
-
-
-def test_the_default_tolerance_of_predictions_is_the_scores() -> None:
-    default, given = ReductionSpecification(), ReductionSpecification(tolerance=0.5)
-    assert [default.tolerance_on(scale) for scale in (COMFORT, COST)] == [0, 2]
-    assert [given.tolerance_on(scale) for scale in (COMFORT, COST)] == [0.5, 0.5]
-
-
-def test_validations_count_differences_in_steps_of_the_scale() -> None:
-    row = compared(np.array([0.0, 1e-9, 0.9, -2.0, 2.1, -50.0]), COST)
-    assert (row["compared"], row["wrong"], row["different"]) == (6, 2, 4)
-    assert row["histogram"] == {"-12": 1, "0": 4, "1": 1}
-    assert row["histogram_step"] == 4
-    points = compared(np.array([0.0, 1.0, -1.0, 2.0]), COMFORT)
-    assert (points["wrong"], points["different"], points["histogram"]) == (1, 3, {"-1": 1, "0": 1, "1": 1, "2": 1})
-    assert ValidationRow.model_fields["histogram_step"].default == COMFORT.bin

@@ -1,7 +1,6 @@
 """The sensitivity stage through database and dispatcher, with a formula of known influence in the place of the simulation."""
 
 import random
-from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -79,19 +78,6 @@ def test_the_stage_finds_where_parameters_matter_and_the_calibration_uses_it(dat
         assert rate.wrong == 0
 
 
-def test_the_map_says_below_which_threshold_any_change_counts(database: Database) -> None:
-    ended = _run(database, _submit(database, optimizer=None))
-    with database.read() as connection:
-        stored = influence_maps.get(connection, ended.influence_map_id or "none")
-    assert stored.basis is not None
-    smallest = stored.basis["smallest_s_rel"]
-    for scenario in ("S1", "S2"):
-        everything = [value for one in stored.scenarios[scenario].values() for value in one["s_rel_intervals"] if value]
-        assert smallest[scenario]["intervals"] == min(everything) > 0
-        overall = [hypot(one["mu"], one["sigma"]) for one in stored.scenarios[scenario].values()]
-        assert smallest[scenario]["overall"] == pytest.approx(min(value for value in overall if value))
-
-
 def test_the_runs_of_the_analysis_are_references_from_the_first_population_on(database: Database) -> None:
     ended = _run(database, _submit(database))
     with database.read() as connection:
@@ -124,25 +110,6 @@ def test_a_campaign_killed_in_its_analysis_ends_like_one_that_was_not(tmp_path: 
         found.append((cells, ended.cells, ended.counts(StageName.SENSITIVITY), ended.best, _map(opened, ended)))
         opened.dispose()
     assert found[0] == found[1]
-
-
-def test_a_sequential_analysis_finds_the_bounds_of_the_whole_design_with_fewer_runs(tmp_path: Path) -> None:
-    maps, runs = [], []
-    for sequential in (True, False):
-        opened = migrated(f"sqlite:///{tmp_path}/{sequential}.sqlite")
-        wanted = {**WITH_ANALYSIS["sensitivity"], "threshold": "auto", "sequential": sequential}
-        ended = _run(opened, _submit(opened, optimizer=None, sensitivity=wanted))
-        assert ended.state is CampaignState.SUCCEEDED
-        maps.append(_map(opened, ended))
-        runs.append(ended.counts(StageName.SENSITIVITY).requested)
-        with opened.read() as connection:
-            stored = influence_maps.get(connection, ended.influence_map_id or "none")
-        listed = [entry["s_rel_intervals"] for listed in stored.scenarios.values() for entry in listed.values()]
-        assert all(len(values) == 5 for values in listed)
-        assert any(None in values for values in listed) == sequential
-        opened.dispose()
-    assert maps[0] == maps[1]
-    assert runs[0] < runs[1]
 
 
 def test_an_analysis_of_its_own_ends_with_a_map_that_a_later_campaign_names(database: Database) -> None:

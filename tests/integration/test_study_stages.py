@@ -23,7 +23,6 @@ from drivecal.domain.evaluations import Outcome
 from drivecal.storage import results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.references import setups
 
 ROBUST: dict[str, Any] = {"delta": 0.05, "steps": 6, "samples": 8, "solutions": 5}
 NOMINAL_MASS, MASS_RANGE = 2060.0, 1400.0
@@ -61,26 +60,6 @@ def test_sets_are_ranked_by_what_vehicles_they_bear(database: Database) -> None:
     # nominal runs, then 5, 3 and 1 boxes
     assert ended.counts(StageName.ROBUSTNESS).requested == 3 * 3 + (5 + 3 + 1) * 8 * 3
     assert ended.cells.requested == 0
-
-
-def test_every_vehicle_has_a_setup_of_its_own_in_the_reference_table(database: Database) -> None:
-    campaign = submit(
-        database,
-        optimizer=None,
-        robustness={**ROBUST, "steps": 2, "sets": [dict.fromkeys((f"P{i}" for i in range(1, 12)), 1.0)]},
-    )
-    ended = run(database, campaign, ComputedBackend(driven=heavy))
-    with database.read() as connection:
-        counted = setups.counts(connection)
-        rows = list(results.stream(connection, ended.sequence))
-    assert len(counted) == 3 * (1 + 2 * 8)
-    assert sum(one.runs for one in counted) == len(rows) == ended.counts(StageName.ROBUSTNESS).simulated
-    assert {row.stage for row in rows} == {StageName.ROBUSTNESS}
-    again = run(
-        database, submit(database, optimizer=None, robustness=campaign.spec["robustness"]), ComputedBackend(driven=heavy)
-    )
-    assert again.counts(StageName.ROBUSTNESS).repeated == again.counts(StageName.ROBUSTNESS).requested
-    assert study(database, again)["items"] == study(database, ended)["items"]
 
 
 def test_the_best_sets_of_a_calibration_are_examined_one_of_each_region_first(database: Database) -> None:

@@ -27,12 +27,6 @@ def audited(connection: Connection) -> tuple[int, list[int]]:
     return sequence, ids
 
 
-def test_audits_are_counted_for_the_campaign(database: Database) -> None:
-    with database.transaction() as connection:
-        sequence, _ = audited(connection)
-        assert audits.count(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=3, different=2, wrong=1)]
-
-
 def test_audits_are_settled_by_comparing_the_score_with_the_donors(database: Database) -> None:
     with database.transaction() as connection:
         sequence, (equal, other, later, waiting) = audited(connection)

@@ -46,14 +46,6 @@ def test_a_bundle_is_read_back_as_it_was_stored(database: Database) -> None:
         assert bundles.archive(connection, A) == b"PK\0\xff"
 
 
-def test_the_same_content_is_stored_once(database: Database) -> None:
-    first, _ = push(database, A)
-    assert push(database, A, archive=b"other bytes of the same content") == (first, False)
-    with database.read() as connection:
-        assert bundles.archive(connection, A) == b"PK\0\xff"
-    assert listed(database) == [A]
-
-
 def test_a_name_means_what_was_pushed_last_under_it(database: Database) -> None:
     push(database, A)
     push(database, B)

@@ -1,5 +1,4 @@
-from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, timedelta
+from datetime import timedelta
 from typing import get_args
 
 import pytest
@@ -20,16 +19,6 @@ QUEUED, RUNNING, PAUSED = CampaignState.QUEUED, CampaignState.RUNNING, CampaignS
 CANCELLING, CANCELLED, SUCCEEDED = CampaignState.CANCELLING, CampaignState.CANCELLED, CampaignState.SUCCEEDED
 
 
-def test_a_campaign_is_found_by_its_id_and_by_its_number(database: Database) -> None:
-    with database.transaction() as connection:
-        stored = campaign(connection)
-    with database.read() as connection:
-        assert campaigns.get(connection, stored.id) == stored
-        assert campaigns.by_sequence(connection, stored.sequence) == stored
-    assert stored.state is QUEUED
-    assert stored.created_at.tzinfo is UTC
-
-
 @pytest.mark.parametrize("unknown", ["0" * 32, "", "x", "\0", "\ud800", "' OR 1=1", "0" * 10_000])
 def test_a_campaign_that_is_not_there_is_not_found_whatever_is_asked_for(database: Database, unknown: str) -> None:
     with database.transaction() as connection:
@@ -40,25 +29,6 @@ def test_a_campaign_that_is_not_there_is_not_found_whatever_is_asked_for(databas
             campaigns.request_action(connection, unknown, "cancel")
     with database.read() as connection, pytest.raises(NotFoundError):
         campaigns.by_sequence(connection, 10**6)
-
-
-def test_fifty_parallel_posts_with_one_key_make_one_campaign(database: Database) -> None:
-    def post(number: int) -> str:
-        with database.transaction() as connection:
-            body = "body" if number % 2 else "another body"
-            return campaigns.insert(connection, name="a", spec={}, idempotency_key="key", body_digest=body).id
-
-    def outcome(number: int) -> str:
-        try:
-            return post(number)
-        except ConflictError:
-            return "conflict"
-
-    with ThreadPoolExecutor(50) as pool:
-        outcomes = list(pool.map(outcome, range(50)))
-    with database.read() as connection:
-        (stored,) = campaigns.active(connection)
-    assert {outcomes.count("conflict"), outcomes.count(stored.id)} == {25}
 
 
 def test_the_list_is_newest_first_and_pages_are_complete_whatever_comes_in_between(database: Database) -> None:
@@ -74,13 +44,6 @@ def test_the_list_is_newest_first_and_pages_are_complete_whatever_comes_in_betwe
     assert [[one.name for one in page] for page in (first, second, third)] == [["4", "3"], ["2", "1"], ["0"]]
     assert last is None
     assert [one.name for one in singles] == ["single"]
-
-
-def test_active_campaigns_are_those_that_have_not_ended_oldest_first(database: Database) -> None:
-    with database.transaction() as connection:
-        stored = [campaign(connection, str(number)) for number in range(3)]
-        campaigns.end(connection, stored[1].sequence, SUCCEEDED)
-        assert [one.name for one in campaigns.active(connection)] == ["0", "2"]
 
 
 def test_neither_lists_nor_the_dispatchers_look_carry_long_specifications(database: Database) -> None:

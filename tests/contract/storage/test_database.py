@@ -71,18 +71,6 @@ def test_a_reader_cannot_write(database: Database) -> None:
         campaign(connection)
 
 
-def test_writers_in_many_threads_wait_for_each_other(database: Database) -> None:
-    def write(number: int) -> None:
-        with database.transaction() as connection:
-            seen = len(campaigns.active(connection))  # reads first: upgrading a read lock would deadlock on SQLite
-            campaign(connection, f"{number} after {seen}")
-
-    with ThreadPoolExecutor(16) as pool:
-        list(pool.map(write, range(64)))
-    with database.read() as connection:
-        assert len(campaigns.active(connection)) == 64
-
-
 def test_fifty_requests_get_their_turns_beside_a_process_that_writes_without_a_pause(database: Database) -> None:
     url = database.url.render_as_string(hide_password=False)
     begun, ends = PROCESSES.Event(), PROCESSES.Event()

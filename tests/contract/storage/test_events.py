@@ -95,15 +95,6 @@ def test_every_change_of_state_is_told_once_and_asking_twice_tells_nothing_more(
         ]
 
 
-def test_a_failure_is_told_with_its_reason(database: Database) -> None:
-    with database.transaction() as connection:
-        sequence = campaign(connection).sequence
-        campaigns.start(connection, sequence)
-        campaigns.end(connection, sequence, CampaignState.FAILED, "no parameter set has a result")
-        last = events.since(connection, sequence, 0, MANY)[-1]
-    assert (last.kind, last.data) == ("failed", {"state": "failed", "error": "no parameter set has a result"})
-
-
 def test_trouble_is_told_when_it_changes_and_not_with_every_look_at_it(database: Database) -> None:
     with database.transaction() as connection:
         one, other = campaign(connection).sequence, campaign(connection).sequence

@@ -1,6 +1,3 @@
-import pytest
-
-from drivecal.domain.errors import NotFoundError
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
@@ -9,16 +6,6 @@ SCENARIOS = {
     "S2": {"P9": {"influential": False, "lower": None, "upper": None}},
     "S1": {"P1": {"influential": True, "lower": "0.5"}},
 }
-
-
-def test_a_map_is_read_back_as_it_was_stored(database: Database) -> None:
-    with database.transaction() as connection:
-        stored = influence_maps.insert(
-            connection, name="m", source="expert", driving_function="frenet", parameters=[{"name": "P1"}], scenarios=SCENARIOS
-        )
-    with database.read() as connection:
-        assert influence_maps.get(connection, stored.id) == stored
-    assert (stored.scenarios, list(stored.scenarios), stored.parameters) == (SCENARIOS, ["S2", "S1"], [{"name": "P1"}])
 
 
 def test_maps_are_listed_newest_first(database: Database) -> None:
@@ -36,9 +23,3 @@ def test_maps_are_listed_newest_first(database: Database) -> None:
             if cursor is None:
                 break
     assert [one.name for one in found] == ["2", "1", "0"]
-
-
-@pytest.mark.parametrize("unknown", ["0" * 32, "\0", "map"])
-def test_a_map_that_is_not_there_is_not_found(database: Database, unknown: str) -> None:
-    with database.read() as connection, pytest.raises(NotFoundError, check=lambda error: error.kind == "influence map"):
-        influence_maps.get(connection, unknown)

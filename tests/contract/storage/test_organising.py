@@ -128,15 +128,6 @@ def test_only_ended_campaigns_are_archived_or_deleted(database: Database) -> Non
     assert listed(database) == ["campaign"]
 
 
-def test_archiving_and_listing_again_are_idempotent(database: Database) -> None:
-    with database.transaction() as connection:
-        ended = campaigns.request_action(connection, campaign(connection).id, "cancel")
-        first = labels.change(connection, ended.id, CampaignChanges(archived=True))
-        assert labels.change(connection, ended.id, CampaignChanges(archived=True)) == first
-        assert first.archived_at is not None
-        assert labels.change(connection, ended.id, CampaignChanges(archived=False)).archived_at is None
-
-
 @pytest.mark.slow("postgresql")
 def test_a_deleted_campaign_is_gone_and_what_it_simulated_still_answers_others(
     database: Database, monkeypatch: pytest.MonkeyPatch

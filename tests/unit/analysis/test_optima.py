@@ -4,10 +4,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.cluster.hierarchy import fcluster, linkage
-from scipy.spatial.distance import cdist
 from tests.support.effort import examples
 
-from drivecal.analysis.optima import distances, one_per_region_first, regions, to_nearest
+from drivecal.analysis.optima import one_per_region_first, regions, to_nearest
 
 
 @given(seed=st.integers(0, 500), n=st.integers(2, 25))
@@ -23,11 +22,6 @@ def test_regions_are_numbered_in_the_order_of_their_first_points() -> None:
     points = np.array([[0.9], [0.1], [0.91], [0.5], [0.12]])
     assert regions(points, 0.05).tolist() == [0, 1, 0, 2, 1]
     assert regions(np.zeros((0, 3))).tolist() == []
-
-
-def test_distances_are_root_mean_squares() -> None:
-    points, others = np.random.default_rng(1).random((2, 20, 11))
-    assert np.allclose(distances(points, others), cdist(points, others) / np.sqrt(11), atol=1e-7)
 
 
 def test_each_set_has_the_distance_of_the_nearest_other() -> None:

@@ -1,7 +1,6 @@
 """Campaigns with a problem bundle: what they resolve to, and how the coordinator rates measures."""
 
 from dataclasses import replace
-from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -112,15 +111,6 @@ def test_narrowing_holds_only_parameters_that_no_constraint_names(monkeypatch: p
     monkeypatch.setattr(Constraints, "allow_any", lambda *_: False)
     area = problem.search_area(influence_map)
     assert (area.narrowed(), area.whole) == ([], WholeSpace.INFEASIBLE)
-
-
-def test_a_map_is_posted_for_a_problem_of_a_users_own() -> None:
-    entries = {"jerk": {"lower": 20, "upper": 40}, "warning": {"influential": False}}
-    document = {"problem": "python-function", "scenarios": {"wet": entries}}
-    posted = resolve_map(InfluenceMapSpecification.model_validate(document), lambda _: bundle())
-    assert posted.function == resolved().bench.function
-    assert posted.influence_map.influence("wet", "jerk") == Influence(influential=True, lower=Decimal(20), upper=Decimal(40))
-    assert [parameter.name for parameter in posted.space] == list(resolved().space.names)
 
 
 @pytest.mark.parametrize(
@@ -238,16 +228,6 @@ def test_workers_get_the_units_of_parameters() -> None:
     request = resolved().bench.requests["wet"]
     assert request.units.keys() == set(request.parameters)
     assert request.units["deceleration"] == "m/s²"
-
-
-def test_a_single_evaluation_names_its_problem() -> None:
-    values = {"trigger_ttc": 1.61, "deceleration": 7.0, "jerk": 30.0, "confirmations": 2.0, "warning": "sound"}
-    specification = EvaluationSpecification.model_validate(
-        {"problem": "python-function", "parameters": values, "scenario": "wet"}
-    )
-    problem = resolve_evaluation(specification, lambda _: bundle())
-    assert (problem.specification.problem, list(problem.bench.scenarios)) == ("d1", ["wet"])
-    assert problem.parameter_set.floats == values
 
 
 @pytest.mark.parametrize(

@@ -100,10 +100,6 @@ def test_what_does_not_fit_is_refused_by_field_with_what_would_be_right(document
     assert says in found[field]
 
 
-def test_all_problems_are_reported_at_once() -> None:
-    assert set(_problems(evaluator="taste", weights={"S9": 1}, fixed={"P9": 5.05})) == {"evaluator", "weights.S9", "fixed.P9"}
-
-
 def test_a_list_of_parameters_needs_a_value_for_every_other_one() -> None:
     found = _problems(parameters=[{"name": "P1", "lower": 0, "upper": 1, "step": 0.5}], fixed={"P2": 1})
     assert set(found) == {"fixed"}
