@@ -120,9 +120,9 @@ class Answers:
         """Returns the scenarios that a set was not asked in, rising."""
         return np.flatnonzero(~self._asked[begun.number])
 
-    def is_pending(self, begun: BegunSet) -> bool:
-        """Returns whether a set has cells under way."""
-        return bool((self._asked[begun.number] & ~self._answered[begun.number]).any())
+    def pending(self, begun: BegunSet) -> int:
+        """Returns the number of cells of a set that are under way."""
+        return int((self._asked[begun.number] & ~self._answered[begun.number]).sum())
 
     @property
     def complete(self) -> list[BegunSet]:

@@ -17,6 +17,8 @@ GROWTH = 1.15
 """Hyperparameters are fitted again when its answers have grown by this factor."""
 MOST = 300
 """Answers that a process learns from; of more, the newest and the nearest to the best ones."""
+MOST_TUNED = 150
+"""Answers that hyperparameters are fitted to; of more, every second or third."""
 FEWEST = 3
 """Answers with which a process begins."""
 
@@ -75,7 +77,7 @@ class Tuned:
 class Output:
     """One of a scenario's values, or its failures as 0 and 1, as a process."""
 
-    learned: Tuned
+    tuned: Tuned
     warp: Warp = field(default_factory=Warp)
     process: GaussianProcess | None = None
     constant: float = 0.0
@@ -89,10 +91,11 @@ class Output:
         if len(targets) < FEWEST or self.spread <= 1e-12 * max(1.0, abs(self.constant)):
             self.process = None
             return
-        if known >= max(self.learned.count + 1, GROWTH * self.learned.count):
-            start = self.learned.hyperparameters
-            self.learned = Tuned(fitted(features, warped - warped.mean(), owners, start), known)
-        self.process = GaussianProcess(features, warped, owners, self.learned.hyperparameters, pending)
+        if known >= max(self.tuned.count + 1, GROWTH * self.tuned.count):
+            chosen = slice(None, None, -(-len(targets) // MOST_TUNED))
+            centred = warped[chosen] - warped[chosen].mean()
+            self.tuned = Tuned(fitted(features[chosen], centred, owners, self.tuned.hyperparameters), known)
+        self.process = GaussianProcess(features, warped, owners, self.tuned.hyperparameters, pending)
 
     def predict(self, features: Floats, *, pending: bool) -> tuple[Floats, Floats]:
         """Returns means and deviations of the warped value."""
@@ -152,12 +155,12 @@ class ScenarioModel:
 
     def to_json(self) -> list[dict[str, Any]]:
         """Returns as plain data what answers alone do not tell."""
-        return [output.learned.to_json() for output in (*self._outputs, self._failure)]
+        return [output.tuned.to_json() for output in (*self._outputs, self._failure)]
 
     def restore(self, documents: Sequence[Mapping[str, Any]]) -> None:
         """Inverts `to_json`."""
         for output, document in zip((*self._outputs, self._failure), documents, strict=True):
-            output.learned = Tuned.from_json(document)
+            output.tuned = Tuned.from_json(document)
 
 
 def _kept(features: Floats) -> Indices:

@@ -22,7 +22,7 @@ from drivecal.optimizers.surrogate.processes import Encoding
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import AskedCell, CellAnswer, SearchTask
 
-FEWEST, MOST = 4, 10
+FEWEST_FIRST, MOST_FIRST = 4, 10
 """Sets of the first design."""
 DESIGN_SHARE = 0.2
 """Share of the budget that the first design takes."""
@@ -37,6 +37,8 @@ REFINEMENTS, REFINED, REFINING = 2, 8, 150
 """How often the most promising candidates have children, how many of them, and how many children."""
 TOGETHER = 8
 """Most sets that are chosen from the same candidates: all but the first by a draw each."""
+TURNS = 3
+"""Steps of asking a set when many cells are under way; with one cell at a time there is a step for each scenario."""
 GROUPS = 16
 """Most groups of such sets in a round."""
 PENDING = 64
@@ -71,7 +73,7 @@ class SurrogateSearch:
 
     def _begin_first_sets(self) -> None:
         cells = self._task.cells
-        size = MOST if cells is None else int(np.clip(DESIGN_SHARE * cells / self._aim.scenarios, FEWEST, MOST))
+        size = int(np.clip(DESIGN_SHARE * (cells or np.inf) / self._aim.scenarios, FEWEST_FIRST, MOST_FIRST))
         size = max(0, size - len(self._answers.complete) - len(self._task.start))
         drawn = self._task.sample(size, self._generator(DESIGN)) if size else self._task.start[:0]
         for row in np.concatenate([self._task.start, drawn]).tolist():
@@ -114,6 +116,7 @@ class SurrogateSearch:
     def ask(self, room: int) -> Sequence[AskedCell]:
         """Returns the cells of the next round; see `drivecal.plugins.search.Search`."""
         left = self._left
+        at_once = min(-(-self._aim.scenarios // TURNS), room * self._task.window)
         room = room if left is None else min(room, left)
         cells: list[AskedCell] = []
         for begun in self._answers.sets:
@@ -121,7 +124,7 @@ class SurrogateSearch:
                 self._ask_all(begun, room, cells)
         if len(cells) < room:
             with self._threads.limit(limits=1):
-                self._search(room, cells)
+                self._search(room, at_once, cells)
         return cells
 
     @property
@@ -137,27 +140,32 @@ class SurrogateSearch:
         for scenario in self._answers.missing(begun)[: room - len(cells)].tolist():
             self._ask(begun, scenario, cells)
 
-    def _search(self, room: int, cells: list[AskedCell]) -> None:
+    def _ask_deciding(self, begun: BegunSet, drawn: Floats, count: int, cells: list[AskedCell]) -> None:
+        if count > 0:
+            for scenario in self._deciding(begun, drawn)[:count].tolist():
+                self._ask(begun, scenario, cells)
+
+    def _search(self, room: int, at_once: int, cells: list[AskedCell]) -> None:
         """Fills the room: sets that may still win are asked on, then new ones begin; at the end nothing that cannot be completed."""
         self._standing = Standing.of(self._aim, self._answers.values(self._answers.complete))
         self._merits = {}
         self._learn()
         promising = self._promising()
         for begun, drawn in promising:
-            if len(cells) < room and not self._answers.is_pending(begun):
-                self._ask(begun, self._deciding(begun, drawn), cells)
+            wanted = min(room - len(cells), at_once - self._answers.pending(begun))
+            self._ask_deciding(begun, drawn, wanted, cells)
         first = True
         while len(cells) < room and self._may_begin():
-            groups = -(-(room - len(cells)) // TOGETHER)
-            together = min(room - len(cells), max(1, -(-groups // GROUPS)) * TOGETHER if groups > 1 else 1)
+            wanted = -(-(room - len(cells)) // at_once)
+            together = 1 if wanted <= TOGETHER else max(TOGETHER, -(-wanted // GROUPS))
             if not first:
                 self._learn()
             first = False
-            sets = self._proposed(together)
+            sets = self._proposed(min(wanted, together))
             if not sets:
                 break
             for begun, drawn in zip(sets, self._drawn(sets), strict=True):
-                self._ask(begun, self._deciding(begun, drawn), cells)
+                self._ask_deciding(begun, drawn, min(room - len(cells), at_once), cells)
         if len(cells) < room:
             given_up = [begun for begun in self._answers.sets if begun.improbable and len(self._answers.missing(begun))]
             for begun in [begun for begun, _ in promising] + sorted(given_up, key=lambda begun: -(begun.promise or 0.0)):
@@ -229,8 +237,8 @@ class SurrogateSearch:
         known = np.stack([self._answers.answered(begun) for begun in sets])[:, np.newaxis, :, np.newaxis]
         return np.where(known, self._answers.values(sets)[:, np.newaxis], drawn)
 
-    def _deciding(self, begun: BegunSet, drawn: Floats) -> int:
-        """Returns the missing scenario whose draws alone change the merit most."""
+    def _deciding(self, begun: BegunSet, drawn: Floats) -> Indices:
+        """Returns the missing scenarios, first the one whose draws alone change the merit most."""
         missing = self._answers.missing(begun)
         values = np.repeat(np.median(drawn, axis=0)[np.newaxis], len(missing) * DRAWS, axis=0)
         values = values.reshape(len(missing), DRAWS, *values.shape[1:])
@@ -238,7 +246,7 @@ class SurrogateSearch:
             values[place, :, scenario] = drawn[:: OPEN_DRAWS // DRAWS, scenario]
         merits = self._merit(begun.number)(values.reshape(-1, *values.shape[2:])).reshape(len(missing), DRAWS)
         spreads = np.where(np.isfinite(merits), merits, np.nanmin(np.where(np.isfinite(merits), merits, 0.0))).std(axis=1)
-        return int(missing[int(np.argmax(spreads))])
+        return missing[np.argsort(-spreads, kind="stable")]
 
     def _proposed(self, count: int) -> list[BegunSet]:
         """Begins up to `count` sets, or goes on with a set that is known in part: the first has the largest expected improvement for its

@@ -1,0 +1,251 @@
+"""Best objective by the number of simulated cells, for optimizers on several problems: `run.py economy [--problems NAME ...]`.
+
+More options: `--arms NAME ... --seeds N --cells N --cache FOLDER`. Optimizers search in this process; a cell is a set in a scenario. The
+figures are the best objective that is simulated in all scenarios after 120, 300, 600 and 1,200 cells, for paired seeds, mean ranks, and
+Wilcoxon's signed-rank tests of `surrogate` against each other optimizer. Finished runs are kept in `.drivecal/bench/economy.jsonl`,
+answers in the folder of `--cache`. Ten seeds of 1,200 cells take a day of a core.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import rankdata, wilcoxon
+from tests.benchmarks._economy_problems import PROBLEMS, EconomyProblem, problem
+
+from drivecal.domain.parameters import Indices
+from drivecal.optimizers.built_in import GENETIC, GeneticSettings
+from drivecal.optimizers.cma_es import CMA_ES, CmaSettings
+from drivecal.optimizers.repair import RepairingOptimizer, create_optimizer
+from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
+from drivecal.plugins.ports import DeclaringOptimizerPlugin
+from drivecal.plugins.search import AskedCell
+
+TARGET = Path(".drivecal/bench/economy.json")
+BUDGETS = (120, 300, 600, 1200)
+LEVEL = 0.05
+FIRST_SEED = 1000
+
+
+class Ended(Exception):  # noqa: N818  not an error: all cells are spent
+    """The budget of a run is spent."""
+
+
+class Run:
+    """Simulates cells and follows the best objective."""
+
+    def __init__(self, chosen: EconomyProblem, cells: int) -> None:
+        self.problem, self._cells = chosen, cells
+        self._values: dict[tuple[int, ...], dict[int, float]] = {}
+        self.course: list[float] = []
+        """The best objective after each cell; negative infinity before the first complete set."""
+
+    def cell(self, cell: AskedCell) -> Any:
+        """Returns the answer of a cell that was not asked before. Raises Ended when the budget is spent."""
+        if len(self.course) >= self._cells:
+            raise Ended
+        answer = self.problem.answer(cell)
+        values = self._values.setdefault(cell.indices, {})
+        values[cell.scenario] = answer.values[0]
+        best = self.course[-1] if self.course else -np.inf
+        if len(values) == len(self.problem.scenarios):
+            best = max(best, self.problem.objective([values[place] for place in range(len(values))]))
+        self.course.append(best)
+        return answer
+
+    def whole(self, row: Sequence[int]) -> tuple[float, float]:
+        """Returns objective and mean rating of a set, higher is better."""
+        indices = tuple(int(index) for index in row)
+        known = self._values.setdefault(indices, {})
+        for scenario in range(len(self.problem.scenarios)):
+            if scenario not in known:
+                self.cell(AskedCell(indices, scenario))
+        ratings = [known[scenario] for scenario in range(len(known))]
+        return self.problem.objective(ratings), self.problem.scale.sign * float(np.mean(ratings))
+
+
+def random_sets(run: Run, seed: int) -> None:
+    """Latin hypercubes, the baseline first."""
+    generator, task = np.random.default_rng(seed), run.problem.task(None)
+    for row in task.start.tolist():
+        run.whole(row)
+    while True:
+        for row in task.sample(100, generator).tolist():
+            run.whole(row)
+
+
+def generations(plugin: DeclaringOptimizerPlugin, settings: Any) -> Callable[[Run, int], None]:
+    """A generational optimizer, whose infeasible sets are repaired."""
+
+    def search(run: Run, seed: int) -> None:
+        task = run.problem.task(None)
+        own = settings.model_copy(update={"seed": seed})
+        optimizer = RepairingOptimizer(create_optimizer(plugin, own, task.n_values, task.kinds, task.start), task.repair)
+        unchanged = 0
+        while unchanged < 200:  # populations that are equal would be asked for ever
+            before = len(run.course)
+            answers = np.array([run.whole(row) for row in optimizer.ask().population.tolist()])
+            optimizer.tell(answers[:, 0], answers[:, 1])
+            unchanged = unchanged + 1 if len(run.course) == before else 0
+
+    return search
+
+
+def tpe(run: Run, seed: int) -> None:
+    """Optuna's multivariate TPE, told the objective and a little of the rating, a set at a time."""
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    task = run.problem.task(None)
+    study = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(multivariate=True, seed=seed))
+    distributions: dict[str, Any] = {}
+    for place, (kind, n) in enumerate(zip(task.kinds, task.n_values.tolist(), strict=True)):
+        if kind == "choice":
+            distributions[f"x{place}"] = optuna.distributions.CategoricalDistribution(tuple(range(n)))
+        elif kind == "continuous":
+            distributions[f"x{place}"] = optuna.distributions.FloatDistribution(0.0, 1.0)
+        else:
+            distributions[f"x{place}"] = optuna.distributions.IntDistribution(0, n - 1)
+
+    def tell(rows: Indices, trial: Any) -> None:
+        objective, rating = run.whole(task.repair(rows)[0].tolist())
+        study.tell(trial, objective + 1e-3 * rating)
+
+    for row in task.start:
+        names = {
+            name: float(index / (n - 1)) if kind == "continuous" else int(index)
+            for name, index, kind, n in zip(distributions, row, task.kinds, task.n_values, strict=True)
+        }
+        study.enqueue_trial(names)
+    while True:
+        trial = study.ask(distributions)
+        row = [
+            round(trial.params[name] * (n - 1)) if kind == "continuous" else trial.params[name]
+            for name, kind, n in zip(distributions, task.kinds, task.n_values.tolist(), strict=True)
+        ]
+        tell(np.array([row], dtype=np.int64), trial)
+
+
+def surrogate(room: int, window: int) -> Callable[[Run, int], None]:
+    """The search by the cell in rounds of `room` cells; `window` rounds are under way."""
+
+    def search(run: Run, seed: int) -> None:
+        asking = SURROGATE.begin(SurrogateSettings(seed=seed), run.problem.task(run._cells, window))
+        rounds: list[Sequence[AskedCell]] = []
+        while True:
+            asked = asking.ask(room)
+            rounds += [asked] if asked else []
+            if not rounds:
+                return
+            if not asked or len(rounds) >= window:
+                asking.tell([run.cell(cell) for cell in rounds.pop(0)])
+
+    return search
+
+
+def _genetic(population: int) -> Callable[[Run, int], None]:
+    return generations(GENETIC, GeneticSettings(population=population, iterations=10_000))
+
+
+ARMS: Mapping[str, Callable[[Run, int], None]] = {
+    "random": random_sets,
+    "genetic_10": _genetic(10),
+    "genetic_20": _genetic(20),
+    "genetic_50": _genetic(50),
+    "cma_es": generations(CMA_ES, CmaSettings(population=10, iterations=10_000)),
+    "tpe": tpe,
+    "surrogate": surrogate(1, 1),
+    "surrogate_4x4": surrogate(4, 4),
+}
+
+
+def measured(name: str, arm: str, seed: int, cells: int, cache: Path | None) -> dict[str, Any]:
+    """Returns the figures of a run."""
+    run, begin = Run(problem(name, cache), cells), time.process_time()
+    with suppress(Ended):
+        ARMS[arm](run, seed)
+    best = {str(budget): run.course[min(budget, len(run.course)) - 1] for budget in BUDGETS if budget <= cells}
+    levels = {str(level): _reached(run.course, level) for level in (6.333, 6.5)} if name == "motorway" else {}
+    return {
+        "problem": name,
+        "arm": arm,
+        "seed": seed,
+        "cells": cells,
+        "best": best,
+        "reached": levels,
+        "seconds": time.process_time() - begin,
+    }
+
+
+def _reached(course: Sequence[float], level: float) -> int | None:
+    return next((place + 1 for place, best in enumerate(course) if best >= level - 1e-9), None)
+
+
+def table(rows: Sequence[Mapping[str, Any]], arms: Sequence[str], names: Sequence[str]) -> Iterator[str]:
+    """Yields mean objectives by problem and budget, mean ranks, and p-values of `surrogate` being worse or better."""
+    for budget in map(str, BUDGETS):
+        ranks: list[list[float]] = []
+        yield f"\nafter {budget} cells{'':6}" + "".join(f"{arm:>16}" for arm in arms)
+        for name in names:
+            own = {(row["arm"], row["seed"]): row["best"].get(budget) for row in rows if row["problem"] == name}
+            seeds = [
+                seed for seed in sorted({seed for _, seed in own}) if all(own.get((arm, seed)) is not None for arm in arms)
+            ]
+            if not seeds:
+                continue
+            figures = np.array([[own[arm, seed] for arm in arms] for seed in seeds], dtype=np.float64)
+            ranks += [list(rankdata(-row)) for row in figures]
+            yield f"{name:20}" + "".join(f"{value:>16.4f}" for value in figures.mean(axis=0))
+            if "surrogate" in arms and len(seeds) >= 6:
+                ours = figures[:, list(arms).index("surrogate")]
+                tests = [_p_value(ours - figures[:, place]) for place in range(len(arms))]
+                yield f"{'  p':20}" + "".join(f"{test:>16}" for test in tests)
+        if ranks:
+            yield f"{'mean rank':20}" + "".join(f"{value:>16.2f}" for value in np.mean(ranks, axis=0))
+
+
+def _p_value(differences: Any) -> str:
+    if not np.any(differences):
+        return "-"
+    p = float(wilcoxon(differences).pvalue)
+    return f"{'better' if differences.mean() > 0 else 'worse'}{'*' if p < LEVEL else ''} {p:.3f}"
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Prints the table; 1 if an optimizer is significantly better than `surrogate`."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--problems", nargs="+", choices=list(PROBLEMS), default=list(PROBLEMS))
+    parser.add_argument("--arms", nargs="+", choices=list(ARMS), default=[arm for arm in ARMS if arm != "surrogate_4x4"])
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--cells", type=int, default=BUDGETS[1])
+    parser.add_argument("--cache", type=Path, help="folder of simulated answers")
+    chosen = parser.parse_args(arguments)
+    rows: list[dict[str, Any]] = []
+    lines = TARGET.with_suffix(".jsonl")
+    lines.parent.mkdir(parents=True, exist_ok=True)
+    kept = [json.loads(line) for line in lines.read_text(encoding="utf-8").splitlines()] if lines.exists() else []
+    known = {(row["problem"], row["arm"], row["seed"], row["cells"]): row for row in kept}
+    for seed in range(FIRST_SEED, FIRST_SEED + chosen.seeds):
+        for name in chosen.problems:
+            for arm in chosen.arms:
+                row = known.get((name, arm, seed, chosen.cells))
+                if row is None:
+                    row = measured(name, arm, seed, chosen.cells, chosen.cache)
+                    with lines.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(row) + "\n")
+                    print(f"{name} {arm} {seed}: {row['best']} {row['reached'] or ''} {row['seconds']:.1f} s", flush=True)
+                rows.append(row)
+    shown = list(table(rows, chosen.arms, chosen.problems))
+    print("\n".join(shown))
+    TARGET.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    return int(any("worse*" in line for line in shown))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
