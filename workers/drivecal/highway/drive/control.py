@@ -1,4 +1,4 @@
-"""What drives the ego vehicle in a run, and what it sees: controllers of users, and planners."""
+"""Controls of the ego vehicle, by controllers of users and by planners, and its view of a run."""
 
 from collections.abc import Sequence
 from typing import Any, Protocol
@@ -43,7 +43,10 @@ Command = tuple[Floats | None, float, float]
 
 
 class Control(Protocol):
-    """Drives the ego vehicle. `period`: seconds between two commands; `by`: what it steers by, as in `kernels.drive`, or TRAJECTORY."""
+    """Drives the ego vehicle.
+
+    `period` is in seconds between two commands. `by` says how it steers, as in `kernels.drive`, or by TRAJECTORY.
+    """
 
     period: float
     by: int

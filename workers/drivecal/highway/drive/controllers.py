@@ -323,7 +323,7 @@ def controller(
     Args:
         section: the manifest's section.
         folder: the bundle's folder.
-        work: folder in which programs run.
+        work: working folder of programs.
         scratch: folder for unpacked files.
         scenario: the scenario's data.
         step: period of the controller (s) if the section has none.

@@ -29,7 +29,7 @@ PATH_AHEAD = 0.6
 VERGE = 0.5
 """Distance (m) beyond a road's lanes at which a vehicle is off it."""
 OFF_ROAD = 3
-"""Result of a move, beside those of `kernels.follow`."""
+"""Further result of a move, after the results of `kernels.follow`."""
 
 
 @compiled_with(equations, kernels, shared, geometry)

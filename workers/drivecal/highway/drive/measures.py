@@ -45,7 +45,7 @@ ROLLING, DRAG, ROTATING, DRIVE, RECUPERATION = 0.01, 0.5 * 1.2 * 0.65, 1.05, 0.9
 class Record:
     """Record of a run.
 
-    `rows`: at the start, after each step of the traffic and at the end, shape (n + 1, 23): `COLUMNS`, and the Frenet motion. `dynamics`:
+    `rows`, shape (n + 1, 23): `COLUMNS` and the Frenet motion, at the start, after each step of the traffic, and at the end. `dynamics`:
     after each 0.01 s, shape (m, 5): speed, longitudinal and lateral acceleration, yaw rate, steering angle. `wanted`: distance (m) of a
     drive at the limit for the scenario's duration. `finish`: position (m) at which the route ends for the vehicle's centre. `width`: the
     vehicle's.

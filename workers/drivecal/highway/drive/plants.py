@@ -213,7 +213,7 @@ def plant_of(
     Args:
         section: the manifest's section.
         folder: the bundle's folder.
-        work: folder in which programs run.
+        work: working folder of programs.
         scratch: folder for unpacked files.
         scenario: the scenario's data.
         units: units of the problem's parameters by name.

@@ -109,6 +109,6 @@ class Recorder:
 
 
 def _turned(rows: Floats) -> Floats:
-    """Adds the lateral motion to the headings of vehicles that move, which are those of the road."""
+    """Turns the headings of moving vehicles, so far the road's, by their lateral motion."""
     rows[:, 6] += np.where(rows[:, 2] > 1.0, np.arctan2(rows[:, 3], rows[:, 2]), 0.0)
     return rows

@@ -1,6 +1,6 @@
 """SUMO's vehicles on a network, and the ego vehicle among them, whose position is set in each step.
 
-libsumo keeps the simulation in global state: of several `Traffic` objects in a process, the one that runs loads its network again. Runs
+libsumo keeps the simulation in global state: if a process has several `Traffic` objects, each loads its network again before it runs. Runs
 repeat to the bit: vehicles are removed and added again between runs if nothing is random; else SUMO loads everything again, with the same
 seed, and simulates the warm-up.
 
@@ -282,7 +282,7 @@ class Traffic:
         return True
 
     def _update(self) -> bool:
-        """Takes in the vehicles that have come, and leaves out those that have arrived; returns whether the ego vehicle is there."""
+        """Takes in the vehicles that have come, and leaves out vehicles that have arrived; returns whether the ego vehicle is there."""
         present = set(sumo.vehicle.getIDList())
         if present != {EGO, *self.names}:
             kept = [name for name in self.names if name in present]

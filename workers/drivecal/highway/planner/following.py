@@ -40,7 +40,7 @@ def follow(
 ) -> bool:  # fmt: skip
     """Writes the desired speeds and their changes to `road`: `wanted`, shape (n,), lowered behind the vehicle in the way, if there is any.
 
-    Returns whether there is one; `followed`: what the last call returned.
+    Returns whether there is one. `followed` is the last call's answer.
 
     `road`, `scene`, `ego`, `neighbours`: as in `plans`; `outlines`, shape (m, 7): rows of the neighbours, whose last column is their
     acceleration along the road. In the way is a vehicle ahead that is less to the side than a leader that counts for P8, now or after its
