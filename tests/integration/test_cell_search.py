@@ -95,4 +95,4 @@ def test_the_same_search_again_simulates_nothing_and_another_begins_with_what_is
     again = carried_out(database, likeness="a", **spec)
     other = carried_out(database, likeness="b", weights={"S1": 3.0}, **spec)
     assert (again.cells.runs, again.cells.repeated, again.best == first.best) == (0, 60, True)
-    assert other.cells.runs == 60
+    assert (other.cells.repeated >= 9, other.cells.runs + other.cells.repeated) == (True, 60)  # the three best stored sets

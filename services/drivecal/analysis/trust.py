@@ -301,7 +301,7 @@ def _course(campaign: Campaign, search: SearchCourse | None) -> Iterator[ResultV
     if search is None or campaign.best is None:
         return
     yield from _seen(campaign, search)
-    yield from _convergence(search.course)
+    yield from _convergence(search.course) if campaign.budget is None else _ended(campaign, search.course)
     if CampaignState(campaign.state) is not CampaignState.SUCCEEDED:
         return
     if improved_last(search.course):
@@ -310,6 +310,13 @@ def _course(campaign: Campaign, search: SearchCourse | None) -> Iterator[ResultV
         return
     if len(search.course) >= LONG and stood_still(search.course, campaign.best.objective) and not _is_the_highest(campaign):
         yield verdict("stood_still", "amber", tried=len(search.course) - 1)
+
+
+def _ended(campaign: Campaign, course: Course) -> Iterator[ResultVerdict]:
+    """Yields what ended a search with a budget. Its rounds are no generations, so that the paper's criteria say nothing."""
+    if campaign.ended_by is not None and course:
+        share = (last_change([each.best for each in course]) + 1) / len(course)
+        yield verdict("ended", "neutral", by=campaign.ended_by, simulations=campaign.spent.simulations, share=share)
 
 
 def _convergence(course: Course) -> Iterator[ResultVerdict]:

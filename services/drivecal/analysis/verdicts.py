@@ -82,6 +82,7 @@ SEARCH = {
     "still_rising": "The best set was improved in the last of {iterations} iterations: more may improve it further.",
     "stood_still": "No iteration after the first found a better set ({tried} tried). More iterations, wider ranges or another optimizer "
     "may find one.",
+    "ended": "The search ended by its {by}, after {simulations:,} simulations; the best set was found after {share:.0%} of its rounds.",
     "converged": "Converged by the paper's criterion for the {of}: found in iteration {iteration} of {iterations}, it then stayed as it "
     "was for at least {unchanged} iterations.",
     "not_converged": "Not converged by the paper's criterion for the {of}: it last changed in iteration {iteration} of {iterations}, and "

@@ -1,21 +1,27 @@
 """The task of a search by the cell: the space, the aim, and the answers that are stored before the campaign begins."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from drivecal.analysis.aims import JudgedGoals, WeightedScore
 from drivecal.analysis.goals import SCORE
 from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.stages.asking import WINDOW
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import Indices, ParameterSet
 from drivecal.optimizers.population import start_population
-from drivecal.plugins.search import AskedCell, CellAnswer, SearchTask
+from drivecal.plugins.ports import Floats
+from drivecal.plugins.search import Aim, AskedCell, CellAnswer, SearchTask
 from drivecal.reduction.narrowing import SearchArea
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import runs
 
+MOST_BEST = 3
+"""Best stored sets by each objective that a search begins with."""
 MOST_KNOWN = 2_000
 """Newest stored runs of each scenario from which a search begins."""
 
@@ -43,6 +49,9 @@ def search_task(
         return area.contract(region.sample(count, generator))
 
     is_cut_off = problem.specification.reduction.mode == "off"
+    known = [] if is_cut_off else _known(database, view, problem, area, aim)
+    start = area.contract(problem.start_indices)
+    best = [indices for indices in best_known(aim, known) if list(indices) not in start.tolist()]
     return SearchTask(
         n_values=area.n_values,
         kinds=area.kinds,
@@ -50,11 +59,35 @@ def search_task(
         feasible=feasible,
         repair=repair,
         sample=sample,
-        start=area.contract(problem.start_indices),
-        known=() if is_cut_off else _known(database, view, problem, area, aim),
+        start=np.concatenate([start, np.array(best, dtype=np.int64).reshape(len(best), len(area.n_values))]),
+        known=[answer for answer in known if answer.cell.indices not in best],
         cells=None if chosen.budget is None else chosen.budget.simulations,
-        window=1,
+        window=WINDOW,
     )
+
+
+def best_known(aim: Aim, known: Sequence[CellAnswer]) -> list[tuple[int, ...]]:
+    """Returns the best stored sets, which a search asks for first: the table answers them, so that the campaign ranks them.
+
+    Args:
+        aim: the campaign's aim.
+        known: stored answers.
+
+    Returns:
+        grid indices of the MOST_BEST best sets by each objective; constraints on results come first.
+    """
+    sets: dict[tuple[int, ...], Floats] = {}
+    for answer in known:
+        cells = sets.setdefault(answer.cell.indices, np.full((aim.scenarios, aim.values), np.nan))
+        cells[answer.cell.scenario] = answer.values
+    whole = [indices for indices, cells in sets.items() if not np.isnan(cells).any()]
+    if not whole:
+        return []
+    objectives, violations = aim.judge(np.array([sets[indices] for indices in whole]))
+    best: dict[tuple[int, ...], None] = {}
+    for objective in objectives.T:
+        best |= dict.fromkeys(whole[place] for place in np.lexsort((-objective, violations))[:MOST_BEST].tolist())
+    return list(best)
 
 
 def _known(

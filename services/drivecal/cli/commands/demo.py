@@ -159,7 +159,7 @@ PAPER: Mapping[str, Any] = {
     "optimizer": {"kind": "genetic", "population": 1000, "iterations": 20},
     "reduction": {"mode": "exact"},
 }
-"""The paper's search, of which the demo shows the cost."""
+"""The paper's search, for its cost."""
 RERUN: Mapping[str, Any] = {"simulations": 150}
 """Budget of the second campaign, which begins with what the first has simulated."""
 MARKS = (50, 100, 200, 300, 450, 600)
