@@ -10,7 +10,6 @@ import pytest
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.cli.commands.demo import (
     ANNOUNCEMENT,
-    BASELINE,
     CAMPAIGN,
     LOG,
     MARKS,
@@ -32,13 +31,6 @@ def test_the_campaigns_can_run_within_their_budgets() -> None:
     assert problem.expected_runs().calibration_at_most == MARKS[-1]
     assert resolve(validated(CampaignSpecification, dict(PAPER))).expected_runs().calibration_at_most > 10 * MARKS[-1]
     assert set(OTHER_WEIGHTS) < set(problem.scenarios) == {"S1", "S2", "S3", "S4", "S5", "S6"}
-
-
-def test_the_baseline_is_the_middle_of_every_range() -> None:
-    for parameter in resolve(CampaignSpecification()).space.parameters:
-        middle = (parameter.lower + parameter.upper) / 2
-        step = (parameter.upper - parameter.lower) / (parameter.n_values - 1)
-        assert abs(float(middle) - BASELINE[parameter.name]) <= float(step)
 
 
 def test_each_demo_begins_with_an_empty_folder(tmp_path: Path) -> None:

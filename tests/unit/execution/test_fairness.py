@@ -168,27 +168,3 @@ def test_two_campaigns_that_always_wait_differ_by_one_batch_at_most(
             break  # a campaign without waiting cells falls behind
         times = [plant.given[name] for name in names]
         assert max(times) - min(times) <= longest
-
-
-@settings(deadline=None)
-@given(
-    st.integers(1, 5),
-    st.lists(
-        st.tuples(st.sampled_from("abc"), st.sampled_from(["S1", "S2", "S3"]), st.integers(1, 40), st.integers(0, 2)),
-        min_size=1,
-        max_size=12,
-    ),
-    st.integers(0, 5),
-)
-def test_no_cell_is_lost_or_completed_twice(workers: int, work: list[tuple[str, str, int, int]], steps: int) -> None:
-    plant = Plant(workers, {"S2": 0.2})
-    first = 1
-    for tag, scenario, count, priority in work:
-        values = [float(index // 2) for index in range(count)]  # within a campaign and between them, many are identical
-        plant.add(tag, scenario, cells(count, first, values), priority)
-        first += count
-        for _ in range(steps):
-            plant.step()
-    plant.run()
-    assert sorted(one.result.id for one in plant.completed) == list(range(1, first))
-    assert all(plant.scheduler.held(tag) == 0 for tag in "abc")

@@ -21,14 +21,6 @@ def test_a_child_is_one_parent_with_one_stretch_of_the_other(seed: int, n: int, 
     assert np.array_equal(edges, np.full(n, 2))
 
 
-@given(seeds, st.integers(1, 40), st.integers(1, 100))
-def test_where_the_parents_agree_the_child_agrees_with_them(seed: int, n: int, n_bits: int) -> None:
-    generator = np.random.default_rng(seed)
-    first, second = generator.random((2, n, n_bits)) < 0.5
-    children = recombine(first, second, generator)
-    assert np.array_equal(children[first == second], first[first == second])
-
-
 def test_every_pair_of_cuts_is_equally_likely() -> None:
     n, n_bits = 30_000, 5
     first, second = np.zeros((n, n_bits), dtype=np.bool_), np.ones((n, n_bits), dtype=np.bool_)

@@ -59,14 +59,6 @@ def test_what_a_map_does_not_list_is_searched_everywhere() -> None:
     assert area.note().endswith(area.whole)
 
 
-@pytest.mark.parametrize(("rows", "held"), [((), 5), (((3, 0, 0),), 3)])
-def test_a_parameter_that_influences_nothing_is_held(rows: tuple[tuple[int, ...], ...], held: int) -> None:
-    area = _area({"P1": NOTHING}, {"P1": NOTHING}, *rows)
-    assert area.columns.tolist() == [1, 2]
-    assert area.expand(np.array([[4, 2]])).tolist() == [[held, 4, 2]]
-    assert f"P1 held at {held}" in area.note()
-
-
 def test_given_sets_widen_the_area_so_that_they_lie_in_it() -> None:
     influences = {"P1": _between("2", "5"), "P2": NOTHING, "P3": EVERYWHERE}
     area = _area(influences, influences, (9, 4, 0), (3, 6, 0))
@@ -83,13 +75,6 @@ def test_parameters_that_a_constraint_names_keep_their_full_range() -> None:
     assert (area.narrowed(), area.whole) == ([], WholeSpace.CONSTRAINED)
 
 
-def test_where_nothing_matters_everything_is_searched() -> None:
-    nothing = dict.fromkeys(("P1", "P2", "P3"), NOTHING)
-    area = _area(nothing, nothing)
-    assert area.n_values.tolist() == full_area(SPACE).n_values.tolist() == [11, 11, 8]
-    assert area.whole is WholeSpace.NONE_INFLUENTIAL
-
-
 @pytest.mark.parametrize(
     ("influence", "expected"),
     [
@@ -103,13 +88,6 @@ def test_where_nothing_matters_everything_is_searched() -> None:
 def test_bounds_between_two_values_keep_the_next_value_outside(influence: Influence, expected: tuple[int, int]) -> None:
     area = _area({"P1": influence}, {"P1": NOTHING})
     assert (area.first[0], area.last[0]) == expected
-
-
-def test_values_that_the_map_does_not_speak_of_are_not_cut() -> None:
-    inner = {"P1": (Decimal(2), Decimal(10)), "P2": (Decimal(0), Decimal("0.7"))}
-    influences = {"P1": _between("4", "6"), "P2": NOTHING, "P3": EVERYWHERE}
-    area = common_area(SPACE, InfluenceMap({"S1": influences, "S2": influences}, inner), SCENARIOS, _given())
-    assert (area.first.tolist(), area.last.tolist()) == ([0, 7, 0], [6, 10, 7])
 
 
 @pytest.mark.parametrize(

@@ -141,15 +141,6 @@ def test_every_kind_of_threshold_finds_the_same_clear_regions(threshold: Any) ->
             assert found[scenario].parameters[name].influence == parameter.influence
 
 
-def test_a_threshold_above_everything_leaves_nothing_influential() -> None:
-    found = finished(SCORES, replace(SETTINGS, threshold=1000.0))["S2"]
-    assert {one.influence for one in found.parameters.values()} == {Influence(influential=False)}
-    smallest = found.smallest_interval_s_rel
-    assert smallest is not None
-    everything = [s_rel for one in found.parameters.values() for s_rel in one.s_rel_intervals if s_rel > 0]
-    assert smallest == min(everything) < 1000
-
-
 def test_asking_twice_gives_the_same_phase_and_its_points_cannot_be_changed() -> None:
     analysis = SensitivityAnalysis(SPACE, ["S1", "S2"], SETTINGS)
     one, other = analysis.ask(), analysis.ask()

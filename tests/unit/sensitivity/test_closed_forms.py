@@ -53,24 +53,6 @@ def near(found: float, exact: float, spread: float) -> bool:
     return bool(abs(found - exact) <= 4 * spread / np.sqrt(SAMPLES))
 
 
-@pytest.mark.parametrize("shortest", [0, SHORTEST])
-def test_a_linear_function_has_its_slopes_and_no_spread(shortest: float) -> None:
-    slopes = np.array([0.5, -0.25, 0.0])
-    for found, slope in zip(analysed(lambda x: np.asarray(x @ slopes), 3, shortest), slopes, strict=True):
-        assert [found.mu, found.mu_star] == pytest.approx([slope, abs(slope)])
-        assert found.sigma < 1e-9
-        assert found.s_rel == pytest.approx(abs(slope))
-        assert found.n_effects == SAMPLES
-
-
-def test_a_square_has_mean_one_and_the_spread_of_a_sum_of_two_uniform_numbers() -> None:
-    (found,) = analysed(lambda x: x[:, 0] ** 2, 1, shortest=0)
-    sigma = np.sqrt(1 / 6)
-    assert near(found.mu, 1, sigma)
-    assert near(found.mu_star, 1, sigma)
-    assert found.sigma == pytest.approx(sigma, rel=0.02)
-
-
 def test_under_the_step_law_a_square_keeps_its_mean_and_has_the_spread_of_the_law() -> None:
     effects, probabilities = effects_under_law(lambda x: x**2, SHORTEST)
     sigma = float(np.sqrt((probabilities * effects**2).sum() - 1))
@@ -79,15 +61,6 @@ def test_under_the_step_law_a_square_keeps_its_mean_and_has_the_spread_of_the_la
     assert near(found.mu, 1, sigma)
     assert found.sigma == pytest.approx(sigma, rel=0.02)
     assert sigma < np.sqrt(1 / 6) - 0.01, "long steps average out curvature, so the two laws can be told apart"
-
-
-@pytest.mark.parametrize("shortest", [0, SHORTEST])
-def test_each_factor_of_a_product_has_the_others_distribution(shortest: float) -> None:
-    for found in analysed(lambda x: np.asarray(x.prod(axis=1)), 2, shortest):
-        sigma = np.sqrt(1 / 12)
-        assert near(found.mu, 0.5, sigma)
-        assert found.mu_star == found.mu
-        assert found.sigma == pytest.approx(sigma, rel=0.02)
 
 
 def test_the_g_function_has_its_closed_form() -> None:

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.support.scales import COST
-from tests.unit.sensitivity.synthetic import Score, drive, space_of, staircase
+from tests.unit.sensitivity.synthetic import Score, drive, space_of
 
 from drivecal.domain.parameters import Indices
-from drivecal.domain.scales import COMFORT, Scale
+from drivecal.domain.scales import Scale
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.designs import Floats
 from drivecal.sensitivity.scenario import ScenarioInfluence, tells_nothing
@@ -29,24 +29,6 @@ def analysed(score: Score, threshold: Threshold, scale: Scale, *, sequential: bo
 
 def influences(found: ScenarioInfluence) -> dict[str, object]:
     return {name: parameter.influence for name, parameter in found.parameters.items()}
-
-
-@pytest.mark.parametrize("threshold", ["auto", 0.02])
-@pytest.mark.parametrize("sequential", [True, False])
-def test_a_mirrored_and_stretched_score_gives_the_same_map(threshold: Threshold, sequential: bool) -> None:
-    """Comfort 0..7 as a cost 112..0: powers of two, so that every figure is the same to the last bit."""
-    comfort = staircase(SPACE, {0: (0.2, 0.6), 1: (0.0, 1.0)})
-    mirrored = replace(COST, upper=112.0, tolerance=16.0, failed=112.0)
-
-    def cost(points: Indices) -> Floats:
-        return 112.0 - 16.0 * comfort(points)
-
-    here = analysed(comfort, threshold, COMFORT, sequential=sequential)
-    there = analysed(cost, threshold, mirrored, sequential=sequential)
-    assert influences(there) == influences(here)
-    for name, parameter in here.parameters.items():
-        assert there.parameters[name].s_rel_intervals == pytest.approx(parameter.s_rel_intervals, nan_ok=True)
-    assert not here.parameters["P3"].influence.influential
 
 
 def test_scores_far_beyond_the_comfort_scale_are_analysed() -> None:
