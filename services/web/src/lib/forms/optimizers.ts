@@ -14,8 +14,9 @@ export function suiting(optimizers: readonly OptimizerAnswer[], shape: Shape | n
 
 /** The schema of the section for the chosen optimizer; that of all optimizers if it declares none. */
 export function sectionOf(general: Schema, optimizers: readonly OptimizerAnswer[], settings: unknown): Schema {
-  const kind = kindOf(settings);
-  const own = ownOf(optimizers, settings);
+  const chosen = settings ?? general.default;
+  const kind = kindOf(chosen);
+  const own = ownOf(optimizers, chosen);
   if (own?.properties === undefined) return general;
   const section: Schema = { ...own, description: own.description ?? "", properties: { ...own.properties, kind: { type: "string", default: kind } } };
   return { anyOf: [section, { type: "null" }], default: general.default };
@@ -49,5 +50,5 @@ function ownOf(optimizers: readonly OptimizerAnswer[], settings: unknown): Schem
 }
 
 function kindOf(settings: unknown): string {
-  return String((settings as Settings | null | undefined)?.["kind"] ?? "genetic");
+  return String((settings as Settings | null | undefined)?.["kind"] ?? "surrogate");
 }
