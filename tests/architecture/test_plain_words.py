@@ -9,8 +9,8 @@ CEILINGS = {
     "shared/drivecal": 100,
     "workers/drivecal": 1,
     "docs": 95,
-    "deploy": 10,
-    "tests": 782,
+    "deploy": 2,
+    "tests": 683,
 }
 """Largest number of unclear phrases by folder: 0 once the folder is mended."""
 

