@@ -94,7 +94,7 @@ class CellAnswers(SearchAnswers):
 
 
 class PopulationAnswers(SearchAnswers):
-    """The answers of a generational optimizer: each individual keeps those of the iteration that requested it last."""
+    """The answers of a generational optimizer: an individual keeps its answers until it is requested again."""
 
     def __init__(self, problem: CalibrationProblem, population: int) -> None:
         super().__init__(problem)

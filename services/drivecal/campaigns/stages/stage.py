@@ -163,7 +163,7 @@ class Stage(Job):
                 self._told.add(count)
 
     def _score_notes(self) -> list[str]:
-        """Returns notes on scores without a value and on those that were cut off."""
+        """Returns notes on scores without a value and on scores that were cut off."""
         endings = {
             "unscored": (
                 "has no value and counts as a failed run",

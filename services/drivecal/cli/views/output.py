@@ -90,6 +90,8 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("analysis", f"{campaign.sensitivity_cells.requested:,} requested = {_sum(campaign.sensitivity_cells)}"))
     if campaign.cells.requested:
         lines.append(("cells", cells_text(campaign.cells)))
+    if campaign.budget is not None:
+        lines.append(("search", _search_text(campaign)))
     if campaign.baseline:
         lines.append(("baseline", _set_text(campaign.baseline)))
     if campaign.best:
@@ -107,6 +109,14 @@ def print_campaign(campaign: Campaign) -> None:
     width = max(len(name) for name, _ in lines)
     for name, text in lines:
         typer.echo(f"{name.ljust(width)}  {text}")
+
+
+def _search_text(campaign: Campaign) -> str:
+    """Returns what the search has used of its budget, and its end."""
+    limit = (campaign.budget or {}).get("simulations")
+    text = f"{campaign.spent.simulations:,}{'' if limit is None else f' of {limit:,.0f}'} simulations, {campaign.spent.minutes:.1f} min"
+    text += f"; {campaign.cells.discarded:,} cells of given-up sets left out" if campaign.cells.discarded else ""
+    return text if campaign.ended_by is None else f"{text}; ended by: {campaign.ended_by}"
 
 
 def print_solutions(solutions: Sequence[Solution], spec: Mapping[str, Any]) -> None:
