@@ -85,7 +85,7 @@ class Answers:
         values = np.array(answer.values, dtype=np.float64)
         self._asked[begun.number, scenario] = True
         self._values[begun.number, scenario] = values
-        self._failed[begun.number, scenario] = answer.failed or bool(np.isnan(values).any())
+        self._failed[begun.number, scenario] = answer.failed or not np.isfinite(values).all()
         if not self._answered[begun.number, scenario]:
             self._answered[begun.number, scenario] = True
             self.order[scenario].append(begun.number)

@@ -25,7 +25,7 @@ class Standing:
     def of(cls, aim: Aim, values: Floats) -> "Standing":
         """Judges the values of complete sets, shape (n, n_scenarios, n_values)."""
         objectives, violations = aim.judge(values) if len(values) else (np.empty((0, aim.objectives)), np.empty(0))
-        valid = ~(np.isnan(objectives).any(axis=1) | np.isnan(violations))
+        valid = np.isfinite(objectives).all(axis=1) & np.isfinite(violations)
         return cls(objectives[valid], violations[valid])
 
     def beats(self, objectives: Floats, violations: Floats) -> npt.NDArray[np.bool_]:

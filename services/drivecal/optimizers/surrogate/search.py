@@ -39,7 +39,7 @@ TOGETHER = 8
 """Most sets that are chosen from the same candidates: all but the first by a draw each."""
 TURNS = 3
 """Steps of asking a set when many cells are under way; with one cell at a time there is a step for each scenario."""
-GROUPS = 16
+GROUPS = 4
 """Most groups of such sets in a round."""
 PENDING = 64
 """Most unanswered sets that the models count as known."""
