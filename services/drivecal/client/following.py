@@ -5,13 +5,16 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from drivecal.contracts.campaign import Best, Campaign
 from drivecal.contracts.events import CampaignEvent, CampaignProgress
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import InvalidInputError, NotFoundError, OverloadError, UnavailableError
 from drivecal.domain.events import EventKind
+
+if TYPE_CHECKING:
+    from drivecal.client.client import Client
 
 SILENCE_SECONDS = 60.0
 """Tolerated silence of a server, s; a restart takes less."""
@@ -27,23 +30,6 @@ Sent = CampaignEvent | CampaignProgress | None
 """None: a sign of life."""
 
 
-class Source(Protocol):
-    """Reads campaigns."""
-
-    def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
-        """Returns the campaign, None if its ETag is still `etag`; its ETag; the seconds to wait before the next request.
-
-        Raises NotFoundError, and UnavailableError if nothing answers.
-        """
-
-    def events(self, identifier: str, last_id: int | None = None) -> Iterator[Sent]:
-        """Yields the events after an event until the stream ends.
-
-        Raises OverloadError if there is no place for another stream, UnavailableError if nothing answers or the stream breaks off, and
-        NotFoundError or InvalidInputError if the server has no such stream.
-        """
-
-
 class Following:
     """The states of a campaign until its end. Calls `told` with each event, or with later events only if `from_beginning` is False.
 
@@ -52,7 +38,7 @@ class Following:
     """
 
     def __init__(
-        self, source: Source, identifier: str, deadline: float | None, told: Told | None, *, from_beginning: bool
+        self, source: "Client", identifier: str, deadline: float | None, told: Told | None, *, from_beginning: bool
     ) -> None:
         self._source = source
         self._identifier = identifier
@@ -154,44 +140,19 @@ class ServerSentEvent:
 
 
 class EventParser:
-    """A parser of a stream that arrives in arbitrary pieces. It drops an event that is incomplete at the end, and ignores `retry`."""
+    """A parser of the server's event streams, which arrive in arbitrary pieces. It drops an event that is incomplete at the end."""
 
     def __init__(self) -> None:
         self._rest = b""
-        self._begun = False
-        self._event = ""
-        self._data: list[str] = []
-        self._id: str | None = None
 
     def feed(self, chunk: bytes) -> list[ServerSentEvent]:
         """Returns the events that this chunk completes."""
-        self._rest += chunk
-        if not self._begun and len(self._rest) >= 3:
-            self._rest, self._begun = self._rest.removeprefix(b"\xef\xbb\xbf"), True
-        lines = self._rest.splitlines(keepends=True)  # of bytes: at \n, \r and \r\n, as the standard says
-        # What has no end yet waits for the rest, and so does a \r that may be the first half of a \r\n.
-        self._rest = lines.pop() if lines and not lines[-1].endswith(b"\n") else b""
-        taken = (self._take(line.rstrip(b"\r\n").decode("utf-8", errors="replace")) for line in lines)
-        return [field for field in taken if field is not None]
-
-    def _take(self, line: str) -> ServerSentEvent | None:
-        if not line:
-            return self._dispatch()
-        name, _, value = line.partition(":")
-        value = value.removeprefix(" ")
-        match name:
-            case "event":
-                self._event = value
-            case "data":
-                self._data.append(value)
-            case "id" if "\0" not in value:
-                self._id = value
-        return None
-
-    def _dispatch(self) -> ServerSentEvent | None:
-        event, data, number = self._event, self._data, self._id
-        self._event, self._data, self._id = "", [], None
-        return ServerSentEvent(event or "message", "\n".join(data), number) if data else None
+        *blocks, self._rest = (self._rest + chunk).split(b"\n\n")
+        lines = (block.decode(errors="replace").split("\n") for block in blocks)
+        fields = (dict(line.split(": ", 1) for line in each if ": " in line) for each in lines)
+        return [
+            ServerSentEvent(each.get("event", "message"), each["data"], each.get("id")) for each in fields if "data" in each
+        ]
 
 
 def displayed(states: Iterable[Campaign]) -> Iterator[Campaign]:
