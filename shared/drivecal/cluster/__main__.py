@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from drivecal.cluster.guard import start_logging
 from drivecal.cluster.members import Node, ask, check_shared_memory, check_token, version_gap
 from drivecal.cluster.settings import ALERT, OBJECT_STORE_BYTES, PORT, QUIET, VERSION_LABEL, release
 from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem, UnavailableError
@@ -26,12 +27,7 @@ log = logging.getLogger("drivecal.cluster")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Becomes a node; returns 1 if a check fails."""
-    logging.Formatter.converter = time.gmtime
-    logging.basicConfig(
-        level=logging.INFO,
-        format="%(asctime)s.%(msecs)03dZ %(levelname)-7s node       %(message)s",
-        datefmt="%Y-%m-%dT%H:%M:%S",
-    )
+    start_logging()
     raw = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(prog="python -m drivecal.cluster", description=__doc__, formatter_class=raw)
     roles = parser.add_subparsers(dest="role", required=True)

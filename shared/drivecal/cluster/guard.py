@@ -79,9 +79,16 @@ def guard(command: Sequence[str], poll_seconds: float = POLL_SECONDS) -> int:
     return process.returncode
 
 
-if __name__ == "__main__":
-    logging.basicConfig(
-        format="%(asctime)s.%(msecs)03dZ %(levelname)-7s node       %(message)s", datefmt="%Y-%m-%dT%H:%M:%S", force=True
-    )
+def start_logging() -> None:
+    """Logs to standard error, as the server does."""
     logging.Formatter.converter = time.gmtime
+    logging.basicConfig(
+        level=logging.INFO,
+        format="%(asctime)s.%(msecs)03dZ %(levelname)-7s node       %(message)s",
+        datefmt="%Y-%m-%dT%H:%M:%S",
+    )
+
+
+if __name__ == "__main__":
+    start_logging()
     sys.exit(guard(sys.argv[1:]))

@@ -114,12 +114,16 @@ class TableOf(PageOf, FormOf):
     """Conditions on columns of the file, COLUMN=VALUE, COLUMN>=NUMBER or COLUMN<=NUMBER; several values of a column are alternatives."""
 
 
-class SolutionsOf(TableOf):
-    """A page of solutions, ranked by weights such as `S1=2,S2=1`; other scenarios have weight 1. `score`: another one of the problem, or
-    `NAME@PUSH`: a score that another push of it declares, by its name or digest."""
+class RankedOf(Parameters):
+    """A ranking by weights such as `S1=2,S2=1`; other scenarios have weight 1. `score`: another one of the problem, or `NAME@PUSH`: a
+    score that another push of it declares, by its name or digest."""
 
     weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
     score: Annotated[str, StringConstraints(max_length=300)] | None = None
+
+
+class SolutionsOf(TableOf, RankedOf):
+    """A page of ranked solutions."""
 
 
 class EvaluationsOf(TableOf):
@@ -148,12 +152,10 @@ class FrontOf(TableOf, SummaryOf):
     """A page of a front."""
 
 
-class ImportanceOf(Parameters):
-    """The `scenario` whose score is explained; without it the objective. `weights` and `score` as of solutions."""
+class ImportanceOf(RankedOf):
+    """The `scenario` whose score is explained; without it the objective of the ranking."""
 
     scenario: Annotated[str, StringConstraints(min_length=1, max_length=200)] | None = None
-    weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
-    score: Annotated[str, StringConstraints(max_length=300)] | None = None
 
 
 class PlaceOf(Parameters):
