@@ -99,7 +99,6 @@ def _mark(connection: Connection, sequence: int, identifier: str) -> None:
         "confirmation": None,
         "baseline": None,
         "narrowed": None,
-        "secret": None,
     }
     freed: dict[str, Any] = {"influence_map_id": None, "idempotency_key": None, "error_rate": {}, "released": None}
     marked = {"deleted_at": now(), "revision": campaigns.c.revision + 1}
