@@ -4,7 +4,7 @@ import pytest
 from tests.architecture.plain_words import NAMES, OPENER, PARAMETER, PROSE, patterns_in, phrases_in
 
 CEILINGS = {
-    "services/drivecal": 199,
+    "services/drivecal": 198,
     "services/web": 0,
     "shared/drivecal": 100,
     "workers/drivecal": 1,
