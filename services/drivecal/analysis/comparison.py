@@ -70,6 +70,11 @@ class Course:
         """Simulations of the whole run."""
         return sum(self.simulations) + self.confirmations
 
+    def best_after(self, simulations: int) -> float | None:
+        """Returns the best objective that the search had believed in after a number of simulations; None before the first."""
+        taken = accumulate(self.simulations)
+        return next((best for used, best in reversed(list(zip(taken, self.best, strict=True))) if used <= simulations), None)
+
     @property
     def improvements(self) -> list[Improvement]:
         """The first iteration with a result, those that improved on it, and the last one."""
@@ -120,11 +125,19 @@ def groups(courses: Sequence[Course], sign: int = 1) -> list[ComparedGroup]:
     for course in courses:
         conditions = course.conditions
         courses_by_group.setdefault((conditions.optimizer, conditions.population, conditions.reduction), []).append(course)
-    return [_group(*key, members, best, sign) for key, members in courses_by_group.items()]
+    common = min((sum(course.simulations) for course in courses if course.best), default=0)
+    marks = sorted({mark for mark in (common // 4, common // 2, common) if mark})
+    return [_group(*key, members, best, sign, marks) for key, members in courses_by_group.items()]
 
 
 def _group(
-    optimizer: str, population: int, reduction: str, members: Sequence[Course], best: float | None, sign: int
+    optimizer: str,
+    population: int,
+    reduction: str,
+    members: Sequence[Course],
+    best: float | None,
+    sign: int,
+    marks: Sequence[int],
 ) -> ComparedGroup:
     optima = [member.optimum for member in members if member.optimum is not None]
     begun = [member for member in members if member.best]
@@ -144,6 +157,7 @@ def _group(
         iterations_to_converge=_mean([course.converged_at or 0 for course in converged]),
         simulations_to_converge=_mean([course.simulations_to_converge or 0 for course in converged]),
         successes=sum(succeeds(member, best, sign) for member in members),
+        after={mark: _mean([value for run in begun if (value := run.best_after(mark)) is not None]) for mark in marks},
     )
 
 

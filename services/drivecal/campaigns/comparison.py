@@ -6,9 +6,9 @@ whose result is being stored at that moment: this saves work, and does not show 
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import islice, product
 from typing import Any
 
 from sqlalchemy import Connection
@@ -26,6 +26,8 @@ from drivecal.contracts.specification import CampaignSpecification, ReductionSpe
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import digest
+from drivecal.plugins import registry
+from drivecal.plugins.search import SearchPlugin
 from drivecal.storage import campaigns, generations, labels, results
 from drivecal.storage.campaigns import StoredCampaign
 
@@ -76,9 +78,7 @@ def tag_of(name: str, key: str) -> str:
 
 def keys_of(specification: ComparisonSpecification, key: str) -> list[str]:
     """Returns the request keys of a comparison's campaigns, in order; the first is the request's own."""
-    count = len(specification.optimizers) * len(specification.populations)
-    count *= len(specification.seeds) * len(specification.reductions)
-    count = min(count, LARGEST_RUNS)  # `resolve_comparison` refuses more
+    count = sum(1 for _ in islice(_places(specification), LARGEST_RUNS))  # `resolve_comparison` refuses more
     return [key, *(digest(f"{key} {place}".encode()) for place in range(1, count))]
 
 
@@ -88,16 +88,28 @@ def runs_of(specification: ComparisonSpecification) -> list[CampaignSpecificatio
     optimizer_labels = analysis.labels([optimizer.model_dump() for optimizer in optimizers], "kind")
     reduction_labels = analysis.labels([reduction.model_dump() for reduction in reductions], "mode")
     runs = []
-    for (label, optimizer), population, seed, (reduced, reduction) in product(
-        zip(optimizer_labels, optimizers, strict=True),
-        specification.populations,
-        specification.seeds,
-        zip(reduction_labels, reductions, strict=True),
-    ):
-        several = f", {reduced}" if len(reductions) > 1 else ""
-        name = f"{specification.name[:90]}: {label[:60]}, population {population}, seed {seed}{several}"[:200]
-        runs.append(_campaign(specification, name, optimizer, population, seed, reduction))
+    for chosen, population, seed, reduced in _places(specification):
+        several = f", {reduction_labels[reduced]}" if len(reductions) > 1 else ""
+        size = "" if _is_by_cell(optimizers[chosen].kind) else f", population {population}"
+        name = f"{specification.name[:90]}: {optimizer_labels[chosen][:60]}{size}, seed {seed}{several}"[:200]
+        runs.append(_campaign(specification, name, optimizers[chosen], population, seed, reductions[reduced]))
     return runs
+
+
+def _places(specification: ComparisonSpecification) -> Iterator[tuple[int, int, int, int]]:
+    """Yields place of the optimizer, population, seed and place of the reduction of each campaign, in order."""
+    for place, optimizer in enumerate(specification.optimizers):
+        populations = specification.populations[:1] if _is_by_cell(optimizer.kind) else specification.populations
+        for population, seed, reduction in product(populations, specification.seeds, range(len(specification.reductions))):
+            yield place, population, seed, reduction
+
+
+def _is_by_cell(kind: str) -> bool:
+    """Returns whether an optimizer has no populations; False for an unknown one, which is refused later."""
+    try:
+        return isinstance(registry.optimizer(kind), SearchPlugin)
+    except InvalidInputError:
+        return False
 
 
 def _campaign(
@@ -108,8 +120,12 @@ def _campaign(
     seed: int,
     reduction: ReductionSpecification,
 ) -> CampaignSpecification:
-    common = {"population": population, "iterations": specification.iterations, "start": specification.start, "seed": seed}
+    common: dict[str, Any] = {"seed": seed}
+    if not _is_by_cell(optimizer.kind):
+        common |= {"population": population, "start": specification.start}
+        common |= {"iterations": specification.iterations} if specification.budget is None else {}
     document = {
+        "budget": None if specification.budget is None else specification.budget.model_dump(),
         **specification.model_dump(include=_SHARED),
         "name": name,
         "optimizer": optimizer.model_dump() | common,
@@ -135,13 +151,7 @@ def resolve_comparison(specification: ComparisonSpecification, bundles: BundleSo
     _check_lists(specification, diagnostics)
     diagnostics.raise_if_any()
     resolved = []
-    places = product(
-        range(len(specification.optimizers)),
-        specification.populations,
-        specification.seeds,
-        range(len(specification.reductions)),
-    )
-    for run, (optimizer, _, seed, reduction) in zip(runs_of(specification), places, strict=True):
+    for run, (optimizer, _, seed, reduction) in zip(runs_of(specification), _places(specification), strict=True):
         if seed == specification.seeds[0]:
             try:
                 resolved.append(resolve(run, bundles))
@@ -227,7 +237,7 @@ def _conditions(stored: Sequence[StoredCampaign]) -> list[Conditions]:
     settings = [{name: value for name, value in optimizer.items() if name not in own} for optimizer in optimizers]
     reductions = analysis.labels([campaign.spec["reduction"] for campaign in stored], "mode")
     return [
-        Conditions(label, optimizer["population"], optimizer["seed"], reduction)
+        Conditions(label, optimizer["population"] or 0, optimizer["seed"], reduction)
         for label, optimizer, reduction in zip(analysis.labels(settings, "kind"), optimizers, reductions, strict=True)
     ]
 
@@ -237,7 +247,7 @@ def _course(connection: Connection, campaign: StoredCampaign, conditions: Condit
     figures = [figures for _, figures in page]
     cells = [figure.cells for figure in figures]
     reused = any(counts.reused or counts.predicted for counts in cells)
-    searched = len(figures) == campaign.spec["optimizer"]["iterations"]  # later iterations confirm the best set
+    searched = campaign.search is not None and campaign.search.ended_by is not None  # what follows confirms the best set
     return Course(
         campaign=campaign.id,
         conditions=conditions,

@@ -12,6 +12,7 @@ from drivecal.contracts.campaign import Answer
 from drivecal.contracts.specification import (
     LARGEST_ITERATIONS,
     LARGEST_POPULATION,
+    BudgetSpecification,
     ProblemSpecification,
     ReductionMode,
     ReductionSpecification,
@@ -33,8 +34,10 @@ class ComparedOptimizer(BaseModel):
 
 
 class ComparisonSpecification(ProblemSpecification):
-    """A campaign for every optimizer x population x seed x reduction. The start population depends on its size (and on the seed if `start`
-    is `lhs`), never on the optimizer."""
+    """A campaign for every optimizer x population x seed x reduction. A search by the cell has no population, and one campaign for all.
+
+    The start population depends on its size (and on the seed if `start` is `lhs`), never on the optimizer.
+    """
 
     name: Name = "comparison"
     optimizers: Annotated[list[ComparedOptimizer], Field(min_length=1, max_length=50)]
@@ -46,6 +49,8 @@ class ComparisonSpecification(ProblemSpecification):
     ]
     """At least three, as in the paper: fewer say nothing about chance."""
     iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] = 80
+    budget: BudgetSpecification | None = None
+    """The end of every search, in the place of `iterations`."""
     start: Literal["lhs", "halton"] = "halton"
     reductions: Annotated[list[AnyReduction], Field(min_length=1, max_length=20, json_schema_extra=UNIQUE)] = Field(
         default_factory=lambda: EXACT_ALONE
@@ -157,6 +162,8 @@ class ComparedGroup(Answer):
     iterations_to_converge: float | None
     simulations_to_converge: float | None
     successes: int
+    after: dict[int, float | None] = Field(default_factory=dict)
+    """Mean of the best objectives after a quarter, a half and all of the simulations that every compared campaign has made."""
 
 
 class ComparedPair(Answer):

@@ -166,3 +166,9 @@ def test_a_course_has_the_first_the_better_and_the_last_iteration() -> None:
         (4, 40, 4.0),
         (6, 60, 4.0),
     ]
+
+
+def test_optimizers_are_compared_at_equal_simulations() -> None:
+    quick, slow = groups([course([1.0, 2.0, 4.0, 4.0]), course([None, 1.0], "swarm", simulations=20)])
+    assert quick.after == {10: 1.0, 20: 2.0, 40: 4.0}
+    assert slow.after == {10: None, 20: None, 40: 1.0}

@@ -1,5 +1,6 @@
 """Which campaigns a comparison consists of."""
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -123,3 +124,11 @@ def test_a_reduction_that_cannot_be_is_named_by_its_place() -> None:
     with pytest.raises(InvalidInputError) as refused:
         resolve_comparison(specification(reductions=["exact", {"mode": "exact", "narrow": True}]))
     assert [problem.field for problem in refused.value.problems] == ["reductions[1].narrow"]
+
+
+def test_a_search_by_the_cell_has_one_campaign_for_all_populations_and_every_search_the_budget() -> None:
+    document = {"optimizers": [{"kind": "surrogate"}, {"kind": "genetic"}], "populations": [20, 50], "seeds": [1, 2, 3]}
+    problem = resolve_comparison(ComparisonSpecification.model_validate(document | {"budget": {"simulations": 120}}))
+    chosen = [(run.optimizer.kind, run.optimizer.population) for run in problem.runs if run.optimizer is not None]
+    assert Counter(chosen) == {("surrogate", None): 3, ("genetic", 20): 3, ("genetic", 50): 3}
+    assert problem.at_most == 9 * 120

@@ -85,9 +85,11 @@ def _print_comparison(comparison: Comparison) -> None:
     several = len({group.reduction for group in comparison.groups}) > 1
     header = ["optimizer", "population", *(["reduction"] if several else []), "best", "mean", "worst", "rating", "sets at best"]
     header += ["simulations", "converged", "iterations", "simulations until then", "as good as any"]
+    header += [f"after {mark:,}" for mark in comparison.groups[0].after] if comparison.groups else []
     print_columns(header, [_group_row(group, several) for group in comparison.groups])
     typer.echo(
         "Over the seeds. Simulations are those that each campaign needs alone; it has converged when its best stays for 10 iterations."
+        " `after N`: the mean best objective at equal simulations."
     )
     if comparison.effects:
         typer.echo(
@@ -98,11 +100,12 @@ def _print_comparison(comparison: Comparison) -> None:
 
 def _group_row(group: ComparedGroup, with_reduction: bool) -> list[object]:
     return [
-        *(group.optimizer, group.population, *([group.reduction] if with_reduction else [])),
+        *(group.optimizer, group.population or "-", *([group.reduction] if with_reduction else [])),
         *(objective_number(value) for value in (group.best, group.mean, group.minimum)),
         *(fixed(group.rating, 3), fixed(group.alternatives, 1, ","), fixed(group.simulations, 0, ",")),
         *(f"{group.converged} of {group.seeds}", fixed(group.iterations_to_converge, 1, ",")),
         *(fixed(group.simulations_to_converge, 0, ","), f"{group.successes} of {group.seeds}"),
+        *(objective_number(value) for value in group.after.values()),
     ]
 
 
