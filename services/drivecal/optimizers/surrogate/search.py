@@ -22,7 +22,7 @@ from drivecal.optimizers.surrogate.processes import Encoding
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import AskedCell, CellAnswer, SearchTask
 
-FEWEST_FIRST, MOST_FIRST = 4, 10
+FEWEST_FIRST, MOST_FIRST = 4, 5
 """Sets of the first design."""
 DESIGN_SHARE = 0.2
 """Share of the budget that the first design takes."""
