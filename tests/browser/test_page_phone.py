@@ -102,6 +102,7 @@ def test_the_start_of_a_form_is_always_in_sight_and_hides_nothing(shown: Shown, 
     assert above is not None
     assert under is not None
     assert above["y"] + above["height"] <= under["y"]
+    page.get_by_label("kind").select_option("genetic")
     page.get_by_label("population").fill("-3")
     expect(bar).to_contain_text("optimizer, population")
     expect(start).to_be_disabled()

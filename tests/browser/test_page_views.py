@@ -238,6 +238,7 @@ def test_what_is_selected_stands_in_the_address(shown: Shown, opening: Opening) 
 
 def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is_wrong(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.api.url}/#/submit", expected=("422",))
+    page.get_by_label("kind").select_option("genetic")
     page.get_by_label("population").fill("10")
     page.get_by_label("iterations").fill("2")
     mode, analysed = page.get_by_label("mode", exact=True), page.get_by_role("checkbox", name="sensitivity")

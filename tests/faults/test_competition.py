@@ -12,7 +12,7 @@ from sqlalchemy import func, make_url, select
 from tests.support.faults.coordinator import READY_SECONDS, Coordinator, coordinator, suspended
 from tests.support.faults.findings import Found
 from tests.support.faults.lives import PATIENCE_SECONDS, Life, Moment, assert_as_without_faults, live, wait_until_ended
-from tests.support.faults.workload import ANALYSING, draw_alike, post, submit
+from tests.support.faults.workload import ANALYSING, post, submit
 from tests.support.serve import alive
 
 from drivecal.storage.engine.tables import campaigns
@@ -75,7 +75,6 @@ def test_a_dispatcher_that_sleeps_while_another_takes_over_does_nothing_more(
     first = server_on("postgresql")
     first.start_ready()
     accepted = submit(first.url)
-    draw_alike(first.database, accepted)
     life = Life(first, sum(len(fault.tables["evaluations"]) for fault in without_faults.values()))
     life.wait_for(Moment(0.3, 0.0), accepted)
     with coordinator(tmp_path / "second", first.database_url) as second:

@@ -51,7 +51,7 @@ def test_a_dry_run_counts_the_runs_and_submits_nothing(run: Run, api: RunningApi
     result = run("submit", "-", "--dry-run", stdin="optimizer: {population: 10, iterations: 3}")
     assert result.exit_code == 0
     assert "180 cells" in result.stdout
-    assert json.loads(run("submit", "-", "--dry-run", "--json", stdin="{}").stdout)["calibration_proposed"] == 120_000
+    assert json.loads(run("submit", "-", "--dry-run", "--json", stdin="{}").stdout)["calibration_at_most"] == 600
     assert api.http.get("/api/v1/campaigns?limit=1").json() == before
 
 

@@ -150,7 +150,7 @@ def test_an_optimizer_that_declares_nothing_is_refused_for_what_it_may_not_know(
 
     monkeypatch.setattr(registry, "optimizer", lambda *_: Undeclared())
     with pytest.raises(InvalidInputError) as refused:
-        resolve(CampaignSpecification.model_validate(WANTED))
+        resolve(CampaignSpecification.model_validate(WANTED | {"optimizer": {"kind": "genetic"}}))
     assert [problem.field for problem in refused.value.problems] == ["optimizer.kind"] * 3
     said = " ".join(problem.message for problem in refused.value.problems)
     assert all(word in said for word in ("continuous parameters (speed)", "choice parameters (mode, tyre)", "constraints"))

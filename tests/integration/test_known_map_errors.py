@@ -24,7 +24,7 @@ def test_the_preview_of_a_campaign_warns_as_well(database: Database) -> None:
     study = validated(database, stored)
     document = {**study.spec, "optimizer": {"kind": "random"}, "validation": None}
     assert document["sensitivity"] == {"map": stored}
-    limits: Any = SimpleNamespace(largest_campaign=10**9)
+    limits: Any = SimpleNamespace(settings=SimpleNamespace(largest_campaign=10**9))
     warned = [{"mode": "influence"}, {"mode": "both", "max_error": 1}, {"mode": "predicted", "narrow": True}]
     for reduction in warned:
         notes = expected(database, limits, CampaignSpecification.model_validate(document | {"reduction": reduction})).notes

@@ -15,7 +15,7 @@ from tests.support.faults.coordinator import ORPHAN_SECONDS, Coordinator, suspen
 from tests.support.faults.findings import Found, assert_equal, assert_sound, found
 from tests.support.faults.patience import Patience
 from tests.support.faults.postgres import KillablePostgres
-from tests.support.faults.workload import ANALYSING, Accepted, draw_alike, single_evaluations, submit
+from tests.support.faults.workload import ANALYSING, Accepted, single_evaluations, submit
 from tests.support.serve import TLS, alive
 
 from drivecal.domain.campaigns import CampaignState
@@ -237,7 +237,6 @@ def live(
     coordinator.start_ready()
     life.tell("ready")
     accepted = submit(coordinator.url, documents)
-    draw_alike(coordinator.database, accepted)
     with single_evaluations(coordinator.url, accepted):
         for moment, fault in plan:
             answered = life.wait_for(moment, accepted)

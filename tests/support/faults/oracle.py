@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.support.faults.findings import Found, assert_sound, found
-from tests.support.faults.workload import draw_alike, submit
+from tests.support.faults.workload import submit
 from tests.support.runs import dispatcher
 from tests.support.server import serving
 
@@ -70,7 +70,6 @@ def carried_out(folder: Path, documents: Mapping[str, Mapping[str, Any]] | None 
     """Returns what campaigns find, by name: those of the suite where no others are given; on SQLite."""
     with serving(f"sqlite:///{folder / 'drivecal.db'}") as api:
         accepted = submit(api.url, documents)
-        draw_alike(api.database, accepted)
         one = dispatcher(api.database, InThisProcess())
         left = set(accepted.campaigns.values())
         begin = time.monotonic()

@@ -9,12 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import httpx
-from sqlalchemy import update
 from tests.support.effort import tries
 from tests.support.serve import TLS
-
-from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.tables import campaigns
 
 COARSE: list[dict[str, Any]] = [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.25} for i in range(1, 7)]
 """So few values that the search comes back to sets that it has seen."""
@@ -56,8 +52,6 @@ PREDICTING: dict[str, Any] = {
     "reduction": {"mode": "predicted"},
 }
 """Without certificates: with them a cell is so cheap that its measured time decides whether a predictor pays, in each run anew."""
-SECRET = b"faults and lots!"
-"""Draws the samples of lots, in the place of a campaign's own, so that equal campaigns draw equal ones."""
 SINGLE: dict[str, Any] = {"scenario": "S3", "vehicle": {"parameters": {"mass": 1700}}}
 PATIENCE_SECONDS = 600.0
 """In which a request is accepted at last, while a server is killed and comes back."""
@@ -102,14 +96,6 @@ def submit(url: str, documents: Mapping[str, Mapping[str, Any]] | None = None) -
         reusing = REUSING | {"sensitivity": {"map": map_id}}
         documents = {"reusing": reusing, "analysing": ANALYSING, "predicting": PREDICTING}
     return Accepted({name: post(url, "/api/v1/campaigns", document) for name, document in documents.items()})
-
-
-def draw_alike(database: Database, accepted: Accepted) -> None:
-    """Gives the campaigns, just submitted, the same secret in each run. AssertionError if a campaign has drawn a sample before."""
-    with database.transaction() as connection:
-        mine = campaigns.c.id.in_(accepted.campaigns.values()) & campaigns.c.secret.is_(None)
-        given = connection.execute(update(campaigns).where(mine).values(secret=SECRET)).rowcount
-    assert given == len(accepted.campaigns)
 
 
 @contextmanager

@@ -24,8 +24,8 @@ import json
 from drivecal.api.routes import inventory
 from drivecal.plugins import registry
 from drivecal.domain.errors import InvalidInputError
-NO_DATABASE = None  # without a `problem` none is asked
-scenarios, spaces = inventory.scenarios(NO_DATABASE), inventory.parameters(NO_DATABASE)
+NO_DATABASE = None  # without a `problem` no database is asked
+scenarios, spaces = inventory.scenarios(), inventory.parameters()
 def refusal(find):
     try:
         find()
