@@ -9,9 +9,9 @@ from drivecal.optimizers.surrogate.answers import Answers, BegunSet
 from drivecal.optimizers.surrogate.merits import Standing
 from drivecal.plugins.search import Aim
 
-SHARE = 0.1
+SHARE = 0.02
 """A set is given up when its probability to beat the best falls below this share of its first value."""
-LEAST = 0.01
+LEAST = 0.0001
 """The same, whatever the first value was."""
 
 
