@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,10 @@ import pytest
 from tests.support.cell_search import CellSearchPlugin
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
+from tests.support.deaths import Killed
 from tests.support.runs import dispatcher, everything, finish, get, submit
 
+from drivecal.campaigns.stages.calibration import Calibration
 from drivecal.domain.campaigns import CampaignState
 from drivecal.plugins import registry
 from drivecal.storage import results
@@ -96,3 +99,33 @@ def test_the_same_search_again_simulates_nothing_and_another_begins_with_what_is
     other = carried_out(database, likeness="b", weights={"S1": 3.0}, **spec)
     assert (again.cells.runs, again.cells.repeated, again.best == first.best) == (0, 60, True)
     assert (other.cells.repeated >= 9, other.cells.runs + other.cells.repeated) == (True, 60)  # the three best stored sets
+
+
+@pytest.mark.parametrize(
+    "optimizer", [{"kind": "cell_search"}, {"kind": "genetic", "population": 12}], ids=["cells", "population"]
+)
+def test_a_search_resumes_between_a_closed_round_and_the_next_one(
+    tmp_path: Path, optimizer: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = []
+    for deaths in (0, 3):
+        left = [deaths]
+        go_on = Calibration._go_on
+
+        def die(stage: Calibration, left: list[int] = left, go_on: Callable[[Calibration], None] = go_on) -> None:
+            if left[0] and stage._closed > 3 - left[0]:
+                left[0] -= 1
+                raise Killed("between two rounds")
+            go_on(stage)
+
+        database = migrated(f"sqlite:///{tmp_path / f'{deaths}.db'}")
+        campaign = submit(database, optimizer=optimizer, budget={"simulations": 100}, **WITH_SIX)
+        with monkeypatch.context() as patched:
+            patched.setattr(Calibration, "_go_on", die)
+            while not get(database, campaign).state.ended:
+                with suppress(Killed):
+                    finish(database, campaign, dispatcher(database))
+        assert left == [0]
+        found.append(everything(database, campaign))
+        database.dispose()
+    assert found[0] == found[1]

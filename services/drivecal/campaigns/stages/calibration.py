@@ -166,9 +166,9 @@ class Calibration(Stage):
             told = max(0, self._next - self._window)
             rounds = [] if self._by_cell is None else self._asked_rounds(connection)
         self._asked = {number: asked for number, asked in enumerate(rounds) if number >= told}
-        if last is not None and self._by_cell is None and not last.finished:
+        if last is not None and self._by_cell is None:
             self._asked = {last.iteration: _population_round(last, len(self._problem.scenarios))}
-            self._batches = self._split(last.iteration, self._asked[last.iteration])
+            self._batches = [] if last.finished else self._split(last.iteration, self._asked[last.iteration])
         if self._search.ended_by is not None:
             return
         if isinstance(self._answers, CellAnswers):
