@@ -175,6 +175,7 @@ def test_a_campaign_on_a_problem_is_submitted_without_json(heater: Heated, openi
     page.get_by_role("link", name="New campaign on heater").click()
     expect(page.get_by_label("score")).to_contain_text("cost / EUR, 0 to 100, less is better")
     page.get_by_role("button", name="quick").click()
+    page.get_by_label("kind").select_option("genetic")
     page.get_by_label("population").fill("12")
     page.get_by_label("iterations").fill("2")
     page.get_by_label("mutation").fill("0.2")

@@ -131,6 +131,7 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         page.goto(f"{api.url}/#/evaluations/1")
         expect(page.get_by_text("Your token is read-only.")).to_be_visible()
         page.goto(f"{api.url}/#/submit")
+        page.get_by_label("kind").select_option("genetic")
         with page.expect_response(re.compile("validate_only")):
             page.get_by_label("population").fill("7")
         page.context.clear_cookies()  # the session ends

@@ -11,7 +11,7 @@ from drivecal.analysis.solutions import Ranking
 from drivecal.api.tables.front import front_table
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import answers_of, front_of
-from drivecal.campaigns.stages import calibration
+from drivecal.campaigns.stages import asking
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.storage import results, studies
@@ -77,7 +77,7 @@ def test_a_killed_search_ends_with_the_same_rows(
     database: Database, changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Each life takes as many steps on a slow machine: a step waits for the optimizer.
-    monkeypatch.setattr(calibration, "PATIENCE_SECONDS", 60.0)
+    monkeypatch.setattr(asking, "PATIENCE_SECONDS", 60.0)
     spec: dict[str, Any] = {
         "objectives": TWO,
         "constraints": [{"measure": JERK, "at_most": 7.0, "failed": 20.0}],

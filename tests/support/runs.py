@@ -109,7 +109,7 @@ def request(database: Database, campaign: StoredCampaign, action: Action) -> Non
 
 
 def everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
-    """All that a campaign found, without what may differ between machines and runs: ids, times, workers, attempts."""
+    """All that a campaign found, without what may differ between machines and runs: ids, times, workers, attempts, starts."""
     with database.read() as connection:
         rows = list(results.stream(connection, campaign.sequence))
         figures, _ = generations.page(connection, campaign.sequence, limit=1_000)
@@ -123,7 +123,7 @@ def everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
         for row in rows
     ]
     ended = get(database, campaign)
-    return cells, figures, ended.cells, ended.best, ended.error_rate, ended.notes
+    return cells, figures, ended.cells.model_copy(update={"runs": 0}), ended.best, ended.error_rate, ended.notes
 
 
 def dispatcher(database: Database, backend: Backend | None = None, **settings: Any) -> Dispatcher:

@@ -62,6 +62,8 @@ def found(coordinator: Served, campaign_id: str) -> Found:
         simulated = _runs(connection, campaigns.get(connection, campaign_id).sequence)
     for released in campaign["released"].values():
         released.pop("seconds")
+    for counted in campaign["stages"].values():
+        counted.pop("runs")  # a run that is lost with its worker is made again
     tables["evaluations"] = _by_place(tables["evaluations"])
     return Found({name: campaign[name] for name in OF_A_CAMPAIGN}, tables, simulated)
 
