@@ -1,4 +1,4 @@
-"""What the soak calls flat."""
+"""Judgement of a soak: flat or growing."""
 
 import pytest
 from tests.benchmarks.soak import Course, verdicts
