@@ -76,6 +76,7 @@ def test_a_search_that_stands_still_ends(database: Database) -> None:
     assert ended.search.ended_by == "stagnation"
     assert ended.cells.runs < 3_000
     assert ended.search.stood_still_at is not None
+    assert ended.progress.done == ended.progress.total
 
 
 def test_cells_of_sets_that_cannot_win_are_discarded_and_in_no_sum(database: Database) -> None:

@@ -7,6 +7,7 @@ from tests.support.values import MIDDLE
 
 from drivecal.campaigns.resolve.maps import map_from_document, map_to_document, resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
+from drivecal.campaigns.resolve.resolvers import UNLIMITED
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.domain.errors import InvalidInputError
 
@@ -28,6 +29,11 @@ def test_the_default_campaign_is_the_papers_problem() -> None:
     assert sum(problem.weights.values()) == pytest.approx(1.0)
     assert problem.expected_runs().calibration_at_most == 600
     assert len({setup.fingerprint for setup in problem.bench.setups.values()}) == 6
+
+
+def test_a_search_without_a_limit_of_simulations_can_run() -> None:
+    problem = _resolve(budget={"minutes": 30.0})
+    assert problem.expected_runs().calibration_at_most == UNLIMITED
 
 
 def test_weights_and_bounds_are_not_in_the_fingerprint_but_the_vehicle_is() -> None:

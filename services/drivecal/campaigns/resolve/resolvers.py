@@ -13,7 +13,6 @@ from drivecal.campaigns.resolve.spaces import Parameterised, given_set
 from drivecal.contracts.campaign import STUDIES
 from drivecal.contracts.input_errors import nearest, problem
 from drivecal.contracts.specification import (
-    LARGEST_BUDGET,
     BudgetSpecification,
     CampaignSpecification,
     OptimizerSection,
@@ -43,6 +42,8 @@ MOST_WRONG_SETS = 200
 
 BY_DEFAULT = 100
 """Simulations for each scenario of a search without a budget."""
+UNLIMITED = 1_000_000
+"""Cells that are expected at most of a search without a limit of simulations."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class Optimization:
 
     def expected_cells(self, scenarios: int) -> tuple[int, int]:
         """Returns the largest numbers of proposed and of requested cells."""
-        most = LARGEST_BUDGET if self.budget is None or self.budget.simulations is None else self.budget.simulations
+        most = UNLIMITED if self.budget is None or self.budget.simulations is None else self.budget.simulations
         if self.iterations is None:
             return most, most
         requested = self.by_population.requested_individuals(self.settings)

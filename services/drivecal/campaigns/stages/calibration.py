@@ -117,7 +117,8 @@ class Calibration(Stage):
 
     @property
     def _at_most(self) -> int:
-        return self._problem.expected_runs().calibration_at_most
+        is_over = self._search.ended_by is not None  # perhaps before its budget was used up
+        return 0 if is_over else self._problem.expected_runs().calibration_at_most
 
     def _may_ask(self) -> bool:
         return not self._under_way or self._computation is not None
