@@ -99,7 +99,7 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
 
 
 CELL_MILLISECONDS = 20.0
-"""CPU time in which `surrogate` chooses a cell, with some hundred answers of six scenarios."""
+"""CPU time of `surrogate` for the choice of a cell, with some hundred answers of six scenarios."""
 WORTHWHILE_MILLISECONDS = 200.0
 """Time of a simulation from which on a careful choice costs less than a tenth of it."""
 MOST_MODELLED = 5_000

@@ -112,7 +112,7 @@ class Calibration(Stage):
             self._planner = LotPlanner(view, problem.space, reduction, problem.weights, population)
         self._released: dict[str, Released] = dict(campaign.released)
         self._confirming: Confirming | None = None
-        """Withdrawn answers that the ranking knows of."""
+        """The sets that are simulated after the search; None before its end."""
         self._confirmation = campaign.confirmation
 
     @property
@@ -419,6 +419,8 @@ class Calibration(Stage):
             if tried:
                 self._describe_best(connection)
             chosen = self._confirming.choose(self._ranking)
+            if chosen is not None and not self._can_afford(len(chosen.reused)):
+                chosen = None
             if chosen is None:
                 self._end_confirmation(connection, self._confirming)
             else:
@@ -429,6 +431,12 @@ class Calibration(Stage):
         wanted = [RequestedCell(0, scenario, parameters) for scenario in chosen.reused]
         tried.append(chosen.parameter_set)
         return Round(first + len(tried) - 1, [(self._problem.bench, wanted)], Policy("exact"))
+
+    def _can_afford(self, simulations: int) -> bool:
+        """Returns whether the budget has this many simulations left."""
+        budget = self._optimization.budget
+        used = self._tracker.counts.get("runs", 0)
+        return budget is None or budget.simulations is None or used + simulations <= budget.simulations
 
     def _end_confirmation(self, connection: Connection, confirming: Confirming) -> None:
         """Stores the outcome of the confirmation, once; its simulations may contradict others."""
