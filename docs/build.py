@@ -37,6 +37,9 @@ FURTHER = (
 INCLUDED = ("services/web/public/icon.svg",)
 """Further files that the site is made of."""
 DECISIONS = "shared/decisions"
+SEARCHED = ("docs/pages/", "shared/drivecal/", "deploy/examples/")
+"""The search of the site finds the documents for users. Decisions, changes and notes on the code would fill its first hits."""
+UNSEARCHED = "---\nsearch:\n  exclude: true\n---\n"
 SECONDS = 180
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
 _FENCED = re.compile(r"(^```.*?^```|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
@@ -119,13 +122,15 @@ def stage(folder: Path) -> None:
         target = folder / "pages" / place
         target.parent.mkdir(parents=True, exist_ok=True)
         if path.suffix == ".md":
-            target.write_text(linked(path.read_text(encoding="utf-8"), path, place, places), encoding="utf-8")
+            searched = path.relative_to(ROOT).as_posix().startswith(SEARCHED)
+            text = linked(path.read_text(encoding="utf-8"), path, place, places)
+            target.write_text(text if searched else UNSEARCHED + text, encoding="utf-8")
             continue
         shutil.copyfile(path, target)
         if path.suffix == ".ipynb":
             text = notebook_page(path, target.parent, partial(linked, page=path, place=place, places=places))
             target.with_suffix(".md").write_text(f"{text}\n[Download this notebook]({path.name})\n", encoding="utf-8")
-    (folder / "pages" / "decisions.md").write_text(decisions(), encoding="utf-8")
+    (folder / "pages" / "decisions.md").write_text(UNSEARCHED + decisions(), encoding="utf-8")
     shutil.copyfile(ROOT / "services" / "web" / "public" / "icon.svg", folder / "pages" / "icon.svg")
     shutil.copyfile(DOCS / "zensical.toml", folder / "zensical.toml")
 

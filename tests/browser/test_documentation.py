@@ -3,12 +3,28 @@
 from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Locator, Page, expect
 from tests.browser.conftest import Opening
 from tests.support.effort import sample
 from tests.support.server import RunningApi, serving
 
 from drivecal.api.routes.page import MANUAL, REASON, START
+
+QUESTIONS = {
+    "limit simulations": "How do I limit the number of simulations?",
+    "50 simulations": "What do I take for 50, 500 or 5,000 simulations?",
+    "how long": "How long will it take",
+    "why is a set the best": "Why is this set the best?",
+    "add a parameter": "May I add a scenario or a parameter?",
+    "curve": "How do I calibrate a curve?",
+    "crash": "My simulator crashes or hangs",
+    "four machines": "How do I use four machines?",
+    "where is what stored": "What is stored where?",
+    "move the database": "How do I move or copy the database?",
+    "CI": "What do I call from CI",
+    "lot": "Lot",
+}
+"""Words that readers type, and the heading that the search should find first."""
 
 
 @pytest.fixture(scope="module")
@@ -21,12 +37,8 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
         yield running
 
 
-def test_a_reader_finds_a_page_by_searching_and_follows_links(api: RunningApi, opening: Opening) -> None:
-    page = opening(f"{api.url}/help")
-    expect(page.get_by_role("heading", level=1)).to_contain_text("drivecal")
-    expect(page.get_by_role("img", name="A campaign on the built-in motorway")).to_be_visible()
-    page.get_by_role("link", name="tokens", exact=True).click()
-    expect(page.get_by_role("heading", level=1)).to_contain_text("Tokens")
+def search(page: Page) -> Locator:
+    """Opens the search and returns its field."""
     # The theme's script answers the key as soon as it runs, which nothing on the page shows: the key is pressed until the search opens.
     words = page.get_by_role("combobox", name="Search")
     for _ in range(600):
@@ -34,7 +46,24 @@ def test_a_reader_finds_a_page_by_searching_and_follows_links(api: RunningApi, o
         if words.is_visible():
             break
         page.wait_for_timeout(100)
-    words.fill("prediction")
+    return words
+
+
+def test_the_search_answers_questions_first(api: RunningApi, opening: Opening) -> None:
+    page = opening(f"{api.url}/help")
+    words = search(page)
+    for typed, heading in QUESTIONS.items():
+        words.fill(typed)
+        expect(page.get_by_role("option").first).to_contain_text(heading)
+
+
+def test_a_reader_finds_a_page_by_searching_and_follows_links(api: RunningApi, opening: Opening) -> None:
+    page = opening(f"{api.url}/help")
+    expect(page.get_by_role("heading", level=1)).to_contain_text("drivecal")
+    expect(page.get_by_role("img", name="A campaign on the built-in motorway")).to_be_visible()
+    page.get_by_role("link", name="tokens", exact=True).click()
+    expect(page.get_by_role("heading", level=1)).to_contain_text("Tokens")
+    search(page).fill("prediction")
     expect(page.get_by_role("option", name="Predictions").first).to_be_visible()
     page.goto(f"{api.url}/help/concepts/cells.html")
     page.get_by_role("link", name="To the page").first.click()
