@@ -7,9 +7,11 @@ does not know them, and lets one lane follow the other.
 
 import re
 import shutil
+import signal
 import subprocess
 import sysconfig
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, pi, sin
 from pathlib import Path
@@ -20,9 +22,21 @@ import numpy as np
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.domain.roads import Floats
-from drivecal.roads.documents import JoinedNotes, cut
-from drivecal.roads.network import read_network, source_comment
-from drivecal.roads.opendrive import DRIVEN, IGNORED, NO_LIMIT, OPEN_LIMIT, FileRoad, RoadFile, read_opendrive
+from drivecal.roads.documents import cut
+from drivecal.roads.network import WIDEST, read_network, source_comment
+from drivecal.roads.opendrive import (
+    DRIVEN,
+    FLAT,
+    IGNORED,
+    LIGHTS,
+    NO_LIMIT,
+    OPEN_LIMIT,
+    READ,
+    FileLane,
+    FileRoad,
+    RoadFile,
+    read_opendrive,
+)
 from drivecal.roads.placement import place
 
 LENGTH = 0.1
@@ -164,7 +178,10 @@ def _number(text: str | None) -> int:
 DEFAULT_WIDTH = 3.65
 """Metres; netconvert's own for lanes without a width."""
 TIMEOUT = 300.0
-"""Seconds, wall-clock."""
+"""Seconds, wall-clock: a busy machine runs `SECONDS` slowly."""
+SECONDS, MEGABYTES = 60, 2048
+"""Processor time and address space of netconvert: it may take both without end for a curve that is nearly an arc."""
+_LIMITED = 'ulimit -v "$1" && ulimit -t "$2" && shift 2 && exec "$@"'
 OPTIONS = (
     "--opendrive.curve-resolution", "1", "--opendrive.internal-shapes", "true", "--offset.disable-normalization", "true",
     "--no-turnarounds", "true", "--output.original-names", "true", "--precision", "4", "--xml-validation", "never",
@@ -190,13 +207,13 @@ def converted(content: bytes, name: str) -> Conversion:
     Raises InvalidInputError naming file, road and cause if it cannot be driven, and UnavailableError if netconvert is missing.
     """
     file = read_opendrive(content, name)
-    notes = _completed(file).texts()
-    raw, warnings = _run(_normalized(content, file), name)
+    _complete(file)
+    raw, warnings = _run(_normalized(content, file), file)
     net = fromstring(raw)  # noqa: S314  # written by netconvert
-    notes += place(net, file).texts()
+    notes = file.notes.texts() + place(net, file).texts()
     indent(net, "    ")
     network = b'<?xml version="1.0" encoding="UTF-8"?>\n' + source_comment(content) + tostring(net) + b"\n"
-    read_network(network, name)
+    read_network(network, f"the network that netconvert makes of {name}")
     notes += [f"{count} x {_named(element)}: ignored" for element, count in sorted(file.ignored.items())]
     notes += _told(warnings)
     return Conversion(network, cut(notes))
@@ -225,30 +242,46 @@ def netconvert() -> str:
     return executable
 
 
-def _completed(file: RoadFile) -> JoinedNotes:
-    """Gives lanes without a width netconvert's; returns notes on them. Raises InvalidInputError for lanes given by borders."""
-    notes = JoinedNotes()
+def _complete(file: RoadFile) -> None:
+    """Gives lanes without a width netconvert's, with a note. Raises InvalidInputError for lanes given by borders, or too wide."""
     for road in file.roads.values():
-        for section in road.sections:
+        for index, section in enumerate(road.sections):
             for lane in section.lanes.values():
-                if lane.id == 0 or lane.widths.records:
-                    continue
-                if "border" in file.ignored:
-                    message = (
-                        f"line {lane.line}, road {shown(road.id, 60)}, lane {lane.id}: it has no width, but perhaps a border"
-                    )
-                    raise InvalidInputError(Problem(file.name, message, "export the file with widths"))
-                if lane.kind in DRIVEN:
-                    lane.widths.records.append((0.0, DEFAULT_WIDTH, 0.0, 0.0, 0.0))
-                    notes.add(
-                        f"road {road.id}, lane {lane.id}", f"no width; the network has {DEFAULT_WIDTH} m, netconvert's default"
-                    )
-    return notes
+                _check_width(file, road, lane, road.end_of(index) - section.begin)
+
+
+def _check_width(file: RoadFile, road: FileRoad, lane: FileLane, length: float) -> None:
+    place = f"line {lane.line}, road {shown(road.id, 60)}, lane {lane.id}"
+    if lane.widths.records:
+        widths = lane.widths.at(np.linspace(0.0, length, 21)) if lane.kind in DRIVEN else np.zeros(1)
+        if not float(np.max(np.abs(widths))) <= WIDEST:
+            message = f"{place}: the lane is {float(np.max(np.abs(widths))):g} m wide"
+            raise InvalidInputError(Problem(file.name, message, f"give widths of at most {WIDEST:g} m"))
+    elif lane.id != 0 and "border" in file.ignored:
+        message = f"{place}: it has no width, but perhaps a border"
+        raise InvalidInputError(Problem(file.name, message, "export the file with widths"))
+    elif lane.id != 0 and lane.kind in DRIVEN:
+        lane.widths.records.append((0.0, DEFAULT_WIDTH, 0.0, 0.0, 0.0))
+        text = f"no width; the network has {DEFAULT_WIDTH} m, netconvert's default"
+        file.notes.add(f"road {road.id}, lane {lane.id}", text)
 
 
 def _normalized(content: bytes, file: RoadFile) -> bytes:
-    """Returns the file as netconvert wants it: lanes from the left to the right, and no direct junctions."""
+    """Returns the file as netconvert wants it: what is read alone, lanes from left to right, no flat spirals, no direct junctions."""
     document = fromstring(content)  # noqa: S314  # `read_opendrive` has refused document types
+    namespace = document.tag.removesuffix("OpenDRIVE")
+    for element in document.iter():
+        element.tag = element.tag.removeprefix(namespace) if namespace else element.tag
+    for element in document.iter():
+        known = READ.get(element.tag, frozenset()) | ({"signal"} if element.tag == "signals" else set())
+        for child in list(element):
+            if child.tag not in known or (child.tag == "signal" and not _is_light(child)):
+                element.remove(child)
+    for header in document.iter("header"):
+        header.attrib.setdefault("revMinor", "4")
+    for geometry in document.iter("geometry"):
+        for curve in [child for child in geometry if child.tag in {"arc", "spiral"}]:
+            _flatten(geometry, curve)
     for section in document.iter("laneSection"):
         for side in section:
             if side.tag in {"left", "right"}:
@@ -262,26 +295,73 @@ def _normalized(content: bytes, file: RoadFile) -> bytes:
     return tostring(document)
 
 
-def _run(content: bytes, name: str) -> tuple[bytes, list[str]]:
+def _is_light(signal: Element) -> bool:
+    """Returns whether a signal is a traffic light, which netconvert reads."""
+    kind = signal.get("type", "")
+    return all(signal.get(key) for key in ("id", "s", "dynamic", "orientation")) and kind in LIGHTS
+
+
+def _flatten(geometry: Element, curve: Element) -> None:
+    """Replaces a spiral that is an arc within a millimetre, and an arc that is a line: netconvert divides by their curvatures."""
+    keys = ("curvature", "curvature") if curve.tag == "arc" else ("curvStart", "curvEnd")
+    first, last = (float(curve.get(key, "0")) for key in keys)
+    square = float(geometry.get("length", "0")) ** 2 / 8.0
+    if curve.tag == "spiral" and abs(last - first) * square > FLAT:
+        return
+    mean = 0.5 * (first + last)
+    curve.attrib.clear()
+    curve.tag = "line" if abs(mean) * square <= FLAT else "arc"
+    if curve.tag == "arc":
+        curve.set("curvature", repr(mean))
+
+
+def run_netconvert(arguments: Sequence[str], folder: Path) -> "subprocess.CompletedProcess[str]":
+    """Runs netconvert in a folder, within `SECONDS` of processor time and `MEGABYTES` of memory.
+
+    Raises UnavailableError if it is missing, and subprocess.TimeoutExpired after `TIMEOUT` seconds.
+    """
+    limits = [str(MEGABYTES * 1024), str(SECONDS)]
+    command = ["/bin/sh", "-c", _LIMITED, "sh", *limits, netconvert(), *arguments]
+    return subprocess.run(  # noqa: S603  # no words of a user
+        command, cwd=folder, capture_output=True, text=True, errors="replace", check=False, timeout=TIMEOUT
+    )
+
+
+def _run(content: bytes, file: RoadFile) -> tuple[bytes, list[str]]:
     """Returns netconvert's network and its warnings."""
-    executable = netconvert()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder)
         (path / "road.xodr").write_bytes(content)
-        command = [executable, *OPTIONS, "--opendrive-files", "road.xodr", "-o", "road.net.xml"]
         try:
-            process = subprocess.run(  # noqa: S603  # no words of a user
-                command, cwd=path, capture_output=True, text=True, errors="replace", check=False, timeout=TIMEOUT
-            )
+            process = run_netconvert([*OPTIONS, "--opendrive-files", "road.xodr", "-o", "road.net.xml"], path)
         except subprocess.TimeoutExpired as error:
             message = f"netconvert did not finish in {TIMEOUT:g} s"
-            raise InvalidInputError(Problem(name, message, "cut the part out that is driven")) from error
+            raise InvalidInputError(Problem(file.name, message, "cut the part out that is driven")) from error
         said = [line.strip() for line in (process.stdout + process.stderr).splitlines()]
         errors, warnings = (
             [line.partition(": ")[2] for line in said if line.startswith(kind)] for kind in ("Error", "Warning")
         )
         result = path / "road.net.xml"
         if process.returncode != 0 or not result.is_file():
-            message = shown(errors[0] if errors else f"it ended with {process.returncode}", 300)
-            raise InvalidInputError(Problem(name, f"netconvert cannot convert it: {message}", "correct the file there"))
+            raise InvalidInputError(_cause(file, process.returncode, errors))
         return re.sub(rb"<!--.*?-->\s*", b"", result.read_bytes(), count=1, flags=re.DOTALL), warnings
+
+
+def _cause(file: RoadFile, code: int, errors: list[str]) -> Problem:
+    """Returns why netconvert has failed: roads that it cannot read, its limits, or its own words with the roads that they name."""
+    said = errors[0] if errors else f"it ended with {code}"
+    if code in {-signal.SIGXCPU, -signal.SIGKILL} or "bad_alloc" in said:
+        message = f"netconvert takes more than {SECONDS} s of processor time, or more than {MEGABYTES} MB"
+        return Problem(file.name, message, "cut the part out that is driven, and look for curves of absurd curvature or length")
+    for road in file.roads.values():
+        for other in (file.roads.get(link) for link in road.linked):
+            if other is not None and "-1" not in {road.junction, other.junction} and road.junction != other.junction:
+                message = (
+                    f"line {road.line}, the road {shown(road.id, 60)} of junction {shown(road.junction, 60)} leads to the road "
+                    f"{shown(other.id, 60)} of junction {shown(other.junction, 60)}, which netconvert cannot convert"
+                )
+                return Problem(file.name, message, "put a road between the junctions, or make them one junction")
+    named = [file.roads[name] for name in re.findall(r"'([^']*)'", said) if name in file.roads]
+    where = "".join(f"line {road.line}, road {shown(road.id, 60)}: " for road in named[:1])
+    remedy = "correct the road there" if named else "export the file again, or leave out roads until it can be converted"
+    return Problem(file.name, f"{where}netconvert cannot convert it: {shown(said, 300)}", remedy)

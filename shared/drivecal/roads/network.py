@@ -29,8 +29,8 @@ LONGEST = 1e6
 """Metres of a lane."""
 SLOWEST, FASTEST = 0.1, 150.0
 """Least and largest speed limit (m/s)."""
-WIDEST = 20.0
-"""Metres of a lane."""
+WIDEST = 100.0
+"""Metres of a lane: proving grounds have 28."""
 MOST_LANES = 32
 """Lanes of an edge."""
 MOST_CONNECTIONS = 1_000
@@ -262,6 +262,9 @@ class _Reader:
         if self.edge is None:
             raise attributes.fault("the lane stands outside of an edge", "move it into its edge")
         edge, index = self.edge.text("id"), attributes.integer("index", 0, MOST_LANES - 1)
+        if any(lane.index == index for lane in self.lanes):
+            message = f"the index {index} stands in {shown(edge, 60)} for the second time"
+            raise attributes.fault(message, f"number the lanes from the right; this one is perhaps {len(self.lanes)}")
         if attributes.text("id") != f"{edge}_{index}":
             raise attributes.fault(f"lane {index} of {shown(edge, 60)} must be {shown(f'{edge}_{index}', 70)}", "rename it")
         self.lanes.append(

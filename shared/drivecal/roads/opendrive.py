@@ -5,6 +5,7 @@ and banking do not move a lane.
 """
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -16,7 +17,7 @@ import numpy as np
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import GAUSS_POINTS, GAUSS_WEIGHTS, Floats
-from drivecal.roads.documents import Attributes, read_elements
+from drivecal.roads.documents import Attributes, JoinedNotes, read_elements
 
 FARTHEST = 1e8
 LONGEST = 1e6
@@ -152,6 +153,12 @@ SHORTEST = 0.01
 """Metres from the end of a lane at which a limit counts as one of the next lane."""
 DRIVEN = frozenset({"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "mwyEntry", "mwyExit", "slipLane"})
 """Types of lanes on which cars drive."""
+LIGHTS = frozenset(map(str, (*range(1000001, 1000008), *range(1000009, 1000014), 1000020)))
+"""Types of signals that are traffic lights."""
+FLAT = 1e-3
+"""Largest error (m) of a curve that is replaced by a simpler one, and of a geometry's end, in thousandths of its length."""
+_NO_NAME = re.compile(r"[\s|\\'\";,<>&]|^:|^$")
+"""Ids that SUMO refuses."""
 
 
 @dataclass(slots=True)
@@ -190,6 +197,8 @@ class FileRoad:
     offset: Cubics = field(default_factory=Cubics)
     sections: list[LaneSection] = field(default_factory=list)
     limits: list[tuple[float, float | None]] = field(default_factory=list)
+    linked: list[str] = field(default_factory=list)
+    """Ids of the roads before and after."""
 
     def reference(self, s: Floats) -> tuple[Floats, Floats, Floats]:
         """Returns x, y and heading of the reference line at each s."""
@@ -245,11 +254,12 @@ class FileRoad:
 
 @dataclass(slots=True)
 class RoadFile:
-    """The content of an `.xodr`. `ignored`: how often each element stands in it that the conversion ignores."""
+    """The content of an `.xodr`. `ignored`: how often each element stands in it that the conversion ignores; `notes`: on the rest."""
 
     name: str
     roads: dict[str, FileRoad]
     ignored: Mapping[str, int]
+    notes: JoinedNotes
 
 
 def read_opendrive(content: bytes, name: str) -> RoadFile:
@@ -320,6 +330,7 @@ class _Reader:
         self.lane: FileLane | None = None
         self.geometry: Attributes | None = None
         self.kind_begin = 0.0
+        self.notes = JoinedNotes()
 
     def start(self, attributes: Attributes) -> None:
         """Takes an element of a known place. Refuses what would let netconvert read other files."""
@@ -356,7 +367,7 @@ class _Reader:
         """Returns the file's content."""
         if not self.roads:
             raise InvalidInputError(Problem(self.name, "the file has no roads", "give a file with roads"))
-        return RoadFile(self.name, self.roads, self.ignored)
+        return RoadFile(self.name, self.roads, self.ignored, self.notes)
 
     def on_opendrive_header(self, attributes: Attributes) -> None:
         """Checks the version."""
@@ -371,6 +382,8 @@ class _Reader:
             raise attributes.fault("the road is for left-hand traffic", "give a file for right-hand traffic")
         if name in self.roads:
             raise attributes.fault("another road has the same id", "rename one")
+        if _NO_NAME.search(name):
+            raise attributes.fault("the id is empty, or has a character that edges of SUMO cannot have", "rename the road")
         self.road = FileRoad(
             name, attributes.number("length", 0.0, LONGEST), attributes.text("junction", "-1"), attributes.line
         )
@@ -396,7 +409,16 @@ class _Reader:
         road, index = self._open_road(attributes), attributes.integer("id", -64, 64)
         if not road.sections or index in road.sections[-1].lanes:
             raise attributes.fault(f"road {shown(road.id, 60)}: the lane appears twice, or outside of a section", "rename it")
-        self.lane = FileLane(index, attributes.text("type", "none"), attributes.line)
+        kind, place = attributes.text("type", "none"), f"road {road.id}, lane {index}"
+        direction = attributes.text("direction", "standard")
+        if kind in DRIVEN and direction == "reversed":
+            self.notes.add(place, 'driven against its side of the road (direction="reversed"): closed to all vehicles')
+            kind = "reversed"
+        elif kind in DRIVEN and direction != "standard":
+            self.notes.add(place, f"direction {shown(direction, 30)}: driven in the direction of its side of the road only")
+        elif kind not in DRIVEN and kind != "none":
+            self.notes.add(place, f"of type {shown(kind, 30)}: no vehicle drives there")
+        self.lane = FileLane(index, kind, attributes.line)
         road.sections[-1].lanes[index] = self.lane
 
     on_left_lane = on_right_lane = _on_lane
@@ -415,11 +437,15 @@ class _Reader:
         """Takes the lane that follows."""
         if self.lane is not None:
             self.lane.successor = attributes.integer("id", -64, 64)
+        elif self.road is not None and attributes.values.get("elementType") == "road":
+            self.road.linked.append(attributes.text("elementId"))
 
     def on_link_predecessor(self, attributes: Attributes) -> None:
         """Takes the lane before."""
         if self.lane is not None:
             self.lane.predecessor = attributes.integer("id", -64, 64)
+        elif self.road is not None and attributes.values.get("elementType") == "road":
+            self.road.linked.append(attributes.text("elementId"))
 
     def on_road_type(self, attributes: Attributes) -> None:
         """Takes a road's type, which has no limit until one is found in it."""
@@ -457,6 +483,11 @@ class _Reader:
                     message = "has lanes that are not numbered 1, 2, ... from the middle"
         if message:
             raise InvalidInputError(Problem(self.name, f"{where} {message}", "export the file again"))
+        ends = [*(geometry.begin for geometry in road.geometries[1:]), road.length]
+        for geometry, end in zip(road.geometries, ends, strict=True):
+            if abs(geometry.begin + geometry.length - end) > FLAT * max(1.0, geometry.length):
+                place = f"road {road.id}, geometry from {geometry.begin:g} m to {geometry.begin + geometry.length:g} m"
+                self.notes.add(place, "the next one, or the road's end, is elsewhere; what lies between is not driven")
 
 
 def _speed(attributes: Attributes) -> float | None:

@@ -130,3 +130,15 @@ def test_lanes_keep_what_the_file_says() -> None:
     assert (ramp.width, ramp.limit, ramp.for_cars, ramp.index) == (3.5, 22.22, True, 0)
     assert network.lane("ramp_0") is ramp
     assert [network.lane(name) for name in ("ramp_1", "ramp", "x_0", "ramp_-1", "ramp_²", "ramp_9999")] == [None] * 6
+
+
+def test_an_index_that_stands_twice_in_an_edge_is_named() -> None:
+    content = entrance().decode()
+    edge = content.index('<edge id="beside"')
+    place = content.index('index="1"', edge)
+    twice = f'{content[:place]}index="0"{content[place + 9 :]}'.encode()
+    with pytest.raises(InvalidInputError) as error:
+        read_network(twice, "road.net.xml")
+    (problem,) = error.value.problems
+    assert "index 0" in problem.message
+    assert "1" in problem.remedy

@@ -18,6 +18,11 @@ from drivecal.roads.opendrive import read_opendrive
 NAME = "road.xodr"
 
 
+def _raw(content: bytes) -> bytes:
+    file = read_opendrive(content, NAME)
+    return conversion._run(conversion._normalized(content, file), file)[0]
+
+
 def test_equal_notes_are_one_with_the_first_places_and_how_many_more() -> None:
     notes = JoinedNotes()
     for number in range(12):
@@ -36,7 +41,7 @@ def test_the_last_note_counts_those_that_are_left_out() -> None:
 
 
 def test_warnings_of_netconvert_that_differ_in_names_are_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    raw, _ = conversion._run(conversion._normalized(FILES["two_way"](), read_opendrive(FILES["two_way"](), NAME)), NAME)
+    raw = _raw(FILES["two_way"]())
     warnings = [f"Edge '{number}' has no lanes." for number in range(60)]
     monkeypatch.setattr(conversion, "_run", lambda *_: (raw, warnings))
     assert converted(FILES["two_way"](), NAME).notes[-1:] == ("netconvert: Edge '0' has no lanes. (and 59 like it)",)
@@ -55,7 +60,7 @@ def test_elements_that_nothing_reads_are_noted_by_tag_once_with_all_that_they_ho
 
 def test_a_lane_that_is_not_in_the_file_is_noted_and_no_route_leads_over_it(monkeypatch: pytest.MonkeyPatch) -> None:
     content = FILES["two_way"]()
-    raw, _ = conversion._run(conversion._normalized(content, read_opendrive(content, NAME)), NAME)
+    raw = _raw(content)
     lost = re.sub(rb'(<lane id="-5#1_1".*?key="origId" value=)"5_-2"', rb'\1"9_-2"', raw, count=1, flags=re.DOTALL)
     assert lost != raw
     monkeypatch.setattr(conversion, "_run", lambda *_: (lost, []))
@@ -77,7 +82,7 @@ def test_a_way_through_a_junction_that_the_file_does_not_have_is_noted_and_refus
 ) -> None:
     """netconvert names a lane of the connecting road that is not there: its own arc would be driven."""
     content = FILES["entrance"]()
-    raw, _ = conversion._run(conversion._normalized(content, read_opendrive(content, NAME)), NAME)
+    raw = _raw(content)
     lost = raw.replace(b'value="10_-1"', b'value="10_-7"')
     assert lost != raw
     monkeypatch.setattr(conversion, "_run", lambda *_: (lost, []))

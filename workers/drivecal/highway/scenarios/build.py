@@ -5,7 +5,6 @@ comment on time and place is removed. netconvert is part of `eclipse-sumo`, whic
 """
 
 import re
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -17,7 +16,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.roads import Floats, pose_on, to_cartesian
 from drivecal.highway.scenarios.designs import DESIGNS, RoadDesign, line_of
-from drivecal.roads.conversion import netconvert
+from drivecal.roads.conversion import run_netconvert
 
 POINT_SPACING = 5.0
 """Metres between points of a bent edge: on a radius of 480 m the chord stays within 7 mm of the arc."""
@@ -87,8 +86,7 @@ def build(road: RoadDesign) -> bytes:
         (path / "road.nod.xml").write_bytes(tostring(plain_nodes(road, line)))
         (path / "road.edg.xml").write_bytes(tostring(plain_edges(road, line)))
         options = ["--no-internal-links", "--no-turnarounds", "--offset.disable-normalization", "--precision", str(DECIMALS)]
-        command = [netconvert(), *options, "-n", "road.nod.xml", "-e", "road.edg.xml", "-o", "road.net.xml"]
-        process = subprocess.run(command, cwd=path, capture_output=True, text=True, check=False)  # noqa: S603  # no user input
+        process = run_netconvert([*options, "-n", "road.nod.xml", "-e", "road.edg.xml", "-o", "road.net.xml"], path)
         if process.returncode != 0:
             raise UnavailableError(f"netconvert failed: {process.stderr.strip()}")
         return without_origin((path / "road.net.xml").read_bytes())
