@@ -35,6 +35,8 @@ class _Block:
 
     kind: str
     line: int
+    module: int = 0
+    """Number of the MODULE around it, whose names are its own."""
     tokens: list[_Token] = field(default_factory=list)
     inside: set[str] = field(default_factory=set)
 
@@ -54,12 +56,12 @@ class _Block:
 
 @dataclass(slots=True)
 class _Described:
-    """Blocks that describe values, by kind and name."""
+    """Blocks that describe values, by module, kind and name."""
 
-    blocks: dict[tuple[str, str], _Block] = field(default_factory=dict)
+    blocks: dict[tuple[int, str, str], _Block] = field(default_factory=dict)
 
-    def get(self, kind: str, name: str) -> _Block | None:
-        return self.blocks.get((kind, name))
+    def get(self, module: int, kind: str, name: str) -> _Block | None:
+        return self.blocks.get((module, kind, name))
 
 
 def read(content: bytes, file: str) -> Content:
@@ -76,7 +78,7 @@ def read(content: bytes, file: str) -> Content:
         elif block.kind == "INSTANCE":
             result.skipped.append(block.text(0))
         elif block.kind in {"COMPU_METHOD", "COMPU_VTAB", "COMPU_VTAB_RANGE", "RECORD_LAYOUT"}:
-            described.blocks[block.kind, block.text(0)] = block
+            described.blocks[block.module, block.kind, block.text(0)] = block
     names: set[str] = set()
     for block in wanted:
         characteristic = _characteristic(block, described, file)
@@ -100,7 +102,7 @@ def _tokens(text: str, file: str) -> Iterator[_Token]:
 
 def _blocks(text: str, file: str) -> Iterator[_Block]:
     """Yields all blocks, each when it ends."""
-    is_a2l = False
+    is_a2l, module = False, 0
     open_blocks: list[_Block] = []
     tokens = _tokens(text, file)
     for token in tokens:
@@ -115,9 +117,10 @@ def _blocks(text: str, file: str) -> Iterator[_Block]:
             raise refused(file, token.line, f"it includes {shown(name.text)}", "export it as one file")
         if token.text == "/begin":
             is_a2l = is_a2l or name.text == "PROJECT"
+            module += name.text == "MODULE"
             if open_blocks:
                 open_blocks[-1].inside.add(name.text)
-            open_blocks.append(_Block(name.text, token.line))
+            open_blocks.append(_Block(name.text, token.line, module))
         elif not open_blocks or open_blocks[-1].kind != name.text:
             expected = f"of {open_blocks[-1].kind} (line {open_blocks[-1].line})" if open_blocks else "of no block"
             raise refused(file, token.line, f"/end {shown(name.text)} stands at the end {expected}", "correct the file")
@@ -135,7 +138,7 @@ def _characteristic(block: _Block, described: _Described, file: str) -> Characte
         raise refused(file, block.line, f"the characteristic {shown(block.text(0))} is incomplete", "export the file again")
     name, conversion = block.text(0), block.text(6)
     lower, upper = _limit(block.text(7)), _limit(block.text(8))
-    method = described.get("COMPU_METHOD", conversion)
+    method = described.get(block.module, "COMPU_METHOD", conversion)
     fault = None
     for token, limit in ((block.tokens[7], lower), (block.tokens[8], upper)):
         if math.isnan(limit):
@@ -144,7 +147,7 @@ def _characteristic(block: _Block, described: _Described, file: str) -> Characte
     if method is None and conversion != _IDENTICAL:
         message, remedy = f"there is no COMPU_METHOD {shown(conversion)}", "export the file again, or leave it out by --match"
         fault = problem_of(file, block.tokens[6].line, message, remedy)
-    layout = described.get("RECORD_LAYOUT", block.text(4))
+    layout = described.get(block.module, "RECORD_LAYOUT", block.text(4))
     is_whole = layout is not None and any(_WHOLE.fullmatch(text) for text in layout.after("FNC_VALUES", 1)[1:2])
     unit = next(iter(block.after("PHYS_UNIT", 9)), method.text(4) if method else "")
     choices: dict[str, float] = {}
@@ -177,7 +180,7 @@ def _choices(method: _Block, described: _Described, lower: float, upper: float) 
     """Returns the texts of an enumeration's values within the limits, with their numbers; or else what is wrong, and the remedy."""
     remedy = "export the file again, or leave it out by --match"
     name = next(iter(method.after("COMPU_TAB_REF", 5)), "")
-    table, ranges = (described.get(kind, name) for kind in ("COMPU_VTAB", "COMPU_VTAB_RANGE"))
+    table, ranges = (described.get(method.module, kind, name) for kind in ("COMPU_VTAB", "COMPU_VTAB_RANGE"))
     if table is None and ranges is None:
         return {}, f"there is no COMPU_VTAB {shown(name)}, which COMPU_METHOD {shown(method.text(0))} names", remedy
     texts: dict[str, float] = {}

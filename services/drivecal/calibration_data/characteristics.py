@@ -64,7 +64,12 @@ class Content:
     def add(self, file: str, characteristic: Characteristic, known: Collection[str]) -> None:
         """Adds a characteristic. Raises InvalidInputError if its name is `known`, or if there are too many."""
         if characteristic.name in known:
-            raise refused(file, characteristic.line, f"{shown(characteristic.name)} appears twice", "keep one of the two")
+            raise refused(
+                file,
+                characteristic.line,
+                f"{shown(characteristic.name)} appears twice",
+                "keep one of the two, or export each MODULE alone",
+            )
         if len(self.characteristics) >= MOST_CHARACTERISTICS:
             raise refused(
                 file, characteristic.line, f"there are more than {MOST_CHARACTERISTICS:,} characteristics", "split it"

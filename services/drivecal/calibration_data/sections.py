@@ -68,9 +68,10 @@ def chosen_by(characteristics: Sequence[Characteristic], patterns: Sequence[str]
         if not patterns
         or any(characteristic.name == pattern or fnmatchcase(characteristic.name, pattern) for pattern in patterns)
     ]
+    if not characteristics:
+        raise InvalidInputError(Problem("files", "they have no scalar characteristic", "give a file with some"))
     if not result:
-        names = [characteristic.name for characteristic in characteristics]
-        remedy = nearest(patterns[0], names) if patterns and names else "give a file with scalar characteristics"
+        remedy = nearest(patterns[0], [characteristic.name for characteristic in characteristics])
         raise InvalidInputError(Problem("--match", "no characteristic is left", remedy))
     if len(result) > MOST_PARAMETERS:
         message = f"{len(result):,} characteristics are more than the {MOST_PARAMETERS} parameters of a problem"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from drivecal.bundles.archives import MANIFEST, files_of
 from drivecal.bundles.checks import checked
-from drivecal.bundles.fmus.description import FmuDescription, FmuVariable, read_fmu
+from drivecal.bundles.fmus.description import INTEGERS, FmuDescription, FmuVariable, read_fmu
 from drivecal.bundles.installed import installed_problems
 from drivecal.client.documents import located_yaml
 from drivecal.contracts.strict_json import shown
@@ -22,6 +22,8 @@ PLANNER = "highway-planner"
 KINDS = ("process", "command", "python", "fmu", "highway", PLANNER)
 MOST_ENTRIES = 20
 """Parameters and outputs of an FMU that are written out; further ones become comments."""
+LONGEST, COARSEST = 1e6, 1e4
+"""Largest duration and step of a problem's FMU (s)."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
 _LARGEST = 1e6
 
@@ -88,15 +90,19 @@ def fmu_manifest(name: str, folder: str, file: str, description: FmuDescription)
     outputs: dict[str, FmuVariable] = {}
     for output in description.outputs:
         measure = f"{re.sub(r'[^A-Za-z0-9_]+', '_', output.name).strip('_')}_last"
-        if _NAME.fullmatch(measure) and output.name.isprintable():
+        if output.is_number and _NAME.fullmatch(measure) and output.name.isprintable():
             outputs.setdefault(measure, output)
+    others = [f"{shown(output.name, 60)} ({_kind(output)})" for output in description.outputs if not output.is_number]
     if not outputs:
+        message = f"no output of the FMU is a single number: {', '.join(others[:5])}" if others else "the FMU has no output"
         raise InvalidInputError(
-            Problem(shown(file), "the FMU has no output", "export the signals that a score needs as outputs")
+            Problem(shown(file), message, "export the signals that a score needs as outputs, one number each")
         )
     shown_outputs = dict(list(outputs.items())[:MOST_ENTRIES])
-    duration = description.duration or 10.0
-    step = min(description.step or duration / 1000, duration)
+    wanted = description.duration or 10.0
+    duration = min(wanted, LONGEST)
+    step = description.step if description.step is not None and description.step > 0.0 else duration / 1000
+    step = min(step, duration, COARSEST)
     lines = [
         "# Written from the FMU's description: keep the parameters to calibrate and correct their ranges, which are guesses if the FMU has",
         f"# none. Check it: drivecal problem check {folder}; send it to the server: drivecal problem push {folder}",
@@ -106,8 +112,8 @@ def fmu_manifest(name: str, folder: str, file: str, description: FmuDescription)
         "simulator:",
         "  kind: fmu",
         f"  file: {json.dumps(file)}",
-        f"  duration: {duration!r} # s",
-        f"  step: {step!r} # s",
+        f"  duration: {_decimal(duration)} # s" + (f"; the FMU says {wanted:g}" if duration != wanted else ""),
+        f"  step: {_decimal(step)} # s",
         "  timeout: 60 # s of real time",
         "  memory_mb: 2000",
         "  deterministic: true",
@@ -117,6 +123,7 @@ def fmu_manifest(name: str, folder: str, file: str, description: FmuDescription)
             for measure, output in shown_outputs.items()
         ),
         *(f"    # further output: {shown(output.name)}" for output in list(outputs.values())[MOST_ENTRIES:100]),
+        *(f"    # output that is no single number: {other}" for other in others[:100]),
         "# Start values of further parameters and inputs, by name.",
         "scenarios:",
         "  nominal: {}",
@@ -146,13 +153,23 @@ def _bounds(variable: FmuVariable) -> tuple[float, float] | None:
     lower = start - reach if variable.lower is None else variable.lower
     upper = start + reach if variable.upper is None else variable.upper
     if variable.whole:
-        lower, upper = float(int(lower)), float(int(upper) + (variable.upper is None))
+        least, most = (1, len(variable.items)) if variable.items else INTEGERS.get(variable.kind, INTEGERS["Int64"])
+        lower, upper = float(max(int(lower), least)), float(min(int(upper) + (variable.upper is None), most))
     lower, upper = round(lower, 9), round(upper, 9)
     return (lower, upper) if -_LARGEST <= lower < upper <= _LARGEST else None
 
 
 def _plain(value: float) -> str:
     return text(Decimal(str(value)))
+
+
+def _decimal(value: float) -> str:
+    """Returns a number without an exponent, which YAML would read as a text: `1e-05`."""
+    return f"{Decimal(repr(value)):f}"
+
+
+def _kind(output: FmuVariable) -> str:
+    return f"an array of {output.kind}" if output.is_array else output.kind
 
 
 def _quoted_unit(variable: FmuVariable) -> str:

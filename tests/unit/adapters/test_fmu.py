@@ -3,6 +3,7 @@
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import fmpy
@@ -12,7 +13,7 @@ from tests.support.simulators import hung, lost, opened
 
 from drivecal.adapters import kinds
 from drivecal.adapters.driver import UnusableError, blames_files
-from drivecal.adapters.fmu_driver import Fmu, OutputStatistics
+from drivecal.adapters.fmu_driver import Fmu, OutputStatistics, Writer
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared, UnsuitableError
@@ -54,7 +55,8 @@ def test_start_values_of_all_types_come_from_data_and_parameters(folder: Path, f
     with run(folder, file, data={"rate": 5.0, "flag": True, "label": "text"}) as session:
         assert session.evaluate({}).measures["end"] == pytest.approx(-10)
         assert session.evaluate({"rate": 1.0, "factor": 3.0, "mode": "sport"}).measures["end"] == pytest.approx(-12)
-        assert "takes integers" in lost(session, {"factor": 1.5}, Breakdown.ERROR)
+        for wrong in (1.5, 2.0**31, -(2.0**31) - 1.0):
+            assert "whole number from -2147483648 to 2147483647" in lost(session, {"factor": wrong}, Breakdown.ERROR)
         assert "it has eco, sport" in lost(session, {"mode": "fast"}, Breakdown.ERROR)
         assert "no variable rat, a parameter; it has e.g. rate" in lost(session, {"rat": 1.5}, Breakdown.ERROR)
         assert session.evaluate({}).measures["end"] == pytest.approx(-10)
@@ -211,3 +213,13 @@ def test_a_value_that_is_no_number_spoils_its_statistics() -> None:
     for value in (2.0, float("nan"), 3.0):
         statistics.add(value, 0.5)
     assert str(statistics.min) == str(statistics.max) == str(statistics.mean) == "nan"
+
+
+def test_a_signal_that_its_variable_cannot_hold_is_refused_instead_of_wrapping() -> None:
+    written: list[object] = []
+    slave = SimpleNamespace(setInt8=lambda _, values: written.extend(values))
+    writer = Writer(slave, {"Int8": [("a", 1), ("b", 2)]})
+    writer.write([127.4, -128.0])
+    with pytest.raises(UnusableError, match="b"):
+        writer.write([0.0, 200.0])
+    assert written == [127, -128]

@@ -179,3 +179,23 @@ TOKENS = [
 def test_any_words_are_read_or_refused(text: str) -> None:
     with contextlib.suppress(InvalidInputError):
         assert a2l.read(text.encode(), "a.a2l").skipped is not None
+
+
+def test_names_are_local_to_their_module() -> None:
+    module = """/begin MODULE {0} ""
+/begin RECORD_LAYOUT L FNC_VALUES 1 {1} ROW_DIR DIRECT /end RECORD_LAYOUT
+/begin COMPU_METHOD M "" {2} /end COMPU_METHOD
+/begin COMPU_VTAB T "" TAB_VERB 2 0 "{0} off" 1 "{0} on" /end COMPU_VTAB
+/begin COMPU_METHOD E "" TAB_VERB "%1.0" "" COMPU_TAB_REF T /end COMPU_METHOD
+/begin CHARACTERISTIC {0}_gap "" VALUE 0 L 0 M 0 100 /end CHARACTERISTIC
+/begin CHARACTERISTIC {0}_mode "" VALUE 0 L 0 E 0 1 /end CHARACTERISTIC
+/end MODULE
+"""
+    first = module.format("a", "UWORD", 'LINEAR "%6.2" "m" COEFFS_LINEAR 0.01 0')
+    second = module.format("b", "FLOAT32_IEEE", 'IDENTICAL "%6.2" "mm"')
+    for modules in (first + second, second + first):
+        text = f'/begin PROJECT p ""\n{modules}/end PROJECT\n'
+        content = {entry.name: entry for entry in a2l.read(text.encode(), "a.a2l").characteristics}
+        assert (content["a_gap"].unit, content["a_gap"].step) == ("m", 0.01)
+        assert (content["b_gap"].unit, content["b_gap"].step, content["b_gap"].integer) == ("mm", None, False)
+        assert (content["a_mode"].choices, content["b_mode"].choices) == (("a off", "a on"), ("b off", "b on"))

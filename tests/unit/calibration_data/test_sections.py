@@ -132,6 +132,9 @@ def test_characteristics_are_chosen_by_their_names() -> None:
         with pytest.raises(InvalidInputError) as refused:
             chosen_by(given, patterns)
         assert [problem.field for problem in refused.value.problems] == ["--match"]
+    with pytest.raises(InvalidInputError) as refused:
+        chosen_by([], [])
+    assert [problem.field for problem in refused.value.problems] == ["files"]
 
 
 def test_a_file_of_names_is_checked_whole() -> None:

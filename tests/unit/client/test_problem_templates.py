@@ -166,6 +166,36 @@ def test_an_fmu_fills_parameters_and_outputs(description: str, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
+    ("stop", "size", "duration", "step"),
+    [("20", "1e-05", 20.0, 1e-05), ("1e9", "1e7", 1e6, 1e4), ("1e-6", "-1", 1e-6, 1e-9), ("20", "0", 20.0, 0.02)],
+)
+def test_an_fmus_own_experiment_becomes_a_valid_problem(
+    stop: str, size: str, duration: float, step: float, tmp_path: Path
+) -> None:
+    described = FMI2.replace('stopTime="20"', f'stopTime="{stop}"').replace('stepSize="0.01"', f'stepSize="{size}"')
+    write_problem("fmu", "my-system", tmp_path / "folder", fmu(tmp_path, described))
+    manifest, _ = read_bundle(tmp_path / "folder")
+    assert isinstance(manifest.simulator, FmuSimulator)
+    assert (manifest.simulator.duration, manifest.simulator.step) == pytest.approx((duration, step), rel=1e-12)
+
+
+def test_outputs_that_are_arrays_are_listed_and_the_range_of_an_integer_keeps_to_its_type(tmp_path: Path) -> None:
+    array = '<Float64 name="track" valueReference="9" causality="output"><Dimension start="3"/></Float64>'
+    described = (
+        FMI3.replace("Int32", "Int8")
+        .replace('start="0"', 'start="120"')
+        .replace("</ModelVariables>", f"{array}</ModelVariables>")
+    )
+    write_problem("fmu", "my-system", tmp_path / "folder", fmu(tmp_path, described))
+    manifest, _ = read_bundle(tmp_path / "folder")
+    assert (manifest.parameters["n"].lower, manifest.parameters["n"].upper) == (60, 127)
+    assert "track" in (tmp_path / "folder" / "problem.yaml").read_text()
+    alone = described.replace('<Float64 name="x" valueReference="3" causality="output"/>', "")
+    with pytest.raises(InvalidInputError, match="track"):
+        write_problem("fmu", "my-system", tmp_path / "other", fmu(tmp_path, alone))
+
+
+@pytest.mark.parametrize(
     "description",
     [
         FMI2.replace('"2.0"', '"1.0"'),

@@ -18,7 +18,7 @@ from xml.etree import ElementTree as ET
 
 from drivecal.adapters.driver import Evaluate, UnusableError, described, serve
 from drivecal.bundles import units
-from drivecal.bundles.fmus.checks import section_problems, unit_problems
+from drivecal.bundles.fmus.checks import section_problems, unit_problems, wanted_by
 from drivecal.bundles.fmus.description import INTEGERS, FmuDescription, FmuVariable, number
 from drivecal.domain.errors import Problem, UnavailableError
 
@@ -162,9 +162,9 @@ class Fmu:
             value = str(value)
         elif isinstance(value, str):
             value = self._item(name, value)
+        elif (wanted := wanted_by(self._described[name], value)) is not None:
+            raise UnusableError(f"{value} does not fit the variable {name} of type {variable.type}: {wanted}")
         elif access not in {"Real", "Float64", "Float32"}:
-            if value != int(value):
-                raise UnusableError(f"the variable {name} takes integers, not {value}")
             value = int(value)
         getattr(self._slave, f"set{access}")([variable.valueReference], [value])
 
@@ -238,16 +238,25 @@ class Writer:
         """`groups`: names and value references by the end of the name of the function that writes them."""
         self.names = [name for group in groups.values() for name, _ in group]
         self._calls = [
-            (getattr(slave, f"set{access}"), access in {"Real", "Float64", "Float32"}, [reference for _, reference in group])
+            (
+                getattr(slave, f"set{access}"),
+                None if access in {"Real", "Float64", "Float32"} else access,
+                [r for _, r in group],
+            )
             for access, group in groups.items()
         ]
 
     def write(self, values: Sequence[float]) -> None:
         """Writes the values, in the order of `names`."""
         first = 0
-        for function, is_real, references in self._calls:
+        for function, access, references in self._calls:
             last = first + len(references)
-            function(references, values[first:last] if is_real else [round(value) for value in values[first:last]])
+            given = values[first:last] if access is None else [round(value) for value in values[first:last]]
+            least, most = INTEGERS.get(access or "", (-math.inf, math.inf))
+            if any(value < least or value > most for value in given):  # it would wrap
+                names = ", ".join(self.names[first:last])
+                raise UnusableError(f"{given} does not fit the variables {names} of type {access}: give {least} to {most}")
+            function(references, given)
             first = last
 
 

@@ -5,7 +5,7 @@ from io import BytesIO
 from itertools import islice
 
 from drivecal.bundles.archives import BundleFile
-from drivecal.bundles.fmus.checks import input_notes, section_problems, unit_notes, unit_problems
+from drivecal.bundles.fmus.checks import input_notes, section_problems, unit_notes, unit_problems, value_problems
 from drivecal.bundles.fmus.description import read_fmu
 from drivecal.bundles.highway import FmuController, FmuVehicle, HighwaySimulator
 from drivecal.bundles.manifest import FmuSimulator, Manifest
@@ -31,13 +31,33 @@ def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str
             continue
         if isinstance(section, FmuSimulator):
             problems += unit_problems(description, parameters)
+            data = [
+                (f"scenarios.{name}.{key}", key, value)
+                for name, given in manifest.scenarios.items()
+                for key, value in given.items()
+            ]
+            problems += islice(value_problems(description, data), MOST_PROBLEMS)
         else:
             problems += islice(section_problems(field, section.model_dump(), description, parameters), MOST_PROBLEMS)
             notes += islice(input_notes(field, section.model_dump(), description), MOST_PROBLEMS)
+        problems += islice(value_problems(description, _ends(manifest)), MOST_PROBLEMS)
         notes += unit_notes(description, parameters)
     if problems:
         raise InvalidInputError(*dict.fromkeys(problems))
     return tuple(dict.fromkeys(notes))
+
+
+def _ends(manifest: Manifest) -> Iterator[tuple[str, str, object]]:
+    """Yields field, name and value of the ends and steps of all parameters' ranges, or of their choices."""
+    for name, entry in manifest.parameters.items():
+        given = {"lower": entry.lower, "upper": entry.upper, "step": entry.step if not entry.integer else None}
+        for key, value in given.items():
+            if value is not None:
+                yield f"parameters.{name}.{key}", name, value
+        yield from ((f"parameters.{name}.choices[{index}]", name, choice) for index, choice in enumerate(entry.choices or ()))
+    for name, varied in manifest.varied.items():
+        for key in ("nominal", "lower", "upper"):
+            yield f"varied.{name}.{key}", name, getattr(varied, key)
 
 
 def fields_of_resets(manifest: Manifest) -> list[str]:

@@ -3,7 +3,7 @@
 The FMU's child imports this, at each start: it has no part in the models of manifests.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from typing import Any
 
@@ -26,7 +26,11 @@ def section_problems(
 ) -> Iterator[Problem]:
     """Yields what does not fit between an FMU and the `section` of a controller or vehicle.
 
-    `field`: of the section; `parameters`: units of the problem's parameters by name.
+    Args:
+        field: The section's place in the manifest.
+        section: Of a controller or vehicle.
+        description: The FMU.
+        parameters: Units of the problem's parameters by name.
     """
     variables = {variable.name: variable for variable in description.variables}
     yield from _signals(field, section, variables)
@@ -43,6 +47,17 @@ def unit_problems(description: FmuDescription, parameters: Mapping[str, str]) ->
             yield Problem(
                 f"parameters.{name}.unit", f"the FMU takes {name} in {shown(variable.unit)}, not {shown(unit)}", remedy
             )
+
+
+def value_problems(description: FmuDescription, values: Iterable[tuple[str, str, object]]) -> Iterator[Problem]:
+    """Yields values that do not fit the types of the FMU's variables: integers of any other size would wrap.
+
+    `values`: the field of each, the variable's name and the value.
+    """
+    variables = {variable.name: variable for variable in description.variables}
+    for field, name, value in values:
+        if name in variables and (wanted := wanted_by(variables[name], value)) is not None:
+            yield Problem(field, f"{shown(value)} does not fit: {shown(name)} is of type {variables[name].kind}", wanted)
 
 
 def unit_notes(description: FmuDescription, parameters: Mapping[str, str]) -> Iterator[str]:
@@ -102,11 +117,11 @@ def _constants(
         elif variables[name].causality not in SETTABLE:
             message = f"{shown(name)} is neither an input nor a parameter of the FMU, but {variables[name].causality}"
             yield Problem(at, message, "leave it out")
-        elif (wanted := _wanted(variables[name], value)) is not None:
+        elif (wanted := wanted_by(variables[name], value)) is not None:
             yield Problem(at, f"{shown(value)} does not fit: {shown(name)} is of type {variables[name].kind}", wanted)
 
 
-def _wanted(variable: FmuVariable, value: object) -> str | None:
+def wanted_by(variable: FmuVariable, value: object) -> str | None:
     """Returns what a variable takes instead of a value, None if it fits."""
     if not variable.is_settable:
         return "such variables cannot be set; let the FMU fix its value"

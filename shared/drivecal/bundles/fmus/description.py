@@ -96,8 +96,8 @@ class FmuDescription:
 
     @property
     def outputs(self) -> list[FmuVariable]:
-        """Numbers that a run computes for others."""
-        return [variable for variable in self.variables if variable.is_number and variable.causality == "output"]
+        """Variables that a run computes for others, not all of them single numbers."""
+        return [variable for variable in self.variables if variable.causality == "output"]
 
 
 def read_fmu(file: str | Path | IO[bytes], name: str | None = None) -> FmuDescription:

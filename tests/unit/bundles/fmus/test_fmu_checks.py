@@ -117,7 +117,7 @@ def test_an_input_that_nothing_gives_is_refused_by_name(description: str) -> Non
     for given in (
         problem(),
         problem(constants=None, signals=SIGNALS | {"leader_exists": "acc_enable"}),
-        problem({"acc_enable": "1"}, constants=None),
+        problem(constants=None) | {"parameters": {"acc_enable": {"lower": 0, "upper": 1, "integer": True}}},
     ):
         assert notes(given, description) == ()
 
@@ -167,6 +167,34 @@ def test_constants_have_the_range_of_their_type() -> None:
     single = THIRD.replace('<Float64 name="v_min"', '<Float32 name="v_min"')
     assert faults(given, single).keys() == {f"simulator.controller.constants.{name}" for name in ("n", "v_min")}
     assert notes(problem(constants={"acc_enable": True, "v_min": 3.4e38}), single) == ()
+
+
+@both
+@pytest.mark.parametrize(
+    ("name", "entry", "field"),
+    [
+        ("n", {"lower": -129, "upper": 5e9, "integer": True}, "upper"),
+        ("n", {"lower": -1e10, "upper": 5, "integer": True}, "lower"),
+        ("n", {"lower": 0, "upper": 5.5}, "upper"),
+        ("n", {"lower": 0, "upper": 5, "step": 0.5}, "step"),
+        ("mode", {"choices": ["eco", "race"]}, "choices[1]"),
+        ("acc_enable", {"lower": 0, "upper": 2, "integer": True}, "upper"),
+    ],
+)
+def test_parameters_that_the_type_of_their_variable_cannot_hold_are_refused(
+    description: str, name: str, entry: dict[str, Any], field: str
+) -> None:
+    given = problem(constants=None if name == "acc_enable" else {"acc_enable": True}) | {"parameters": {name: entry}}
+    named = faults(given, description)
+    assert f"parameters.{name}.{field}" in named
+    assert all(key.startswith(f"parameters.{name}") for key in named)
+
+
+@both
+def test_start_values_that_their_variable_cannot_hold_are_refused(description: str) -> None:
+    given = PROBLEM | {"simulator": SYSTEM, "scenarios": {"S": {"n": 2.0**63, "mode": "race", "T": 1.5}}}
+    assert faults(given, description).keys() == {"scenarios.S.n", "scenarios.S.mode"}
+    assert notes(PROBLEM | {"simulator": SYSTEM, "scenarios": {"S": {"n": 100, "mode": "eco"}}}, description) == ()
 
 
 @pytest.mark.parametrize("value", [1e301, float("inf"), "", "a" * 256, "two\nlines"])
