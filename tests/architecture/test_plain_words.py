@@ -4,13 +4,13 @@ import pytest
 from tests.architecture.plain_words import NAMES, OPENER, PARAMETER, PROSE, patterns_in, phrases_in
 
 CEILINGS = {
-    "services/drivecal": 198,
+    "services/drivecal": 197,
     "services/web": 0,
     "shared/drivecal": 100,
     "workers/drivecal": 1,
-    "docs": 95,
+    "docs": 93,
     "deploy": 2,
-    "tests": 683,
+    "tests": 648,
 }
 """Largest number of unclear phrases by folder: 0 once the folder is mended."""
 

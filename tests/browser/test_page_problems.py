@@ -14,6 +14,7 @@ from tests.support.problems import MANIFEST, ROADS, heated, push, replayed, stor
 from tests.support.runs import run, submit, working
 from tests.support.server import RunningApi, serving
 
+from drivecal.client import Client
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 
@@ -253,6 +254,25 @@ def test_goals_are_chosen_from_the_problem_and_a_baseline_is_pasted(heater: Heat
     assert barriers(page) == []
 
 
+def test_a_report_is_the_page_and_opens_without_a_server(heater: Heated, opening: Opening, tmp_path: Path) -> None:
+    file = tmp_path / "index.html"
+    with Client(heater.api.url) as client:
+        file.write_bytes(client.report(heater.campaign.id))
+    page = opening(file.as_uri())
+    expect(page.get_by_role("heading", level=1)).to_have_text(heater.campaign.name)
+    for view, text in (
+        ("Overview", "Best score by iteration"),
+        ("Ranking", "Weigh the scenarios"),
+        ("Influence", "winter"),
+        ("Savings", "Balance"),
+        ("Trust", "Are the scores right?"),
+    ):
+        page.get_by_role("link", name=view, exact=True).click()
+        expect(page.get_by_text(text).first).to_be_visible()
+        expect(page.get_by_role("alert")).to_have_count(0)
+        assert barriers(page) == []
+
+
 def test_a_campaign_is_cloned_run_again_and_exported_from_its_overview(heater: Heated, opening: Opening) -> None:
     page = opening(heater.at())
     page.get_by_text("Export", exact=True).first.click()
@@ -265,10 +285,13 @@ def test_a_campaign_is_cloned_run_again_and_exported_from_its_overview(heater: H
     assert barriers(page) == []
     page.get_by_role("button", name="Report").click()
     expect(page.get_by_text(f"drivecal report {heater.campaign.id[:8]}")).to_be_visible()
-    with page.expect_popup() as opened:
-        page.get_by_role("link", name="Review sheet").click()
-    expect(opened.value.get_by_role("heading", name="Signatures")).to_be_visible()
-    opened.value.close()
+    page.get_by_role("link", name="Review", exact=True).first.click()
+    expect(page.get_by_role("heading", name="Signatures")).to_be_visible()
+    page.get_by_label("against").fill("2")
+    page.get_by_label("against").blur()
+    expect(page.get_by_role("columnheader", name="set 2").first).to_be_visible()
+    assert barriers(page) == []
+    page.goto(heater.at())
 
     page.get_by_role("link", name="Clone").click()
     expect(page.get_by_label("name")).to_have_value("test again")

@@ -30,9 +30,6 @@ WAITING_BODIES = 16
 OPEN_ARCHIVES = 4
 """Archives of problems that may be received or sent at the same time, each whole in memory."""
 
-REPORTS = 2
-"""Reports that may be written at the same time; one draws at a time."""
-
 COMPUTING = 8
 """Rankings, fronts and the like that are computed at the same time. Each further thread that computes delays all others by up to 5 ms at
 every turn of the interpreter."""
@@ -48,7 +45,6 @@ class Limits:
     event_streams: Places
     waiting_bodies: Places
     archives: Places
-    reports: Places
     computed: Places
     large_bodies: CapacityLimiter
     computing: CapacityLimiter
@@ -61,7 +57,6 @@ class Limits:
             event_streams=Places(settings.event_streams, "event streams are open", retry_seconds=10),
             waiting_bodies=Places(WAITING_BODIES, "large documents are being read", retry_seconds=5),
             archives=Places(OPEN_ARCHIVES, "archives of problems are being received or sent", retry_seconds=5),
-            reports=Places(REPORTS, "reports are being written", retry_seconds=5),
             computed=Places(COMPUTED, "rankings, fronts and the like are being computed", retry_seconds=5),
             large_bodies=CapacityLimiter(LARGE_BODIES),
             computing=CapacityLimiter(COMPUTING),
@@ -96,14 +91,6 @@ async def _archive(limits: LimitsDependency) -> AsyncIterator[None]:
 ArchivePlace = Annotated[None, Depends(_archive)]
 """Place of a route that sends an archive, until it is sent. Raises OverloadError (429) if there is none."""
 
-
-async def _report(limits: LimitsDependency) -> AsyncIterator[None]:
-    with limits.reports.take():
-        yield
-
-
-ReportPlace = Annotated[None, Depends(_report)]
-"""Place of a route that writes a report. Raises OverloadError (429) if there is none."""
 
 IdempotencyKey = Annotated[
     str | None,

@@ -22,7 +22,7 @@ from drivecal.storage.revision_queries import CampaignRevision, ProgressSnapshot
 ROOT = "/api/v1"
 SECONDS_BETWEEN_POLLS = 1
 """`Retry-After` of what is still running."""
-TABLES = (*get_args(CampaignTable), "results", "setup", "studies", "review", "calibration-file")
+TABLES = (*get_args(CampaignTable), "results", "setup", "studies", "calibration-file")
 """Links of a campaign besides `events`."""
 _FIELDS = tuple(EvaluationRow.model_fields)
 _column = lru_cache(maxsize=4096)(parameter_column)
@@ -120,9 +120,7 @@ def _links(stored: StoredCampaign) -> dict[str, str]:
     if stored.kind == "evaluation":
         return {"self": f"{ROOT}/evaluations/{stored.id}"}
     here = f"{ROOT}/campaigns/{stored.id}"
-    links = {"self": here, "events": f"{here}/events", "report": f"{here}/report"} | {
-        table: f"{here}/{table}" for table in TABLES
-    }
+    links = {"self": here, "events": f"{here}/events"} | {table: f"{here}/{table}" for table in TABLES}
     if stored.influence_map_id is not None:
         links["influence_map"] = f"{ROOT}/influence-maps/{stored.influence_map_id}"
     if stored.rerun_of is not None:

@@ -35,16 +35,14 @@ class ExitCode(IntEnum):
 
 ORDER = (
     *("demo", "serve", "submit", "list", "show", "watch", "pause", "resume", "cancel", "rerun", "label", "delete"),
-    *("solutions", "report", "review", "export", "explain", "influence", "influence-maps", "robustness", "validate"),
+    *("solutions", "report", "export", "explain", "influence", "influence-maps", "robustness", "validate"),
     *("compare-optimizers", "evaluate", "problem", "workers", "db"),
 )
 """Order of the commands in the help."""
 
 
 EXTRAS = {
-    **dict.fromkeys(
-        ("alembic", "fastapi", "libsumo", "matplotlib", "numba", "prometheus_client", "psycopg", "pyarrow", "scipy"), "local"
-    ),
+    **dict.fromkeys(("alembic", "fastapi", "libsumo", "numba", "prometheus_client", "psycopg", "pyarrow", "scipy"), "local"),
     **dict.fromkeys(("sklearn", "sqlalchemy", "starlette", "structlog", "uvicorn", "websockets"), "local"),
     "asammdf": "mf4",
     "ray": "cluster",

@@ -15,6 +15,7 @@ from drivecal.client.documents import Document, completed, ids_on, is_abbreviate
 from drivecal.client.following import READ_SECONDS, EventParser, Following, Sent, ServerSentEvent, Told, displayed
 from drivecal.client.frames import DownloadedTable, RankedSets, Rows
 from drivecal.client.problems import Pushed, archive_of, push_headers
+from drivecal.client.report import report_of
 from drivecal.client.transport import Answer, Transport, harmless, named, path_of, raise_for, unreachable
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
@@ -467,32 +468,13 @@ class Client(Transport):
         """Returns the saved views of the page: for all campaigns, and for a `campaign`."""
         return self._get(SavedViewList, "views", campaign=campaign).items
 
-    def report(self, identifier: str, form: Literal["html", "zip"] = "html") -> bytes:
-        """Returns the report of a campaign.
+    def report(self, identifier: str) -> bytes:
+        """Returns the page with a campaign's results in it, which needs no server: one HTML file.
 
-        Args:
-            identifier: Id of the campaign.
-            form: One HTML page, or a ZIP archive of the page, its figures (SVG, PNG) and tables (CSV).
+        Raises ConflictError for a single evaluation, and if the server has no page.
         """
-        return b"".join(self._pieces(("campaigns", identifier, "report"), {"format": form}))
-
-    def review(self, identifier: str, rank: int | None = None, front: int | None = None, against: str | None = None) -> str:
-        """Returns the review sheet of a set, an HTML page.
-
-        Args:
-            identifier: Id of the campaign.
-            rank: Rank of the set in the solutions, by default the first.
-            front: Rank of the set on the front, by default the first if there are several objectives.
-            against: Another set to compare with: a rank, a campaign's id, or `ID:RANK`.
-        """
-        place = ("campaigns", identifier, "review")
-        if against is not None:
-            other, *other_rank = against.split(":", 1)
-            if not other.isdecimal() or other_rank:
-                against = ":".join([self._full_place(("campaigns", other))[-1], *other_rank])
-        response = self._request("GET", place, query={"set": rank, "front": front, "against": against})
-        raise_for(response, *named(place))
-        return response.text
+        campaign = self.campaign(identifier)
+        return report_of(lambda path: b"".join(self._pieces_at(path, {}, "campaign", campaign.id)).decode(), campaign)
 
     def calibration_file(
         self,
@@ -511,8 +493,8 @@ class Client(Transport):
         Args:
             identifier: Id of the campaign.
             form: Format of the file.
-            rank: Rank of the set in the solutions, as for `review`.
-            front: Rank of the set on the front, as for `review`.
+            rank: Rank of the set in the solutions, by default the first.
+            front: Rank of the set on the front, by default the first.
             weights: Weights under which the rank counts.
             score: Score under which the rank counts.
             labels: Names in the file, by parameter; others keep their own.

@@ -231,8 +231,11 @@ class Transport:
 
         Does not ask again if a proxy gave up on the server: it would begin the same work anew.
         """
-        params = {name: value for name, value in query.items() if value is not None}
-        path, waited = path_of(self._full_place(place)), 0.0
+        return self._pieces_at(path_of(self._full_place(place)), query, *named(place))
+
+    def _pieces_at(self, path: str, query: Mapping[str, Any], kind: str, identifier: str) -> Iterator[bytes]:
+        """Yields the answer at a path as `_pieces`. `kind` and `identifier` are as of `raise_for`."""
+        params, waited = {name: value for name, value in query.items() if value is not None} or None, 0.0
         timeout = httpx.Timeout(self._http.timeout.connect, read=SLOW_SECONDS)
         while True:
             try:
@@ -241,7 +244,7 @@ class Transport:
                         response.read()
                     asked = None if response.status_code == HTTPStatus.GATEWAY_TIMEOUT else _pause(response)
                     if asked is None or waited + asked > PATIENCE_SECONDS:
-                        raise_for(response, *named(place))
+                        raise_for(response, kind, identifier)
                         yield from response.iter_bytes()
                         return
             except httpx.TransportError as error:

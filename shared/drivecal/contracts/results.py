@@ -152,7 +152,7 @@ class StudyResult(Answer):
 
 
 class CampaignResults(Answer):
-    """The results of a campaign, which page, report, review sheet and command line draw: what was asked for (`campaign.spec`, `setup`),
+    """The results of a campaign, which page and command line draw: what was asked for (`campaign.spec`, `setup`),
     what is best, what was checked and what is doubtful (`trust`), and what it cost (`accounting`, null before the first answered cell).
     `front`: null with a single objective and before a set has a value of each. `failures`: causes of failed cells. `studies`: those that
     succeeded, made by any campaign, those in the campaign's own vehicle first, the newest first."""

@@ -154,7 +154,7 @@ class EvaluationRow(Answer):
     id: int
     stage: str
     iteration: int
-    """Counted from 0; commands, page and report count iterations from 1."""
+    """Counted from 0; commands and page count iterations from 1."""
     individual: int
     scenario: str
     outcome: str | None
@@ -179,7 +179,7 @@ class EvaluationRow(Answer):
 
 class _Iteration(Answer):
     iteration: int
-    """Counted from 0; commands, page and report count iterations from 1."""
+    """Counted from 0; commands and page count iterations from 1."""
 
 
 class Generation(GenerationCounts, _Iteration):
@@ -209,7 +209,7 @@ class Solution(Answer):
     """Scenarios whose score is that of a reference: this very set was not simulated there."""
     parameters: Annotated[dict[str, float | str], Spread()]
     iteration: int
-    """Counted from 0; commands, page and report count iterations from 1."""
+    """Counted from 0; commands and page count iterations from 1."""
     individual: int
 
 

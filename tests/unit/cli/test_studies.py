@@ -3,12 +3,19 @@
 from typing import Any, cast
 
 import pytest
-from tests.unit.report.rows import study
 
 from drivecal.cli.commands import studies
 from drivecal.cli.commands.studies import known, wanted_of
 from drivecal.client.client import Client
-from drivecal.contracts.campaign import Campaign, StudyPage
+from drivecal.contracts.campaign import Campaign, Study, StudyPage
+
+
+def study() -> Study:
+    """A finished study of robustness."""
+    settings = {"condition": "max", "eta": 1.0, "delta": 0.1, "steps": 2, "samples": 4}
+    return Study(
+        campaign="0" * 32, name="study", stage="robustness", state="succeeded", settings=settings, vehicle=None, ended_at=None
+    )
 
 
 class Server:

@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Literal, TypeVar
 
 from drivecal.api.responses import calibration
 from drivecal.api.results.document import results_of
-from drivecal.api.results.review import Choice, of_rank
 from drivecal.api.tables.front import front_table, summary
 from drivecal.api.tables.ranking import CampaignRanking, ranking
 from drivecal.calibration_data.chosen import RankedBy, characteristics_of, front_figures, quality_of, solution_figures
@@ -18,6 +18,21 @@ from drivecal.contracts.tables import FrontRow, Solution
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
+
+RankedIn = Literal["solutions", "front"]
+Ranked = TypeVar("Ranked", Solution, FrontRow)
+
+LARGEST_RANK = 10**6
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A set by its campaign, its table, by default that of its kind of campaign, and its rank."""
+
+    campaign: str
+    table: RankedIn | None
+    rank: int
+    field: str = "set"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +47,8 @@ def written(
     database: Database, choice: Choice, form: CalibrationFormat, by: RankedOtherwise, labels: Sequence[str], *, everything: bool
 ) -> bytes:
     """Returns the file of a set. `labels`: names for parameters, `P1=ACC_tGap_C`. `everything`: the front of all stored sets. Raises
-    NotFoundError for an unknown campaign, InvalidInputError for a set that it does not have and unusable options, ConflictError as
-    `review_of`."""
+    NotFoundError for an unknown campaign, InvalidInputError for a set that it does not have and unusable options, and ConflictError for
+    a comparison or a single evaluation."""
     with database.read() as connection:
         stored = calibration(campaigns.get(connection, choice.campaign), ", which ranks nothing")
     resolved = resolved_spec(stored)
@@ -61,6 +76,15 @@ def written(
     parameters = known.setup.parameters
     named = labels_of(_document(labels), [parameter.name for parameter in parameters])
     return write(form, characteristics_of(chosen.parameters, parameters, named), quality_of(known, chosen, figures, judged=own))
+
+
+def of_rank(listed: Sequence[Ranked], choice: Choice, campaign: str, table: RankedIn) -> Ranked:
+    """Returns the row of the choice's rank. Raises InvalidInputError if there is none."""
+    for row in listed:
+        if row.rank == choice.rank:
+            return row
+    remedy = f"drivecal {table} {campaign} lists those that it has"
+    raise InvalidInputError(Problem(choice.field, f"campaign {campaign} has no set of rank {choice.rank}", remedy))
 
 
 def _check(table: str, by: RankedOtherwise, *, everything: bool) -> None:

@@ -1,7 +1,8 @@
 """The document of a campaign's results, from stored rows."""
 
+import json
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from math import prod
 from typing import Any
@@ -31,7 +32,6 @@ from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import Parameter, Value
 from drivecal.domain.setups import Setup
-from drivecal.report.sections import settings_of
 from drivecal.storage import campaigns, evaluations, generations, lots, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -294,3 +294,43 @@ def study_answer(made: StoredStudy, campaign: StoredCampaign) -> Study:
     """Returns a study of the results of a campaign."""
     own, settings = studies.is_in_own_vehicle(made, campaign), made.spec.get(made.stage) or {}
     return Study.of(made, settings=settings, vehicle=_vehicle(made.spec), in_own_vehicle=own)
+
+
+def settings_text(value: object) -> str:
+    """Returns settings in one line, without empty ones."""
+    if isinstance(value, list):
+        return "; ".join(map(settings_text, value))
+    if not isinstance(value, dict):
+        return value if isinstance(value, str) else json.dumps(value)
+    kept = {name: item for name, item in value.items() if name != "kind" and item is not None and item not in ([], {})}
+    settings = ", ".join(f"{name} {item if isinstance(item, str) else json.dumps(item)}" for name, item in kept.items())
+    return ": ".join(filter(None, [value.get("kind"), settings]))
+
+
+ASKED = {
+    "Held fixed": "fixed",
+    "Baseline": "baseline",
+    "Optimizer": "optimizer",
+    "Budget": "budget",
+    "Objectives": "objectives",
+    "Constraints": "constraints",
+    "Sensitivity": "sensitivity",
+    "Reduction": "reduction",
+    "Robustness": "robustness",
+    "Validation": "validation",
+}
+"""Fields of a specification by the words for them."""
+USED = {"Driving function": "driving_function", "Vehicle": "vehicle", "Simulator": "simulator", "Files": "files"}
+"""Fields of a scenario's setup by the words for them."""
+
+
+def settings_of(spec: Mapping[str, Any], scenarios: Sequence[ScenarioSetup], evaluator: str) -> dict[str, str]:
+    """Returns what was asked for in words: problem, versions in use, settings of the stages."""
+    used = {
+        title: ", ".join(dict.fromkeys(value for scenario in scenarios if (value := getattr(scenario, field))))
+        for title, field in USED.items()
+    }
+    problem = {"Problem": str(spec.get("problem", ""))}
+    stages = {title: settings_text(spec[field]) for title, field in ASKED.items() if spec.get(field)}
+    known = problem | used | {"Evaluator": evaluator} | stages
+    return {title: text for title, text in known.items() if text}

@@ -1,22 +1,16 @@
-"""Results of a campaign: their document, the report, and a chosen set as a review sheet or a file for calibration tools."""
+"""Results of a campaign: their document, and a chosen set as a file for calibration tools."""
 
-import io
-import tempfile
-import zipfile
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
 from pydantic import Field, StringConstraints
 
-from drivecal.api.dependencies import DatabaseDependency, ReportPlace, computed
+from drivecal.api.dependencies import DatabaseDependency, computed
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import ImportanceQuery, Parameters, PlaceQuery, SummaryOf
 from drivecal.api.responses import calibration
-from drivecal.api.results.calibration_file import RankedOtherwise, written
+from drivecal.api.results.calibration_file import LARGEST_RANK, Choice, RankedIn, RankedOtherwise, written
 from drivecal.api.results.document import about, results_of, setup_of, study_answer
-from drivecal.api.results.report import report_of
-from drivecal.api.results.review import LARGEST_RANK, Choice, review_of
 from drivecal.api.tables.influence import importance
 from drivecal.calibration_data.files import CalibrationFormat
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
@@ -24,21 +18,10 @@ from drivecal.contracts.campaign import StudyPage
 from drivecal.contracts.results import CampaignResults, ImportanceAnswer
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.report import PAGE
-from drivecal.report.data import RankedIn
 from drivecal.storage import campaigns
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
 
-POLICY = (
-    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
-HEADERS = {
-    "Content-Security-Policy": POLICY,
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-    "Cache-Control": "no-cache",
-}
 MEDIA_TYPES: dict[CalibrationFormat, str] = {"dcm": "text/plain", "cdfx": "application/xml", "csv": "text/csv"}
 Rank = Annotated[int, Field(ge=1, le=LARGEST_RANK)]
 
@@ -58,12 +41,6 @@ class SetOf(Parameters):
         return Choice(campaign_id, table, self.front or self.rank or 1, "set" if self.front is None else "front")
 
 
-class ReviewOf(SetOf):
-    """A set, and `against` it another one: a rank in the same table, a campaign's id, or `ID:RANK`."""
-
-    against: Annotated[str, StringConstraints(max_length=80)] | None = None
-
-
 class CalibrationFileOf(SetOf, SummaryOf):
     """A set, ranked by `weights` and, in the solutions, by another `score`, as in those tables. `label`: a name in the file for a
     parameter, such as `P1=ACC_tGap_C`; others keep their names."""
@@ -73,14 +50,6 @@ class CalibrationFileOf(SetOf, SummaryOf):
     label: Annotated[list[Annotated[str, StringConstraints(max_length=300)]], Field(max_length=2000, default_factory=list)]
 
 
-class ReportOf(Parameters):
-    """`format`: one page without links to files, or a ZIP archive of the page, its figures as SVG and PNG, and tables as CSV."""
-
-    format: Literal["html", "zip"] = "html"
-
-
-ReportQuery = Annotated[ReportOf, Query()]
-ReviewQuery = Annotated[ReviewOf, Query()]
 CalibrationFileQuery = Annotated[CalibrationFileOf, Query()]
 
 
@@ -118,62 +87,6 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
         campaign = calibration(campaigns.get(connection, campaign_id))
         made = about(connection, campaign)
     return StudyPage(items=[study_answer(study, campaign) for study in made])
-
-
-@router.get(
-    "/report",
-    response_class=Response,
-    responses={
-        200: {
-            "content": {
-                "text/html": {"schema": {"type": "string"}},
-                "application/zip": {"schema": {"type": "string", "format": "binary"}},
-            },
-            "description": "The report",
-        }
-    },
-)
-@computed
-def report(campaign_id: str, query: ReportQuery, database: DatabaseDependency, _: ReportPlace) -> Response:
-    """The report of a campaign, which needs no server: question, result, trust, search, reuse, best sets and cost. Takes
-    some seconds; two at a time are written."""
-    name = f"report-{campaign_id}"
-    whole = report_of(database, campaign_id)
-    from drivecal.report.writing import write  # matplotlib takes a second or two, which a refused request need not pay
-
-    with tempfile.TemporaryDirectory(prefix="drivecal-report-") as folder:
-        write(whole, Path(folder), page_alone=query.format == "html")
-        if query.format == "html":
-            return Response((Path(folder) / PAGE).read_bytes(), headers=HEADERS, media_type="text/html")
-        headers = {"Content-Disposition": f'attachment; filename="{name}.zip"', "Cache-Control": "no-cache"}
-        return Response(_archive(Path(folder)), headers=headers, media_type="application/zip")
-
-
-def _archive(folder: Path) -> bytes:
-    """Returns the files of a folder as a ZIP archive."""
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in sorted(folder.rglob("*")):
-            if path.is_file():
-                archive.write(path, path.relative_to(folder).as_posix())
-    return stream.getvalue()
-
-
-@router.get(
-    "/review",
-    response_class=Response,
-    responses={200: {"content": {"text/html": {"schema": {"type": "string"}}}, "description": "The sheet"}},
-)
-@computed
-def review(campaign_id: str, query: ReviewQuery, database: DatabaseDependency) -> Response:
-    """A chosen set as one page without scripts and other files: question, values, result against the baseline, origin of each score,
-    confidence, and the digest of its content. Equal results give equal bytes."""
-    from drivecal.report.review import sheet  # Jinja, for this answer only
-
-    with database.read() as connection:
-        campaigns.get(connection, campaign_id)
-    page = sheet(review_of(database, query.choice(campaign_id), query.against))
-    return Response(page, headers=HEADERS, media_type="text/html")
 
 
 @router.get(

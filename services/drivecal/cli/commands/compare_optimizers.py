@@ -9,12 +9,12 @@ from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, conne
 from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption
 from drivecal.cli.views.output import duration, print_answer, print_columns
 from drivecal.cli.views.progress import attached, pauses
+from drivecal.cli.views.sections import fixed, objective_number, percent
 from drivecal.client.client import Client
 from drivecal.client.documents import opened_document
 from drivecal.contracts.comparison import ComparedGroup, Comparison, ExpectedComparison, ReductionEffect
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.scales import objective_text
-from drivecal.report.blocks import fixed, objective_number, percent
 
 SECONDS_BETWEEN_LOOKS = 2.0
 

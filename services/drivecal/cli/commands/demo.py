@@ -19,11 +19,11 @@ import typer
 from drivecal.cli.application import ExitCode, JsonOption, app, tell
 from drivecal.cli.views.output import duration, print_blocks, print_cells, print_columns, print_json, print_solutions, saved
 from drivecal.cli.views.progress import show_until_ended
+from drivecal.cli.views.sections import trust_blocks
 from drivecal.client.client import Client
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.campaign import Campaign
 from drivecal.domain.errors import ConflictError, DrivecalError
-from drivecal.report.sections import trust_blocks
 
 SECONDS_TO_START = 600.0
 """Ray needs some seconds, compiling the kernels for the first time half a minute on a slow machine, and many times that on a busy one."""
@@ -271,7 +271,7 @@ def _print_end(campaign: Campaign, folder: Path, seconds: float) -> None:
         f"  {command} list\n"
         f"  {command} show {campaign.id[:8]}\n"
         f"  {command} solutions {campaign.id[:8]} --weights S1=3,S5=0\n"
-        f"  {command} report {campaign.id[:8]} -o report                 # figures, tables and one page\n"
+        f"  {command} report {campaign.id[:8]} -o report                 # one page that needs no server, and tables\n"
         f"  {command} export {campaign.id[:8]} --table evaluations --format csv -o evaluations.csv\n"
         f"  {command} submit deploy/examples/highway.yaml --wait"
     )

@@ -1,6 +1,6 @@
 """`drivecal influence` and `drivecal influence-maps`: influential bounds of campaigns and maps, and stored maps."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Annotated, Any
@@ -9,13 +9,12 @@ import typer
 
 from drivecal.cli.application import JsonOption, UrlOption, app, connect
 from drivecal.cli.views.output import dumped, print_answer, print_columns, print_json, print_page, when
+from drivecal.cli.views.sections import fixed
 from drivecal.client.client import Client
 from drivecal.client.documents import opened_document
 from drivecal.contracts.inventory import InfluenceMapAnswer
 from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.errors import ConflictError, NotFoundError
-from drivecal.report.blocks import fixed
-from drivecal.report.sections import by_scenario, segment
 from drivecal.sensitivity.agreement import Agreement, Pair, agreement
 from drivecal.sensitivity.thresholds import caveats
 
@@ -242,3 +241,20 @@ def post_map(
 def _print_map(influence_map: InfluenceMapAnswer) -> None:
     typer.echo(f"influence map {influence_map.id}  {influence_map.name}  ({influence_map.source})")
     print_influence(influence_map.rows or [], influence_map.basis)
+
+
+def by_scenario(rows: Iterable[InfluenceRow]) -> dict[str, list[InfluenceRow]]:
+    """Returns the rows of each scenario, in order."""
+    return {scenario: list(members) for scenario, members in groupby(rows, key=lambda row: row.scenario)}
+
+
+def segment(row: InfluenceRow) -> tuple[float, float] | None:
+    """Returns the influential part of a parameter's range, from 0 (its lower bound) to 1 (its upper bound); None if nothing is."""
+    if not row.influential:
+        return None
+    if row.space_lower is None or row.space_upper is None:
+        return 0.0, 1.0
+    size = row.space_upper - row.space_lower
+    lower = 0.0 if row.lower is None else (row.lower - row.space_lower) / size
+    upper = 1.0 if row.upper is None else (row.upper - row.space_lower) / size
+    return lower, upper

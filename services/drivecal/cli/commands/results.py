@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import sys
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,9 +13,10 @@ from typing import Annotated, Any, BinaryIO, Literal, TextIO, TypeVar, cast, get
 import typer
 
 from drivecal.calibration_data.files import CalibrationFormat, labels_of
-from drivecal.cli.application import CampaignArgument, ExitCode, JsonOption, UrlOption, app, campaign_ids, connect, tell
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.commands.evaluate import trace_of, units_of
 from drivecal.cli.commands.problem import NamesOption
+from drivecal.cli.views.fronts import front_blocks
 from drivecal.cli.views.output import dumped, print_answer, print_blocks, print_columns, print_json, print_solutions
 from drivecal.cli.views.time_series import RecordedScenario, measurement, require_library, run_facts
 from drivecal.client.client import Client
@@ -27,9 +26,6 @@ from drivecal.contracts.assignments import assignments, value_text
 from drivecal.contracts.results import TradeOff, ValuePair
 from drivecal.contracts.tables import FrontRow, Solution, TableName
 from drivecal.domain.errors import InvalidInputError, Problem, file_faults
-from drivecal.report import PAGE
-from drivecal.report.fronts import front_blocks
-from drivecal.report.sheet import differences, digest_in, read_sheet
 
 Ranked = TypeVar("Ranked", Solution, FrontRow)
 Format = Literal["csv", "parquet", "json", "dcm", "cdfx", "mf4"]
@@ -103,7 +99,7 @@ def front(
     if as_json:
         print_json({"summary": summary.model_dump(mode="json"), "items": dumped(rows)})
     else:
-        print_blocks(front_blocks(rows, summary, campaign_id, limit=limit))
+        print_blocks(front_blocks(rows, summary, limit))
 
 
 def print_trade_off(answer: TradeOff) -> None:
@@ -299,9 +295,8 @@ def _whole_or_not_at_all(path: Path) -> Iterator[BinaryIO]:
             written.unlink(missing_ok=True)
 
 
-MOST_PRINTED = 50
-"""Differences that are printed; --json has all."""
-LARGEST = 64 * 2**20
+TABLES: tuple[TableName, ...] = ("generations", "solutions", "optima", "influence", "robustness", "validation")
+"""Tables of a report."""
 
 
 @app.command()
@@ -313,98 +308,18 @@ def report(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a campaign's figures (SVG and PNG), tables (CSV) and one self-contained page, index.html."""
+    """Write a campaign's results as one page that needs no server, index.html, its tables (CSV) and its specification."""
     with connect(url) as client:
-        campaign = client.full_id(identifier)
-        archive = zipfile.ZipFile(io.BytesIO(client.report(campaign, "zip")))
+        campaign = client.campaign(client.full_id(identifier))
+        page = client.report(campaign.id)
+        files = {f"tables/{name}.csv": b"".join(client.table(campaign.id, name, "csv")) for name in TABLES}
+    files |= {"campaign.json": json.dumps(campaign.spec, indent=2, ensure_ascii=False).encode() + b"\n", "index.html": page}
     with file_faults(output, "written", "give another folder"):
-        archive.extractall(output)
-    written = [str(output / name) for name in archive.namelist()]
-    page = str(output / PAGE)
+        (output / "tables").mkdir(parents=True, exist_ok=True)
+        for name, content in files.items():
+            (output / name).write_bytes(content)
+    written = [str(output / name) for name in files]
     if as_json:
-        print_json({"campaign": campaign, "page": page, "files": written})
+        print_json({"campaign": campaign.id, "page": written[-1], "files": written})
     else:
-        typer.echo(f"{page}: the report, with {len(written) - 1} files beside it")
-
-
-@app.command()
-def review(
-    identifier: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="ID", help="The campaign's id, or at least its first four characters.", autocompletion=campaign_ids
-        ),
-    ] = None,
-    rank: Annotated[
-        int | None, typer.Option("--set", min=1, metavar="N", help="The set of this rank in the solutions.")
-    ] = None,
-    front: Annotated[int | None, typer.Option(min=1, metavar="N", help="The set of this rank on the front.")] = None,
-    against: Annotated[
-        str | None,
-        typer.Option(
-            metavar="N, ID or ID:N", help="Another set beside it: by its rank in the same table, or of another campaign."
-        ),
-    ] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE.html", help="The file to write.")] = None,
-    verify: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.html", help="Compare a sheet with its campaign instead; exit status 1 if anything differs."),
-    ] = None,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Write a chosen set as one page to check, print and sign, or verify such a page."""
-    if verify is not None:
-        if identifier is not None or output is not None or rank is not None or front is not None or against is not None:
-            raise typer.BadParameter("--verify takes the campaign and the set from the file, and no other option")
-        _verify(verify, url, as_json)
-        return
-    if identifier is None or output is None:
-        raise typer.BadParameter("give a campaign's ID and -o FILE.html, or --verify FILE.html")
-    if rank is not None and front is not None:
-        raise typer.BadParameter("give --set or --front")
-    with connect(url) as client:
-        campaign = client.full_id(identifier)
-        page = client.review(campaign, rank, front, against)
-    with file_faults(output, "written", "give another file"):
-        output.write_bytes(page.encode())
-    digest = digest_in(page)
-    if as_json:
-        print_json({"campaign": campaign, "file": str(output), "digest": digest})
-    else:
-        typer.echo(f"{output}: digest {digest}")
-
-
-def _verify(file: Path, url: str | None, as_json: bool) -> None:
-    with file_faults(file, "read", "give a review sheet"), file.open("rb") as stream:
-        text = stream.read(LARGEST).decode()
-    sheet = read_sheet(text, str(file))
-    given = sheet.query
-    with connect(url) as client:
-        ranks = {name: int(given[name]) for name in ("set", "front") if given.get(name, "").isdecimal()}
-        page = client.review(sheet.campaign, ranks.get("set"), ranks.get("front"), given.get("against"))
-    now = read_sheet(page, "the server's answer")
-    different = list(differences(text, page))
-    equal = sheet.is_unchanged and sheet.digest == now.digest
-    if as_json:
-        print_json(
-            {
-                "campaign": sheet.campaign,
-                "equal": equal,
-                "unchanged": sheet.is_unchanged,
-                "digest": sheet.digest,
-                "digest_now": now.digest,
-                "differences": [{"place": each.place, "file": each.first, "now": each.second} for each in different],
-            }
-        )
-    else:
-        if not sheet.is_unchanged:
-            tell(f"{file} was changed after it was written: its content does not have the digest that it names")
-        for each in different[:MOST_PRINTED]:
-            typer.echo(f"{each.place}: {each.first or 'nothing'} in the file, {each.second or 'nothing'} now")
-        if len(different) > MOST_PRINTED:
-            tell(f"{len(different) - MOST_PRINTED:,} more differences; --json has all")
-        if sheet.version != now.version:
-            tell(f"drivecal {sheet.version} wrote the file and the server is {now.version}: wording and layout may differ")
-        typer.echo(f"equal: {sheet.digest}" if equal else f"different: {sheet.digest} in the file, {now.digest} now")
-    raise typer.Exit(ExitCode.OK if equal else ExitCode.FAILED)
+        typer.echo(f"{written[-1]}: the report, with {len(written) - 1} files beside it")

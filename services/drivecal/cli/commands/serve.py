@@ -11,11 +11,11 @@ import typer
 
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, exit_code, tell
 from drivecal.cli.views.output import duration, print_answer, print_columns
+from drivecal.cli.views.sections import fixed
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.configuration.tokens import TokenFile, check_exposure
 from drivecal.contracts.inventory import WorkerAnswer, WorkerPage
 from drivecal.domain.errors import DrivecalError
-from drivecal.report.blocks import fixed
 
 log = logging.getLogger(__name__)
 

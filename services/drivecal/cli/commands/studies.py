@@ -11,15 +11,13 @@ from drivecal.analysis.robustness import vehicles_text
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, tell
 from drivecal.cli.views.output import dumped, parameters_text, print_blocks, print_columns, print_json
 from drivecal.cli.views.progress import follow
+from drivecal.cli.views.sections import fixed, objective_number, validation_tables
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import STUDIES, Campaign, StudyName
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.scales import COMFORT, Scale
-from drivecal.report.blocks import fixed, objective_number
-from drivecal.report.robustness import degree
-from drivecal.report.sections import validation_tables
 
 STAGES = ("optimizer", "sensitivity", *STUDIES)
 BENCH = ("problem", "catalogue", "weights", "driving_function", "vehicle", "evaluator")
@@ -152,8 +150,7 @@ def robustness(
     samples: Annotated[int | None, typer.Option(min=1, max=10_000, help="Vehicles in each box; else 30.")] = None,
     eta: Annotated[float | None, typer.Option(help="What the condition allows; else 1.")] = None,
     vehicle: Annotated[
-        str | None,
-        typer.Option(help="Examine the same sets in this vehicle model; the report shows both studies side by side."),
+        str | None, typer.Option(help="Examine the same sets in this vehicle model; the page shows both studies.")
     ] = None,
     again: Annotated[bool, typer.Option("--again", help="Repeat the study even if one exists.")] = False,
     url: UrlOption = None,
@@ -206,7 +203,12 @@ def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any])
         ["rank", "degree", "delta_max", "objective", "scores", "region", "to worse", "parameters"],
         [
             [
-                *(row.rank, degree(row), f"{row.radius:.4g}", objective_number(row.objective)),
+                *(
+                    row.rank,
+                    f"{'≥ ' if row.at_least else ''}{row.degree}",
+                    f"{row.radius:.4g}",
+                    objective_number(row.objective),
+                ),
                 " ".join(f"{name} {'-' if score is None else score}" for name, score in row.scores.items()),
                 *(row.region, fixed(row.to_worse, 3), parameters_text(row.parameters)),
             ]

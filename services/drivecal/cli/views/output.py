@@ -9,6 +9,20 @@ import typer
 from pydantic import BaseModel
 
 from drivecal.cli.application import tell
+from drivecal.cli.views.sections import (
+    OUTCOMES,
+    Block,
+    Table,
+    account_blocks,
+    audits_table,
+    evaluation_command,
+    failures_table,
+    lots_table,
+    narrowed_table,
+    shortened,
+    solutions_table,
+    trust_blocks,
+)
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts
 from drivecal.contracts.evaluation import Evaluation
@@ -17,18 +31,6 @@ from drivecal.contracts.tables import Solution
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.events import ASKED
 from drivecal.domain.scales import objective_text, told
-from drivecal.report.blocks import Block, Bullets, CommandLines, Heading, Paragraph, Table, shortened
-from drivecal.report.sections import (
-    OUTCOMES,
-    account_blocks,
-    audits_table,
-    evaluation_command,
-    failures_table,
-    lots_table,
-    narrowed_table,
-    solutions_table,
-    trust_blocks,
-)
 
 Shown = TypeVar("Shown", bound=BaseModel)
 
@@ -124,7 +126,7 @@ def print_solutions(solutions: Sequence[Solution], spec: Mapping[str, Any]) -> N
     if not solutions:
         typer.echo("no parameter set has a result in every scenario yet")
         return
-    print_blocks(solutions_table(solutions, shown=len(solutions)))
+    print_blocks(solutions_table(solutions))
     reused = next((solution for solution in solutions if solution.reused), None)
     if reused is not None:
         command = evaluation_command(reused.parameters, spec, reused.scores)
@@ -138,11 +140,8 @@ def print_blocks(blocks: Iterable[Block]) -> None:
             if block.caption:
                 typer.echo(f"\n{block.caption}")
             print_columns(block.header, block.rows)
-        elif isinstance(block, Bullets):
-            for item in block.items:
-                typer.echo(f"  {item}")
-        elif isinstance(block, Paragraph | Heading | CommandLines):
-            typer.echo(block.text)
+        else:
+            typer.echo(block)
 
 
 def print_results(results: CampaignResults) -> None:

@@ -1,6 +1,6 @@
 /** The live connection of a campaign: a WebSocket that is opened again while a view follows. */
 
-import { ROOT } from "./api.svelte";
+import { ROOT, isReport } from "./api.svelte";
 import type { CampaignEvent, Moving } from "./types";
 
 export interface Follower {
@@ -37,6 +37,7 @@ export function reconnect(): void {
 
 /** Follows a campaign until the returned function is called. */
 export function follow(campaign: string, follower: Follower): () => void {
+  if (isReport) return () => undefined;
   let [socket, wait, newest, followed]: [WebSocket | null, number, number, boolean] = [null, FIRST_WAIT, 0, true];
   let timer: ReturnType<typeof setTimeout> | undefined;
   let watchdog: ReturnType<typeof setTimeout> | undefined;

@@ -1,13 +1,13 @@
-"""The front of a campaign, which report, review sheet and command line share. Pure."""
+"""The front of a campaign on the terminal. Pure."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
+from drivecal.cli.views.sections import Block, Table, percent
 from drivecal.contracts.results import FrontBaseline, FrontSummary
 from drivecal.contracts.tables import FrontRow
 from drivecal.domain.scales import unit_text
-from drivecal.report.blocks import Block, Bullets, Number, Table, percent
 
 SHOWN = 20
 """Sets that a page shows, if no more are marked."""
@@ -15,28 +15,12 @@ OFTEN = 0.03
 """Share of all weightings from which on a set of a front wins often."""
 
 
-def front_blocks(
-    rows: Sequence[FrontRow],
-    summary: FrontSummary,
-    identifier: str,
-    drawings: Sequence[Block] = (),
-    limit: int = SHOWN,
-    chosen: Collection[int] = (),
-) -> list[Block]:
-    """Returns what is known of a whole front, and some of its sets.
-
-    Args:
-        rows: the front.
-        summary: of the front.
-        identifier: of the campaign.
-        drawings: figures of the front.
-        limit: sets that are listed, if no more are marked.
-        chosen: ranks that are listed and marked.
-    """
-    lines = Bullets(front_lines(summary))
+def front_blocks(rows: Sequence[FrontRow], summary: FrontSummary, limit: int = SHOWN) -> list[Block]:
+    """Returns what is known of a whole front, and `limit` of its sets, if no more are marked."""
+    lines = [f"  {line}" for line in front_lines(summary)]
     if not rows:
-        return [lines]
-    kept = shown_of_front(rows, limit, chosen)
+        return [*lines]
+    kept = shown_of_front(rows, limit)
     caption = "The front: no other set is better in one objective without being worse in another"
     caption += f"; {left_out}" if (left_out := left_out_of_front(kept, rows)) else ""
     if any(row.reused for row in kept):
@@ -47,16 +31,16 @@ def front_blocks(
     cells = [
         [
             row.rank,
-            *(Number(f"{amount:.6g}") for amount in row.objectives.values()),
-            *(Number(f"{row.weighted:.4f}") for _ in weighted),
-            *(Number(f"{amount:.6g}") for amount in row.constraints.values()),
+            *(f"{amount:.6g}" for amount in row.objectives.values()),
+            *(f"{row.weighted:.4f}" for _ in weighted),
+            *(f"{amount:.6g}" for amount in row.constraints.values()),
             *(percent(row.wins, 1), row.alternatives, row.degree),
-            ", ".join(mark for mark in ("chosen" if row.rank in chosen else "", front_marks(row)) if mark),
+            front_marks(row),
             *row.parameters.values(),
         ]
         for row in kept
     ]
-    return [lines, *drawings, Table(header, cells, caption, f"drivecal front {identifier} --limit {len(rows)}")]
+    return [*lines, Table(header, cells, caption)]
 
 
 def front_lines(summary: FrontSummary) -> list[str]:
@@ -85,13 +69,13 @@ def _baseline_line(summary: FrontSummary, baseline: FrontBaseline) -> str:
     return f"baseline: {amounts} ({place}){broken}"
 
 
-def shown_of_front(rows: Sequence[FrontRow], limit: int, chosen: Collection[int] = ()) -> list[FrontRow]:
-    """Returns `limit` sets of a front in their order; knee, best of each objective and ranks `chosen` are kept even beyond the limit.
+def shown_of_front(rows: Sequence[FrontRow], limit: int) -> list[FrontRow]:
+    """Returns `limit` sets of a front in their order; knee and best of each objective are kept even beyond the limit.
 
     Then come the sets that win often. The others are the first ones under weights, else spread over the front: each is the farthest from
     all that are kept.
     """
-    kept = [place for place, row in enumerate(rows) if row.knee or row.best_in or row.rank in chosen]
+    kept = [place for place, row in enumerate(rows) if row.knee or row.best_in]
     winners = sorted(
         (place for place, row in enumerate(rows) if (row.wins or 0) >= OFTEN), key=lambda place: -(rows[place].wins or 0)
     )

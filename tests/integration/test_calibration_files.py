@@ -1,16 +1,12 @@
-"""The review sheet over HTTP, by the client, and on the command line."""
+"""Chosen sets as files for calibration tools."""
 
-import json
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
 from sqlalchemy import update
 from tests.integration.test_objectives import NSGA2, TWO, backend
-from tests.support.command import command
 from tests.support.runs import SMALL, run_posted
 from tests.support.server import RunningApi, serving
 
@@ -37,102 +33,19 @@ class Ended:
 
 @pytest.fixture(scope="module")
 def ended(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('review') / 'drivecal.db'}") as api:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('files') / 'drivecal.db'}") as api:
         changes: list[dict[str, Any]] = [{"baseline": BASELINE}, {"objectives": None, "optimizer": SMALL["optimizer"]}]
         yield Ended(api, *(run_posted(api, SPEC | change, backend()) for change in changes))
 
 
-def cells(page: str) -> list[str]:
-    return re.findall(r"<t[dh][^>]*>([^<]*)</t[dh]>", page)
-
-
-def row(page: str, name: str, length: int) -> list[str]:
-    shown = cells(page)
-    start = shown.index(name)
-    return shown[start : start + length]
-
-
-def test_a_sheet_holds_what_the_other_answers_say(ended: Ended) -> None:
-    answer = ended.api.http.get(f"/api/v1/campaigns/{ended.several}/review")
-    assert answer.status_code == 200
-    assert answer.headers["content-type"] == "text/html; charset=utf-8"
-    assert "default-src 'none'" in answer.headers["content-security-policy"]
-    with Client(ended.api.url) as client:
-        front, campaign, trust = (
-            client.front(ended.several),
-            client.campaign(ended.several),
-            client.results(ended.several).trust,
-        )
-        setup = client.setup(ended.several)
-    assert campaign.baseline is not None
-    chosen = front[0]
-    shown = row(answer.text, "S1", 6)
-    assert setup.scenarios[0].fingerprint in shown
-    for name, score in chosen.scores.items():
-        assert f'<td>{name}</td><td class="n">{campaign.baseline.scores[name]}</td><td class="n">{score}</td>' in answer.text
-    result = answer.text[answer.text.index("<h2>Result</h2>") :]
-    for name, amount in chosen.objectives.items():
-        assert f"{amount:.6g}" in row(result, name, 4)
-    about_the_campaign = {"seen", "noise", "lots", "without_result"}
-    assert all(each.text in answer.text for each in trust.verdicts if each.code in about_the_campaign)
-    assert answer.text == ended.api.http.get(f"/api/v1/campaigns/{ended.several}/review?front=1").text
-
-
 @pytest.mark.parametrize(
     ("query", "field"),
-    [
-        ("set=0", "set"),
-        ("set=1&front=1", "front"),
-        ("set=999999", "set"),
-        ("front=999999", "front"),
-        ("against=999999", "against"),
-        ("against=%2F..", "against"),
-        ("other=1", "other"),
-    ],
+    [("set=0", "set"), ("set=1&front=1", "front"), ("set=999999", "set"), ("front=999999", "front"), ("other=1", "other")],
 )
 def test_a_set_that_does_not_exist_is_refused_by_its_field(ended: Ended, query: str, field: str) -> None:
-    answer = ended.api.http.get(f"/api/v1/campaigns/{ended.several}/review?{query}")
+    answer = ended.api.http.get(f"/api/v1/campaigns/{ended.several}/calibration-file?format=dcm&{query}")
     assert answer.status_code == 422
     assert [each["field"] for each in answer.json()["errors"]] == [field]
-
-
-def test_a_sheet_is_verified_and_a_changed_number_named(ended: Ended, tmp_path: Path) -> None:
-    url = ("--url", ended.api.url)
-    file = tmp_path / "sheet.html"
-    written = command("review", ended.several[:8], "--front", "2", "--against", "1", "-o", str(file), "--json", *url)
-    assert written.exit_code == 0, written.output
-    digest = json.loads(written.stdout)["digest"]
-    verified = command("review", "--verify", str(file), *url)
-    assert (verified.exit_code, verified.stdout) == (0, f"equal: {digest}\n")
-
-    changed = tmp_path / "changed.html"
-    text = file.read_text()
-    start = text.index("<h2>Result</h2>")
-    changed.write_text(text[:start] + re.sub(r'(<td class="n">)[0-9.]+(</td>)', r"\g<1>9.75\2", text[start:], count=1))
-    refused = command("review", "--verify", str(changed), "--json", *url)
-    assert refused.exit_code == 1
-    found = json.loads(refused.stdout)
-    assert (found["equal"], found["unchanged"]) == (False, False)
-    [difference] = found["differences"]
-    assert difference["place"].startswith("Result, comfort, ")
-    assert difference["file"] == "9.75"
-    assert difference["now"] != "9.75"
-
-
-@pytest.mark.parametrize(
-    "arguments", [[], ["abcd"], ["abcd", "--verify", "x.html"], ["abcd", "--set", "1", "--front", "1", "-o", "x.html"]]
-)
-def test_incomplete_commands_are_refused(arguments: list[str]) -> None:
-    assert command("review", *arguments).exit_code == 2
-
-
-def test_a_file_that_is_no_sheet_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "other.html").write_text("<html></html>")
-    (tmp_path / "binary.html").write_bytes(b"\xff\xfe")
-    for name in ("other.html", "binary.html", "missing.html"):
-        refused = command("review", "--verify", str(tmp_path / name))
-        assert refused.exit_code == 2
-        assert name in refused.stderr
 
 
 def test_only_studies_that_succeeded_say_how_robust_a_set_is(ended: Ended) -> None:
@@ -151,11 +64,9 @@ def test_only_studies_that_succeeded_say_how_robust_a_set_is(ended: Ended) -> No
             connection.execute(update(tables.campaigns).where(tables.campaigns.c.id == study.id).values(state=state))
             studies.save(connection, study.sequence, StageName.ROBUSTNESS, {"items": [row.model_dump(mode="json")]})
         made[state] = study.id
-    sheet = ended.api.http.get(f"/api/v1/campaigns/{ended.several}/review").text
     with Client(ended.api.url) as client:
         assert client.front(ended.several)[0].degree == 7
         shown = client.results(ended.several).of_stage("robustness")
-    assert re.findall(r"degree of robustness</t[dh]><td[^>]*>([^<]+)<", sheet) == ["7"]
     assert [each.study.campaign for each in shown] == [made[CampaignState.SUCCEEDED]]
 
 

@@ -1,0 +1,261 @@
+"""Parts of the terminal's answers about a campaign's results: tables and lines. Pure."""
+
+import shlex
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from drivecal.contracts.accounting import Accounting
+from drivecal.contracts.assignments import value_text
+from drivecal.contracts.campaign import ErrorRate, Narrowed, Released
+from drivecal.contracts.evaluation import FailureCause
+from drivecal.contracts.results import ResultTrust
+from drivecal.contracts.specification import EvaluationSpecification, VehicleSpecification
+from drivecal.contracts.tables import Solution, ValidationRow
+from drivecal.domain.scales import Scale, objective_text, told
+
+OUTCOMES = ("simulated", "repeated", "reused", "predicted", "failed")
+"""Outcomes of requested cells, frequent ones first."""
+QUESTIONS = {"scores": "Are the scores right?", "search": "Is the search finished?"}
+LOTS_NOTE = (
+    "The limit holds for the expected number of errors over all lots together, by the rule that releases them; the 95 % bound is what the "
+    "samples of this campaign alone prove, even if all are right: a few samples of a lot prove little about its other answers."
+)
+"""Explains a bound that exceeds the limit."""
+LOTS = ("scenario", "asked", "lots", "rejected", "released", "sampled", "beyond tolerance", "limit", "at most (95 %)")
+_CAUSES = {"no_result": "no result", "failed": "failed run", "unscored": "score without a value"}
+LONGEST_MESSAGE = 160
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table with its caption; None is a dash."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    caption: str = ""
+
+
+Block = Table | str
+"""A table, or a line of text."""
+
+
+def fixed(value: float | None, digits: int, separator: Literal["", ","] = "") -> str | None:
+    """Returns a number with a fixed number of decimals and the `separator` of thousands; None for an unknown value."""
+    return None if value is None else f"{value:{separator}.{digits}f}"
+
+
+def objective_number(value: float | None) -> str | None:
+    """Returns an objective as `objective_text` writes it; None for an unknown one."""
+    return None if value is None else objective_text(value)
+
+
+def percent(share: float | None, digits: int = 2) -> str | None:
+    """Returns a share in percent; None for an unknown share."""
+    return None if share is None else f"{share:.{digits}%}"
+
+
+def bound(upper_95: float | None) -> str | None:
+    """Returns a 95 % bound of a share in percent; `no bound` for 100 %, which excludes nothing, and None for an unknown one."""
+    return "no bound" if upper_95 is not None and upper_95 >= 1.0 else percent(upper_95)
+
+
+def shortened(words: str | None) -> str | None:
+    """Returns the end of a message, where simulators say what is wrong."""
+    return words if words is None or len(words) <= LONGEST_MESSAGE else f"...{words[3 - LONGEST_MESSAGE :]}"
+
+
+def trust_blocks(trust: ResultTrust) -> list[Block]:
+    """Returns the light of a result, and the verdicts by question, the gravest first; nothing without a verdict."""
+    if not trust.verdicts:
+        return []
+    blocks: list[Block] = [f"Light: {trust.light or 'open until the end'}."]
+    for question, title in QUESTIONS.items():
+        said = [f"  {each.light}: {each.text}" for each in trust.verdicts if each.question == question]
+        blocks += [title, *said] if said else []
+    return blocks
+
+
+def audits_table(rates: Mapping[str, ErrorRate], scale: Scale) -> list[Block]:
+    """Returns the audits of copied scores by scenario; nothing without one."""
+    rows = [
+        [
+            *(name, rate.audited, rate.different, rate.wrong),
+            percent(rate.wrong / rate.audited if rate.audited else None),
+            *(bound(rate.upper_95), rate.contradictions, rate.lots, rate.rejected),
+        ]
+        for name, rate in rates.items()
+        if rate.audited or rate.contradictions
+    ]
+    header = ["scenario", "audited", "different", "wrong", "R_err", "at most (95 %)", "contradictions", "lots", "rejected"]
+    caption = (
+        f"Audits: copied scores that were simulated all the same; wrong: off by more than {scale.amount(scale.tolerance)}; a lot with too "
+        "many wrong samples was rejected, and each cell of it simulated; at most: the share of wrong answers among those that lots released"
+    )
+    return [Table(header, rows, caption)] if rows else []
+
+
+def lots_table(released: Mapping[str, Released]) -> list[Block]:
+    """Returns the inspected lots of predicted answers by scenario; nothing without one."""
+    rows = [
+        [
+            *(name, lots.asked, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different),
+            *(percent(lots.limit, 1), bound(lots.upper_95)),
+        ]
+        for name, lots in released.items()
+        if lots.lots
+    ]
+    caption = (
+        "Predicted answers, released in lots after the simulation of a sample of each. Asked: batches in which the predictor was; beyond "
+        "tolerance: samples; limit: of the expected errors released, for each prediction in a lot"
+    )
+    exceeds = any(lots.upper_95 is not None and lots.upper_95 > lots.limit for lots in released.values())
+    note: list[Block] = [LOTS_NOTE] if exceeds else []
+    return [Table(LOTS, rows, caption), *note] if rows else []
+
+
+def failures_table(causes: Sequence[FailureCause]) -> list[Block]:
+    """Returns the causes of failed cells; nothing without one."""
+    rows = [
+        [
+            *(cause.cells, _CAUSES[cause.kind], cause.cause, shortened(cause.detail), " ".join(cause.scenarios[:5])),
+            str(cause.example),
+        ]
+        for cause in causes
+    ]
+    header = ["cells", "what", "cause", "last message", "scenarios", "example"]
+    caption = "Failed runs and cells without a result by cause; `drivecal explain CAMPAIGN EXAMPLE` shows one"
+    return [Table(header, rows, caption)] if rows else []
+
+
+def account_blocks(account: Accounting | None) -> list[Block]:
+    """Returns savings and costs; nothing before the first answered cell, and after a pruning."""
+    if account is None or account.pruned:
+        return []
+    clock = "CPU" if account.clock == "cpu" else "wall-clock"
+    items = [*((item.label, item.seconds) for item in account.balance), ("net", account.net_seconds)]
+    rows = [[label, f"{round(seconds, 1) + 0.0:+,.1f}"] for label, seconds in items]
+    blocks: list[Block] = [account.sentence, Table(["", "seconds"], rows, f"Savings and costs, in {clock} time of the workers")]
+    return [*blocks, *(f"  {remark}" for remark in account.remarks)]
+
+
+def narrowed_table(narrowed: Sequence[Narrowed] | None) -> list[Block]:
+    """Returns the parts that were cut from the search space; nothing without one."""
+    rows = [
+        [
+            *(cut.parameter, cut.choice or cut.lower, cut.choice or cut.upper),
+            *(cut.full_lower, cut.full_upper, cut.removed_values, cut.values),
+        ]
+        for cut in narrowed or ()
+    ]
+    header = ["parameter", "lower", "upper", "of lower", "of upper", "values left out", "of"]
+    return [Table(header, rows, "The search was narrowed to where some scenario is influenced")] if rows else []
+
+
+def solutions_table(solutions: Sequence[Solution]) -> list[Block]:
+    """Returns the best sets; nothing without a set."""
+    if not solutions:
+        return []
+    first = solutions[0]
+    broken = ["breaks constraints by"] if any(solution.violation > 0 for solution in solutions) else []
+    rows = [
+        [
+            *(solution.rank, objective_number(solution.objective), fixed(solution.rating, 3)),
+            *(percent(solution.violation or None, 1) for _ in broken),
+            *(f"{value:.6g}" for value in solution.constraints.values()),
+            *(f"{told(score)}*" if name in solution.reused else told(score) for name, score in solution.scores.items()),
+            *solution.parameters.values(),
+        ]
+        for solution in solutions
+    ]
+    caption = "The best sets; equal objectives are ordered by the continuous rating"
+    if any(solution.reused for solution in solutions):
+        caption += ". *: the score is that of a reference, this very set was not simulated there"
+    header = ["rank", "objective", "rating", *broken, *first.constraints, *first.scores, *first.parameters]
+    return [Table(header, rows, caption)]
+
+
+def evaluation_command(
+    parameters: Mapping[str, float | str], spec: Mapping[str, Any], scenarios: Collection[str], vehicle: str | None = None
+) -> str:
+    """Returns the command that drives a parameter set as a campaign did. It has an option for each setting that differs from the command's
+    default.
+
+    Args:
+        parameters: the set.
+        spec: of the campaign.
+        scenarios: of the campaign.
+        vehicle: another vehicle model.
+    """
+    usual = EvaluationSpecification.model_fields
+    given = ((name, spec.get(name)) for name in ("problem", "catalogue", "driving_function", "evaluator"))
+    words = [shlex.quote(f"{name}={value_text(value, None)}") for name, value in parameters.items()]
+    words += [
+        f"--{name.replace('_', '-')} {value}"
+        for name, value in given
+        if isinstance(value, str) and value != usual[name].default
+    ]
+    own: Mapping[str, Any] = spec.get("vehicle") or {}
+    nominal = VehicleSpecification().model
+    model = vehicle or own.get("model", nominal)
+    if model != nominal:
+        words.append(f"--vehicle {model}")
+    if own.get("parameters"):
+        words.append(f"--vehicle-parameters {','.join(f'{name}={value:.10g}' for name, value in own['parameters'].items())}")
+    if len(scenarios) == 1:
+        words.append(f"--scenario {next(iter(scenarios))}")
+    return " ".join(["drivecal evaluate", *words])
+
+
+def validation_tables(rows: Sequence[ValidationRow], scale: Scale) -> list[Block]:
+    """Returns the shares of wrong answers by scenario: of released predictions, or of variants that a map calls equal."""
+    if any(row.released is not None for row in rows):
+        header = [
+            "scenario",
+            "released",
+            "simulated",
+            "different",
+            "beyond tolerance",
+            "per prediction in lots",
+            "limit",
+            "wrong",
+        ]
+        caption = (
+            "Released predictions, simulated afterwards; limit: of the expected errors released, for each prediction in a lot; each 95 % "
+            "interval is that of a binomial share (Clopper-Pearson)"
+        )
+        cells = [
+            [
+                *(row.scenario, row.released, row.compared, row.different, row.beyond, percent(_per_inspected(row))),
+                *(percent(row.limit, 1), row.wrong, *_rate(row)),
+            ]
+            for row in rows
+        ]
+    else:
+        header = ["scenario", "reducible", "effects", "covered", "drawn", "bases", "variants", "compared", "different", "wrong"]
+        caption = (
+            "Share of wrong answers of the influence map with its 95 % interval. Reducible parameters have a region in which they do not "
+            "matter; effects: of these and their interactions; bases: sets of the drawn Latin hypercube that qualify, each with variants. "
+            "The interval is one of the mean over bases (by betting, for any distribution): variants of one basis are alike"
+        )
+        cells = [
+            [
+                *(row.scenario, row.reducible, row.effects, row.covered, row.drawn, row.bases, row.references),
+                *(row.compared, row.different, row.wrong, *_rate(row)),
+            ]
+            for row in rows
+        ]
+    header += ["R_err", "95 % from", "to"]
+    caption += f"; wrong: off by more than {scale.amount(scale.tolerance)}"
+    return [Table(header, cells, caption)]
+
+
+def _rate(row: ValidationRow) -> list[object]:
+    return [percent(share) for share in (row.error_rate, row.lower_95, row.upper_95)]
+
+
+def _per_inspected(row: ValidationRow) -> float | None:
+    """Returns the errors released for each prediction in a lot, if the drawn predictions are like the others."""
+    if not row.compared or not row.inspected:
+        return None
+    return (row.beyond or 0) / row.bases * (row.released or 0) / row.inspected
