@@ -28,7 +28,7 @@ from drivecal.bundles.installed import installed_problems
 from drivecal.cli.main import app
 from drivecal.configuration.settings import PREFIX, Settings
 from drivecal.contracts import comparison, specification, tables
-from drivecal.domain.measures import CLOSED_LOOP_MEASURES
+from drivecal.domain.vehicles import CLOSED_LOOP_MEASURES
 from drivecal.highway.planner.frenet import RANGES
 
 TARGET = Path(__file__).parent / "pages" / "reference"

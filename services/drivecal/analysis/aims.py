@@ -8,6 +8,7 @@ import numpy as np
 
 from drivecal.analysis.goals import SCORE, Aggregate, Bound, Goal, Goals, Objective
 from drivecal.domain.evaluations import CellScore
+from drivecal.domain.rounding import grains
 from drivecal.domain.scales import Scale
 from drivecal.plugins.ports import Floats
 
@@ -124,8 +125,9 @@ class JudgedGoals:
         objectives = np.stack([goal.sign * amounts(goal) for goal in self.goals.objectives], axis=1)
         violations = np.zeros(len(values))
         for bound in self.goals.bounds:
-            broken = bound.sign * (bound.limit - amounts(bound)) / bound.span
-            violations += np.where(np.isnan(broken), np.nan, np.maximum(0.0, broken))
+            missing = bound.sign * (bound.limit - (reached := amounts(bound)))
+            broken = np.where(missing <= grains(reached, bound.limit), 0.0, missing / bound.span)
+            violations += np.where(np.isnan(missing), np.nan, broken)
         return objectives, violations
 
 

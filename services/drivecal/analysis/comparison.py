@@ -7,8 +7,8 @@ from statistics import fmean, stdev
 from typing import Any, NamedTuple
 
 from drivecal.analysis.convergence import alternatives_at, best_at
-from drivecal.analysis.goals import EQUAL
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, Improvement, ReductionEffect
+from drivecal.domain.rounding import grain, same
 
 CONFIDENCE = 0.95
 
@@ -63,7 +63,7 @@ class Course:
         if not self.reused:
             return believed
         simulated = self.simulated_best
-        return believed if simulated is not None and believed is not None and abs(simulated - believed) <= EQUAL else simulated
+        return believed if simulated is not None and same(simulated, believed) else simulated
 
     @property
     def simulated(self) -> int:
@@ -115,7 +115,7 @@ def best_of(objectives: Iterable[float | None], sign: int = 1) -> float | None:
 
 def succeeds(course: Course, best: float | None, sign: int = 1) -> bool:
     """Returns whether a run found an optimum as good as `best`."""
-    return best is not None and course.optimum is not None and sign * (course.optimum - best) >= -EQUAL
+    return best is not None and course.optimum is not None and sign * (course.optimum - best) >= -grain(best)
 
 
 def groups(courses: Sequence[Course], sign: int = 1) -> list[ComparedGroup]:
@@ -175,8 +175,8 @@ class Pair:
     @property
     def difference(self) -> float:
         """The optimum with the reduction less the one without; 0 if they are equal but for rounding."""
-        difference = (self.run.optimum or 0.0) - (self.base.optimum or 0.0)
-        return 0.0 if abs(difference) <= EQUAL else difference
+        found, base = self.run.optimum or 0.0, self.base.optimum or 0.0
+        return 0.0 if same(found, base) else found - base
 
     @property
     def saved(self) -> int:
@@ -234,11 +234,11 @@ def _effect(
     from scipy import stats  # more than a second, which only those pay who compare
 
     differences = [course.difference for course in listed]
-    better = sum(sign * difference > EQUAL for difference in differences)
-    worse = sum(sign * difference < -EQUAL for difference in differences)
+    better = sum(sign * difference > 0 for difference in differences)
+    worse = sum(sign * difference < 0 for difference in differences)
     different, mean = better + worse, fmean(differences)
     margin = None
-    if len(differences) > 1 and stdev(differences) > EQUAL:  # without any spread the t distribution says nothing
+    if len(differences) > 1 and stdev(differences) > grain(mean):  # without any spread the t distribution says nothing
         quantile = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(differences) - 1))
         margin = quantile * stdev(differences) / len(differences) ** 0.5
     interval = stats.binomtest(different, len(differences)).proportion_ci(CONFIDENCE, method="exact")

@@ -7,9 +7,9 @@ reference's score, and the ranking is computed again. This repeats until the fir
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from drivecal.analysis.goals import EQUAL
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
 from drivecal.contracts.campaign import Confirmation
+from drivecal.domain.rounding import same
 
 
 @dataclass(slots=True)
@@ -26,7 +26,7 @@ class Confirming:
 
     def is_changed(self, best: EvaluatedSet) -> bool:
         """Returns whether the first of the final ranking is another set than the search believed, or has another objective."""
-        return best.parameter_set != self.tried[0] or abs(best.objective - self.believed) > EQUAL
+        return best.parameter_set != self.tried[0] or not same(best.objective, self.believed, best.span)
 
     def outcome(self, best: EvaluatedSet, untried: EvaluatedSet | None = None) -> Confirmation:
         """Returns the outcome.
@@ -62,5 +62,6 @@ def front_outcome(front: Sequence[FrontMember], tried: Sequence[int], untried: E
 
 def _is_better(believed: EvaluatedSet, best: EvaluatedSet) -> bool:
     """Returns whether a set is believed to be better than the best one by more than its rating."""
-    gain = best.sign * (believed.objective - best.objective)
-    return believed.violation < best.violation or (believed.violation == best.violation and gain > EQUAL)
+    if not same(believed.violation, best.violation):
+        return believed.violation < best.violation
+    return not believed.equals(best) and best.sign * (believed.objective - best.objective) > 0

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
-from drivecal.analysis.goals import EQUAL
+from drivecal.domain.rounding import same
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ def converged_at(values: Sequence[float | None], unchanged: int) -> int | None:
     """
     since = 0
     for index in range(1, len(values)):
-        if not _equal(values[index], values[since]):
+        if not same(values[index], values[since]):
             since = index
     if not values or values[since] is None or len(values) - 1 - since < unchanged:
         return None
@@ -54,13 +54,13 @@ def alternatives_at(best: Sequence[float | None], alternatives: Sequence[int]) -
 
 def last_change(values: Sequence[float | None]) -> int:
     """Returns the iteration, counted from 1, that changed `values` last; 1 if none did."""
-    return next((index + 2 for index in range(len(values) - 2, -1, -1) if not _equal(values[index], values[-1])), 1)
+    return next((index + 2 for index in range(len(values) - 2, -1, -1) if not same(values[index], values[-1])), 1)
 
 
 def changes(best: Sequence[float | None], alternatives: Sequence[int]) -> list[float]:
     """Returns how often best objective or number of alternatives had changed by each iteration."""
     states = list(zip(best, alternatives, strict=True))
-    changed = (before != after or not _equal(old, new) for ((old, before), (new, after)) in pairwise(states))
+    changed = (before != after or not same(old, new) for ((old, before), (new, after)) in pairwise(states))
     return [float(count) for count in accumulate(changed, initial=0)] if states else []
 
 
@@ -69,7 +69,7 @@ def improved_last(course: Course) -> bool:
     if len(course) < 2:
         return False
     before, last = course[-2].best, course[-1].best
-    return before is not None and last is not None and abs(last - before) > EQUAL
+    return before is not None and last is not None and not same(before, last)
 
 
 def stood_still(course: Course, best: float) -> bool:
@@ -77,11 +77,4 @@ def stood_still(course: Course, best: float) -> bool:
     first, last = course[0], course[-1]
     if first.best is None or last.best is None or (first.rating is None) is not (last.rating is None):
         return False
-    gains = (last.best - first.best, best - first.best, (last.rating or 0.0) - (first.rating or 0.0))
-    return all(abs(gain) <= EQUAL for gain in gains)
-
-
-def _equal(first: float | None, other: float | None) -> bool:
-    if first is None or other is None:
-        return first is other
-    return abs(first - other) <= EQUAL
+    return same(first.best, last.best) and same(first.best, best) and same(first.rating, last.rating)

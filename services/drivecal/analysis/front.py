@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from drivecal.domain.rounding import levels
 from drivecal.plugins.ports import Floats
 
 MOST_EXACT = 3
@@ -30,7 +31,7 @@ def non_dominated(points: Floats, violations: Floats | None = None) -> Mask:
     kept = np.zeros(len(points), dtype=np.bool_)
     if not len(points):
         return kept
-    candidates = np.arange(len(points)) if violations is None else np.flatnonzero(violations == violations.min())
+    candidates = np.arange(len(points)) if violations is None else np.flatnonzero(levels(violations) == 0)
     distinct, places = np.unique(
         -points[candidates], axis=0, return_inverse=True
     )  # ascending: better first objectives come first

@@ -4,21 +4,25 @@ A value of a cell is the campaign's score, another score (a formula over measure
 data, so that its results can be read without its problem.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from math import isclose
 from typing import Any, Literal
 
+import numpy as np
+
+from drivecal.analysis.front import Mask, non_dominated
 from drivecal.bundles.expressions import Formula
-from drivecal.bundles.scoring import rate
+from drivecal.bundles.scoring import LARGEST, rate
 from drivecal.domain.evaluations import CellScore
+from drivecal.domain.rounding import Floats, grain, grains, levels, same
 from drivecal.domain.scales import Scale
 
 SCORE = "score"
 """Key of the campaign's own score, which cells store."""
-EQUAL = 1e-9
-"""Objectives and sums of violations that differ by no more than this are equal."""
+AT_A_TIME = 256
+"""Sets that are compared with a front at a time."""
 AggregateKind = Literal["mean", "min", "max", "quantile"]
 
 
@@ -41,9 +45,11 @@ class CellValue:
         return SCORE if self.formula is None or self.scale is None else f"score {self.scale.name}"
 
     def of(self, measures: Mapping[str, float | None], failure: str | None) -> float | None:
-        """Returns the value of a run; None if it lacks a measure."""
+        """Returns the value of a run; None if it lacks a measure. A measure beyond LARGEST counts as LARGEST, as sums of it could
+        overflow."""
         if self.measure is not None:
-            return measures.get(self.measure) if failure is None else self.failed
+            measured = measures.get(self.measure) if failure is None else self.failed
+            return None if measured is None else min(max(measured, -LARGEST), LARGEST)
         if self._formula is None or self.scale is None:
             raise ValueError("the campaign's own score is stored, and not computed again")
         known = {name: value for name, value in measures.items() if value is not None}
@@ -111,12 +117,17 @@ class Objective(Goal):
 
     def is_weighted_mean(self, shares: Mapping[str, float]) -> bool:
         """Returns whether it is the mean of the campaign's score with these weights (Eq. 6)."""
-        same = self.shares.keys() == shares.keys() and all(isclose(self.shares[name], share) for name, share in shares.items())
-        return self.value.key == SCORE and self.aggregate.kind == "mean" and same
+        alike = self.shares.keys() == shares.keys() and all(isclose(self.shares[name], share) for name, share in shares.items())
+        return self.value.key == SCORE and self.aggregate.kind == "mean" and alike
 
-    def compared(self, amount: float) -> float:
-        """Returns what dominance compares, higher is better: the amount without differences up to the tolerance."""
-        return self.sign * (round(amount / self.tolerance) * self.tolerance if self.tolerance > 0 else round(amount, 9)) + 0.0
+    @property
+    def span(self) -> float:
+        """Width of the declared range; 0 for a measure."""
+        return 0.0 if self.value.scale is None else self.value.scale.span
+
+    def slack(self, *amounts: float) -> float:
+        """Returns the largest difference of amounts that does not count: the tolerance, or rounding."""
+        return max(self.tolerance, grain(*amounts, span=self.span))
 
 
 @dataclass(frozen=True)
@@ -128,8 +139,8 @@ class Bound(Goal):
     span: float
 
     def violation(self, amount: float) -> float:
-        """Returns by how much it is broken, in spans; 0 if it is kept."""
-        return max(0.0, self.sign * (self.limit - amount) / self.span)
+        """Returns by how much it is broken, in spans; 0 if it is kept. An amount that equals the limit but for rounding keeps it."""
+        return 0.0 if same(self.limit, amount) else max(0.0, self.sign * (self.limit - amount) / self.span)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,9 +152,9 @@ class Judged:
     bounded: tuple[float, ...] = ()
 
     @property
-    def broken(self) -> int:
-        """The sum of violations in units of EQUAL, as rankings compare it."""
-        return round(self.violation / EQUAL)
+    def broken(self) -> bool:
+        """True if the set breaks a constraint."""
+        return self.violation > 0
 
 
 @dataclass(frozen=True)
@@ -220,8 +231,37 @@ class Goals:
         return Judged(tuple(amounts), violation, tuple(bounded))
 
     def compared(self, judgement: Judged) -> tuple[float, ...]:
-        """Returns what dominance compares, higher is better."""
-        return tuple(goal.compared(amount) for goal, amount in zip(self.objectives, judgement.amounts, strict=True))
+        """Returns the objectives of a set, higher is better."""
+        return tuple(goal.sign * amount for goal, amount in zip(self.objectives, judgement.amounts, strict=True))
+
+    def signed(self, judgements: Iterable[Judged]) -> Floats:
+        """Returns objectives, higher is better, shape (n, m)."""
+        return np.array(list(map(self.compared, judgements)), dtype=np.float64).reshape(-1, len(self.objectives))
+
+    def slacks(self, points: Floats, others: Floats) -> Floats:
+        """Returns the largest differences of signed objectives that do not count (`Objective.slack`), of the shape of both."""
+        tolerances = np.array([goal.tolerance for goal in self.objectives], dtype=np.float64)
+        return np.maximum(tolerances, grains(points, others, np.array([goal.span for goal in self.objectives])))
+
+    def leading(self, points: Floats, violations: Floats) -> Mask:
+        """Returns which sets no other set dominates, shape (n,), by signed objectives, shape (n, m), and sums of violations, shape (n,).
+
+        A set dominates another one if it is better in an objective and worse in none; differences up to the tolerance do not count. Such
+        sets may dominate each other in a circle: if that leaves none, tolerances do not count either.
+        """
+        rounded = [levels(column, goal.span) for column, goal in zip(points.T, self.objectives, strict=True)]
+        exact = non_dominated(np.column_stack(rounded).astype(np.float64), violations)
+        if not any(goal.tolerance for goal in self.objectives):
+            return exact
+        candidates = np.flatnonzero(levels(violations) == 0)
+        front, kept = points[exact], np.zeros(len(points), dtype=np.bool_)
+        for start in range(0, len(candidates), AT_A_TIME):
+            some = candidates[start : start + AT_A_TIME]
+            gains = front[np.newaxis] - points[some, np.newaxis]
+            slacks = self.slacks(front[np.newaxis], points[some, np.newaxis])
+            dominated = np.all(gains >= -slacks, axis=2) & np.any(gains > slacks, axis=2)
+            kept[some] = ~np.any(dominated, axis=1)
+        return kept if True in kept else exact
 
     def to_json(self) -> dict[str, Any]:
         """Returns plain data."""

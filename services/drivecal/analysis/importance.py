@@ -37,7 +37,7 @@ def importances(features: Floats, values: Floats, seed: int = 0) -> Importances 
     from sklearn.ensemble import ExtraTreesRegressor  # takes seconds, which a server that is not asked need not pay
 
     chosen = np.unique(np.linspace(0, len(values) - 1, min(len(values), MOST_SETS)).astype(np.int64))
-    features, values = features[chosen], values[chosen]
+    features, values = _shares(features[chosen]), _shares(values[chosen, np.newaxis])[:, 0]
     generator = np.random.default_rng(seed)
     judged, learned = np.split(generator.permutation(len(values)), [round(HELD_OUT * len(values))])
     if np.ptp(values[judged]) == 0 or np.ptp(values[learned]) == 0:
@@ -52,6 +52,13 @@ def importances(features: Floats, values: Floats, seed: int = 0) -> Importances 
         predicted = forest.predict(shuffled.reshape(-1, features.shape[1])).reshape(REPEATS, len(judged))
         losses[column] = undisturbed - _r2(predicted, values[judged])
     return Importances(losses.mean(axis=1), losses.std(axis=1), undisturbed, len(values), len(judged))
+
+
+def _shares(columns: Floats) -> Floats:
+    """Returns columns as shares of their ranges, 0 without one: trees compare in 32 bits, and take small spreads for none."""
+    lowest, spans = columns.min(axis=0), np.ptp(columns, axis=0)
+    shares: Floats = (columns - lowest) / np.where(spans > 0, spans, 1.0)
+    return shares
 
 
 def _r2(predicted: Floats, values: Floats) -> Floats:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.analysis.goals import EQUAL
+from drivecal.domain.rounding import SHARE
 from drivecal.plugins.ports import Floats
 
 NEIGHBOURS = 0.1
@@ -35,7 +35,7 @@ def regions(points: Floats, neighbours: float = NEIGHBOURS) -> npt.NDArray[np.in
         edge, left = left[:1], left[1:]
         numbers[edge] = number
         while edge.size:
-            near = (distances(points[edge[:AT_A_TIME]], points[left]) <= neighbours + EQUAL).any(axis=0)
+            near = (distances(points[edge[:AT_A_TIME]], points[left]) <= neighbours + SHARE).any(axis=0)
             edge, left = np.concatenate([edge[AT_A_TIME:], left[near]]), left[~near]
             numbers[edge] = number
         number += 1

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from drivecal.domain.rounding import grains
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins.ports import Floats
 
@@ -70,9 +71,11 @@ def deviation(nominal: Floats, scores: Floats, condition: Condition, least: floa
     return np.asarray(away.mean(axis=0) if condition == "mean" else away.max(axis=0), dtype=np.float64)
 
 
-def holds(deviations: Floats, settings: RobustnessSettings) -> bool:
-    """Returns whether the condition holds in every scenario. A vehicle without a result cannot be vouched for: it does not hold then."""
-    within = deviations <= settings.eta if settings.condition == "max" else deviations < settings.eta
+def holds(deviations: Floats, nominal: Floats, settings: RobustnessSettings) -> bool:
+    """Returns whether the condition holds in every scenario. A vehicle without a result cannot be vouched for: it does not hold then.
+    `nominal`: the scores of which they are deviations, whose size is that of rounding."""
+    room = grains(nominal, settings.eta)
+    within = deviations <= settings.eta + room if settings.condition == "max" else deviations < settings.eta
     return bool(within.all())  # a comparison with NaN is false
 
 
@@ -163,7 +166,7 @@ class RobustnessStudy:
             raise RuntimeError("ask first")
         for solution, radius in self._asked.radius.items():
             away = deviation(self._scores[solution], scores[solution], self._settings.condition, self._settings.least)
-            trial = Trial(self._asked.number, radius, tuple(away.tolist()), holds(away, self._settings))
+            trial = Trial(self._asked.number, radius, tuple(away.tolist()), holds(away, self._scores[solution], self._settings))
             self._trials[solution].append(trial)
         self._boxes, self._asked = self._asked.number, None
 

@@ -3,14 +3,15 @@
 With several objectives or constraints, sets are ranked by the first objective, feasible ones first, and the others make a front.
 """
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivecal.analysis.front import non_dominated
-from drivecal.analysis.goals import EQUAL, Goals, Judged
+from drivecal.analysis.goals import Goals, Judged
 from drivecal.domain.evaluations import CellScore
+from drivecal.domain.rounding import levels, same
+from drivecal.plugins.ports import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,40 +30,41 @@ class EvaluatedSet:
     """Of the scale: -1 if lower objectives are better."""
     judgement: Judged | None = None
     """All objectives and the violations; None without goals."""
+    span: float = 0.0
+    """Width of the objective's declared range; 0 without one."""
 
     @property
-    def order(self) -> tuple[int, int, float, int, int]:
-        """Sorts best first: feasible sets first, equal objectives by the weighted continuous rating, then by discovery."""
-        objective, rating = -self.sign * round(self.objective / EQUAL), -self.sign * self.rating
-        return self.violation, objective, rating, self.iteration, self.individual
+    def violation(self) -> float:
+        """Sum of the violations of constraints, in shares."""
+        return 0.0 if self.judgement is None else self.judgement.violation
 
-    @property
-    def violation(self) -> int:
-        """Sum of the violations of constraints, in units of EQUAL."""
-        return 0 if self.judgement is None else self.judgement.broken
-
-    @property
-    def shares_violated(self) -> float:
-        """The same in shares; 0 up to EQUAL."""
-        return 0.0 if self.judgement is None or self.violation == 0 else self.judgement.violation
+    def equals(self, other: "EvaluatedSet") -> bool:
+        """Returns whether objective and violation are the same but for rounding."""
+        return same(self.objective, other.objective, self.span) and same(self.violation, other.violation)
 
 
 @dataclass(frozen=True, slots=True)
 class FrontMember:
-    """A set of the front, its answers by scenario, and the number of sets with the same objectives, itself included."""
+    """A set of the front, its answers by scenario, and the ids of the sets with the same objectives, itself included."""
 
     solution: EvaluatedSet
-    alternatives: int
+    alike: frozenset[int]
     cells: Mapping[str, CellScore]
+
+    @property
+    def alternatives(self) -> int:
+        """Number of sets with the same objectives."""
+        return len(self.alike)
 
 
 class Ranking:
     """All parameter sets with their scores, under one choice of weights; grows as answers arrive."""
 
-    def __init__(self, weights: Mapping[str, float], sign: int = 1, goals: Goals | None = None) -> None:
+    def __init__(self, weights: Mapping[str, float], sign: int = 1, goals: Goals | None = None, span: float = 1.0) -> None:
         """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named count for goals alone. `sign`: the
-        scale's. `goals`: their first objective ranks in the place of the weighted score."""
+        scale's. `goals`: their first objective ranks in the place of the weighted score. `span`: width of the scale's range."""
         self._sign, self._goals = sign, goals
+        self._span = span if goals is None else goals.objectives[0].span
         total = sum(weights.values())
         self._shares = {name: weight / total for name, weight in weights.items() if weight > 0}
         judged = () if goals is None else (*goals.objectives, *goals.bounds)
@@ -72,8 +74,10 @@ class Ranking:
         self._solutions: dict[int, EvaluatedSet] = {}
         self._predicted: dict[int, EvaluatedSet] = {}
         """Sets with a predicted score, which have no rank."""
-        self._surest_front: list[tuple[tuple[float, ...], float]] | None = None
+        self._surest_front: list[Judged] | None = None
         self._best: tuple[EvaluatedSet, int] | None = None
+        self._levels: dict[int, tuple[int, int]] | None = None
+        """Places among the distinct violations and objectives, best first, by the id of a set."""
 
     def add(self, answers: Iterable[CellScore]) -> None:
         """Takes answers in, in any order. A set with a predicted score takes no place in the ranking."""
@@ -86,7 +90,7 @@ class Ranking:
             if answer.scenario in self._scenarios and _counts_more(answer, cells.get(answer.scenario)):
                 cells[answer.scenario] = answer
             touched.add(number)
-        self._surest_front = self._best = None
+        self._surest_front = self._best = self._levels = None
         for number in touched:
             solution = self._solution(number)
             if solution is None:
@@ -97,26 +101,34 @@ class Ranking:
                 self._solutions[number] = solution
                 self._predicted.pop(number, None)
 
+    def order(self, solution: EvaluatedSet) -> tuple[int, int, float, int, int]:
+        """Sorts best first: feasible sets first, equal objectives by the weighted continuous rating, then by discovery."""
+        if self._levels is None:
+            known = list((self._solutions | self._predicted).values())
+            violations = levels(np.array([each.violation for each in known])).tolist()
+            objectives = levels(np.array([-each.sign * each.objective for each in known]), self._span).tolist()
+            numbers = (each.parameter_set for each in known)
+            self._levels = dict(zip(numbers, zip(violations, objectives, strict=True), strict=True))
+        rating = -solution.sign * solution.rating
+        return *self._levels[solution.parameter_set], rating, solution.iteration, solution.individual
+
     def ranking(self) -> list[EvaluatedSet]:
         """All solutions, best first."""
-        return sorted(self._solutions.values(), key=lambda solution: solution.order)
+        return sorted(self._solutions.values(), key=self.order)
 
     def best(self) -> tuple[EvaluatedSet, int] | None:
         """The best solution and how many share its objective, itself included; None before the first."""
         if not self._solutions or self._best is not None:
             return self._best
-        best = min(self._solutions.values(), key=lambda solution: solution.order)
-        equal = sum(
-            abs(solution.objective - best.objective) <= EQUAL and solution.violation == best.violation
-            for solution in self._solutions.values()
-        )
-        self._best = best, equal
+        best = min(self._solutions.values(), key=self.order)
+        first = self.order(best)[:2]
+        self._best = best, sum(self.order(solution)[:2] == first for solution in self._solutions.values())
         return self._best
 
     def surest(self) -> EvaluatedSet | None:
         """The best solution whose scores are all its own; None without one."""
         own = (solution for solution in self._solutions.values() if not solution.reused)
-        return min(own, key=lambda solution: solution.order, default=None)
+        return min(own, key=self.order, default=None)
 
     def doubtful(self, tried: Collection[int] = ()) -> EvaluatedSet | None:
         """The best set with a copied or predicted score that would rank before `surest`, but for those `tried`, by their ids; None without
@@ -127,9 +139,9 @@ class Ranking:
         candidates = [
             candidate
             for number, candidate in (self._solutions | self._predicted).items()
-            if candidate.reused and number not in tried and (surest is None or candidate.order < surest.order)
+            if candidate.reused and number not in tried and (surest is None or self.order(candidate) < self.order(surest))
         ]
-        return min(candidates, key=lambda solution: solution.order, default=None)
+        return min(candidates, key=self.order, default=None)
 
     def front(self) -> list[FrontMember]:
         """The sets that no other set dominates, best first objective first, each vector of objectives once: of equal ones a set whose
@@ -143,24 +155,18 @@ class Ranking:
         judgement = self._goals.judge(cells)
         if judgement is None:
             return False
-        vector = self._goals.compared(judgement)
+        known = self._sure_front()
+        points, point = self._goals.signed(known), np.array(self._goals.compared(judgement))
+        as_good = np.all(points - point >= -self._goals.slacks(points, point), axis=1)
         return not any(
-            violation < judgement.violation - EQUAL
-            or (
-                violation <= judgement.violation + EQUAL and all(other >= own for other, own in zip(known, vector, strict=True))
-            )
-            for known, violation in self._sure_front()
+            is_as_good if same(each.violation, judgement.violation) else each.violation < judgement.violation
+            for each, is_as_good in zip(known, as_good.tolist(), strict=True)
         )
 
-    def _sure_front(self) -> list[tuple[tuple[float, ...], float]]:
+    def _sure_front(self) -> list[Judged]:
         if self._surest_front is None:
             own = self._front(solution for solution in self._solutions.values() if not solution.reused)
-            judged = [(member.solution.judgement, member) for member in own]
-            self._surest_front = [
-                (self._goals.compared(judgement), judgement.violation)
-                for judgement, _ in judged
-                if self._goals is not None and judgement is not None
-            ]
+            self._surest_front = [each for member in own if (each := member.solution.judgement) is not None]
         return self._surest_front
 
     def _doubtful_on_front(self, tried: Collection[int]) -> EvaluatedSet | None:
@@ -181,15 +187,31 @@ class Ranking:
         judged = [(solution, solution.judgement) for solution in solutions if solution.judgement is not None]
         if not judged:
             return []
-        vectors = [self._goals.compared(judgement) for _, judgement in judged]
-        violations = np.array([solution.violation for solution, _ in judged], dtype=np.float64)
-        kept = np.flatnonzero(non_dominated(np.array(vectors, dtype=np.float64), violations)).tolist()
-        alike: dict[tuple[float, ...], list[EvaluatedSet]] = {}
-        for place in sorted(kept, key=lambda place: judged[place][0].order):
-            alike.setdefault(vectors[place], []).append(judged[place][0])
-        firsts = [(min(sets, key=lambda each: bool(each.reused)), len(sets)) for sets in alike.values()]
-        members = [FrontMember(first, count, self._answers[first.parameter_set]) for first, count in firsts]
-        return sorted(members, key=lambda member: member.solution.order)
+        points = self._goals.signed(judgement for _, judgement in judged)
+        kept = self._goals.leading(points, np.array([solution.violation for solution, _ in judged]))
+        ordered = sorted(np.flatnonzero(kept).tolist(), key=lambda place: self.order(judged[place][0]))
+        alike = [[judged[ordered[place]][0] for place in group] for group in self._alike(self._goals, points[ordered])]
+        members = [
+            FrontMember(first, frozenset(each.parameter_set for each in sets), self._answers[first.parameter_set])
+            for sets in alike
+            for first in [min(sets, key=lambda each: bool(each.reused))]
+        ]
+        return sorted(members, key=lambda member: self.order(member.solution))
+
+    @staticmethod
+    def _alike(goals: Goals, points: Floats) -> Sequence[Sequence[int]]:
+        """Groups points by the first one that they equal but for what does not count."""
+        groups: list[list[int]] = []
+        firsts = np.empty_like(points)
+        for place, point in enumerate(points):
+            known = firsts[: len(groups)]
+            equal = np.flatnonzero((np.abs(known - point) <= goals.slacks(known, point)).all(axis=1))
+            if equal.size:
+                groups[int(equal[0])].append(place)
+            else:
+                firsts[len(groups)] = point
+                groups.append([place])
+        return groups
 
     def get(self, parameter_set: int) -> EvaluatedSet | None:
         """A parameter set's solution, None if a result is missing; `parameter_set` is its id."""
@@ -211,7 +233,9 @@ class Ranking:
                 reused.append(scenario)
         bounding = sorted(self._scenarios.difference(self._shares))
         reused += [scenario for scenario in bounding if scenario in cells and not cells[scenario].own]
-        solution = EvaluatedSet(number, objective, rating, scores, tuple(reused), *self._places[number], self._sign)
+        solution = EvaluatedSet(
+            number, objective, rating, scores, tuple(reused), *self._places[number], self._sign, span=self._span
+        )
         if self._goals is None:
             return solution
         judgement = self._goals.judge(cells)

@@ -22,7 +22,6 @@ from drivecal.analysis.convergence import (
     last_change,
     stood_still,
 )
-from drivecal.analysis.goals import EQUAL
 from drivecal.analysis.verdicts import SHORT, confirmation_verdict, verdict
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Campaign
@@ -30,6 +29,7 @@ from drivecal.contracts.results import Light, ResultTrust, ResultVerdict, StudyR
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.contracts.tables import ValidationRow
 from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.rounding import grain, same
 
 FEW = 0.01
 """Share of cells without a result, or without a score, up to which a search is as good as one without them."""
@@ -64,7 +64,7 @@ class BesideBaseline:
     @property
     def is_alike(self) -> bool:
         """True if the difference does not count."""
-        return abs(self.gain) <= max(EQUAL, self.tolerance)
+        return abs(self.gain) <= max(grain(self.value, self.baseline), self.tolerance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +227,7 @@ def _chosen(chosen: Chosen, ranges: Mapping[str, tuple[float, float]], *, with_o
         light: Light | Literal["neutral"] = "amber"
         if counted:
             light = "green" if min(counted) > 0 else "amber"
-        elif max(each.gain for each in chosen.compared) > EQUAL:
+        elif any(each.gain > grain(each.value, each.baseline) for each in chosen.compared):
             light = "neutral"
         fields = ("name", "value", "baseline", "unit", "gain", "tolerance")
         objectives = [{name: getattr(each, name) for name in fields} for each in chosen.compared]
@@ -288,7 +288,7 @@ def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
     gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
     if campaign.best.violation < campaign.baseline.violation:
         yield verdict("baseline_breaks_more", "green", subject="the best set")
-    elif gain <= EQUAL:
+    elif gain <= grain(campaign.best.objective, campaign.baseline.objective):
         yield verdict("not_better", "amber")
     elif campaign.objective is None and gain <= campaign.scale.tolerance:
         tolerance = campaign.scale.amount(campaign.scale.tolerance)
@@ -358,7 +358,7 @@ def _is_the_highest(campaign: Campaign) -> bool:
 
 def _later(campaign: Campaign, later: Later | None, chosen: Chosen | None) -> Iterator[ResultVerdict]:
     """Yields the verdict that later simulations changed which set is best."""
-    if later is None or campaign.best is None or abs(later.gain) <= EQUAL:
+    if later is None or campaign.best is None or same(later.objective, campaign.best.objective):
         return
     code = "later_worse" if later.gain < 0 else "later_better"
     if later.gain > 0 and chosen is not None and chosen.parameters == later.parameters:
@@ -372,7 +372,7 @@ def _earlier(campaign: Campaign, earlier: Earlier | None) -> Iterator[ResultVerd
     if earlier is None or campaign.best is None or not CampaignState(campaign.state).ended:
         return
     best = campaign.best.objective
-    if earlier.objective is None or (earlier.objective - best) * sign_of(campaign) <= EQUAL:
+    if earlier.objective is None or (earlier.objective - best) * sign_of(campaign) <= grain(best):
         if earlier.is_pruned:
             yield verdict("earlier_pruned", "amber", earlier=earlier.campaign)
         return

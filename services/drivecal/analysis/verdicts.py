@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from string import Formatter
 from typing import Any, Literal
 
-from drivecal.analysis.goals import EQUAL
 from drivecal.bundles.scoring import REMEDY
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Confirmation
 from drivecal.contracts.results import Light, ResultVerdict
+from drivecal.domain.rounding import same
 from drivecal.domain.scales import objective_text, unit_text
 
 SHORT = 8
@@ -118,7 +118,7 @@ def confirmation_verdict(confirmation: Confirmation) -> ResultVerdict:
     if confirmation.failed:
         code += "_failed"
     if confirmation.objective is not None and confirmation.believed is not None:
-        equal = abs(confirmation.objective - confirmation.believed) <= EQUAL
+        equal = same(confirmation.objective, confirmation.believed)
         numbers["belief"] = (
             "as the search believed" if equal else f"the search believed {objective_text(confirmation.believed)}"
         )
@@ -145,8 +145,9 @@ def _compared(objectives: Sequence[Mapping[str, Any]]) -> str:
     texts = []
     for each in objectives:
         unit, gain, tolerance = unit_text(each["unit"]), each["gain"], each["tolerance"]
-        change = "equal" if abs(gain) <= EQUAL else f"{'better' if gain > 0 else 'worse'} by {abs(gain):.4g}{unit}"
-        tolerated = f", within the tolerance of {tolerance:.4g}{unit}" if EQUAL < abs(gain) <= tolerance else ""
+        equal = same(each["value"], each["baseline"])
+        change = "equal" if equal else f"{'better' if gain > 0 else 'worse'} by {abs(gain):.4g}{unit}"
+        tolerated = f", within the tolerance of {tolerance:.4g}{unit}" if not equal and abs(gain) <= tolerance else ""
         texts.append(f"{each['name']} {each['value']:.6g}{unit}, baseline {each['baseline']:.6g}{unit}: {change}{tolerated}")
     return "; ".join(texts)
 

@@ -140,7 +140,7 @@ def _best(connection: Connection, campaign: Prunable, count: int) -> Sequence[in
         return ()
     resolved = resolved_spec(stored)
     goals = resolved.goals
-    standing = Ranking(resolved.weights, resolved.scale.sign, goals)
+    standing = Ranking(resolved.weights, resolved.scale.sign, goals, resolved.scale.span)
     stage, evaluator = StageName.CALIBRATION, resolved.evaluator
     standing.add(results.answers(connection, campaign.sequence, stage, corrected_by=evaluator, valued=valued_by(goals)))
     front = [member.solution for member in standing.front()] if goals is not None and goals.is_vector else []

@@ -28,6 +28,8 @@ class CmaSettings(OptimizerSpecification):
 class CmaEngine:
     """Searches the unit cube from the best of the start population on; what is proposed is the grid point next to each of its points.
 
+    `cma` cannot search along a single axis: one parameter is searched in the plane, and the other axis has no effect.
+
     It receives ranks, the only input that CMA-ES uses: equal objectives are ordered by the rating.
     """
 
@@ -41,7 +43,7 @@ class CmaEngine:
 
     def propose(self) -> Indices:
         self._points = self._strategy.ask()
-        indices: Indices = np.rint(np.array(self._points) * self._last).astype(np.int64)
+        indices: Indices = np.rint(np.array(self._points)[:, : len(self._last)] * self._last).astype(np.int64)
         return np.clip(indices, 0, self._last.astype(np.int64))
 
     def learn(self, population: Indices, objectives: Floats, tie_breakers: Floats) -> None:
@@ -56,6 +58,7 @@ class CmaEngine:
     def _begin(self, centre: Floats) -> Any:
         import cma
 
+        start = centre.tolist() if len(centre) > 1 else [*centre.tolist(), 0.5]
         options = {
             "popsize": self._settings.population,
             "bounds": [0, 1],
@@ -63,7 +66,7 @@ class CmaEngine:
             "seed": 0,  # never used: all draws come from `randn`
             "verbose": -9,
         }
-        return cma.CMAEvolutionStrategy(centre.tolist(), self._settings.step, options)
+        return cma.CMAEvolutionStrategy(start, self._settings.step, options)
 
 
 class CmaPlugin(BuiltIn[CmaSettings]):

@@ -9,9 +9,10 @@ from pydantic import ConfigDict
 
 from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices
+from drivecal.domain.rounding import Scaling
 from drivecal.optimizers.built_in import ONE_OBJECTIVE, Beginning, BuiltIn
 from drivecal.optimizers.repair import searchable
-from drivecal.optimizers.replayed import Replayed, named, require
+from drivecal.optimizers.replayed import Replayed, named, require, scaled, scalings_of
 from drivecal.plugins.ports import Ability, DeclaringOptimizerPlugin, Floats
 
 require("pymoo", extra="pymoo")
@@ -49,6 +50,7 @@ class NsgaEngine:
         self._settings = settings
         self._last = searchable(n_values) - 1
         self._algorithm: Any = None
+        self._scalings: list[Scaling] = []
         self._asked: Any = None
         self._population: Indices = np.empty((0, len(n_values)), dtype=np.int64)
 
@@ -66,7 +68,8 @@ class NsgaEngine:
         if objectives.ndim == 1:
             objectives, violations = (objectives + TIE * tie_breakers)[:, None], 0.0 * objectives
         missing = np.isnan(violations) | np.isnan(objectives).any(axis=1)
-        costs = np.where(missing[:, None], 0.0, -objectives)
+        self._scalings = self._scalings or scalings_of(objectives)
+        costs = np.where(missing[:, None], 0.0, -scaled(objectives, self._scalings))
         violations = np.where(missing, NO_RESULT, violations)
         self._population = population
         rows = np.arange(0 if self._asked is None else len(self._asked))

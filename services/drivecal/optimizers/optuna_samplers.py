@@ -8,9 +8,10 @@ from pydantic import ConfigDict
 
 from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices, Kind
+from drivecal.domain.rounding import Scaling
 from drivecal.optimizers.built_in import ONE_OBJECTIVE, Beginning, BuiltIn
 from drivecal.optimizers.repair import searchable
-from drivecal.optimizers.replayed import Replayed, named, require, stop_if_abandoned
+from drivecal.optimizers.replayed import Replayed, named, require, scaled, scalings_of, stop_if_abandoned
 from drivecal.plugins.ports import Ability, DeclaringOptimizerPlugin, Floats
 
 require("optuna", extra="optuna")
@@ -57,6 +58,7 @@ class OptunaEngine:
         self._sampler = _sampler(settings)
         self._counts_generations = settings.sampler == "nsga2"
         self._study: Any = None
+        self._scalings: list[Scaling] = []
         self._asked: list[Any] = []
 
     def propose(self) -> Indices:
@@ -80,6 +82,8 @@ class OptunaEngine:
 
         is_vector = objectives.ndim == 2
         values = objectives if is_vector else (objectives + TIE * tie_breakers)[:, np.newaxis]
+        self._scalings = self._scalings or scalings_of(values)
+        values = scaled(values, self._scalings)
         missing = np.isnan(values).any(axis=1) | (is_vector & np.isnan(tie_breakers))
         answers = list(zip(values.tolist(), tie_breakers.tolist(), missing.tolist(), strict=True))
         failed, complete = optuna.trial.TrialState.FAIL, optuna.trial.TrialState.COMPLETE

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from drivecal.domain.parameters import Indices
+from drivecal.domain.rounding import levels
 from drivecal.optimizers.repair import checked_answers, fitting
 from drivecal.plugins.ports import Floats, Proposal
 
@@ -63,25 +64,19 @@ def start_population(
     return np.concatenate([expert, np.floor(points[: size - len(expert)] * n_values).astype(np.int64)])
 
 
-EQUAL_DECIMALS = 9
-"""Objectives that agree in so many decimals are equal: what is left of them is the order in which weights were summed."""
-
-
 def ranking(objectives: Floats, tie_breakers: Floats) -> Indices:
-    """Positions from the fittest to the least fit, shape (n,): by objective, equal ones by tie breaker, then by position.
+    """Positions from the fittest to the least fit, shape (n,): by objective, ones equal but for rounding by tie breaker, then by position.
 
     NaN, an individual without a result, comes last.
     """
     first, second = fitness(objectives, tie_breakers).T
-    order: Indices = np.lexsort((-second, -first)).astype(np.int64)  # stable: equal keys stay in order of position
+    order: Indices = np.lexsort((-second, levels(-first))).astype(np.int64)  # stable: equal keys stay in order of position
     return order
 
 
 def fitness(objectives: Floats, tie_breakers: Floats) -> Floats:
     """Returns sort keys, the first column before the second, higher is fitter; shape (n, 2). NaN is lowest."""
-    first = np.where(np.isnan(objectives), -np.inf, np.round(objectives, EQUAL_DECIMALS))
-    second = np.where(np.isnan(tie_breakers), -np.inf, tie_breakers)
-    return np.column_stack([first, second])
+    return np.column_stack([np.where(np.isnan(each), -np.inf, each) for each in (objectives, tie_breakers)])
 
 
 class ReplacementOptimizer(ABC):

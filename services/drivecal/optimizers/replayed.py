@@ -5,7 +5,7 @@ the same answers restores the same state. Another version of a library may draw 
 too, and each replayed proposal must have the same.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from hashlib import sha256
 from importlib.metadata import version
@@ -16,6 +16,7 @@ import numpy as np
 
 from drivecal.domain.errors import InvalidInputError, Problem, ReplayError
 from drivecal.domain.parameters import Indices
+from drivecal.domain.rounding import Scaling
 from drivecal.optimizers.population import dump_floats, load_floats
 from drivecal.optimizers.repair import checked_answers, checked_vectors, fitting
 from drivecal.plugins.ports import Floats, Proposal
@@ -46,6 +47,19 @@ def require(package: str, extra: str) -> None:
                 "optimizer.kind", f"it needs the package {package}", f"install drivecal with the extra [{extra}] on the server"
             )
         )
+
+
+def scalings_of(objectives: Floats) -> list[Scaling]:
+    """Returns what brings each objective near 1, by the first population with a result: libraries compare with absolute numbers. Empty
+    before."""
+    return [Scaling.of(column) for column in objectives.T] if np.isfinite(objectives).any() else []
+
+
+def scaled(objectives: Floats, scalings: Sequence[Scaling]) -> Floats:
+    """Returns scaled objectives, shape (n, m)."""
+    if not scalings:
+        return objectives
+    return np.column_stack([scaling(column) for scaling, column in zip(scalings, objectives.T, strict=True)])
 
 
 def named(package: str) -> str:

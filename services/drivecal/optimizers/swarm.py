@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from drivecal.domain.parameters import Indices
+from drivecal.domain.rounding import grains
 from drivecal.optimizers.population import dump_floats, dump_generator, fitness, load_floats, load_generator, ranking
 from drivecal.optimizers.repair import checked_answers, fitting, searchable
 from drivecal.plugins.ports import Floats, Proposal
@@ -52,9 +53,10 @@ class ParticleSwarm:
         if self._told:
             raise RuntimeError("the objectives of this population are known already; ask for the next one")
         reached = fitness(*checked_answers(objectives, tie_breakers, len(self._changed)))
-        better = (reached[:, 0] > self._best_fitness[:, 0]) | (
-            (reached[:, 0] == self._best_fitness[:, 0]) & (reached[:, 1] > self._best_fitness[:, 1])
-        )
+        (first, second), (best, best_second) = reached.T, self._best_fitness.T
+        with np.errstate(invalid="ignore"):  # infinity less infinity
+            equal = (first == best) | (np.abs(first - best) <= grains(first, best))
+        better = np.where(equal, second > best_second, first > best)
         self._best_fitness[better] = reached[better]
         self._best_positions[better] = self._positions[better]
         self._told = True

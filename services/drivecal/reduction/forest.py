@@ -9,12 +9,15 @@ import numpy.typing as npt
 import sklearn
 from sklearn.tree import ExtraTreeRegressor
 
-from drivecal.reduction.prediction import ROUNDING, Bools, Floats, Predictions
+from drivecal.domain.rounding import grain
+from drivecal.reduction.prediction import Bools, Floats, Predictions
 
 SEED = 0
 TREES = 50
 FEATURES = None
 """Features that each split considers: all of them, because few parameters matter in a scenario."""
+STEPS = 2.0**18
+"""Whole numbers over the range of the scores that trees split by: their sums are exact, so that no unit or offset changes a split."""
 
 Indices = npt.NDArray[np.int64]
 
@@ -24,6 +27,8 @@ class BaggedTrees:
 
     def __init__(self, tolerance: float) -> None:
         self._tolerance = tolerance
+        self._agreeing = tolerance
+        """Largest difference of agreeing scores: the tolerance, with room for rounding."""
         self._scores: Floats = np.empty(0)
         self._trees: list[ExtraTreeRegressor] = []
         self._drawn: Indices = np.empty((0, 0), dtype=np.int64)
@@ -42,12 +47,16 @@ class BaggedTrees:
         """Grows trees on features, shape (n, k), and scores, shape (n,)."""
         random = np.random.default_rng(SEED)
         points = np.ascontiguousarray(features, dtype=np.float32)
+        self._agreeing = self._tolerance + grain(
+            *scores[[scores.argmin(), scores.argmax()]].tolist(), span=float(np.ptp(scores))
+        )
+        steps = np.rint((scores - scores.min()) / (float(np.ptp(scores)) or 1.0) * STEPS)
         self._scores, self._trees, drawn, leaves = scores, [], [], []
         with sklearn.config_context(skip_parameter_validation=True):
             for _ in range(TREES):
                 drawn.append(np.bincount(random.integers(len(points), size=len(points)), minlength=len(points)))
                 tree = ExtraTreeRegressor(max_features=FEATURES, random_state=int(random.integers(2**31)))
-                tree.fit(points, scores[:, None], sample_weight=drawn[-1].astype(np.float64), check_input=False)
+                tree.fit(points, steps[:, None], sample_weight=drawn[-1].astype(np.float64), check_input=False)
                 leaves.append(tree.tree_.apply(points))
                 self._trees.append(tree)
         self._drawn, self._leaves = np.stack(drawn), np.stack(leaves)
@@ -61,7 +70,11 @@ class BaggedTrees:
 
     def _votes(self, leaves: Indices) -> Floats:
         """Returns the score that each tree gives to sets in these leaves, shape (n_trees, n)."""
-        return np.stack([tree.tree_.value[own, 0, 0] for tree, own in zip(self._trees, leaves, strict=True)])
+        votes = []
+        for known, drawn, asked in zip(self._leaves, self._drawn, leaves, strict=True):
+            sums, counts = np.bincount(known, drawn * (self._scores - self._scores[0])), np.bincount(known, drawn)
+            votes.append(self._scores[0] + sums[asked] / counts[asked])
+        return np.stack(votes)
 
 
 class Forest(BaggedTrees):
@@ -95,7 +108,7 @@ class Forest(BaggedTrees):
         unseen = self._drawn == 0
         known = unseen.any(axis=0)
         chosen, confidence = self._choose(self._shares(self._leaves[:, known], unseen[:, known]))
-        return confidence, np.abs(self._classes[chosen] - self._scores[known]) > self._tolerance + ROUNDING
+        return confidence, np.abs(self._classes[chosen] - self._scores[known]) > self._agreeing
 
     def _shares(self, leaves: Indices, asked: Bools | None = None) -> Floats:
         """Returns the share of votes for each class of n sets in these leaves, shape (n, n_classes). `asked`: which tree has a vote."""
@@ -106,7 +119,7 @@ class Forest(BaggedTrees):
         return shares
 
     def _choose(self, votes: Floats) -> tuple[Indices, Floats]:
-        near = np.abs(self._classes[:, None] - self._classes[None, :]) <= self._tolerance + ROUNDING
+        near = np.abs(self._classes[:, None] - self._classes[None, :]) <= self._agreeing
         confidence = votes @ near
         best = np.argmax(confidence + 1e-6 * votes, axis=1)
         return best, confidence[np.arange(len(best)), best]

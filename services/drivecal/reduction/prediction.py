@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.parameters import ParameterSet, ParameterSpace, billionths
+from drivecal.domain.rounding import grains
 from drivecal.reduction.lots import SamplingPlan, best_plan
 
 Floats = npt.NDArray[np.float64]
@@ -31,8 +32,6 @@ REFIT = 1.1
 """Growth of the known answers after which a predictor is trained again: training takes most of its time."""
 FEWEST_KNOWN, MOST_KNOWN = 100, 10_000
 """Known answers before the first prediction, and the newest answers that a predictor is trained on."""
-ROUNDING = 1e-9
-"""Difference of scores that counts as none."""
 DOUBT = 2.0
 """Weight of the prior in each level: so many observations of the record's mean error."""
 
@@ -194,7 +193,7 @@ class ScenarioLearner:
 
     def is_wrong(self, predicted: Floats, scores: Floats) -> Bools:
         """Whether predicted scores are off by more than the tolerance."""
-        wrong: Bools = np.abs(predicted - scores) > self._tolerance + ROUNDING
+        wrong: Bools = np.abs(predicted - scores) > self._tolerance + grains(predicted, scores)
         return wrong
 
     def fitted(self) -> Predictor | None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from drivecal.domain.scales import Scale
 from drivecal.reduction.forest import BaggedTrees, Forest
-from drivecal.reduction.prediction import ROUNDING, Bools, Floats, Predictions, Predictor
+from drivecal.reduction.prediction import Bools, Floats, Predictions, Predictor
 
 MOST_CLASSES = 100
 """Largest number of scores of a scale that are classes."""
@@ -24,7 +24,7 @@ class RegressionForest(BaggedTrees):
     move; the confidence is the share of votes within `tolerance` of it. Continuous scores are their own ratings."""
 
     def __init__(self, tolerance: float = 0.0) -> None:
-        super().__init__(tolerance + ROUNDING)
+        super().__init__(tolerance)
 
     def fit(self, features: Floats, scores: Floats, ratings: Floats) -> None:
         """Learns from at least one score."""
@@ -42,10 +42,10 @@ class RegressionForest(BaggedTrees):
         votes = np.where(self._drawn == 0, self._votes(self._leaves), np.nan)
         left_out = ~np.isnan(votes).all(axis=0)
         scores, confidence = self._choose(votes[:, left_out])
-        return confidence, np.abs(scores - self._scores[left_out]) > self._tolerance
+        return confidence, np.abs(scores - self._scores[left_out]) > self._agreeing
 
     def _choose(self, votes: Floats) -> tuple[Floats, Floats]:
         """Predicted scores and confidences for votes of shape (n_trees, n), NaN for trees without a vote."""
         scores: Floats = np.nanmedian(votes, axis=0)
-        agreeing = np.abs(votes - scores) <= self._tolerance  # a comparison with NaN is false
+        agreeing = np.abs(votes - scores) <= self._agreeing  # a comparison with NaN is false
         return scores, agreeing.sum(axis=0) / (~np.isnan(votes)).sum(axis=0)

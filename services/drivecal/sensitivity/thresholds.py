@@ -32,7 +32,8 @@ from typing import Any, Literal
 import numpy as np
 
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.scales import COMFORT, ROUNDING_SHARE, Scale
+from drivecal.domain.rounding import SHARE
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.sensitivity.designs import EffectStatistics, Floats
 
 TOLERATED_RATE = 0.01
@@ -94,7 +95,7 @@ def automatic(steps: Floats, scale: Scale = COMFORT) -> float:
 
 def _tolerated_effects(steps: Floats, scale: Scale) -> Floats:
     """Effects of changes by the tolerance, shaped as `steps`."""
-    effects: Floats = max(scale.tolerance, ROUNDING_SHARE * scale.span) / (scale.span * steps)
+    effects: Floats = max(scale.tolerance, SHARE * scale.span) / (scale.span * steps)
     return effects
 
 

@@ -1,7 +1,8 @@
 """Checks of a whole manifest beyond single fields. All problems are reported at once."""
 
+import keyword
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
 from typing import Any
@@ -46,8 +47,6 @@ from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.parameters import Parameter, ParameterSpace, decimal
 from drivecal.plugins import registry
 
-SMALLEST_SPAN = 1e-3
-"""Smallest width of a score's range: objectives count as equal to nine decimals, whatever the unit."""
 Executables = Mapping[str, bool]
 """Files of a bundle by path, and whether each is executable."""
 OWN_FOLDERS = ("HOME", "TMPDIR", "TMP", "TEMP")
@@ -114,6 +113,9 @@ def _cut_formula(problem: Problem) -> Problem:
 def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables | None) -> Iterator[Problem]:
     checks = (
         ({"parameters"}, _parameters(manifest.parameters)),
+        ({"parameters"}, _names("parameters", manifest.parameters)),
+        ({"varied"}, _names("varied", manifest.varied)),
+        ({"measures"}, _names("measures", manifest.measures)),
         ({"parameters", "varied"}, _varied(manifest)),
         ({"parameters", "constraints"}, _constraints(manifest)),
         ({"parameters", "baseline"}, _baseline(manifest)),
@@ -151,6 +153,12 @@ def _parameters(entries: Mapping[str, ParameterEntry]) -> Iterator[Problem]:
             message = f"{name} and {columns[column]} would share the column {column} of the tables"
             yield Problem(f"parameters.{name}", message, "give it another name")
         columns[column] = name
+
+
+def _names(section: str, names: Iterable[str]) -> Iterator[Problem]:
+    for name in names:
+        if any(map(keyword.iskeyword, name.split("."))):
+            yield Problem(f"{section}.{name}", f"{name} cannot stand in a formula", f"give it another name, such as {name}_")
 
 
 def _varied(manifest: Manifest) -> Iterator[Problem]:
@@ -258,11 +266,6 @@ def _ranges(scores: Mapping[str, ScoreEntry]) -> Iterator[Problem]:
             yield Problem(
                 f"{field}.range", f"the end {upper:g} is not above the start {lower:g}", "give the smaller number first"
             )
-        elif upper - lower < SMALLEST_SPAN * (1 - 1e-9):  # rounding of the ends is no fault
-            message = (
-                f"its width of {upper - lower:g} is below {SMALLEST_SPAN:g}, so that different scores could count as equal"
-            )
-            yield Problem(f"{field}.range", message, "change the unit of the formula, e.g. multiply it and the range by 1000")
         elif score.failed is not None and not (
             score.failed <= lower if score.direction == "maximise" else score.failed >= upper
         ):

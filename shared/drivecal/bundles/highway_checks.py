@@ -40,7 +40,7 @@ from drivecal.contracts.input_errors import nearest, validated
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import Failure
-from drivecal.domain.measures import CLOSED_LOOP_MEASURES
+from drivecal.domain.vehicles import CLOSED_LOOP_MEASURES
 
 TICK = 0.01
 """Step of the vehicle's dynamics (s); all other steps are multiples of it."""

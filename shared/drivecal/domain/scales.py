@@ -7,11 +7,10 @@ from enum import StrEnum
 from math import ceil
 from typing import Any, Literal
 
+from drivecal.domain.rounding import SHARE, grain
+
 LARGEST_EXACT = 2**53
 """Whole numbers below it are the same as floats."""
-ROUNDING_SHARE = 1e-9
-"""Share of the span up to which scores without steps count as equal."""
-
 SMALL, LARGE = 0.01, 1e6
 """Objectives between them have four decimals."""
 MOST_BARS = 100
@@ -74,12 +73,17 @@ class Scale:
     @property
     def rounding(self) -> float:
         """Largest difference of scores that count as equal."""
-        return 0.0 if self.step is not None else ROUNDING_SHARE * self.span
+        return 0.0 if self.step is not None else self.grain
+
+    @property
+    def grain(self) -> float:
+        """Largest difference of numbers on the scale that is rounding."""
+        return grain(self.lower, self.upper, span=self.span)
 
     @property
     def largest_agreeing(self) -> float:
         """Largest difference of agreeing scores: the tolerance, with room for rounding."""
-        return self.tolerance + ROUNDING_SHARE * self.span
+        return self.tolerance + self.grain
 
     def is_wrong(self, difference: float) -> bool:
         """Returns whether scores with this difference count as wrong."""
@@ -94,7 +98,7 @@ class Scale:
     @property
     def last_bar(self) -> int:
         """Number of the bar with differences of the span, from 0 in the middle; the next one holds all beyond."""
-        return max(1, ceil(self.span / self.bin - 0.5 - ROUNDING_SHARE))
+        return max(1, ceil(self.span / self.bin - 0.5 - SHARE))
 
     def amount(self, value: float) -> str:
         """Returns a difference of scores with its unit, for readers."""

@@ -54,7 +54,7 @@ def test_runs_without_a_result_count_as_seeds_and_nothing_else() -> None:
 
 
 def test_success_is_judged_over_all_optimizers_with_rounding_errors_forgiven() -> None:
-    runs = [course([6.0]), course([6.0 - 1e-12], "swarm"), course([5.9], "random")]
+    runs = [course([6.0]), course([6.0 - 1e-15], "swarm"), course([5.9], "random")]
     best = best_of_all(runs)
     assert best == 6.0
     assert [succeeds(one, best) for one in runs] == [True, True, False]
@@ -132,12 +132,12 @@ def test_the_optimum_is_what_was_confirmed_and_what_that_took_counts() -> None:
     assert (effect.simulations, effect.base_simulations) == (15, 20)
     assert groups([confirmed])[0].simulations == 15
     assert confirmed.simulations_to_converge is None
-    rounded = replace(confirmed, simulated_best=7.0 - 1e-12)
+    rounded = replace(confirmed, simulated_best=7.0 - 1e-15)
     assert rounded.optimum == 7.0, "what differs by rounding alone is no other belief"
 
 
 def test_the_lowest_optimum_is_the_best_on_a_scale_that_is_minimised() -> None:
-    runs = [course([5.0, 4.0], seed=1), course([5.0, 4.0 + 1e-12], seed=2), course([9.0, 8.5], seed=3)]
+    runs = [course([5.0, 4.0], seed=1), course([5.0, 4.0 + 1e-15], seed=2), course([9.0, 8.5], seed=3)]
     best = best_of_all(runs, sign=-1)
     assert best == 4.0
     assert [succeeds(one, best, sign=-1) for one in runs] == [True, True, False]

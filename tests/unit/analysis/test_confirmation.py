@@ -87,4 +87,6 @@ def test_the_confirmed_best_is_the_best_of_those_that_have_scores_of_their_own(
     assert not best.reused
     assert len(set(confirmation.tried)) == len(confirmation.tried)
     assert best.objective == max(one.objective for one in [best, *others] if not one.reused)
-    assert not any(one.reused and one.order < best.order for one in others), "nothing that only seems better is left"
+    assert not any(one.reused and ranking.order(one) < ranking.order(best) for one in others), (
+        "nothing that only seems better is left"
+    )

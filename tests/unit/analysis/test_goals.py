@@ -98,7 +98,7 @@ def test_a_copied_score_that_only_a_constraint_needs_is_named() -> None:
     ranking.add([cell(1, "S1", 6.0), cell(1, "S2", 4.0, own=False)])
     (ranked_set,) = ranking.ranking()
     assert (ranked_set.reused, ranked_set.objective) == (("S2",), 6.0)
-    assert ranked_set.shares_violated == pytest.approx(1 / 7)
+    assert ranked_set.violation == pytest.approx(1 / 7)
 
 
 def test_goals_are_the_same_after_they_were_stored() -> None:

@@ -56,12 +56,12 @@ def test_boxes_and_seeds_have_directions_of_their_own_which_repeat() -> None:
 def test_the_conditions_compare_what_the_paper_says(condition: Any, eta: float, expected: bool) -> None:
     chosen = RobustnessSettings(condition=condition, eta=eta)
     scores = np.array([[5.0, 2.0], [5.0, 4.0]])
-    assert holds(deviation(np.array([5.0, 4.0]), scores, chosen.condition), chosen) is expected
+    assert holds(deviation(np.array([5.0, 4.0]), scores, chosen.condition), np.array([5.0, 4.0]), chosen) is expected
 
 
 def test_one_point_is_still_robust_and_a_relative_bound_is_strict() -> None:
-    assert holds(np.array([1.0]), RobustnessSettings())
-    assert not holds(np.array([0.2]), RobustnessSettings(condition="mean", eta=0.2))
+    assert holds(np.array([1.0]), np.array([6.0]), RobustnessSettings())
+    assert not holds(np.array([0.2]), np.array([6.0]), RobustnessSettings(condition="mean", eta=0.2))
 
 
 def test_a_score_of_zero_divides_by_one() -> None:
@@ -72,7 +72,7 @@ def test_a_score_of_zero_divides_by_one() -> None:
 def test_a_vehicle_without_a_result_cannot_be_vouched_for(condition: Any) -> None:
     chosen = RobustnessSettings(condition=condition, eta=100.0)
     away = deviation(np.array([5.0, 4.0]), np.array([[5.0, 4.0], [5.0, np.nan]]), chosen.condition)
-    assert not holds(away, chosen)
+    assert not holds(away, np.array([5.0, 4.0]), chosen)
 
 
 def run(limits: list[float], chosen: RobustnessSettings) -> tuple[RobustnessStudy, int]:

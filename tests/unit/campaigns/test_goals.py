@@ -7,7 +7,7 @@ import pytest
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.measures import CLOSED_LOOP_MEASURES
+from drivecal.domain.vehicles import CLOSED_LOOP_MEASURES
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.frenet import FRENET

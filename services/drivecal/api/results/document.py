@@ -202,8 +202,8 @@ def set_at(
         parameters=parameters,
         compared=compared,
         copied=judged.reused,
-        violation=judged.shares_violated,
-        baseline_violation=0.0 if baseline is None else baseline.shares_violated,
+        violation=judged.violation,
+        baseline_violation=0.0 if baseline is None else baseline.violation,
         is_best=is_best,
     )
 

@@ -29,12 +29,12 @@ from drivecal.contracts.inventory import (
     WorkerPage,
 )
 from drivecal.domain.errors import NotFoundError
-from drivecal.domain.measures import CLOSED_LOOP_MEASURES
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import reference_line
 from drivecal.domain.scales import COMFORT
 from drivecal.domain.scenarios import EgoStart, Scenario, TrafficVehicle
 from drivecal.domain.setups import Setup
+from drivecal.domain.vehicles import CLOSED_LOOP_MEASURES
 from drivecal.optimizers.repair import supported
 from drivecal.plugins import registry
 from drivecal.storage import bundles, processes

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from sqlalchemy import Connection
 
-from drivecal.analysis.goals import EQUAL, Bound, Goal, Objective
+from drivecal.analysis.goals import Bound, Goal, Objective
 from drivecal.analysis.optima import distances
 from drivecal.analysis.robustness import key_of
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember
@@ -51,7 +51,7 @@ def front_table(
                 rank=place + 1,
                 objectives=dict(zip(names, amounts, strict=True)),
                 weighted=worths[place],
-                violation=solution.shares_violated,
+                violation=solution.violation,
                 constraints=front.goals.named_bounds(solution.judgement),
                 knee=front.knee == place,
                 best_in=[name for name, best in zip(names, front.extremes, strict=True) if best == place],
@@ -77,8 +77,8 @@ def judged_sets(front: CampaignFront) -> list[JudgedSet]:
     return [
         JudgedSet(
             objectives=dict(zip(names, solution.judgement.amounts, strict=True)),
-            violation=solution.shares_violated,
-            on_front=front.holds(solution),
+            violation=solution.violation,
+            on_front=solution.parameter_set in front.ranks,
             iteration=None if solution.iteration == EARLIER else solution.iteration,
             individual=None if solution.iteration == EARLIER else solution.individual,
         )
@@ -113,13 +113,11 @@ def _baseline(front: CampaignFront, baseline: EvaluatedSet) -> FrontBaseline | N
     if baseline.judgement is None:
         return None
     names = [goal.name for goal in front.goals.objectives]
-    alike = front.goals.compared(baseline.judgement)
-    vectors = [tuple(point) for point in front.points.tolist()]
     return FrontBaseline(
         objectives=dict(zip(names, baseline.judgement.amounts, strict=True)),
-        violation=baseline.shares_violated,
+        violation=baseline.violation,
         constraints=front.goals.named_bounds(baseline.judgement),
-        rank=vectors.index(alike) + 1 if front.holds(baseline) else None,
+        rank=front.ranks.get(baseline.parameter_set),
     )
 
 
@@ -171,7 +169,7 @@ def _of_rank(front: CampaignFront, rank: int, field: str) -> FrontMember:
 def _text(goal: Objective, difference: ValuePair) -> str:
     gain = float(difference.gain or 0.0)
     equal = f"stays within its tolerance of {goal.tolerance:g}" if goal.tolerance else "stays as it is"
-    is_equal = abs(gain) <= max(goal.tolerance, EQUAL)
+    is_equal = abs(gain) <= goal.slack(*(each for each in (difference.first, difference.second) if isinstance(each, float)))
     values = f"{difference.first:.6g} to {difference.second:.6g}{unit_text(goal.unit)}"
     return f"{goal.name} {equal if is_equal else 'gets better' if gain > 0 else 'gets worse'}: {values}"
 

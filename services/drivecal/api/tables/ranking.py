@@ -58,7 +58,7 @@ class CampaignRanking:
                 parameters=sets[solution.parameter_set].floats,
                 scores=dict(solution.scores),
                 reused=list(solution.reused),
-                violation=solution.shares_violated,
+                violation=solution.violation,
                 constraints={} if self.goals is None else self.goals.named_bounds(solution.judgement),
                 iteration=solution.iteration,
                 individual=solution.individual,
@@ -82,7 +82,7 @@ def ranking(
     goals = resolved.goals
     if goals is not None and (weights is not None or score is not None):
         goals = _constrained(goals, used, scale, other)
-    standing = Ranking(used, scale.sign, goals)
+    standing = Ranking(used, scale.sign, goals, scale.span)
     with database.read() as connection:
         if other is None:
             stage, corrected_by = StageName.CALIBRATION, resolved.evaluator
@@ -126,7 +126,7 @@ def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCa
     weights = {name: given.get(name, 1.0) if name in ours.weights else 0.0 for name in theirs.weights}
     ranked = ranking(database, earlier, replace(theirs, weights=weights, goals=ours.goals), None, score).ranked
     is_pruned = earlier.pruned_at is not None
-    if not ranked or ranked[0].shares_violated > campaign.best.violation:
+    if not ranked or ranked[0].violation > campaign.best.violation:
         return Earlier(earlier.id, None, weights, score=score, is_pruned=True) if is_pruned else None
     return Earlier(earlier.id, ranked[0].objective, weights, ranked[0].reused, score, is_pruned)
 
@@ -142,7 +142,7 @@ def later_best(database: Database, campaign: StoredCampaign) -> Later | None:
     with database.read() as connection:
         later = runs.simulated_later(connection, campaign.sequence, resolved.evaluator)
     ranked = ranking(database, campaign, resolved, None) if later else None
-    if ranked is None or not ranked.ranked or ranked.ranked[0].shares_violated > campaign.best.violation:
+    if ranked is None or not ranked.ranked or ranked.ranked[0].violation > campaign.best.violation:
         return None
     first, (shown,) = ranked.ranked[0], ranked.solutions(0, 1)
     by = dict.fromkeys(run.campaign for run in later if run.parameter_set == first.parameter_set)

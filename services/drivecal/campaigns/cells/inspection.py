@@ -19,7 +19,6 @@ from drivecal.domain.events import EventKind
 from drivecal.domain.scales import Scale
 from drivecal.reduction.audit import error_rates, expected_error_rate
 from drivecal.reduction.lots import SamplingPlan, best_plan, draw, most_released
-from drivecal.reduction.prediction import ROUNDING
 from drivecal.storage import audits, evaluations, events, lots
 from drivecal.storage.evaluations import AnsweredCell
 from drivecal.storage.lots import LotVerdict, NewLot, StoredLot
@@ -91,7 +90,7 @@ class Inspection:
         lot.sampled.discard(cell.id)
         if lot.lot.kind is not Outcome.PREDICTED or cell.predicted_score is None:
             return None
-        right = score is not None and abs(score - cell.predicted_score) <= lot.lot.tolerance + ROUNDING
+        right = score is not None and abs(score - cell.predicted_score) <= lot.lot.tolerance + self._scale.grain
         lot.errors += not right
         return right
 

@@ -33,7 +33,6 @@ from drivecal.reduction.prediction import (
     FEWEST_KNOWN,
     MOST_KNOWN,
     REFIT,
-    ROUNDING,
     FeatureSpace,
     Floats,
     Lot,
@@ -111,7 +110,7 @@ class LotPlanner:
         self._features = FeatureSpace(space, view.names)
         self._tolerance = reduction.tolerance_on(view.bench.scale)
         kind = partial(_predictor, view.bench.scale, self._tolerance)
-        self._learners = {scenario: ScenarioLearner(kind, self._tolerance) for scenario in weights}
+        self._learners = {scenario: ScenarioLearner(kind, self._tolerance + view.bench.scale.grain) for scenario in weights}
         self._lots_so_far: Sequence[StoredLot] = ()
         self._occupied: dict[str, tuple[int, int]] = {}
         """Cells that runs answered, and the microseconds for which these runs occupied workers, by scenario."""
@@ -309,7 +308,7 @@ class LotPlanner:
         }
         if best is None:  # nothing to compare with would ever be simulated whole
             return {max(hoped, key=lambda individual: hoped[individual])}
-        return {individual for individual, hope in hoped.items() if hope >= sign * best - ROUNDING}
+        return {individual for individual, hope in hoped.items() if hope >= sign * best - self._view.bench.scale.grain}
 
     def _believed(self, cells: Sequence[RequestedCell]) -> Iterator[tuple[RequestedCell, float, float, float]]:
         """Yields each cell with its believed score, the mean and the variance."""

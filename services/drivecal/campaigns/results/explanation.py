@@ -296,7 +296,7 @@ def _neighbours(
     population = specification.optimizer.population or 0
     tolerance, width = specification.reduction.tolerance_on(resolved.scale), slice_size(population)
     features = FeatureSpace(resolved.space, resolved.space.names)
-    learner = ScenarioLearner(predictor_on(resolved.scale, tolerance), tolerance)
+    learner = ScenarioLearner(predictor_on(resolved.scale, tolerance), tolerance + resolved.scale.grain)
     own = batch_of(cell.stage, cell.iteration, cell.individual, width)
     earlier = runs.rated(connection, cell.setup_id, resolved.evaluator, campaign.watermark or 0, MOST_KNOWN)
     answers, _ = lots.known_answers(connection, campaign.sequence, [cell.setup_id], after=0)

@@ -43,14 +43,13 @@ class CampaignFront:
 
     @cached_property
     def points(self) -> Floats:
-        """Values that dominance compares, shape (n, m); higher is better."""
-        return self._compared([member.solution for member in self.members])
+        """Objectives, shape (n, m); higher is better."""
+        return self._signed([member.solution for member in self.members])
 
     @cached_property
-    def _vectors(self) -> set[tuple[float, ...]]:
-        return {
-            self.goals.compared(judgement) for member in self.members if (judgement := member.solution.judgement) is not None
-        }
+    def ranks(self) -> Mapping[int, int]:
+        """Rank of every set on the front, as a member or as an alternative of one, by its id."""
+        return {number: rank for rank, member in enumerate(self.members, 1) for number in member.alike}
 
     @cached_property
     def is_feasible(self) -> bool:
@@ -90,17 +89,11 @@ class CampaignFront:
         grown: list[tuple[int, float | None, int]] = []
         feasible = sorted((each for each in self.ranked if each.violation == 0), key=attrgetter("iteration"))
         for iteration, members in groupby(feasible, attrgetter("iteration")):
-            points = np.concatenate([front, self._compared(list(members))])
+            points = np.concatenate([front, self._signed(list(members))])
             before, front = front, np.unique(points[non_dominated(points)], axis=0)
             volume = grown[-1][1] if np.array_equal(before, front) else hypervolume(front, worst)
             grown.append((int(iteration), volume, len(front)))
         return grown
-
-    def holds(self, solution: EvaluatedSet) -> bool:
-        """Whether a ranked set is on the front, as a member or as an alternative of one."""
-        if not self.members or solution.judgement is None or solution.violation != self.members[0].solution.violation:
-            return False
-        return self.goals.compared(solution.judgement) in self._vectors
 
     def dominating(self, solution: EvaluatedSet) -> int:
         """Returns the number of members that are better than a set in an objective and worse in none, or break constraints less."""
@@ -108,8 +101,9 @@ class CampaignFront:
             return 0
         if self.members[0].solution.violation < solution.violation:
             return len(self.members)
-        gains = self.points - np.array(self.goals.compared(solution.judgement))
-        return int(((gains >= 0).all(axis=1) & (gains > 0).any(axis=1)).sum())
+        point = np.array(self.goals.compared(solution.judgement))
+        gains, slacks = self.points - point, self.goals.slacks(self.points, point)
+        return int(((gains >= -slacks).all(axis=1) & (gains > slacks).any(axis=1)).sum())
 
     def by_weights(self, weights: Mapping[str, float]) -> tuple["CampaignFront", Floats]:
         """The same front, best first by the weighted sum of the objectives scaled to it, with the sums, shape (n,)."""
@@ -118,9 +112,8 @@ class CampaignFront:
         order = np.argsort(-worths, kind="stable")
         return CampaignFront(self.goals, self.ranked, [self.members[place] for place in order]), worths[order]
 
-    def _compared(self, sets: Sequence[EvaluatedSet]) -> Floats:
-        vectors = [self.goals.compared(each.judgement) for each in sets if each.judgement is not None]
-        return np.array(vectors, dtype=np.float64).reshape(len(vectors), len(self.goals.objectives))
+    def _signed(self, sets: Sequence[EvaluatedSet]) -> Floats:
+        return self.goals.signed(each.judgement for each in sets if each.judgement is not None)
 
 
 def goals_of(resolved: ResolvedSpec) -> Goals:
@@ -139,7 +132,7 @@ def front_of(
     score gives way to a later simulation of the very cell."""
     goals = goals_of(resolved)
     constraints = _constraints(database, campaign, resolved) if everything else None
-    ranking = Ranking(resolved.weights, resolved.scale.sign, goals)
+    ranking = Ranking(resolved.weights, resolved.scale.sign, goals, resolved.scale.span)
     with database.read() as connection:
         stored = results.answers(
             connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=valued_by(goals)

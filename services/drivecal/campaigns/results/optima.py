@@ -7,7 +7,6 @@ from itertools import takewhile
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.analysis.goals import EQUAL
 from drivecal.analysis.optima import Optimum, regions, to_nearest
 from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
@@ -51,7 +50,7 @@ class Alternatives:
 
 def alternatives(database: Database, ranking: Sequence[EvaluatedSet], space: ParameterSpace) -> Alternatives:
     """The first sets of a `ranking`, best first, that share the best objective: at most MOST_BEST."""
-    alike = (abs(each.objective - ranking[0].objective) <= EQUAL and each.violation == ranking[0].violation for each in ranking)
+    alike = (each.equals(ranking[0]) for each in ranking)
     equal = sum(1 for _ in takewhile(bool, alike))
     best, worse = ranking[: min(equal, MOST_BEST)], ranking[equal : equal + MOST_WORSE]
     with database.read() as connection:

@@ -25,7 +25,7 @@ class SearchAnswers(ABC):
     def __init__(self, problem: CalibrationProblem) -> None:
         self._problem, self._goals = problem, problem.goals
         self._sign = problem.bench.scale.sign
-        self.ranking = Ranking(problem.weights, self._sign, problem.goals)
+        self.ranking = Ranking(problem.weights, self._sign, problem.goals, problem.bench.scale.span)
 
     def take_in(self, connection: Connection, campaign: int, iterations: Collection[int]) -> None:
         """Reads the answers of iterations."""
@@ -122,18 +122,8 @@ class PopulationAnswers(SearchAnswers):
         if self._goals is None:
             return self._sign * self._weighted(self._scores), self._sign * self._weighted(self._ratings)
         amounts, violations = self._judged()
-        compared = np.array(
-            [
-                [
-                    goal.compared(amount) if np.isfinite(amount) else np.nan
-                    for goal, amount in zip(self._goals.objectives, row, strict=True)
-                ]
-                for row in amounts.tolist()
-            ]
-        )
-        if self._goals.is_vector:
-            return compared, violations
-        return compared[:, 0], self._goals.objectives[0].sign * amounts[:, 0]
+        signed = amounts * np.array([goal.sign for goal in self._goals.objectives], dtype=np.float64)
+        return (signed, violations) if self._goals.is_vector else (signed[:, 0], signed[:, 0])
 
     def _judged(self) -> tuple[Floats, Floats]:
         """Amounts, shape (population, m), and violations, shape (population,); NaN for individuals without a result."""
@@ -145,8 +135,7 @@ class PopulationAnswers(SearchAnswers):
             judgement = self._goals.judge(cells)
             if judgement is not None:
                 amounts[individual] = judgement.amounts
-                # As in rankings: a set that meets a limit exactly keeps it, whatever rounding says.
-                violations[individual] = judgement.violation if judgement.broken else 0.0
+                violations[individual] = judgement.violation
         return amounts, violations
 
     def _weighted(self, values: Floats) -> Floats:

@@ -15,7 +15,6 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis.confirmation import Confirming, front_outcome
-from drivecal.analysis.goals import EQUAL
 from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.analysis.verdicts import confirmation_verdict
 from drivecal.campaigns.cells.inspection import check_reuse, form_lots_of_references, rejected_text
@@ -51,6 +50,7 @@ from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.rounding import same
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.optimizers.repair import RepairCount
 from drivecal.plugins.ports import Floats
@@ -499,11 +499,12 @@ class Calibration(Stage):
                 parameters=parameters.floats,
                 scores=dict(solution.scores),
                 alternatives=alternatives,
-                violation=solution.shares_violated,
+                violation=solution.violation,
             )
+            changed = before is None or not same(solution.objective, before.objective, solution.span)
             gain = 0.0 if before is None else solution.sign * (self._best.objective - before.objective)
             goals = self._problem.goals  # the first set that keeps all constraints may be worse than the last that does not
-            if before is None or gain > EQUAL or (goals is not None and goals.bounds and gain < -EQUAL):
+            if before is None or (changed and (gain > 0 or (goals is not None and goals.bounds))):
                 self._tell_best(connection, solution)
                 is_better = True
         unknown = self._baseline is None or self._baseline.objective is None
@@ -527,7 +528,7 @@ class Calibration(Stage):
             objective=None if solution is None else solution.objective,
             parameters=baseline.floats,
             scores=none_yet if solution is None else dict(solution.scores),
-            violation=0.0 if solution is None else solution.shares_violated,
+            violation=0.0 if solution is None else solution.violation,
         )
 
     def _figures(self, connection: Connection, number: int, asked: AskedRound, objectives: Floats) -> Figures:

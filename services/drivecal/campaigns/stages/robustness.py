@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.analysis.front import non_dominated
-from drivecal.analysis.goals import EQUAL, Judged, valued_by
+from drivecal.analysis.goals import Judged, valued_by
 from drivecal.analysis.optima import one_per_region_first, regions
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
@@ -24,6 +23,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore, RequestedCell
 from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.rounding import levels
 from drivecal.domain.scales import Scale, plain
 from drivecal.plugins.ports import Floats
 from drivecal.storage import campaigns, results, studies
@@ -124,7 +124,7 @@ class RobustnessStage(StudyStage):
         """The named sets, then the best sets of the calibration, or its front, one of each region first. Simulations that this campaign
         sees correct copied scores of another campaign, as in that one's ranking."""
         goals, of = self._goals, self._wanted.of
-        standing = Ranking(self._problem.weights, self._sign, goals)
+        standing = Ranking(self._problem.weights, self._sign, goals, self._problem.bench.scale.span)
         with self._database.read() as connection:
             source = self._campaign if of is None else campaigns.get(connection, of)
             corrected_by = None if of is None else resolved_spec(source).evaluator
@@ -157,10 +157,7 @@ class RobustnessStage(StudyStage):
         ranking = standing.ranking()
         enough = 0
         if ranking:
-            first = ranking[0]
-            least = first.sign * first.objective - EQUAL
-            good = (each.violation == first.violation and first.sign * each.objective >= least for each in ranking)
-            enough = sum(1 for _ in takewhile(bool, good))
+            enough = sum(1 for _ in takewhile(ranking[0].equals, ranking))
         return ranking[: min(enough, MOST_BEST)], ranking[enough : enough + MOST_WORSE]
 
     @staticmethod
@@ -229,12 +226,14 @@ class RobustnessStage(StudyStage):
         """The examined sets, most robust first."""
         known = self._study.result() if self._study is not None else [Robustness(0, False, 0.0, ())] * len(self._examined)
         objectives, ratings, sign = self._objectives()
+        span = self._problem.bench.scale.span if self._goals is None else self._goals.objectives[0].span
+        worse = levels(np.where(np.isnan(objectives), np.inf, -sign * objectives), span).tolist()
         order = sorted(
             range(len(known)),
             key=lambda number: (
                 -known[number].degree,
                 self._violation(number),
-                -_known(sign * round(float(objectives[number]), 9)),
+                worse[number],
                 -known[number].radius,
                 -_known(sign * float(ratings[number])),
                 number,
@@ -259,9 +258,9 @@ class RobustnessStage(StudyStage):
         return amounts, ratings if first.is_weighted_mean(self._problem.weights) else amounts, first.sign
 
     def _violation(self, number: int) -> float:
-        """Returns by how much a set breaks constraints, rounded as in rankings."""
+        """Returns by how much a set breaks constraints."""
         judged = self._judged[number]
-        return 0.0 if judged is None else judged.broken
+        return 0.0 if judged is None else judged.violation
 
     def _recommend(self, objectives: Floats, ratings: Floats, known: Sequence[Robustness]) -> tuple[int, str] | None:
         """The most robust of the sets with the best objective, or of those that no other dominates, and the reason. `ratings`: higher is
@@ -279,12 +278,11 @@ class RobustnessStage(StudyStage):
     def _best_of(self, usable: Sequence[int], objectives: Floats) -> list[int]:
         """Returns the sets with the best objective, or with goals those that no other dominates."""
         if self._goals is None:
-            best = max(self._sign * objectives[number] for number in usable)
-            return [number for number in usable if abs(self._sign * objectives[number] - best) <= EQUAL]
-        judged = [(number, self._judged[number]) for number in usable]
-        vectors = [self._goals.compared(judgement) for _, judgement in judged if judgement is not None]
-        violations = np.array([self._violation(number) for number in usable], dtype=np.float64)
-        return [usable[place] for place in np.flatnonzero(non_dominated(np.array(vectors), violations)).tolist()]
+            best = levels(-self._sign * objectives[usable], self._problem.bench.scale.span) == 0
+        else:
+            points = self._goals.signed(judged for number in usable if (judged := self._judged[number]) is not None)
+            best = self._goals.leading(points, np.array([self._violation(number) for number in usable], dtype=np.float64))
+        return [usable[place] for place in np.flatnonzero(best).tolist()]
 
     def _row(
         self, rank: int, solution: int, objective: float, rating: float, known: Robustness, recommended: tuple[int, str] | None

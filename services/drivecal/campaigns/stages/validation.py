@@ -20,7 +20,6 @@ from drivecal.domain.scales import Scale
 from drivecal.plugins.ports import Floats
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.reduction.lots import draw
-from drivecal.reduction.prediction import ROUNDING
 from drivecal.storage import campaigns, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -258,7 +257,7 @@ class PredictionValidation(StudyStage):
         unanswered = 0 if self._differences is None else len(self._drawn[scenario]) - len(differences)
         scale = self._problem.bench.scale
         counts = compared(np.array(differences, dtype=np.float64), scale)
-        tolerance = self._reduction.tolerance_on(scale) + ROUNDING
+        tolerance = self._reduction.tolerance_on(scale) + scale.grain
         lower, upper = clopper_pearson(counts["wrong"], counts["compared"]) if differences else (None, None)
         drawn, beyond = len(self._drawn[scenario]), unanswered + sum(abs(difference) > tolerance for difference in differences)
         return {

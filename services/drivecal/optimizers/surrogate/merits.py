@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from drivecal.domain.rounding import grain, grains
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim
 
-EQUAL = 1e-9
-"""Objectives that differ by no more are equal."""
 AUGMENTATION = 0.05
 """Weight of the sum, which is added to the largest distance, so that every objective counts (Knowles 2006, ParEGO)."""
 
@@ -30,9 +29,10 @@ class Standing:
 
     def beats(self, objectives: Floats, violations: Floats) -> npt.NDArray[np.bool_]:
         """Returns which of k sets with such bounds cannot be better than all complete sets, shape (k,); NaN is no bound."""
-        less = self.violations < violations[:, np.newaxis] - EQUAL
-        as_much = self.violations <= violations[:, np.newaxis] + EQUAL
-        as_good = np.all(self.objectives >= objectives[:, np.newaxis] - EQUAL, axis=2)
+        own, bounds = violations[:, np.newaxis], objectives[:, np.newaxis]
+        less = self.violations < own - grains(self.violations, own)
+        as_much = self.violations <= own + grains(self.violations, own)
+        as_good = np.all(self.objectives >= bounds - grains(self.objectives, bounds), axis=2)
         beaten: npt.NDArray[np.bool_] = np.any(less | (as_much & as_good), axis=1)
         return beaten
 
@@ -47,7 +47,7 @@ class Merit:
     def __init__(self, aim: Aim, standing: Standing, direction: Floats) -> None:
         """`direction`: positive weights of the objectives, shape (m,), sum 1."""
         self._aim, self._direction = aim, direction
-        kept = standing.objectives[standing.violations <= EQUAL]
+        kept = standing.objectives[standing.violations <= 0]
         reference = kept if len(kept) else standing.objectives
         none = np.zeros(aim.objectives)
         self._ideal = reference.max(axis=0) if len(reference) else none
@@ -56,6 +56,7 @@ class Merit:
         known = self._scalar(standing.objectives)
         self._floor = float(known.min()) if len(known) else 0.0
         self._unit = float(np.ptp(known)) if len(known) and np.ptp(known) > 0 else 1.0
+        self._worst = float(standing.violations.max(initial=0.0)) or 1.0
         self.best = float(self._with_violations(known, standing.violations).max()) if len(known) else -np.inf
         """Merit of the best complete set."""
 
@@ -73,4 +74,8 @@ class Merit:
         return result
 
     def _with_violations(self, merits: Floats, violations: Floats) -> Floats:
-        return np.where(violations > EQUAL, self._floor - self._unit * (1.0 + violations), merits)
+        return np.where(violations > 0, self._floor - self._unit * (1.0 + violations / self._worst), merits)
+
+    def beaten_by(self, merits: Floats) -> float:
+        """Returns the share of merits that are better than the best set's by more than rounding."""
+        return float((merits > self.best + (grain(self.best) if np.isfinite(self.best) else 0.0)).mean())

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from scipy.special import ndtr
 
 from drivecal.domain.parameters import Indices
+from drivecal.domain.rounding import grain
 from drivecal.optimizers.surrogate.processes import GaussianProcess, Hyperparameters, fitted
 from drivecal.plugins.ports import Floats
 
@@ -31,6 +32,7 @@ class Warp:
     origin: float = 0.0
     sign: float = 0.0
     """Direction of the values from the origin; 0: no warp."""
+    unit: float = 1.0
 
     @classmethod
     def chosen(cls, values: Floats, best: float) -> "Warp":
@@ -38,22 +40,24 @@ class Warp:
         spread = values.std()
         if len(values) < FEWEST + 2 or spread <= 0:
             return cls()
-        origin = best if np.isfinite(best) else 0.0
         for sign in (1.0, -1.0):
-            away = sign * (values - origin)
-            if away.min() > 0:
+            nearest = float((sign * values).min())
+            # a value without limits may get better by half of the median's distance, in any unit and from any offset
+            origin = best if np.isfinite(best) else sign * (nearest - 0.5 * (float(np.median(sign * values)) - nearest))
+            away = sign * (values - origin) / spread
+            if (np.isfinite(best) or sign * best < 0) and away.min() > 0:
                 logarithms = np.log(away)
                 # the logarithm of the likelihood's ratio, per value
-                if np.log(spread) > np.log(max(logarithms.std(), 1e-12)) + logarithms.mean():
-                    return cls(origin, sign)
+                if np.log(max(logarithms.std(), 1e-12)) + logarithms.mean() < 0:
+                    return cls(origin, sign, float(spread))
         return cls()
 
     def __call__(self, values: Floats) -> Floats:
-        return np.log(np.maximum(self.sign * (values - self.origin), 1e-12)) if self.sign else values
+        return np.log(np.maximum(self.sign * (values - self.origin) / self.unit, 1e-12)) if self.sign else values
 
     def undone(self, warped: Floats) -> Floats:
         """Inverts the warp."""
-        return self.origin + self.sign * np.exp(np.minimum(warped, 300.0)) if self.sign else warped
+        return self.origin + self.sign * self.unit * np.exp(np.minimum(warped, 300.0)) if self.sign else warped
 
 
 @dataclass(slots=True)
@@ -88,20 +92,23 @@ class Output:
         self.warp = warp
         warped = warp(targets)
         self.constant, self.spread = float(warped.mean()), float(warped.std())
-        if len(targets) < FEWEST or self.spread <= 1e-12 * max(1.0, abs(self.constant)):
+        if len(targets) < FEWEST or self.spread <= grain(*targets[:1].tolist() if warp.sign == 0 else ()):
             self.process = None
             return
         if known >= max(self.tuned.count + 1, GROWTH * self.tuned.count):
             chosen = slice(None, None, -(-len(targets) // MOST_TUNED))
-            centred = warped[chosen] - warped[chosen].mean()
+            centred = (warped[chosen] - warped[chosen].mean()) / self.spread
             self.tuned = Tuned(fitted(features[chosen], centred, owners, self.tuned.hyperparameters), known)
-        self.process = GaussianProcess(features, warped, owners, self.tuned.hyperparameters, pending)
+        self.process = GaussianProcess(
+            features, (warped - self.constant) / self.spread, owners, self.tuned.hyperparameters, pending
+        )
 
     def predict(self, features: Floats, *, pending: bool) -> tuple[Floats, Floats]:
         """Returns means and deviations of the warped value."""
         if self.process is None:
             return np.full(len(features), self.constant), np.full(len(features), self.spread)
-        return self.process.predict(features, pending=pending)
+        means, deviations = self.process.predict(features, pending=pending)
+        return self.constant + self.spread * means, self.spread * deviations
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from drivecal.domain.parameters import Indices
 from drivecal.optimizers.surrogate.answers import Answers, BegunSet
 from drivecal.optimizers.surrogate.candidates import children
 from drivecal.optimizers.surrogate.giving_up import beaten, improbable
-from drivecal.optimizers.surrogate.merits import EQUAL, Merit, Standing
+from drivecal.optimizers.surrogate.merits import Merit, Standing
 from drivecal.optimizers.surrogate.models import ScenarioModel
 from drivecal.optimizers.surrogate.processes import Encoding
 from drivecal.plugins.ports import Floats
@@ -209,7 +209,7 @@ class SurrogateSearch:
         left = self._answers.open
         for begun, drawn in zip(left, self._drawn(left), strict=True):
             merit = self._merit(begun.number)
-            chance = float((merit(drawn) > merit.best + EQUAL).mean())
+            chance = merit.beaten_by(merit(drawn))
             begun.improbable = improbable(chance, begun.promise or 0.0)
             if not begun.improbable:
                 ranked.append((chance, begun, drawn))
@@ -276,7 +276,7 @@ class SurrogateSearch:
                 None,
             )
             if chosen is not None:
-                chance = float((merits[:, chosen] > merit.best + EQUAL).mean())
+                chance = merit.beaten_by(merits[:, chosen])
                 sets.append(self._answers.begin(tuple(rows[chosen].tolist()), promise=chance))
         return sets
 
@@ -302,7 +302,7 @@ class SurrogateSearch:
             merits = merit(drawn)
             gain = float(self._improvements(merits[:, np.newaxis], merit)[0])
             share = len(self._answers.missing(begun)) / self._aim.scenarios
-            ranked.append((gain / share if gain > 0 else gain, begun, float((merits > merit.best + EQUAL).mean())))
+            ranked.append((gain / share if gain > 0 else gain, begun, merit.beaten_by(merits)))
         return max(ranked, key=lambda each: each[0], default=None)
 
     def _new(self, rows: Indices) -> Indices:

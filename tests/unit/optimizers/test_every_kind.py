@@ -1,0 +1,116 @@
+"""What every kind of optimizer survives: one parameter, two values, one feasible set, equal, missing, tiny and huge objectives."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.support.effort import examples
+
+from drivecal.analysis.aims import JudgedGoals
+from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective
+from drivecal.domain.parameters import Indices, Kind
+from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
+from drivecal.optimizers.cma_es import CMA_ES
+from drivecal.optimizers.nsga import NSGA2, NSGA3
+from drivecal.optimizers.optuna_samplers import OPTUNA
+from drivecal.optimizers.repair import RepairingOptimizer, checked_proposal, create_optimizer
+from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
+from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats
+from drivecal.plugins.search import CellAnswer, SearchTask
+
+POPULATIONS: dict[str, tuple[DeclaringOptimizerPlugin, dict[str, Any]]] = {
+    "genetic": (GENETIC, {}),
+    "random": (RANDOM, {}),
+    "swarm": (SWARM, {}),
+    "cma_es": (CMA_ES, {}),
+    "nsga2": (NSGA2, {}),
+    "nsga3": (NSGA3, {}),
+    "tpe": (OPTUNA, {"sampler": "tpe"}),
+    "optuna nsga2": (OPTUNA, {"sampler": "nsga2"}),
+    "optuna random": (OPTUNA, {"sampler": "random"}),
+}
+GRID: Kind = "grid"
+LANDSCAPES = st.sampled_from(["bowl", "flat", "missing", "tiny", "huge", "offset"])
+
+
+def objective(population: Indices, n_values: Indices, landscape: str) -> Floats:
+    """Returns the objectives of a population."""
+    bowl = -(((population / (n_values - 1)) - 0.3) ** 2).sum(axis=1)
+    values: dict[str, Floats] = {
+        "bowl": bowl,
+        "flat": np.zeros(len(population)),
+        "missing": np.full(len(population), np.nan),
+        "tiny": 1e-12 * bowl,
+        "huge": 1e15 * bowl,
+        "offset": 1e9 + bowl,
+    }
+    return values[landscape]
+
+
+@pytest.mark.parametrize("kind", POPULATIONS)
+@given(
+    sizes=st.sampled_from([[101], [2], [2, 2], [3, 50]]),
+    landscape=LANDSCAPES,
+    seed=st.integers(0, 100),
+    one_is_feasible=st.booleans(),
+)
+@settings(max_examples=examples(25), deadline=None)
+def test_every_optimizer_of_populations_searches_the_smallest_spaces(
+    kind: str, sizes: list[int], landscape: str, seed: int, one_is_feasible: bool
+) -> None:
+    plugin, chosen = POPULATIONS[kind]
+    n_values = np.array(sizes)
+    options = plugin.settings.model_validate({"kind": plugin.name, "population": 6, "iterations": 8, "seed": seed, **chosen})
+    optimizer = create_optimizer(plugin, options, n_values, [GRID] * len(n_values))
+    if one_is_feasible:
+        optimizer = RepairingOptimizer(optimizer, np.ones_like)
+    before = None
+    for _ in range(8):
+        proposal = checked_proposal(kind, optimizer.ask(), 6, n_values, before)
+        before = proposal.population
+        values = objective(before, n_values, landscape)
+        optimizer.tell(values, values)
+
+
+@given(
+    sizes=st.sampled_from([[101], [2], [2, 2], [3, 50]]),
+    landscape=LANDSCAPES,
+    seed=st.integers(0, 100),
+    one_is_feasible=st.booleans(),
+)
+@settings(max_examples=examples(15), deadline=None)
+def test_the_surrogate_searches_the_smallest_spaces(sizes: list[int], landscape: str, seed: int, one_is_feasible: bool) -> None:
+    n_values, value = np.array(sizes), CellValue(measure="m")
+    goals = Goals((Objective("m", value, {"s": 1.0}, Aggregate(), 1),))
+
+    def feasible(rows: Indices) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        return np.all(rows == 1, axis=1) if one_is_feasible else np.ones(len(rows), dtype=np.bool_)
+
+    def repair(rows: Indices) -> Indices:
+        return np.ones_like(rows) if one_is_feasible else rows
+
+    def sample(count: int, generator: np.random.Generator) -> Indices:
+        return repair(generator.integers(0, n_values, size=(count, len(n_values))))
+
+    task = SearchTask(
+        n_values,
+        [GRID] * len(sizes),
+        JudgedGoals(goals, ("s",)),
+        feasible,
+        repair,
+        sample,
+        np.ones((1, len(sizes)), dtype=np.int64),
+        (),
+        12,
+        1,
+    )
+    search = SURROGATE.begin(SurrogateSettings(seed=seed), task)
+    asked: set[tuple[int, ...]] = set()
+    while cells := search.ask(2):
+        asked |= {cell.indices for cell in cells}
+        assert feasible(np.array([cell.indices for cell in cells])).all()
+        values = objective(np.array([cell.indices for cell in cells]), n_values, landscape).tolist()
+        search.tell([CellAnswer(cell, (each,), np.isnan(each)) for cell, each in zip(cells, values, strict=True)])
+    assert len(asked) == min(12, 1 if one_is_feasible else int(n_values.prod()))
