@@ -150,29 +150,6 @@ def test_a_scatter_keeps_ranges_that_the_table_and_the_export_follow(shown: Show
 
 
 @pytest.mark.slow
-def test_a_view_is_saved_renamed_opened_and_deleted(shown: Shown, opening: Opening) -> None:
-    page = opening(f"{shown.at('ranking')}?chart=scatter&x=P2&b.P1=0:0.5")
-    expect(page.get_by_role("grid")).to_be_visible()
-    selected = rows_shown(page)
-    page.get_by_text("Views", exact=True).click()
-    page.get_by_label("Name of the view").fill("lower half")
-    page.get_by_label("for all campaigns").check()
-    page.get_by_role("button", name="Save").click()
-    page.get_by_role("button", name="Rename lower half").click()
-    page.get_by_label("New name of lower half").fill("P1 small")
-    page.get_by_label("New name of lower half").press("Enter")
-    expect(page.get_by_role("link", name="P1 small")).to_be_visible()
-    page.goto(shown.at("savings"))
-    page.reload()
-    page.get_by_text("Views 1").click()
-    page.get_by_role("link", name="P1 small").click()
-    expect(page.get_by_label("P1 to")).to_have_value("0.5")
-    assert rows_shown(page) == selected
-    page.get_by_text("Views 1").click()
-    page.get_by_role("button", name="Delete P1 small").click()
-    expect(page.get_by_text("No saved view yet")).to_be_visible()
-
-
 def test_views_campaigns_and_actions_are_reached_by_the_keyboard_alone(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.api.url}/#/workers")
     expect(page.get_by_role("heading", level=1)).to_be_visible()

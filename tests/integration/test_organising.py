@@ -66,23 +66,6 @@ def test_a_rerun_keeps_the_weights_that_it_does_not_change(api: RunningApi, clie
     assert client.rerun(campaign, {"name": "again"}).spec["weights"] == client.campaign(campaign).spec["weights"]
 
 
-def test_views_are_saved_for_a_campaign_or_for_all(api: RunningApi, client: Client) -> None:
-    campaign = api.http.post("/api/v1/campaigns", json=SMALL).json()["id"]
-    mine = {"name": "best", "address": "#/campaigns/x?b.P1=0:1", "campaign": campaign}
-    saved = api.http.post("/api/v1/views", json=mine)
-    assert (saved.status_code, saved.headers["location"]) == (201, f"/api/v1/views/{saved.json()['id']}")
-    assert api.http.post("/api/v1/views", json=mine).json() == saved.json()
-    api.http.post("/api/v1/views", json={"name": "all", "address": "#/workers"})
-    assert [view.name for view in client.saved_views(campaign)] == ["all", "best"]
-    assert [(view.name, view.campaign) for view in client.saved_views()] == [("all", None)]
-    for wrong in ({"address": "https://elsewhere"}, {"address": "javascript:alert(1)"}, {"name": ""}):
-        assert api.http.post("/api/v1/views", json=mine | wrong).status_code == 422
-    assert api.http.post("/api/v1/views", json=mine | {"campaign": "0" * 32}).status_code == 404
-    for _ in range(2):
-        assert api.http.delete(f"/api/v1/views/{saved.json()['id']}").status_code == 204
-    assert [view.name for view in client.saved_views(campaign)] == ["all"]
-
-
 def test_the_command_line_labels_lists_and_deletes(run: Run, api: RunningApi) -> None:
     campaign = ended(api, "mine")
     assert run("label", campaign[:6]).exit_code == 2

@@ -44,7 +44,6 @@ ORDER = (
 EXTRAS = {
     **dict.fromkeys(("alembic", "fastapi", "libsumo", "numba", "prometheus_client", "psycopg", "pyarrow", "scipy"), "local"),
     **dict.fromkeys(("sklearn", "sqlalchemy", "starlette", "structlog", "uvicorn", "websockets"), "local"),
-    "asammdf": "mf4",
     "ray": "cluster",
 }
 """Extra of drivecal that installs a package, by the package's module."""

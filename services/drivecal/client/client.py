@@ -31,7 +31,7 @@ from drivecal.contracts.inventory import (
     ScenarioPage,
     WorkerPage,
 )
-from drivecal.contracts.organising import Archived, Deletion, SavedView, SavedViewList
+from drivecal.contracts.organising import Archived, Deletion
 from drivecal.contracts.results import CampaignResults, FrontSummary, TradeOff
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import FrontRow, InfluenceRow, JudgedSet, OptimumRow, RobustnessRow, TableName, ValidationRow
@@ -463,10 +463,6 @@ class Client(Transport):
         """
         place = ("campaigns", identifier)
         return self._answer(self._request("DELETE", place), Deletion, place)
-
-    def saved_views(self, campaign: str | None = None) -> list[SavedView]:
-        """Returns the saved views of the page: for all campaigns, and for a `campaign`."""
-        return self._get(SavedViewList, "views", campaign=campaign).items
 
     def report(self, identifier: str) -> bytes:
         """Returns the page with a campaign's results in it, which needs no server: one HTML file.

@@ -1,13 +1,12 @@
-"""Messages about campaigns kept in order: labels, deletion, saved views of the page."""
+"""Messages about campaigns kept in order: labels, deletion."""
 
-from datetime import datetime
 from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
 from drivecal.contracts.campaign import Answer
 from drivecal.contracts.specification import Model
-from drivecal.contracts.strict_json import Address, Comment, Name, Tag
+from drivecal.contracts.strict_json import Comment, Name, Tag
 
 Archived = Literal["without", "with", "only"]
 Tags = Annotated[list[Tag], Field(max_length=20)]
@@ -48,34 +47,3 @@ class Deletion(Answer):
     archived: bool
     referring: list[Referring]
     """The campaigns that keep it from being deleted."""
-
-
-class SavedViewSpecification(Model):
-    """A view to save, in place of an earlier one of the same name and campaign."""
-
-    name: Name
-    address: Address
-    campaign: str | None = None
-    """Null: a view for all campaigns."""
-
-
-class SavedViewChanges(Model):
-    """Another name for a saved view."""
-
-    name: Name
-
-
-class SavedView(Answer):
-    """A saved view of the page; `campaign` null if it is for all."""
-
-    id: str
-    name: str
-    address: str
-    campaign: str | None
-    created_at: datetime
-
-
-class SavedViewList(Answer):
-    """Saved views by name."""
-
-    items: list[SavedView]

@@ -124,8 +124,6 @@ Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=O
 Tag = Annotated[str, StringConstraints(min_length=1, max_length=40, pattern=rf"^[^\x00-\x20{_STEERING},]+$")]
 """A word without spaces and commas."""
 Comment = Annotated[str, StringConstraints(max_length=4_000, pattern=rf"^[^\x00-\x08\x0b-\x1f{_STEERING}]*$")]
-Address = Annotated[str, StringConstraints(min_length=2, max_length=4_000, pattern=rf"^#/[^\x00-\x1f{_STEERING}]*$")]
-"""A view of the page: the part of its URL from `#/` on."""
 Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
 ProblemName = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 """Name of a problem, or digest of a bundle."""

@@ -1,4 +1,4 @@
-"""Labels, lists, deletion and saved views, on both databases."""
+"""Labels, lists and deletion, on both databases."""
 
 from itertools import pairwise
 from typing import Any
@@ -14,7 +14,7 @@ from drivecal.contracts.organising import Archived, CampaignChanges
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import campaigns, evaluations, labels, saved_views
+from drivecal.storage import campaigns, evaluations, labels
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
@@ -239,42 +239,3 @@ def test_the_keys_under_a_deleted_map_are_out_of_use_at_once_and_go_in_slices(
     assert left[0] == 10
     assert left[-1] == 5
     assert all(before - after <= 3 for before, after in pairwise(left))
-
-
-def test_saved_views_are_replaced_by_name_renamed_and_removed(database: Database) -> None:
-    with database.transaction() as connection:
-        mine = campaign(connection)
-        first = saved_views.save(connection, mine.id, "best", "#/campaigns/1?b.P1=0:1")
-        again = saved_views.save(connection, mine.id, "best", "#/campaigns/1")
-        saved_views.save(connection, "", "all", "#/workers")
-        saved_views.save(connection, "0" * 32, "of another campaign", "#/")
-        assert (again.id, again.address) == (first.id, "#/campaigns/1")
-        assert [view.name for view in saved_views.listed(connection, mine.id)] == ["all", "best"]
-        with pytest.raises(NotFoundError):
-            saved_views.rename(connection, "0" * 32, "x")
-        saved_views.save(connection, mine.id, "taken", "#/")
-        with pytest.raises(ConflictError):
-            saved_views.rename(connection, first.id, "taken")
-        assert saved_views.rename(connection, first.id, "best").name == "best"
-        assert saved_views.rename(connection, first.id, "better").name == "better"
-        saved_views.remove(connection, first.id)
-        saved_views.remove(connection, first.id)
-        assert [view.name for view in saved_views.listed(connection, None)] == ["all"]
-
-
-def test_saved_views_go_with_their_campaign(database: Database) -> None:
-    with database.transaction() as connection:
-        ended = campaigns.request_action(connection, campaign(connection).id, "cancel")
-        saved_views.save(connection, ended.id, "best", "#/")
-        delete_campaign(connection, ended.id)
-        assert saved_views.listed(connection, ended.id) == []
-
-
-def test_no_more_views_than_allowed_are_saved(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(saved_views, "MOST_VIEWS", 2)
-    with database.transaction() as connection:
-        for name in ("one", "two"):
-            saved_views.save(connection, "", name, "#/")
-        with pytest.raises(ConflictError):
-            saved_views.save(connection, "", "three", "#/")
-        assert saved_views.save(connection, "", "two", "#/workers").address == "#/workers"

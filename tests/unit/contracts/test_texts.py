@@ -8,7 +8,7 @@ from pydantic import BaseModel
 from drivecal.bundles.manifest import Manifest
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
-from drivecal.contracts.organising import CampaignChanges, SavedViewChanges, SavedViewSpecification
+from drivecal.contracts.organising import CampaignChanges
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification, RerunSpecification
 from drivecal.domain.errors import InvalidInputError
 
@@ -38,8 +38,6 @@ DOCUMENTS: list[tuple[type[BaseModel], dict[str, Any], str]] = [
     (CampaignChanges, {"tags": ["a", "b*"]}, "tags[1]"),
     (CampaignChanges, {"add_tags": ["*"]}, "add_tags[0]"),
     (CampaignChanges, {"comment": "two\nlines*"}, "comment"),
-    (SavedViewSpecification, {"name": "view", "address": "#/campaigns?q=*"}, "address"),
-    (SavedViewChanges, {"name": "*"}, "name"),
     (Manifest, PROBLEM, "parameters.x.choices[1]"),
 ]
 

@@ -86,12 +86,6 @@ class CampaignsOf(PageOf):
     tag: Annotated[list[Tag], Field(max_length=20)] = []
 
 
-class ViewsOf(Parameters):
-    """Saved views for all campaigns, and with `campaign` also its own."""
-
-    campaign: Annotated[str, StringConstraints(max_length=64)] | None = None
-
-
 class ProblemsOf(PageOf):
     """A page of problems; `name`: every push of one name."""
 
@@ -191,7 +185,6 @@ class SubmissionOf(Parameters):
 
 PageQuery = Annotated[PageOf, Query()]
 CampaignsQuery = Annotated[CampaignsOf, Query()]
-ViewsQuery = Annotated[ViewsOf, Query()]
 ProblemsQuery = Annotated[ProblemsOf, Query()]
 FormQuery = Annotated[FormOf, Query()]
 TableQuery = Annotated[TableOf, Query()]

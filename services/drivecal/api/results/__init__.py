@@ -1,1 +1,1 @@
-"""A chosen set as a file: its review sheet and its calibration file, from the functions behind the other answers."""
+"""The results of a campaign as a document, and a chosen set as a calibration file."""

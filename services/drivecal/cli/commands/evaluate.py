@@ -9,19 +9,16 @@ from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, ap
 from drivecal.cli.views import time_series
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_evaluation
 from drivecal.cli.views.progress import attached, pauses
-from drivecal.cli.views.time_series import RecordedScenario, measurement, require_library, run_facts
 from drivecal.client.client import Client
-from drivecal.contracts.assignments import assignments, settings, value_text
+from drivecal.contracts.assignments import assignments, settings
 from drivecal.contracts.evaluation import Evaluation, SeriesAnswer, TraceAnswer
 from drivecal.contracts.explanation import Difference, Explanation, Prediction
 from drivecal.contracts.specification import DEFAULT_PROBLEM
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import NotFoundError, file_faults
+from drivecal.domain.errors import NotFoundError
 from drivecal.domain.scales import told
 
 SECONDS_BETWEEN_QUESTIONS = 0.3
-TRACE_FILES = (*time_series.SUFFIXES, time_series.MEASUREMENT)
-"""Endings of files for time series."""
 
 
 @app.command()
@@ -45,9 +42,7 @@ def evaluate(
     ] = "reference",
     trace: Annotated[
         Path | None,
-        typer.Option(
-            help="Write the run's time series there: .csv or .parquet (one row per step), .json (all of it) or .mf4 (MDF 4.1)."
-        ),
+        typer.Option(help="Write the run's time series there: .csv or .parquet (one row per step), .json (all of it)."),
     ] = None,
     timeout: Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; then exit status 6.")] = None,
     url: UrlOption = None,
@@ -65,22 +60,14 @@ def evaluate(
     }
     if scenario is not None:
         specification["scenario"] = scenario
-    if trace is not None and (scenario is None or trace.suffix not in TRACE_FILES):
-        raise typer.BadParameter(f"--trace needs one --scenario and a file that ends in {', '.join(TRACE_FILES)}")
-    if trace is not None and trace.suffix == time_series.MEASUREMENT:
-        require_library()
+    if trace is not None and (scenario is None or trace.suffix not in time_series.SUFFIXES):
+        raise typer.BadParameter(f"--trace needs one --scenario and a file that ends in {', '.join(time_series.SUFFIXES)}")
     with connect(url) as client:
         queued = client.evaluate(specification)
         tell(f"evaluation {queued.id} is queued; `drivecal show {queued.id}` prints it as well")
         evaluation = _ended(client, queued, timeout)
         if trace is not None:
-            series = trace_of(client, evaluation.id, timeout)
-            if trace.suffix == time_series.MEASUREMENT:
-                content = _measurement(client, evaluation, series, problem)
-                with file_faults(trace, "written", "give another file"):
-                    trace.write_bytes(content)
-            else:
-                time_series.save(series, trace)
+            time_series.save(trace_of(client, evaluation.id, timeout), trace)
             tell(f"time series: {trace}")
     print_answer(evaluation, as_json, print_evaluation)
     raise typer.Exit(code_of_state(evaluation.state))
@@ -106,20 +93,6 @@ def trace_of(client: Client, evaluation: str, timeout: float | None = None) -> T
         while (trace := client.trace(evaluation)) is None:
             next(asking)
     return trace
-
-
-def units_of(client: Client, problem: str) -> dict[str, str]:
-    """Returns the units of the series that runs of a problem have."""
-    return client.problem(problem).series
-
-
-def _measurement(client: Client, evaluation: Evaluation, trace: TraceAnswer | SeriesAnswer, problem: str) -> bytes:
-    facts = {"evaluation": evaluation.id, "problem": problem, "scenario": evaluation.scenario or ""}
-    facts |= {f"parameter {name}": value_text(value, None) for name, value in evaluation.parameters.items()}
-    recording = RecordedScenario(
-        evaluation.scenario or "", trace, run_facts(evaluation.score, evaluation.failure), units_of(client, problem)
-    )
-    return measurement([recording], facts, None)
 
 
 @app.command()

@@ -5,30 +5,27 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, BinaryIO, Literal, TextIO, TypeVar, cast, get_args
+from typing import Annotated, Any, BinaryIO, Literal, TextIO, cast, get_args
 
 import typer
 
 from drivecal.calibration_data.files import CalibrationFormat, labels_of
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, tell
-from drivecal.cli.commands.evaluate import trace_of, units_of
 from drivecal.cli.commands.problem import NamesOption
 from drivecal.cli.views.fronts import front_blocks
 from drivecal.cli.views.output import dumped, print_answer, print_blocks, print_columns, print_json, print_solutions
-from drivecal.cli.views.time_series import RecordedScenario, measurement, require_library, run_facts
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
 from drivecal.client.transport import harmless_text
 from drivecal.contracts.assignments import assignments, value_text
 from drivecal.contracts.results import TradeOff, ValuePair
-from drivecal.contracts.tables import FrontRow, Solution, TableName
+from drivecal.contracts.tables import TableName
 from drivecal.domain.errors import InvalidInputError, Problem, file_faults
 
-Ranked = TypeVar("Ranked", Solution, FrontRow)
-Format = Literal["csv", "parquet", "json", "dcm", "cdfx", "mf4"]
+Format = Literal["csv", "parquet", "json", "dcm", "cdfx"]
 ScoreOption = Annotated[
     str | None,
     typer.Option(
@@ -163,8 +160,8 @@ def export(
     url: UrlOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
 ) -> None:
-    """Write a whole table of a campaign to a file, or its best set as a calibration file (dcm, cdfx, or csv with --row) or as
-    time series of all scenarios (mf4)."""
+    """Write a whole table of a campaign to a file, or its best set as a calibration file (dcm, cdfx, or csv
+    with --row)."""
     form = "json" if as_json else form or _format_of(output)
     if weights is not None and table not in {"solutions", "front"}:
         raise typer.BadParameter("--weights needs --table solutions or front")
@@ -179,9 +176,7 @@ def export(
     query = {name: value for name, value in given.items() if value}
     with connect(url) as client:
         campaign_id = client.full_id(identifier)
-        if form == "mf4":
-            pieces = iter([_time_series(client, campaign_id, table, row or 1, query)])
-        elif form in {"dcm", "cdfx"} or row is not None or names is not None:
+        if form in {"dcm", "cdfx"} or row is not None or names is not None:
             pieces = iter([_calibration_file(client, campaign_id, table, form, row or 1, names, query)])
         else:
             pieces = _pieces(client, campaign_id, table, form, query)
@@ -222,42 +217,6 @@ def _refuse_unranked(table: TableName, query: Mapping[str, Any]) -> None:
         raise InvalidInputError(Problem("--table", f"{table} holds no ranked sets", "give --table solutions or front"))
     if "where" in query:
         raise InvalidInputError(Problem("--where", "a single set is chosen by its rank", "give --row, and --weights if wanted"))
-
-
-def _chosen(client: Client, identifier: str, table: TableName, row: int, query: Mapping[str, Any]) -> Solution | FrontRow:
-    weights = query.get("weights")
-    if table == "front":
-        return _of_rank(client.front(identifier, weights, everything="everything" in query), row, table)
-    return _of_rank(client.solutions(identifier, weights, row, query.get("score")).items, row, table)
-
-
-def _time_series(client: Client, identifier: str, table: TableName, row: int, query: Mapping[str, Any]) -> bytes:
-    """Returns the time series of the set of a rank in all its scenarios; the server simulates each once more."""
-    require_library()
-    _refuse_unranked(table, query)
-    chosen = _chosen(client, identifier, table, row, query)
-    if chosen.iteration is None or chosen.individual is None:
-        raise InvalidInputError(Problem("--row", "only other campaigns evaluated this set", "export it from one of them"))
-    campaign = client.campaign(identifier)
-    problem = str(campaign.spec["problem"])
-    units, recordings = units_of(client, problem), []
-    for scenario, score in chosen.scores.items():
-        cell = client.cell(identifier, chosen.iteration, chosen.individual, scenario)
-        trace = trace_of(client, str(cell))
-        known = {"evaluation": str(cell)} | run_facts(score, trace.failure)
-        known |= {"origin of the score": "taken from a reference"} if scenario in chosen.reused else {}
-        recordings.append(RecordedScenario(scenario, trace, known, units))
-    facts = {"campaign": campaign.id, "name": campaign.name, "set": f"{row} of {table}", "problem": problem}
-    facts |= {f"parameter {name}": value_text(value, None) for name, value in chosen.parameters.items()}
-    return measurement(recordings, facts, campaign.ended_at or campaign.created_at)
-
-
-def _of_rank(rows: Sequence[Ranked], rank: int, table: TableName) -> Ranked:
-    for row in rows:
-        if row.rank == rank:
-            return row
-    remedy = f"see drivecal {table} for those it has"
-    raise InvalidInputError(Problem("--row", f"the campaign has no set of rank {rank}", remedy))
 
 
 def _pieces(client: Client, identifier: str, table: TableName, form: Format, query: Mapping[str, Any]) -> Iterator[bytes]:

@@ -317,19 +317,6 @@ traces = Table(  # time series of single evaluations, asked for one by one and k
     Column("created_at", UtcDateTime, nullable=False),
 )
 
-saved_views = Table(  # addresses of the page that users named; `campaign` is empty for views of all campaigns
-    "saved_views",
-    metadata,
-    Column("sequence", Identity, primary_key=True),
-    Column("id", Name, nullable=False, unique=True),
-    Column("campaign", Name, nullable=False),
-    Column("name", Name, nullable=False),
-    Column("address", Text, nullable=False),
-    Column("created_at", UtcDateTime, nullable=False),
-    UniqueConstraint("campaign", "name"),
-    sqlite_autoincrement=True,
-)
-
 bundles = Table(  # problems that users pushed, each content once; a name means the last push (`storage.bundles`)
     "bundles",
     metadata,

@@ -19,7 +19,7 @@ from drivecal.storage import admission
 from drivecal.storage import campaigns as stored_campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.tables import campaigns, evaluations, influence_maps, leases, runs, saved_views, traces
+from drivecal.storage.engine.tables import campaigns, evaluations, influence_maps, leases, runs, traces
 from drivecal.storage.engine.types import now
 from drivecal.storage.retention import removal
 
@@ -90,7 +90,6 @@ def remove_cells(database: Database, sequence: int) -> None:
 
 
 def _mark(connection: Connection, sequence: int, identifier: str) -> None:
-    connection.execute(delete(saved_views).where(saved_views.c.campaign == identifier))
     emptied: dict[str, Any] = {
         "tags": [],
         "comment": "",
