@@ -220,7 +220,7 @@ class Placed(Model):
     s: Position
     speed: Speed
     edge: Edge | None = None
-    offset: Annotated[float, Field(ge=-5, le=5)] = 0.0
+    offset: Annotated[float, Field(ge=-50, le=50)] = 0.0
 
 
 class Ego(Placed):

@@ -94,7 +94,7 @@ class Drift(Trigger):
     """The vehicle drifts to `offset` (m, to the left of its lane's centre) in `seconds`, or at most at `lateral_acceleration` (m/s²)."""
 
     do: Literal["drift"]
-    offset: Annotated[float, Field(ge=-5, le=5)]
+    offset: Annotated[float, Field(ge=-50, le=50)]
     seconds: Annotated[float, Field(gt=0, le=600)] | None = None
     lateral_acceleration: Annotated[float, Field(gt=0, le=20)] | None = None
 

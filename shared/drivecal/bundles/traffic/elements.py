@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
-from drivecal.bundles.expressions import Formula, UndefinedError
+from drivecal.bundles.traffic.expressions import ExpressionError, evaluated
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -47,6 +47,11 @@ class Element(Attributes):
         self.known.append(key)
         text = super().text(key, default)
         return text if self.substitution is None or "$" not in text else self.substitution(self, text)
+
+    def parameter(self, key: str) -> str:
+        """Returns an attribute that names a parameter, with or without a dollar sign. Raises InvalidInputError if it is missing."""
+        self.known.append(key)
+        return super().text(key).strip().removeprefix("$")
 
     def number(self, key: str, lower: float, upper: float, default: float | None = None) -> float:
         """Returns a finite number between two bounds. Raises InvalidInputError."""
@@ -220,14 +225,14 @@ def declare(owner: Element, given: Mapping[str, object]) -> None:
     section = owner.optional("ParameterDeclarations")
     declarations = section.every("ParameterDeclaration") if section is not None else []
     for declaration in declarations:
-        name = declaration.text("name").removeprefix("$")
+        name = declaration.parameter("name")
         owner.parameters[name] = _text(given[name]) if name in given else declaration.text("value")
     known = list(owner.parameters)
     for name in given:
         if name not in owner.parameters:
             raise InvalidInputError(Problem(f"parameters.{name}", "the file declares no such parameter", nearest(name, known)))
     for declaration in declarations:
-        _check(declaration, declaration.text("name").removeprefix("$"), given)
+        _check(declaration, declaration.parameter("name"), given)
 
 
 def _check(declaration: Element, name: str, given: Mapping[str, object]) -> None:
@@ -252,24 +257,20 @@ def _holds(limit: Element, value: str) -> bool:
 
 
 def _computed(element: Element, expression: str) -> str:
-    values: dict[str, float] = {}
+    values: dict[str, float | bool] = {}
 
     def named(match: re.Match[str]) -> str:
-        name = f"p{len(values)}"
-        number = finite(_value(element, match[1]))
+        name, text = f"p{len(values)}_", _value(element, match[1])
+        number = {"true": True, "false": False}.get(text.strip().lower(), finite(text))
         if number is None:
             raise element.fault(f"the parameter {shown(match[1])} is not a number", "give it a number")
         values[name] = number
         return name
 
-    text = _NAME.sub(named, expression)
     try:
-        return _text(Formula(text, values, "expression")(values))
-    except InvalidInputError as error:
-        problem = error.problems[0]
-        raise element.fault(f"{shown('${' + expression + '}')}: {problem.message}", problem.remedy) from error
-    except UndefinedError as error:
-        raise element.fault(f"{shown('${' + expression + '}')} has no value: {error}", "give other parameters") from error
+        return _text(evaluated(_NAME.sub(named, expression), values))
+    except ExpressionError as error:
+        raise element.fault(f"{shown('${' + expression + '}')}: {error.message}", error.remedy) from error
 
 
 def _value(element: Element, name: str) -> str:

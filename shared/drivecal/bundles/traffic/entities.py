@@ -17,6 +17,7 @@ CATEGORIES: Mapping[str, str] = {
     "trailer": "trailer",
     "bus": "bus",
     "motorbike": "motorcycle",
+    "bicycle": "motorcycle",
 }
 """SUMO's class of vehicles by OpenSCENARIO's category."""
 LONGEST = 50.0
@@ -86,18 +87,22 @@ def entities_of(root: Element, files: Files, notes: Notes) -> dict[str, Entity]:
         if described.element == "CatalogReference":
             referring.setdefault(described.text("catalogName"), []).append((name, described, element))
         else:
-            entities[name] = _entity(name, described, element)
+            entities[name] = _entity(name, described, element, notes)
         if (controller := element.optional("ObjectController")) is not None:
             controller.skip()
             notes.add(controller, "ignored: controllers of the file do not drive")
     for catalog, uses in referring.items():
         file, entries = _catalog(catalog, uses[0][1], locations, files)
         for name, reference, element in uses:
-            entities[name] = _entity(name, _entry(file, entries, reference), element)
+            entities[name] = _entity(name, _entry(file, entries, reference), element, notes)
     return {name: entities[name] for name in names}
 
 
-def _entity(name: str, described: Element, element: Element) -> Entity:
+def _entity(name: str, described: Element, element: Element, notes: Notes) -> Entity:
+    for towed in described.every("Trailer"):
+        towed.skip()
+        if towed.children:
+            notes.add(element, f"{shown(name)} is driven without its trailer")
     vehicle_class = (
         CATEGORIES[described.word("vehicleCategory", CATEGORIES, "car")] if described.element == "Vehicle" else "passenger"
     )
@@ -142,7 +147,7 @@ def _declare(described: Element, reference: Element) -> None:
     """Takes the declarations of a catalog's entry with the values that a reference assigns. Raises InvalidInputError."""
     section = reference.optional("ParameterAssignments")
     assignments = section.every("ParameterAssignment") if section is not None else []
-    values = {assignment.text("parameterRef").removeprefix("$"): assignment.text("value") for assignment in assignments}
+    values = {assignment.parameter("parameterRef"): assignment.text("value") for assignment in assignments}
     try:
         declare(described, values)
     except InvalidInputError as error:

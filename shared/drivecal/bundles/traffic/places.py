@@ -261,6 +261,8 @@ def _projected(shape: Floats, x: float, y: float) -> tuple[float, float, float, 
 MOST_LANES = 1_000
 """Lanes in a row over which a relative place may lie."""
 LARGEST = 1e6
+MOST_ASIDE = 50.0
+"""Metres beside a lane's centre."""
 
 
 class Map:
@@ -294,7 +296,7 @@ class Map:
         if kind.element == "LanePosition":
             road = self._road(kind)
             lane, s = kind.integer("laneId", -64, 64), kind.number("s", 0.0, LARGEST)
-            return self._on_lane(road, lane, s, kind.number("offset", -10.0, 10.0, 0.0), kind)
+            return self._on_lane(road, lane, s, kind.number("offset", -MOST_ASIDE, MOST_ASIDE, 0.0), kind)
         if kind.element == "RoadPosition":
             return self._on_road(self._road(kind), kind.number("s", 0.0, LARGEST), kind.number("t", -100.0, 100.0), kind)
         other = kind.text("entityRef")
@@ -305,7 +307,7 @@ class Map:
             if there.road is None:
                 raise kind.fault(f"{shown(other)} is not placed by a road of the file", "give a LanePosition")
             return self._on_road(self._road(kind, there.road), there.s + ds, there.t + kind.number("dt", -100.0, 100.0), kind)
-        offset = kind.number("offset", -10.0, 10.0, 0.0)
+        offset = kind.number("offset", -MOST_ASIDE, MOST_ASIDE, 0.0)
         return self._beside(there, kind.integer("dLane", -30, 30), ds, offset, kind)
 
     def lane_index(self, edge: str, road_lane: int) -> int | None:
@@ -314,6 +316,11 @@ class Map:
             if any(origin.rpartition("_")[2] == str(road_lane) for origin in (lane.origin or "").split()):
                 return lane.index
         return None
+
+    def lane_numbers(self, edges: Sequence[str]) -> list[str]:
+        """Returns the numbers of the file's lanes from which edges were made."""
+        lanes = (lane for edge in edges for lane in self.network.edges[edge].lanes)
+        return sorted({origin.rpartition("_")[2] for lane in lanes for origin in (lane.origin or "").split()}, key=int)
 
     def moved(self, place: FilePlace, metres: float, element: Element) -> FilePlace:
         """Returns the place that lies so many metres along the lanes from a place, or before it. Raises InvalidInputError if they end."""

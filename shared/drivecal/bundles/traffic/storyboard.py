@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from drivecal.bundles.highway_actions import EGO
 from drivecal.bundles.traffic.conditions import LARGEST, Part, Parts, Reached, Triggers
 from drivecal.bundles.traffic.elements import Element, Notes, declare
-from drivecal.bundles.traffic.places import Map
+from drivecal.bundles.traffic.places import MOST_ASIDE, Map
 
 MOST_ACTIONS = 2_000
 IMMEDIATE = 0.1
@@ -181,15 +181,20 @@ class Storyboard:
             lanes = target.integer("value", -30, 30)
             widest = max(len(self._ways.roads.network.edges[edge].lanes) for edge in self._ways.edges[vehicle])
             if abs(lanes) >= widest:
-                raise target.fault(f"the road of the vehicle has only {widest} lanes", "give a lane of its direction")
+                message = (
+                    f"the vehicle's direction has only {widest} lanes, and no vehicle changes to those of the other direction"
+                )
+                raise target.fault(message, f"give a value between {1 - widest} and {widest - 1}")
             return ({} if other == vehicle else {"beside": other}) | {"by": lanes}
         number = target.integer("value", -64, 64)
         indices = {self._ways.roads.lane_index(edge, number) for edge in self._ways.edges[vehicle]} - {None}
-        if len(indices) != 1:
-            message = (
-                f"lane {number} has {'no place' if not indices else 'several places'} among the lanes of the vehicle's way"
-            )
+        if len(indices) > 1:
+            message = f"lane {number} has several places among the lanes of the vehicle's way"
             raise target.fault(message, "give a RelativeTargetLane")
+        if not indices:
+            known = ", ".join(self._ways.roads.lane_numbers(self._ways.edges[vehicle]))
+            message = f"lane {number} is not of the vehicle's direction, and no vehicle changes to a lane of the other one"
+            raise target.fault(message, f"give one of {known}" if known else "give a RelativeTargetLane")
         return {"lane": indices.pop()}
 
     def _offset(self, action: Element) -> dict[str, Any]:
@@ -199,7 +204,7 @@ class Storyboard:
         target = action.only("LaneOffsetTarget").only("AbsoluteTargetLaneOffset")
         return {
             "do": "drift",
-            "offset": target.number("value", -5.0, 5.0),
+            "offset": target.number("value", -MOST_ASIDE, MOST_ASIDE),
             "lateral_acceleration": dynamics.number("maxLateralAcc", 1e-3, 20.0),
         }
 

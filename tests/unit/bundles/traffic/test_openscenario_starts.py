@@ -269,6 +269,11 @@ CASES = {
     "sideways": (with_events(event("in", IN, when("Other", SIDEWAYS, "none"))), "direction is 'lateral'"),
     "kept speed": (with_events(other=OTHER.replace(absolute(25), KEPT)), "line 8, <SpeedAction>: a start speed that is kept"),
     "lateral": (with_events(event("in", IN, when("Ego", LATERAL))), "lateral"),
+    "oncoming lane": (with_events(event("in", change_of_lane('<AbsoluteTargetLane value="1"/>'))), "direction"),
+    "towards the oncoming lanes": (
+        with_events(event("in", change_of_lane('<RelativeTargetLane entityRef="Other" value="3"/>'))),
+        "other direction",
+    ),
     "other lane": (with_events(event("in", change_of_lane('<RelativeTargetLane entityRef="Ego" value="5"/>'))), "lanes"),
     "several that rise": (with_events(event("in", IN, when_all("rising"))), "rising"),
     "many conditions": (with_events(event("in", IN, *[when_time(1)] * 21)), "more than 20"),
@@ -281,6 +286,36 @@ CASES = {
     "two of a name": (scenario(CARS, EGO + OTHER).replace(b'name="Other"', b'name="Ego"'), "another entity"),
     "walks": (scenario(CARS | {"Other": PEDESTRIAN}, EGO + OTHER), "pedestrian"),
 }
+
+
+def test_a_catalog_takes_values_for_parameters_with_and_without_a_dollar_sign() -> None:
+    declared = (
+        '<ParameterDeclarations><ParameterDeclaration name="Long" parameterType="double" value="4"/>'
+        '<ParameterDeclaration name="TrailerRef" parameterType="string" value=""/></ParameterDeclarations>'
+    )
+    towing = '<Trailer><TrailerRef entityRef="$TrailerRef"/></Trailer>'
+    car = vehicle().replace('length="4.6"', 'length="$Long"').replace("<BoundingBox>", f"{declared}{towing}<BoundingBox>")
+    catalog = f'<OpenSCENARIO><FileHeader revMajor="1" revMinor="2"/><Catalog name="cars">{car}</Catalog></OpenSCENARIO>'
+    for sign in ("", "$"):
+        given = "".join(
+            f'<ParameterAssignment parameterRef="{sign}{name}" value="{value}"/>'
+            for name, value in (("Long", 7), ("TrailerRef", "T"))
+        )
+        assigned = f"<ParameterAssignments>{given}</ParameterAssignments>"
+        reference = f'<CatalogReference catalogName="cars" entryName="car">{assigned}</CatalogReference>'
+        content = scenario(CARS | {"Other": reference}, EGO + OTHER).replace(
+            b"<RoadNetwork>",
+            b'<CatalogLocations><VehicleCatalog><Directory path="./catalogs"/></VehicleCatalog></CatalogLocations><RoadNetwork>',
+        )
+        description = of_file(content, {"scenarios/catalogs/c.xosc": catalog.encode()})
+        assert description.scenario.traffic[0].length == 7.0
+        assert [note for note in description.notes if "without its trailer" in note]
+
+
+def test_an_obstacle_may_stand_far_beside_its_lane() -> None:
+    beside = start("Other", lane(-3, 400, -5.25), absolute(0))
+    (other,) = of_file(scenario(CARS, EGO + beside)).scenario.traffic
+    assert other.offset == pytest.approx(-5.25)
 
 
 @pytest.mark.parametrize("case", CASES)
