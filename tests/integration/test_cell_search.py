@@ -127,6 +127,10 @@ def test_a_search_resumes_between_a_closed_round_and_the_next_one(
                 with suppress(Killed):
                     finish(database, campaign, dispatcher(database))
         assert left == [0]
-        found.append(everything(database, campaign))
+        found.append((everything(database, campaign)[0], get(database, campaign).cells))
         database.dispose()
-    assert found[0] == found[1]
+    (whole, undisturbed), (cells, killed) = found
+    assert cells == whole[: len(cells)]
+    lost = undisturbed.requested - killed.requested  # the starts of cells at workers that died with their dispatcher
+    assert (undisturbed.runs - undisturbed.requested, killed.runs - killed.requested) == (0, lost)
+    assert (lost > 0) == (optimizer["kind"] == "cell_search")  # nothing is at a worker between two populations

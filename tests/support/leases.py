@@ -18,7 +18,9 @@ class MemoryLeases:
     breakdowns: dict[int, int] = field(default_factory=dict)
     exchanges: list[tuple[dict[int, int], dict[int, int], float]] = field(default_factory=list)
 
-    def exchange(self, returned: Mapping[int, int], wanted: Mapping[int, int], seconds: float) -> Mapping[int, int]:
+    def exchange(
+        self, returned: Mapping[int, int], wanted: Mapping[int, int], seconds: float, **_: object
+    ) -> Mapping[int, int]:
         failure = self.fails.pop(0) if self.fails else ""
         if failure == "before":
             raise UnavailableError("the database does not answer")

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from drivecal.domain.campaigns import StageName
-from drivecal.execution.scheduling.in_flight import Completed, Work
+from drivecal.execution.scheduling.in_flight import Completed, RunBudget, Work
 
 
 class Job(ABC):
@@ -17,6 +17,8 @@ class Job(ABC):
     """Whether work remains that needs no result."""
     asks_ahead: bool = False
     """Whether `work` may return more while earlier cells are at workers."""
+    budget: RunBudget | None = None
+    """What the scheduler may try again, after the first `work`; None without a limit."""
 
     @abstractmethod
     def work(self) -> list[Work]:

@@ -359,7 +359,8 @@ class Dispatcher:
 
     def _submit(self, active: Active, work: Sequence[Work]) -> None:
         if active.stopping is None:
-            self._pool.submit(*work, tag=active.tag, priority=active.priority)
+            budget = None if active.job is None else active.job.budget
+            self._pool.submit(*work, tag=active.tag, priority=active.priority, budget=budget)
 
     def _finish_stopping(self, active: Active) -> None:
         if self._pool.held(active.tag) or active.unwritten:

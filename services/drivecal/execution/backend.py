@@ -38,6 +38,8 @@ class Lost:
     detail: str
     seconds: float | None = None
     """Time of the worker; None if unknown."""
+    begun: bool = True
+    """False if the batch waited behind another one, so that none of its cells was simulated."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from drivecal.execution.measures import MEASURES
 from drivecal.execution.observing import Observer, breakdowns
 from drivecal.execution.probing import Disputes, Questions
 from drivecal.execution.scheduling.batching import BatchPolicy
-from drivecal.execution.scheduling.in_flight import Completed, Dispatch, Work
+from drivecal.execution.scheduling.in_flight import Completed, Dispatch, RunBudget, Work
 from drivecal.execution.scheduling.scheduler import Scheduler
 from drivecal.storage import leases
 from drivecal.storage.engine.database import Database
@@ -23,10 +23,19 @@ from drivecal.storage.engine.database import Database
 class Leases(Protocol):
     """Leases cells before they are sent. A lease holds until the cell's answer is stored, or until it is given back."""
 
-    def exchange(self, returned: Mapping[int, int], wanted: Mapping[int, int], seconds: float) -> Mapping[int, int]:
+    def exchange(
+        self,
+        returned: Mapping[int, int],
+        wanted: Mapping[int, int],
+        seconds: float,
+        *,
+        unstarted: Mapping[int, int],
+        twice: Collection[int],
+    ) -> Mapping[int, int]:
         """Gives back the leases of the cells in `returned`, then leases those in `wanted` for `seconds`, all or nothing.
 
-        Both map cell ids to the number of breakdowns so far. Returns the lease number of each granted cell; the others belong to another
+        Both map cell ids to the number of breakdowns so far. `unstarted`: starts of the simulator that did not happen for returned cells;
+        `twice`: wanted cells that are simulated twice. Returns the lease number of each granted cell; the others belong to another
         process or have an answer. Raises UnavailableError if the outcome is unknown: call it again with the wanted cells given back.
         """
 
@@ -37,11 +46,19 @@ class StoredLeases:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def exchange(self, returned: Mapping[int, int], wanted: Mapping[int, int], seconds: float) -> Mapping[int, int]:
+    def exchange(
+        self,
+        returned: Mapping[int, int],
+        wanted: Mapping[int, int],
+        seconds: float,
+        *,
+        unstarted: Mapping[int, int],
+        twice: Collection[int],
+    ) -> Mapping[int, int]:
         """Updates leases in one transaction. Raises UnavailableError, and SupersededError if another dispatcher was elected."""
         with MEASURES.timed("lease"), self._database.transaction() as connection:
-            leases.give_back(connection, returned)
-            return leases.take(connection, wanted, seconds)
+            leases.give_back(connection, returned, unstarted)
+            return leases.take(connection, wanted, seconds, twice)
 
 
 PATIENCE_WITH_REFUSALS = 30.0
@@ -72,6 +89,8 @@ class WorkPool:
         """Lease numbers of cells at workers."""
         self._returned: dict[int, int] = {}
         """Breakdowns of cells whose leases the next exchange gives back."""
+        self._unstarted: dict[int, int] = {}
+        """Starts of the simulator that did not happen for these cells."""
         self._completed: list[Completed] = []
         self._refusing_since: dict[tuple[str, SetupKey | None], float] = {}
         """Times of the first refusals, by worker and setup; None is the probe of any bundle."""
@@ -100,13 +119,16 @@ class WorkPool:
             return None
         return self._disputes.hopeless(self._scheduler.setups(tag), self._nodes)
 
-    def submit(self, *work: Work, tag: str, priority: int = 0) -> None:
-        """Queues cells and sends as many as workers have room for. Higher priorities go first. `tag` names the cells for `withdraw`.
+    def submit(self, *work: Work, tag: str, priority: int = 0, budget: RunBudget | None = None) -> None:
+        """Queues cells and sends as many as workers have room for. Higher priorities go first. `tag` names the cells for `withdraw`;
+        `budget` limits how often cells of this tag are tried again.
 
         Submit the setups of a generation together: with one after the other, all workers would take the first.
         Raises ValueError if a cell is in flight already, and UnavailableError if no cell can be leased: the cells then wait.
         """
         self._forget_disputes()
+        if budget is not None:
+            self._scheduler.limit(tag, budget)
         for cells in work:
             self._scheduler.add(cells, tag, priority)
         self._fill()
@@ -143,9 +165,9 @@ class WorkPool:
 
     def give_back(self, unwanted: Sequence[Completed]) -> None:
         """Gives back unstored results: their cells may be leased again."""
-        self._returned |= {
-            entry.result.id: entry.attempts - 1 for entry in unwanted if entry.lease is not None and not entry.shared
-        }
+        leased = [entry for entry in unwanted if entry.lease is not None and not entry.shared]
+        self._returned |= {entry.result.id: entry.attempts - 1 for entry in leased}
+        self._unstarted |= {entry.result.id: entry.unstarted for entry in leased}
 
     def close(self) -> None:
         """Ends the workers and drops unanswered cells."""
@@ -160,15 +182,25 @@ class WorkPool:
                 self._note_answer(event.batch_id, event.result)
             finished = self._scheduler.finished(event.batch_id, event.result)
         else:
-            finished = self._scheduler.lost(event.batch_id, event.worker, event.breakdown, event.detail, event.seconds)
+            finished = self._scheduler.lost(
+                event.batch_id, event.worker, event.breakdown, event.detail, event.seconds, begun=event.begun
+            )
         dispatch = self._sent.pop(event.batch_id, None)
         if dispatch is None:  # it came back before, and the scheduler ignored it too
             return []
         numbers = {cell: self._numbers.pop(cell, None) for cell in dispatch.breakdowns}
+        unstarted = _unstarted(dispatch, event)
         completed = [
-            replace(entry, lease=numbers[entry.result.id if entry.leader is None else entry.leader]) for entry in finished
+            replace(
+                entry,
+                lease=numbers[entry.result.id if entry.leader is None else entry.leader],
+                unstarted=0 if entry.shared else unstarted[entry.result.id],
+            )
+            for entry in finished
         ]
-        self._note_returned(dispatch, event, {completion.result.id for completion in completed})
+        final = {entry.result.id for entry in completed}
+        self._unstarted |= {cell: count for cell, count in unstarted.items() if cell not in final}
+        self._note_returned(dispatch, event, final)
         self._observer.came_back(dispatch, event, completed)
         return completed
 
@@ -243,19 +275,23 @@ class WorkPool:
         """Leases the cells of a round's dispatches at once and gives back due leases; returns the dispatches to send."""
         if self._leases is None:
             self._returned.clear()
+            self._unstarted.clear()
             return list(dispatches)
         if not dispatches and not self._returned:
             return []
         cells = {cell: count for dispatch in dispatches for cell, count in dispatch.breakdowns.items()}
+        twice = {cell.id for dispatch in dispatches for cell in dispatch.batch.cells if cell.check}
         seconds = max((_longest(dispatch.expected_seconds) for dispatch in dispatches), default=0.0)
         try:
-            granted = self._leases.exchange(self._returned, cells, seconds)
+            granted = self._leases.exchange(self._returned, cells, seconds, unstarted=self._unstarted, twice=twice)
         except UnavailableError:
             for dispatch in reversed(dispatches):
                 self._scheduler.take_back(dispatch.batch_id)
-            self._returned |= cells  # they may be leased, with only the answer lost
+            self._returned |= cells  # they may be leased, with only the answer lost: then they count as started
+            self._unstarted = {cell: count for cell, count in self._unstarted.items() if cell not in cells}
             raise
         self._returned.clear()
+        self._unstarted.clear()
         self._numbers |= granted
         left = (
             dispatch if granted.keys() >= dispatch.breakdowns.keys() else self._drop(dispatch, granted)
@@ -287,6 +323,16 @@ class WorkPool:
             del self._ask_again_at[worker, setup]
             self._refusing_since.pop((worker, setup), None)
             self._scheduler.ask_again(worker, setup)
+
+
+def _unstarted(dispatch: Dispatch, event: Finished | Lost) -> dict[int, int]:
+    """Returns by cell how many of the starts that its lease counts did not happen. What a lost worker had begun counts as started."""
+    planned = {cell.id: 1 + cell.check for cell in dispatch.batch.cells}
+    if isinstance(event, Lost):
+        return dict.fromkeys(planned, 0) if event.begun else planned
+    started = {answer.id: answer.starts for answer in event.result.results}
+    missing = planned if event.result.refusal is None else {}
+    return {cell: count - started.get(cell, missing.get(cell, 0)) for cell, count in planned.items()}
 
 
 def _longest(expected_seconds: float | None) -> float:

@@ -128,5 +128,6 @@ class WorkerProcess:
         seconds = self.busy_seconds()
         calls, self.calls = self.calls, deque()
         return [
-            Lost(call.batch_id, self.name, breakdown, detail, 0.0 if behind else seconds) for behind, call in enumerate(calls)
+            Lost(call.batch_id, self.name, breakdown, detail, 0.0 if behind else seconds, begun=not behind)
+            for behind, call in enumerate(calls)
         ]

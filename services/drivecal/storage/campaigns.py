@@ -342,7 +342,7 @@ def request_action(connection: Connection, campaign_id: str, action: Action) -> 
     changed = by_sequence(connection, campaign.sequence)
     state = CampaignState.CANCELLING if kind is EventKind.CANCELLING else changed.state
     if state.ended:
-        leases.forget(connection, campaign.sequence)
+        _forget_leases(connection, changed)
     _tell(connection, campaign.sequence, kind, state)
     return changed
 
@@ -455,9 +455,17 @@ def end(connection: Connection, sequence: int, state: CampaignState, error: str 
     )
     ended = connection.execute(statement).rowcount == 1
     if ended:
-        leases.forget(connection, sequence)
+        _forget_leases(connection, by_sequence(connection, sequence))
         _tell(connection, sequence, EventKind(state), state, **({} if error is None else {"error": error}))
     return ended
+
+
+def _forget_leases(connection: Connection, campaign: StoredCampaign) -> None:
+    """Counts what was started for cells that get no answer any more."""
+    started = leases.forget(connection, campaign.sequence)
+    counts = {stage: campaign.counts(stage) for stage in started}
+    changed = {stage: each.model_copy(update={"runs": each.runs + started[stage]}) for stage, each in counts.items()}
+    save_counts(connection, campaign.sequence, changed)
 
 
 def _tell(connection: Connection, sequence: int, kind: EventKind, state: CampaignState, **more: Any) -> None:

@@ -80,7 +80,10 @@ def insert(connection: Connection, campaign_sequence: int, cells: Sequence[Reque
 
 
 def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> int:
-    """Stores answers and returns how many. An answered cell keeps its answer, so that late results change nothing, and loses its lease."""
+    """Stores answers and returns the starts of the simulator for their cells.
+
+    An answered cell keeps its answer, so that late results change nothing, and loses its lease.
+    """
     if not answers:
         return 0
     statement = (
@@ -89,9 +92,10 @@ def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> int:
         .values({name: bindparam(f"new_{name}") for name in _ANSWER})
     )
     rows = [{"evaluation": answer.id} | {f"new_{name}": getattr(answer, name) for name in _ANSWER} for answer in answers]
-    answered = execute_rows(connection, statement, rows)
-    leases.end(connection, [answer.id for answer in answers])  # of an earlier attempt too: another cell's run may be the answer
-    return answered
+    execute_rows(connection, statement, rows)
+    return leases.end(
+        connection, [answer.id for answer in answers]
+    )  # of an earlier attempt too: another cell's run may be the answer
 
 
 _ANSWER = tuple(field.name for field in fields(AnsweredCell) if field.name != "id")

@@ -5,15 +5,19 @@ may be simulated more than once, after a crash of whatever process, but has one 
 (`processes`): they end with it, so that the next dispatcher need not wait for any of them. The breakdowns do not end: a cell that brings
 its workers down must not get three new attempts from every dispatcher.
 
+A lease also counts the starts of the simulator. It adds them before the cell is sent, and subtracts later those that did not happen, so
+that no start is missing after a crash: a cell that was at a worker then counts as started.
+
 A lease has no row of its own before it was taken once, and none any more when the cell has its answer.
 """
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 
-from sqlalchemy import Connection, bindparam, delete, literal, select, update
+from sqlalchemy import Connection, bindparam, case, delete, func, literal, select, update
 
+from drivecal.domain.campaigns import StageName
 from drivecal.storage.engine.bulk import among, insert, rows_among
 from drivecal.storage.engine.tables import evaluations, leases
 from drivecal.storage.engine.types import now
@@ -23,27 +27,30 @@ OVER = datetime(1970, 1, 1, tzinfo=UTC)
 """End of a lease that was given back: long ago, whatever the clock is set to afterwards."""
 
 
-def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float) -> dict[int, int]:
+def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float, twice: Collection[int] = ()) -> dict[int, int]:
     """Leases evaluations for `seconds`; returns the numbers of the granted leases by id. `breakdowns` says, by id,
-    how often each broke down so far.
+    how often each broke down so far; those in `twice` are simulated twice.
 
     Not granted are those that have their answer, those under a lease of this term that has neither expired nor been given back, and, on
     PostgreSQL, cells that another transaction is leasing: they are skipped without waiting.
     """
     term, moment = term_in_office(connection), now()
-    by_count: dict[int, list[int]] = defaultdict(list)
+    by_count: dict[tuple[int, int], list[int]] = defaultdict(list)
     for evaluation, count in sorted(breakdowns.items()):
-        by_count[count].append(evaluation)
+        by_count[count, 1 + (evaluation in twice)].append(evaluation)
     common = literal(term), literal(moment + timedelta(seconds=seconds), leases.c.expires_at.type)
     granted: dict[int, int] = {}
-    for count, wanted in by_count.items():
-        lease = select(evaluations.c.id, literal(1), literal(count), *common).where(evaluations.c.outcome.is_(None))
+    for (count, starts), wanted in by_count.items():
+        lease = select(evaluations.c.id, literal(1), literal(starts), literal(count), *common).where(
+            evaluations.c.outcome.is_(None)
+        )
         for condition in among(connection, evaluations.c.id, wanted):
             unanswered = lease.where(condition).with_for_update(skip_locked=True)
-            new = insert(connection, leases).from_select(["evaluation_id", "number", *_RENEWED], unanswered)
+            new = insert(connection, leases).from_select(["evaluation_id", "number", "starts", *_RENEWED], unanswered)
             statement = new.on_conflict_do_update(
                 index_elements=["evaluation_id"],
-                set_={"number": leases.c.number + 1} | {name: new.excluded[name] for name in _RENEWED},
+                set_={"number": leases.c.number + 1, "starts": leases.c.starts + starts}
+                | {name: new.excluded[name] for name in _RENEWED},
                 where=(leases.c.term != term) | (leases.c.expires_at <= moment),
             )
             rows = connection.execute(statement.returning(leases.c.evaluation_id, leases.c.number))
@@ -54,18 +61,23 @@ def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float) 
 _RENEWED = ("attempts", "term", "expires_at")
 
 
-def give_back(connection: Connection, breakdowns: Mapping[int, int]) -> None:
-    """Ends leases of this term whose cells have no answer, and notes how often each broke down so far, by id."""
+def give_back(connection: Connection, breakdowns: Mapping[int, int], unstarted: Mapping[int, int] | None = None) -> None:
+    """Ends leases of this term whose cells have no answer, and notes how often each broke down so far, by id; `unstarted`: how many of
+    their starts did not happen."""
     if not breakdowns:
         return
+    less = case((leases.c.expires_at == OVER, 0), else_=bindparam("unstarted"))  # once
     statement = (
         update(leases)
         .where(leases.c.evaluation_id == bindparam("evaluation"), leases.c.term == term_in_office(connection))
-        .values(attempts=bindparam("breakdowns"), expires_at=OVER)
+        .values(attempts=bindparam("breakdowns"), starts=leases.c.starts - less, expires_at=OVER)
     )
-    connection.execute(
-        statement, [{"evaluation": evaluation, "breakdowns": count} for evaluation, count in sorted(breakdowns.items())]
-    )
+    fewer = unstarted or {}
+    rows = [
+        {"evaluation": evaluation, "breakdowns": count, "unstarted": fewer.get(evaluation, 0)}
+        for evaluation, count in sorted(breakdowns.items())
+    ]
+    connection.execute(statement, rows)
 
 
 def current(connection: Connection, numbers: Mapping[int, int]) -> set[int]:
@@ -75,10 +87,19 @@ def current(connection: Connection, numbers: Mapping[int, int]) -> set[int]:
     return {evaluation for evaluation, number in rows if numbers[evaluation] == number}
 
 
-def end(connection: Connection, evaluation_ids: Sequence[int]) -> None:
-    """Ends the leases of answered evaluations; the caller stores the answers in the same transaction."""
-    for condition in among(connection, leases.c.evaluation_id, list(evaluation_ids)):
-        connection.execute(delete(leases).where(condition))
+def end(connection: Connection, evaluation_ids: Sequence[int]) -> int:
+    """Ends the leases of answered evaluations and returns their starts; the caller stores the answers in the same transaction."""
+    return sum(
+        sum(connection.execute(delete(leases).where(condition).returning(leases.c.starts)).scalars())
+        for condition in among(connection, leases.c.evaluation_id, list(evaluation_ids))
+    )
+
+
+def starts(connection: Connection, evaluation_ids: Sequence[int]) -> tuple[int, int]:
+    """Returns the starts for evaluations without an answer, and how many of the evaluations are at workers of this term."""
+    at_work = (leases.c.term == term_in_office(connection)) & (leases.c.expires_at != OVER)
+    rows = list(rows_among(connection, select(leases.c.starts, at_work), leases.c.evaluation_id, list(evaluation_ids)))
+    return sum(count for count, _ in rows), sum(bool(here) for _, here in rows)
 
 
 def breakdowns(connection: Connection, evaluation_ids: Sequence[int]) -> dict[int, int]:
@@ -87,9 +108,10 @@ def breakdowns(connection: Connection, evaluation_ids: Sequence[int]) -> dict[in
     return dict(rows_among(connection, query, leases.c.evaluation_id, list(evaluation_ids)))
 
 
-def forget(connection: Connection, campaign_sequence: int) -> None:
-    """Removes the leases of an ended campaign, whose other cells get no answer."""
-    pending = select(evaluations.c.id).where(
-        evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.outcome.is_(None)
-    )
-    connection.execute(delete(leases).where(leases.c.evaluation_id.in_(pending)))
+def forget(connection: Connection, campaign_sequence: int) -> dict[StageName, int]:
+    """Removes the leases of an ended campaign, whose other cells get no answer; returns their starts by stage."""
+    pending = (evaluations.c.campaign_sequence == campaign_sequence) & evaluations.c.outcome.is_(None)
+    total = select(evaluations.c.stage, func.sum(leases.c.starts)).join(leases).where(pending).group_by(evaluations.c.stage)
+    starts_by_stage = {StageName(stage): int(count) for stage, count in connection.execute(total)}
+    connection.execute(delete(leases).where(leases.c.evaluation_id.in_(select(evaluations.c.id).where(pending))))
+    return starts_by_stage

@@ -108,6 +108,8 @@ class CellResult:
     """CPU time (ms), part of `milliseconds`, of a second run."""
     wall_milliseconds: float | None = None
     """Wall-clock time of the run, without a second one; None for simulations that never wait."""
+    starts: int = 1
+    """Starts of the simulator for this result."""
 
     @property
     def run_milliseconds(self) -> float:

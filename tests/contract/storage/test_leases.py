@@ -57,6 +57,21 @@ def test_an_expired_lease_and_one_of_an_earlier_term_are_over(database: Database
     assert take(database, ids[:1]) == {}
 
 
+def test_a_lease_counts_starts_before_they_happen(database: Database) -> None:
+    ids = pending(database, 3)
+    with database.transaction() as connection:
+        leases.take(connection, dict.fromkeys(ids, 0), HOUR, twice={ids[0]})
+        for _ in range(2):  # the second has no effect
+            leases.give_back(connection, {ids[0]: 1, ids[1]: 0}, {ids[0]: 1, ids[1]: 1})
+        assert leases.starts(connection, ids) == (2, 1)
+    take(database, ids[:2])
+    with database.transaction() as connection:
+        assert leases.starts(connection, ids) == (4, 3)
+        assert leases.end(connection, ids[:1]) == 2
+        sequence = connection.scalar(text("SELECT campaign_sequence FROM evaluations WHERE id = :id"), {"id": ids[0]})
+        assert leases.forget(connection, int(sequence)) == {StageName.CALIBRATION: 2}
+
+
 def test_what_has_its_answer_is_not_leased(database: Database) -> None:
     ids = pending(database, 3)
     with database.transaction() as connection:

@@ -133,6 +133,8 @@ class BundleSessions:
         """Time at which a start failed without other sessions: it lacks something else than what those hold."""
         self._clock = clock
         self._running = threading.Lock()
+        self._starts = 0
+        """Runs that were begun for the current cell."""
         self._watched = False
 
     def run(self, setup: SetupRequest, cell: Cell) -> CellResult:
@@ -141,6 +143,7 @@ class BundleSessions:
         Raises UnavailableError if this machine cannot run the simulator, UnsuitableError if none can.
         """
         with self._running:
+            self._starts = 0
             try:
                 try:
                     return self._run(setup, cell)
@@ -180,12 +183,17 @@ class BundleSessions:
         began = time.perf_counter()  # a start's time is no run's
         parameters = {name: cell.parameters[name] for name in setup.parameters} | dict(setup.varied)
         parameters |= {name: int(parameters[name]) for name in setup.integers}
+        self._starts += 1
         try:
             outcome = session.evaluate(parameters, series=cell.trace)
             trace = _series(outcome) if cell.trace else None
         except NoMeasuresError as error:
             milliseconds = milliseconds_since(start) + 1000 * error.cpu_seconds
-            return CellResult(cell.id, None, None, {}, None, milliseconds, error.breakdown.value, str(error), contained=True)
+            return CellResult(
+                *(cell.id, None, None, {}, None, milliseconds, error.breakdown.value, str(error)),
+                contained=True,
+                starts=self._starts,
+            )
         milliseconds = milliseconds_since(start) + 1000 * outcome.cpu_seconds
         wall_milliseconds = 1000 * (time.perf_counter() - began - outcome.start_seconds)
         repeats, spent = self._repeated(setup, parameters, outcome) if cell.check else (None, 0.0)
@@ -200,11 +208,13 @@ class BundleSessions:
             trace=trace,
             checking=spent,
             wall_milliseconds=wall_milliseconds,
+            starts=self._starts,
         )
 
     def _repeated(self, setup: SetupRequest, parameters: Mapping[str, Any], outcome: RunOutcome) -> tuple[bool | None, float]:
         """Runs a cell again. Returns whether the outcome is the same, None if the simulator cannot start again, and the CPU time (ms)."""
         start = time.thread_time_ns()
+        self._starts += 1
         try:
             again = self._sessions[setup.key].evaluate(parameters)
         except NoMeasuresError as error:
@@ -213,6 +223,7 @@ class BundleSessions:
             # The first outcome counts all the same, or the cell would come back again and again. The next one begins with all checks.
             log.warning("a run of %s cannot be repeated: %s", setup.problem, error)
             self._drop(setup.key)
+            self._starts -= 1
             return None, milliseconds_since(start)
         same = (again.failure, dict(again.measures)) == (outcome.failure, dict(outcome.measures))
         return same, milliseconds_since(start) + 1000 * again.cpu_seconds

@@ -18,10 +18,10 @@ from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
-from drivecal.domain.evaluations import COPIES, Donor, Outcome, Rating, RequestedCell
+from drivecal.domain.evaluations import COPIES, Breakdown, Donor, Outcome, Rating, RequestedCell
 from drivecal.domain.scales import plain
 from drivecal.execution.measures import MEASURES
-from drivecal.execution.scheduling.in_flight import Completed, Work
+from drivecal.execution.scheduling.in_flight import Completed, RunBudget, Work
 from drivecal.reduction.audit import is_checked
 from drivecal.storage import evaluations, leases, results, traces
 from drivecal.storage.evaluations import AnsweredCell
@@ -91,6 +91,10 @@ class CellTracker:
         self._evaluator_id = view.bench.evaluator_id
         self._from_series = view.bench.needs_series
         self.simulating_seconds = simulating_seconds
+        self.budget = RunBudget()
+        """Changes with every request and answer."""
+        self._counts_starts = False
+        """Whether the budget lacks the cells without an answer."""
         self.faults = ScoreFaults(view.bench, self._counts)
         self.broken: str | None = None
         """Scenario, cause, number and parameter set of the first cell without a result; None before."""
@@ -116,6 +120,9 @@ class CellTracker:
     def request(self, connection: Connection, cells: Sequence[RequestedCell], carried_over: int) -> None:
         """Stores a planned population. Copies of stored results are answered at once."""
         evaluations.insert(connection, self._view.campaign, cells)
+        self.budget.kept = max(0.0, self.budget.kept - len(cells))
+        if not self._counts_starts:
+            self.budget.left -= sum(not cell.answered_at_once for cell in cells)
         self._counts["proposed"] += len(cells) + carried_over
         self._counts["carried_over"] += carried_over
         for cell in cells:
@@ -125,6 +132,16 @@ class CellTracker:
                 self._counts["pending"] += 1
         stored = [(cell.scenario, cell.donor) for cell in cells if cell.answered_at_once and cell.donor is not None]
         self.faults.note_stored(connection, stored)
+
+    def limit(self, runs: int, cells: int) -> None:
+        """Limits the runs of this stage, before its cells are loaded.
+
+        Args:
+            runs: most starts of the simulator, those so far included.
+            cells: most cells that the search may ask for, those so far included; 0 if it does not ask by the cell.
+        """
+        kept = max(0, cells - self._counts["requested"] - self._counts["pending"])
+        self.budget, self._counts_starts = RunBudget(runs - self._counts["runs"], kept), True
 
     def load(self, connection: Connection, *, share_runs: bool, benches: Sequence[Bench] = ()) -> list[Work]:
         """Loads the cells that wait for an answer, draws the samples of new lots, and returns the work to simulate, without the cells that
@@ -158,9 +175,28 @@ class CellTracker:
             if share_runs:
                 self._share_runs(connection, answers, self._pending.values())
         self._breakdowns = leases.breakdowns(connection, list(self._pending))
+        if self._counts_starts:
+            started, at_work = leases.starts(connection, list(self._pending))
+            self.budget.left -= started + len(self._pending) - at_work
+            self._counts_starts = False
+            self._fail_unaffordable(connection)
         wanted = [cell for cell in self._pending.values() if cell.plan is Outcome.SIMULATED and cell.id not in earlier]
         self._returned = earlier | {cell.id for cell in wanted}
         return self._work(wanted)
+
+    def _fail_unaffordable(self, connection: Connection) -> None:
+        """Fails the newest cells if earlier runs of theirs were lost with a dispatcher and the budget has no others."""
+        answers: list[AnsweredCell] = []
+        orphans: list[StoredEvaluation] = []
+        for cell in sorted(self._pending.values(), key=lambda cell: -cell.id):
+            if self.budget.left >= 0:
+                break
+            if cell.plan is Outcome.SIMULATED and cell.id in self._pending:
+                detail = "its run was lost with the dispatcher, and the budget has no other"
+                lost = CellResult(cell.id, None, None, {}, None, 0.0, Breakdown.CRASH.value, detail)
+                orphans += self._break_down(cell, Completed("", "", lost, 0, leader=cell.id), answers)
+        self._store(connection, answers)
+        evaluations.simulate_instead(connection, [orphan.id for orphan in orphans])
 
     def record(self, connection: Connection, completed: Sequence[Completed]) -> list[Work]:
         """Stores the results of simulated cells and of their copies; returns the work to simulate instead.
@@ -192,21 +228,25 @@ class CellTracker:
         if orphans and not self._exclusive:  # the sample of a lot may hold the very cell
             known: list[AnsweredCell] = []
             self._share_runs(connection, known, orphans)
-            evaluations.answer(connection, known)
+            self._store(connection, known)
             orphans = [orphan for orphan in orphans if orphan.id in self._pending]
         return self._work([*again, *orphans])
 
     def _settle(self, connection: Connection, answers: list[AnsweredCell]) -> list[StoredEvaluation]:
         """Stores answers and the verdicts that follow from them; returns the cells that are to be simulated instead."""
-        evaluations.answer(connection, answers)
+        self._store(connection, answers)
         released, rejected = self._inspection.conclude(connection, self._pending.keys())
         for cell, answer in released:
-            self._close(cell, answer.outcome)
+            self._close(cell, answer.outcome, is_own=False)
         reused = [answer for _, answer in released if answer.outcome is not Outcome.PREDICTED]
-        evaluations.answer(connection, reused)
+        self._store(connection, reused)
         for cell in rejected:
             self._pending[cell.id] = replace(cell, plan=Outcome.SIMULATED, reference=None)
         return [self._pending[cell.id] for cell in rejected]
+
+    def _store(self, connection: Connection, answers: Sequence[AnsweredCell]) -> None:
+        """Stores answers, and counts the starts of the simulator for their cells."""
+        self._counts["runs"] += evaluations.answer(connection, answers)
 
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
         """Cells whose results come from a lease that is over. A result obtained for another cell has no lease of its own."""
@@ -240,6 +280,7 @@ class CellTracker:
     def _cell(self, pending: StoredEvaluation) -> Cell:
         share = self._view.bench.repeated_share
         twice = share is not None and is_checked(pending.scenario, pending.parameters, share, self._view.campaign)
+        twice = twice and self.budget.take(beyond=self.budget.kept)
         return Cell(pending.id, pending.parameters.floats, check=twice, trace=self._view.traced)
 
     def _share_runs(self, connection: Connection, answers: list[AnsweredCell], cells: Iterable[StoredEvaluation]) -> None:
@@ -277,7 +318,7 @@ class CellTracker:
             self._answer(cell, donor, answers)
         else:
             self.simulating_seconds += completion.result.milliseconds / 1000
-            self._counts["runs"] += completion.attempts + (completion.result.repeats is not None)
+            self._return_unstarted(completion)
             self._answer(cell, donor, answers, completion)
 
     def _answer(
@@ -293,13 +334,13 @@ class CellTracker:
                     agrees=self._inspection.compare(other, result.score),
                 )
             )
-            self._close(other, other.plan)
+            self._close(other, other.plan, is_own=own is not None)
 
     def _break_down(self, cell: StoredEvaluation, completion: Completed, answers: list[AnsweredCell]) -> list[StoredEvaluation]:
         """Fails a cell without a result after all attempts. Copies of the same parameter set fail with it; other copies become orphans."""
         orphans: list[StoredEvaluation] = []
         if not completion.shared:
-            self._counts["runs"] += completion.attempts
+            self._return_unstarted(completion)
         detail = None if completion.result.detail is None else _storable(completion.result.detail)
         if self.broken is None:
             self.broken = f"{cell.scenario}: {completion.result.breakdown}: {detail or 'no message'} ({_place(cell)})"
@@ -316,12 +357,17 @@ class CellTracker:
                     detail=detail,
                 )
             )
-            self._close(other, Outcome.FAILED)
+            self._close(other, Outcome.FAILED, is_own=own is not None)
         for position, other in enumerate(orphans):
             orphans[position] = self._pending[other.id] = replace(other, plan=Outcome.SIMULATED, reference=None)
         return orphans
 
-    def _close(self, cell: StoredEvaluation, outcome: Outcome) -> None:
+    def _return_unstarted(self, completion: Completed) -> None:
+        self._counts["runs"] -= completion.unstarted
+        self.budget.left += completion.unstarted
+
+    def _close(self, cell: StoredEvaluation, outcome: Outcome, *, is_own: bool) -> None:
+        self.budget.left += not is_own
         del self._pending[cell.id]
         self._counts["pending"] -= 1
         self._count(outcome)

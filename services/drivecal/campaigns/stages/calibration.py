@@ -7,6 +7,7 @@ On request, later rounds confirm the best set (`confirmation`). Their cells belo
 belong to no generation.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -33,7 +34,7 @@ from drivecal.campaigns.stages.asking import (
     room_for,
 )
 from drivecal.campaigns.stages.stage import Round, Stage
-from drivecal.campaigns.stages.task import search_task
+from drivecal.campaigns.stages.task import most_cells, search_task
 from drivecal.contracts.campaign import (
     Baseline,
     Best,
@@ -114,6 +115,10 @@ class Calibration(Stage):
         self._confirming: Confirming | None = None
         """The sets that are simulated after the search; None before its end."""
         self._confirmation = campaign.confirmation
+        if problem.optimization.budget is not None and problem.optimization.budget.simulations is not None:
+            runs = problem.optimization.budget.simulations
+            self._tracker.limit(runs, 0 if self._by_cell is None else most_cells(runs, problem.bench.repeated_share))
+            self.budget = self._tracker.budget
 
     @property
     def _at_most(self) -> int:
@@ -185,7 +190,9 @@ class Calibration(Stage):
         for iteration, individual, scenario in evaluations.places(connection, self._campaign.sequence, self.name):
             cells.setdefault(iteration, []).append((individual, places[scenario]))
         return [
-            AskedRound(np.array(population, dtype=np.int64), np.ones(len(population), dtype=np.bool_), cells[number], {})
+            AskedRound(
+                np.array(population, dtype=np.int64), np.ones(len(population), dtype=np.bool_), cells.get(number, []), {}
+            )
             for number, population in enumerate(generations.populations(connection, self._campaign.sequence))
         ]
 
@@ -245,7 +252,7 @@ class Calibration(Stage):
             return None
         if budget.minutes is not None and search.minutes(now()) >= budget.minutes:
             return "budget"
-        if budget.simulations is not None and self._tracker.counts.get("runs", 0) + self._tracker.waiting >= budget.simulations:
+        if budget.simulations is not None and self._room < 1:
             return "budget"
         return "stagnation" if search.stood_still_at is not None and search.stood_still_at <= number - self._window else None
 
@@ -283,9 +290,7 @@ class Calibration(Stage):
             raise RuntimeError("the stage has not started")
         (self._asker, asked), self._computation = self._computation.result(), None
         if asked is None:
-            limit = None if self._optimization.budget is None else self._optimization.budget.simulations
-            used_up = limit is not None and CellCounts(**self._tracker.counts).requested + self._tracker.waiting >= limit
-            self._end_search("budget" if used_up else "stagnation")
+            self._end_search("budget" if self._room < 1 else "stagnation")
             return None
         number, self._next = self._next, self._next + 1
         self._asked[number] = asked
@@ -342,10 +347,17 @@ class Calibration(Stage):
             given = range(len(self._problem.start_sets)) if asked.number == 0 else ()
             reaches = None if self._problem.goals is None else self._ranking.reaches_front
             planned = self._planner.plan(connection, planned, None if best is None else best.objective, given, reaches)
-        return planned if self._by_cell is not None else self._within_budget(planned)
+        return self._within_budget(planned)
+
+    @property
+    def _room(self) -> float:
+        """Cells that the search may ask for; infinite without a budget of simulations."""
+        budget = self._tracker.budget
+        return budget.left if self._by_cell is None or math.isinf(budget.left) else min(budget.left, budget.kept)
 
     def _within_budget(self, planned: list[RequestedCell]) -> list[RequestedCell]:
-        """Returns the cells of the first individuals for which the budget suffices; the search ends with them if it does not for all.
+        """Returns the cells of the first individuals for which the budget suffices, or the first cells of a search by the cell; the search
+        ends with them if it does not for all.
 
         Every cell that a worker may have to simulate counts, also one whose lot may be rejected. Some simulations are left to confirm the
         best set.
@@ -353,14 +365,17 @@ class Calibration(Stage):
         budget = self._optimization.budget
         if budget is None or budget.simulations is None:
             return planned
+        if self._by_cell is not None:
+            if len(planned) > self._room:
+                self._end_search("budget")
+            return planned[: max(0, int(self._room))]
         reduction = self._problem.specification.reduction
         kept_back = (
             min(reduction.confirm, CONFIRMED) * len(self._problem.scenarios)
             if self._policy().mode not in {"off", "exact"}
             else 0
         )
-        room = budget.simulations - self._tracker.counts.get("runs", 0) - self._tracker.waiting
-        room -= min(kept_back, budget.simulations // 10)
+        room = self._room - min(kept_back, budget.simulations // 10)
         last = None
         for cell in planned:
             room -= not cell.answered_at_once
@@ -419,7 +434,7 @@ class Calibration(Stage):
             if tried:
                 self._describe_best(connection)
             chosen = self._confirming.choose(self._ranking)
-            if chosen is not None and not self._can_afford(len(chosen.reused)):
+            if chosen is not None and len(chosen.reused) > self._tracker.budget.left:
                 chosen = None
             if chosen is None:
                 self._end_confirmation(connection, self._confirming)
@@ -431,12 +446,6 @@ class Calibration(Stage):
         wanted = [RequestedCell(0, scenario, parameters) for scenario in chosen.reused]
         tried.append(chosen.parameter_set)
         return Round(first + len(tried) - 1, [(self._problem.bench, wanted)], Policy("exact"))
-
-    def _can_afford(self, simulations: int) -> bool:
-        """Returns whether the budget has this many simulations left."""
-        budget = self._optimization.budget
-        used = self._tracker.counts.get("runs", 0)
-        return budget is None or budget.simulations is None or used + simulations <= budget.simulations
 
     def _end_confirmation(self, connection: Connection, confirming: Confirming) -> None:
         """Stores the outcome of the confirmation, once; its simulations may contradict others."""

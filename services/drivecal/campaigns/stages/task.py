@@ -1,5 +1,6 @@
 """The task of a search by the cell: the space, the aim, and the answers that are stored before the campaign begins."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -48,6 +49,7 @@ def search_task(
             return start_population("lhs", count, area.n_values, generator, None)
         return area.contract(region.sample(count, generator))
 
+    budget = None if chosen.budget is None else chosen.budget.simulations
     is_cut_off = problem.specification.reduction.mode == "off"
     known = [] if is_cut_off else _known(database, view, problem, area, aim)
     start = area.contract(problem.start_indices)
@@ -61,9 +63,14 @@ def search_task(
         sample=sample,
         start=np.concatenate([start, np.array(best, dtype=np.int64).reshape(len(best), len(area.n_values))]),
         known=[answer for answer in known if answer.cell.indices not in best],
-        cells=None if chosen.budget is None else chosen.budget.simulations,
+        cells=None if budget is None else most_cells(budget, problem.bench.repeated_share),
         window=WINDOW,
     )
+
+
+def most_cells(runs: int, repeated_share: float | None) -> int:
+    """Returns the cells that a search may ask for in a budget of runs: `repeated_share` of the simulated cells run twice."""
+    return runs - math.ceil(runs * (repeated_share or 0.0) / (1.0 + (repeated_share or 0.0)))
 
 
 def best_known(aim: Aim, known: Sequence[CellAnswer]) -> list[tuple[int, ...]]:

@@ -6,6 +6,7 @@ and answers all claims. Claims can therefore come and go without rearrangement.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,21 @@ Identity = tuple[SetupKey, tuple[str, ...], bytes]
 _TEXT = struct.pack("d", float("nan"))
 WITNESSES = 2
 """Workers that must report an exception before it counts: a worker or an earlier cell of the batch may be to blame."""
+
+
+@dataclass(slots=True)
+class RunBudget:
+    """Runs that a campaign may start, besides one for each of its cells without an answer: its stage and the scheduler share it."""
+
+    left: float = math.inf
+    kept: float = 0.0
+    """Those of them that are kept for cells that its search will ask for."""
+
+    def take(self, *, beyond: float = 0.0) -> bool:
+        """Takes a run if more than `beyond` are left; returns whether there was one."""
+        affordable = self.left >= beyond + 1
+        self.left -= affordable
+        return affordable
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +173,8 @@ class Completed:
     """The id of the identical cell that was sent instead; None if the cell was sent itself."""
     lease: int | None = None
     """The number of the lease of the result (the leader's, if any); the pool fills it in."""
+    unstarted: int = 0
+    """Starts of the simulator that the lease counts and that did not happen; the pool fills it in."""
 
     @property
     def shared(self) -> bool:

@@ -11,12 +11,22 @@ replacement of the only worker. A refusal of a setup says nothing about the cell
 import itertools
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from drivecal.contracts.work import Batch, BatchResult, CellResult, SetupKey
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.affinity import SetupAffinity
 from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, batch_size
-from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, Completed, Dispatch, InFlightCells, Replacement, Work
+from drivecal.execution.scheduling.in_flight import (
+    WITNESSES,
+    Claim,
+    Completed,
+    Dispatch,
+    InFlightCells,
+    Replacement,
+    RunBudget,
+    Work,
+)
 from drivecal.execution.scheduling.queue import ClaimGroup, FairQueue, Line
 from drivecal.execution.scheduling.reservation import Reservation
 from drivecal.execution.scheduling.worker_health import WorkerHealth
@@ -54,7 +64,12 @@ class Scheduler:
         self._sent: dict[int, _Sent] = {}
         self._changed: dict[int, int] = {}
         """Breakdowns that are not reported yet."""
+        self._budgets: dict[str, RunBudget] = {}
         self._batch_ids = itertools.count(1)
+
+    def limit(self, tag: str, budget: RunBudget) -> None:
+        """Sets the budget of a campaign: from now on its cells are tried again as long as that lasts."""
+        self._budgets[tag] = budget
 
     def add(self, work: Work, tag: str, priority: int = 0) -> None:
         """Queues cells of the campaign `tag`; each gets at least one attempt, whatever its earlier breakdowns.
@@ -190,10 +205,10 @@ class Scheduler:
         return any(not leader.withdrawn for leader in self._sent[batch_id].leaders)
 
     def lost(
-        self, batch_id: int, worker: str, breakdown: Breakdown, detail: str, seconds: float | None = None
+        self, batch_id: int, worker: str, breakdown: Breakdown, detail: str, seconds: float | None = None, *, begun: bool = True
     ) -> list[Completed]:
-        """Takes the loss of a batch: its cells are tried again one by one, and fail without attempts left. `seconds`: the worker's time, if
-        known, which is charged to the campaign."""
+        """Takes the loss of a batch: its cells are tried again one by one, and fail without attempts left, or without a budget for another
+        one. `seconds`: the worker's time, if known, which is charged to the campaign; `begun`: see `Lost`."""
         sent = self._sent.pop(batch_id, None)
         if sent is None:
             return []
@@ -201,7 +216,8 @@ class Scheduler:
         self._affinity.came_back(sent.leaders[0].simulation.key, failed=True)
         answers = [(leader, _broken(leader, breakdown, detail)) for leader in sent.leaders]
         if breakdown is not Breakdown.ERROR:  # the worker is gone as well
-            return [done for answer in answers for done in self._again_or_failed(*answer, worker, alone=sent.alone)]
+            again = partial(self._again_or_failed, worker=worker, alone=sent.alone, begun=begun)
+            return [done for answer in answers for done in again(*answer)]
         self._worker_health.failed(worker, detail)
         return [done for answer in answers for done in self._broke_down(*answer, worker, alone=sent.alone)]
 
@@ -216,6 +232,7 @@ class Scheduler:
                 self._forget(claim)
         self._queue.forget(tag)
         self._reservation.forget(tag)
+        self._budgets.pop(tag, None)
         return running
 
     def keep(self, tag: str, cells: Collection[int]) -> set[int]:
@@ -317,7 +334,9 @@ class Scheduler:
             self._worker_health.confirmed(simulation.witnesses)
         return self._again_or_failed(leader, answer, worker, alone=alone)
 
-    def _again_or_failed(self, leader: Claim, answer: CellResult, worker: str, *, alone: bool) -> list[Completed]:
+    def _again_or_failed(
+        self, leader: Claim, answer: CellResult, worker: str, *, alone: bool, begun: bool = True
+    ) -> list[Completed]:
         simulation = leader.simulation
         # a suspect may be in a batch all the same; a breakdown there proves nothing against it
         simulation.breakdowns = min(simulation.breakdowns + 1, ATTEMPTS if alone else ATTEMPTS - 1)
@@ -325,11 +344,17 @@ class Scheduler:
         if settled or simulation.breakdowns >= ATTEMPTS:
             return self._complete(leader, answer, worker, simulation.breakdowns)
         simulation.leader = None
+        completed: list[Completed] = []
         if leader.withdrawn:  # with attempts left it has not failed: it was not simulated
             self._forget(leader)
-        self._changed |= {claim.cell.id: simulation.breakdowns for claim in simulation.claims}
+        elif begun and not self._budgets.get(leader.tag, RunBudget()).take():
+            completed.append(Completed(leader.tag, worker, answer, simulation.breakdowns))
+            self._forget(leader)
+        for claim in simulation.claims:
+            claim.cell = replace(claim.cell, check=False)  # a suspect is simulated once
+            self._changed[claim.cell.id] = simulation.breakdowns
         self._queue.put(simulation)
-        return []
+        return completed
 
     def _complete(self, leader: Claim, answer: CellResult, worker: str, attempts: int) -> list[Completed]:
         """Completes the claims to a simulation."""

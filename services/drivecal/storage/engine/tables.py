@@ -295,6 +295,7 @@ leases = Table(  # cells at workers, and those that broke down there before; a c
     Column("evaluation_id", Identity, ForeignKey("evaluations.id"), primary_key=True, autoincrement=False),
     Column("number", Integer, nullable=False),
     Column("attempts", Integer, nullable=False),
+    Column("starts", Integer, nullable=False),  # of the simulator, for this cell; none is missing
     Column("term", Integer, nullable=False),
     Column("expires_at", UtcDateTime, nullable=False),
 )

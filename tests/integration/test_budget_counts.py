@@ -1,0 +1,109 @@
+"""`runs` counts every start of the simulator, whatever breaks, and never exceeds the budget."""
+
+from __future__ import annotations
+
+import random
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.cell_search import CellSearchPlugin
+from tests.support.computed import ComputedBackend, computed
+from tests.support.databases import migrated
+from tests.support.runs import dispatcher, get, submit
+
+from drivecal.campaigns.resolve.bench import Bench
+from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult
+from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.backend import Finished, Lost
+from drivecal.plugins import registry
+
+
+@dataclass
+class Breaking(ComputedBackend):
+    """Counts as a simulator would; batches are lost, refused or broken by chance."""
+
+    started: int = 0
+    """Runs that simulators began."""
+    unknown: int = 0
+    """Runs that no simulator began, of batches of which nobody can know that."""
+    kinds: list[str] = field(default_factory=list)
+
+    def wait(self, timeout: float) -> list[Finished | Lost]:
+        return [self._turn(event) for event in super().wait(timeout)]
+
+    def kill(self) -> None:
+        """The dispatcher dies, and its workers with it."""
+        for _, batch in self._outstanding:
+            self._begin_some(batch)
+        self._outstanding.clear()
+
+    def _begin_some(self, batch: Batch) -> None:
+        planned = sum(1 + cell.check for cell in batch.cells)
+        begun = self._random.randint(0, planned)
+        self.started += begun
+        self.unknown += planned - begun
+
+    def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
+        super().submit(worker, batch_id, batch, expected_seconds, alone=alone)
+        self._batches = getattr(self, "_batches", {}) | {batch_id: batch}
+
+    def _turn(self, event: Finished | Lost) -> Finished | Lost:
+        assert isinstance(event, Finished)
+        batch: Batch = self._batches[event.batch_id]
+        kind = self._random.choices(["well", "lost", "behind", "refused"], [20, 2, 1, 1])[0]
+        self.kinds.append(kind)
+        if kind == "lost":
+            self._begin_some(batch)
+            return Lost(event.batch_id, self._name, Breakdown.CRASH, "it died")
+        if kind == "behind":
+            return Lost(event.batch_id, self._name, Breakdown.CRASH, "it died", 0.0, begun=False)
+        if kind == "refused":
+            done = event.result.results[: self._random.randint(0, len(batch.cells) - 1)]
+            self.started += sum(result.starts for result in done)
+            self.replace(self._name, None)
+            return Finished(event.batch_id, BatchResult(event.result.worker, done, 0.01, "no licence"))
+        self.started += sum(result.starts for result in event.result.results)
+        return event
+
+
+def breaking(cell: Cell, scenario: str, draws: random.Random) -> CellResult:
+    """A result, or a crash or a hang of the simulator that its worker noticed."""
+    if draws.random() < 0.1:
+        kind = draws.choice([Breakdown.CRASH, Breakdown.HANG]).value
+        return CellResult(cell.id, None, None, {}, None, 7.0, kind, "exit code 7", contained=True)
+    result = computed(scenario, cell)
+    repeats = True if cell.check else None
+    return CellResult(
+        result.id, result.rating, result.score, result.metrics, result.failure, 7.0, repeats=repeats, starts=1 + cell.check
+    )
+
+
+@pytest.mark.parametrize("seed", [*range(6), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(6, 50))])
+def test_runs_are_what_simulators_count_and_keep_to_the_budget(
+    tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draws, known = random.Random(seed), registry.optimizer
+    monkeypatch.setattr(registry, "optimizer", lambda name: CellSearchPlugin() if name == "cell_search" else known(name))
+    monkeypatch.setattr(Bench, "repeated_share", 0.1)
+    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    optimizer: dict[str, Any] = draws.choice([{"kind": "cell_search"}, {"kind": "genetic", "population": 12}])
+    budget = draws.randint(30, 90)
+    spec: dict[str, Any] = {"catalogue": ["S1", "S2", "S3"], "reduction": {"mode": "exact"}, "optimizer": optimizer}
+    campaign = submit(database, budget={"simulations": budget}, **spec)
+    backend = Breaking(seed, lambda scenario, cell: breaking(cell, scenario, draws))
+    for _ in range(2_000):
+        working = dispatcher(database, backend)
+        with suppress(StopIteration):
+            for _ in range(draws.randint(4, 200)):
+                working.step()
+                if get(database, campaign).state.ended:
+                    raise StopIteration
+        if (ended := get(database, campaign)).state.ended:
+            break
+        backend.kill()
+    assert ended.cells.runs == backend.started + backend.unknown
+    assert budget * 0.5 < ended.cells.runs <= budget, ended.error
+    database.dispose()
