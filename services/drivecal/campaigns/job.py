@@ -18,7 +18,7 @@ class Job(ABC):
     asks_ahead: bool = False
     """Whether `work` may return more while earlier cells are at workers."""
     budget: RunBudget | None = None
-    """What the scheduler may try again, after the first `work`; None without a limit."""
+    """Runs that the campaign may start, known after the first `work`; None without a limit."""
 
     @abstractmethod
     def work(self) -> list[Work]:

@@ -19,18 +19,15 @@ from drivecal.execution.scheduling.scheduler import Scheduler
 from drivecal.storage import leases
 from drivecal.storage.engine.database import Database
 
+Counts = Mapping[int, int]
+"""Numbers by cell id."""
+
 
 class Leases(Protocol):
     """Leases cells before they are sent. A lease holds until the cell's answer is stored, or until it is given back."""
 
     def exchange(
-        self,
-        returned: Mapping[int, int],
-        wanted: Mapping[int, int],
-        seconds: float,
-        *,
-        unstarted: Mapping[int, int],
-        twice: Collection[int],
+        self, returned: Counts, wanted: Counts, seconds: float, *, unstarted: Counts, twice: Collection[int]
     ) -> Mapping[int, int]:
         """Gives back the leases of the cells in `returned`, then leases those in `wanted` for `seconds`, all or nothing.
 
@@ -47,13 +44,7 @@ class StoredLeases:
         self._database = database
 
     def exchange(
-        self,
-        returned: Mapping[int, int],
-        wanted: Mapping[int, int],
-        seconds: float,
-        *,
-        unstarted: Mapping[int, int],
-        twice: Collection[int],
+        self, returned: Counts, wanted: Counts, seconds: float, *, unstarted: Counts, twice: Collection[int]
     ) -> Mapping[int, int]:
         """Updates leases in one transaction. Raises UnavailableError, and SupersededError if another dispatcher was elected."""
         with MEASURES.timed("lease"), self._database.transaction() as connection:
@@ -182,20 +173,15 @@ class WorkPool:
                 self._note_answer(event.batch_id, event.result)
             finished = self._scheduler.finished(event.batch_id, event.result)
         else:
-            finished = self._scheduler.lost(
-                event.batch_id, event.worker, event.breakdown, event.detail, event.seconds, begun=event.begun
-            )
+            what = event.batch_id, event.worker, event.breakdown, event.detail, event.seconds
+            finished = self._scheduler.lost(*what, begun=event.begun)
         dispatch = self._sent.pop(event.batch_id, None)
         if dispatch is None:  # it came back before, and the scheduler ignored it too
             return []
         numbers = {cell: self._numbers.pop(cell, None) for cell in dispatch.breakdowns}
         unstarted = _unstarted(dispatch, event)
         completed = [
-            replace(
-                entry,
-                lease=numbers[entry.result.id if entry.leader is None else entry.leader],
-                unstarted=0 if entry.shared else unstarted[entry.result.id],
-            )
+            replace(entry, lease=numbers[entry.leader or entry.result.id], unstarted=unstarted.get(entry.result.id, 0))
             for entry in finished
         ]
         final = {entry.result.id for entry in completed}

@@ -94,7 +94,7 @@ class CellTracker:
         self.budget = RunBudget()
         """Changes with every request and answer."""
         self._counts_starts = False
-        """Whether the budget lacks the cells without an answer."""
+        """True until the budget includes the cells without an answer."""
         self.faults = ScoreFaults(view.bench, self._counts)
         self.broken: str | None = None
         """Scenario, cause, number and parameter set of the first cell without a result; None before."""

@@ -27,7 +27,7 @@ class RunBudget:
 
     left: float = math.inf
     kept: float = 0.0
-    """Those of them that are kept for cells that its search will ask for."""
+    """The part of `left` that its search needs for further cells."""
 
     def take(self, *, beyond: float = 0.0) -> bool:
         """Takes a run if more than `beyond` are left; returns whether there was one."""
