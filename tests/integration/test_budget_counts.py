@@ -23,12 +23,12 @@ from drivecal.plugins import registry
 
 @dataclass
 class Breaking(ComputedBackend):
-    """Counts as a simulator would; batches are lost, refused or broken by chance."""
+    """Counts runs as simulators would. Chance decides which batches are lost, refused or broken."""
 
     started: int = 0
     """Runs that simulators began."""
     unknown: int = 0
-    """Runs that no simulator began, of batches of which nobody can know that."""
+    """Planned runs of lost batches that did not begin: the dispatcher cannot know that."""
     kinds: list[str] = field(default_factory=list)
 
     def wait(self, timeout: float) -> list[Finished | Lost]:
