@@ -34,7 +34,7 @@ from drivecal.campaigns.stages.asking import (
     room_for,
 )
 from drivecal.campaigns.stages.stage import Round, Stage
-from drivecal.campaigns.stages.task import most_cells, search_task
+from drivecal.campaigns.stages.task import affordable, most_cells, search_task
 from drivecal.contracts.campaign import (
     Baseline,
     Best,
@@ -115,9 +115,10 @@ class Calibration(Stage):
         self._confirming: Confirming | None = None
         """The sets that are simulated after the search; None before its end."""
         self._confirmation = campaign.confirmation
-        if problem.optimization.budget is not None and problem.optimization.budget.simulations is not None:
-            runs = problem.optimization.budget.simulations
-            self._tracker.limit(runs, 0 if self._by_cell is None else most_cells(runs, problem.bench.repeated_share))
+        self._limit = None if problem.optimization.budget is None else problem.optimization.budget.simulations
+        if self._limit is not None:
+            most = 0 if self._by_cell is None else most_cells(self._limit, problem.bench.repeated_share)
+            self._tracker.limit(self._limit, most)
             self.budget = self._tracker.budget
 
     @property
@@ -356,38 +357,16 @@ class Calibration(Stage):
         return budget.left if self._by_cell is None or math.isinf(budget.left) else min(budget.left, budget.kept)
 
     def _within_budget(self, planned: list[RequestedCell]) -> list[RequestedCell]:
-        """Returns the cells of the first individuals for which the budget suffices, or the first cells of a search by the cell; the search
-        ends with them if it does not for all.
-
-        Every cell that a worker may have to simulate counts, also one whose lot may be rejected. Some simulations are left to confirm the
-        best set.
-        """
-        budget = self._optimization.budget
-        if budget is None or budget.simulations is None:
-            return planned
-        if self._by_cell is not None:
-            if len(planned) > self._room:
-                self._end_search("budget")
-            return planned[: max(0, int(self._room))]
-        reduction = self._problem.specification.reduction
-        kept_back = (
-            min(reduction.confirm, CONFIRMED) * len(self._problem.scenarios)
-            if self._policy().mode not in {"off", "exact"}
-            else 0
-        )
-        room = self._room - min(kept_back, budget.simulations // 10)
-        last = None
-        for cell in planned:
-            room -= not cell.answered_at_once
-            if room < 0:
-                last = cell.individual
-                break
-        if last is None:
-            return planned
-        self._end_search("budget")
-        self._batches.clear()
-        first = next(place for place, cell in enumerate(planned) if cell.individual == last)
-        return planned[:first]
+        """Returns the first cells for which the budget suffices; the search ends with them if it does not for all."""
+        by_cell, reduction, room = self._by_cell is not None, self._problem.specification.reduction, self._room
+        if not by_cell and self._policy().mode not in {"off", "exact"}:  # to confirm the best set
+            kept_back = min(reduction.confirm, CONFIRMED) * len(self._problem.scenarios)
+            room -= min(kept_back, (self._limit or 0) // 10)
+        within = affordable(planned, room, by_cell=by_cell)
+        if len(within) < len(planned):
+            self._end_search("budget")
+            self._batches.clear()
+        return within
 
     def _policy(self) -> Policy:
         """Returns how cells may be answered. A search by the cell has models of its own, so that no prediction answers its cells."""

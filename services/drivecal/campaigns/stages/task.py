@@ -11,7 +11,7 @@ from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.asking import WINDOW
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.evaluations import CellScore
+from drivecal.domain.evaluations import CellScore, RequestedCell
 from drivecal.domain.parameters import Indices, ParameterSet
 from drivecal.optimizers.population import start_population
 from drivecal.plugins.ports import Floats
@@ -71,6 +71,18 @@ def search_task(
 def most_cells(runs: int, repeated_share: float | None) -> int:
     """Returns the cells that a search may ask for in a budget of runs: `repeated_share` of the simulated cells run twice."""
     return runs - math.ceil(runs * (repeated_share or 0.0) / (1.0 + (repeated_share or 0.0)))
+
+
+def affordable(planned: Sequence[RequestedCell], room: float, *, by_cell: bool) -> list[RequestedCell]:
+    """Returns the first of the planned cells that fit into the room: whole individuals of which every cell counts that a worker may have to
+    simulate, also one whose lot may be rejected, or any cells of a search by the cell."""
+    if by_cell:
+        return list(planned[: int(min(max(0, room), len(planned)))])
+    for place, cell in enumerate(planned):
+        room -= not cell.answered_at_once
+        if room < 0:
+            return [kept for kept in planned[:place] if kept.individual != cell.individual]
+    return list(planned)
 
 
 def best_known(aim: Aim, known: Sequence[CellAnswer]) -> list[tuple[int, ...]]:
