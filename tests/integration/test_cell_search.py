@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from tests.support.cell_search import CellSearchPlugin
 from tests.support.computed import ComputedBackend
@@ -14,8 +15,10 @@ from tests.support.databases import migrated
 from tests.support.deaths import Killed
 from tests.support.runs import dispatcher, everything, finish, get, submit
 
+from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.stages.calibration import Calibration
 from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.constraints import Constraint, Constraints
 from drivecal.plugins import registry
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
@@ -100,6 +103,37 @@ def test_the_same_search_again_simulates_nothing_and_another_begins_with_what_is
     other = carried_out(database, likeness="b", weights={"S1": 3.0}, **spec)
     assert (again.cells.runs, again.cells.repeated, again.best == first.best) == (0, 60, True)
     assert (other.cells.repeated >= 9, other.cells.runs + other.cells.repeated) == (True, 60)  # the three best stored sets
+
+
+def test_a_repaired_set_that_was_asked_before_is_no_requested_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few: dict[str, Constraint] = {"few sets": lambda values: np.sum(list(values.values()), axis=0) <= 0.5}
+    monkeypatch.setattr(resolvers, "Constraints", lambda space, _: Constraints(space, few))
+    spec = WITH_SIX | {"optimizer": {"kind": "random", "population": 12, "iterations": 5}}
+    found, go_on = [], Calibration._go_on
+    for deaths in (0, 4):
+        left = [deaths]
+
+        def die(stage: Calibration, left: list[int] = left) -> None:
+            if left[0] and stage._closed > 4 - left[0]:
+                left[0] -= 1
+                raise Killed("between two rounds")
+            go_on(stage)
+
+        database = migrated(f"sqlite:///{tmp_path / f'{deaths}.db'}")
+        campaign = submit(database, **spec)
+        with monkeypatch.context() as patched:
+            patched.setattr(Calibration, "_go_on", die)
+            while not get(database, campaign).state.ended:
+                with suppress(Killed):
+                    finish(database, campaign, dispatcher(database))
+        found.append(everything(database, campaign))
+        cells, search = get(database, campaign).cells, get(database, campaign).search
+        database.dispose()
+        assert search is not None
+        assert search.repaired.proposed > 5
+        assert (cells.simulated, cells.proposed) == (6 * 3, 12 * 5 * 3)
+        assert cells.requested == (12 + search.repaired.distinct) * 3, "only the first population is requested whole"
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize(

@@ -107,14 +107,6 @@ class RepairCount:
     proposed: int = 0
     distinct: int = 0
 
-    @classmethod
-    def counted(cls, proposed: Indices, repaired: Indices, known: Indices) -> "RepairCount":
-        """Counts the rows of a population, shape (n, n_searched), that repair replaced. `known`: sets that were asked for before."""
-        broken = (proposed != repaired).any(axis=1)
-        before = set(map(tuple, known.tolist())) | set(map(tuple, repaired[~broken].tolist()))
-        became = set(map(tuple, repaired[broken].tolist())) - before
-        return cls(len(set(map(tuple, proposed[broken].tolist()))), len(became))
-
     def __add__(self, other: "RepairCount") -> "RepairCount":
         return RepairCount(self.proposed + other.proposed, self.distinct + other.distinct)
 
@@ -130,17 +122,26 @@ class RepairingOptimizer:
     def __init__(self, optimizer: Optimizer, repair: Callable[[Indices], Indices]) -> None:
         self._optimizer = optimizer
         self._repair = repair
-        self._known: Indices | None = None
+        self.known: set[tuple[int, ...]] = set()
+        """Sets that were asked for before."""
         self.repaired = RepairCount()
         """Counts of the last population."""
+        self.again: list[int] = []
+        """Individuals of the last population that repair made equal to an earlier set, or to one before them."""
 
     def ask(self) -> Proposal:
         """Returns the next population with feasible individuals only. Unchanged individuals have unchanged replacements."""
         proposal = self._optimizer.ask()
         population = self._repair(proposal.population)
-        known = population[:0] if self._known is None else self._known
-        self.repaired = RepairCount.counted(proposal.population[proposal.changed], population[proposal.changed], known)
-        self._known = np.unique(np.concatenate([known, population]), axis=0)
+        broken = proposal.changed & (proposal.population != population).any(axis=1)
+        sets = list(map(tuple, population.tolist()))
+        self.known.update(sets[place] for place in np.flatnonzero(~broken))
+        before, self.again = len(self.known), []
+        for place in np.flatnonzero(broken).tolist():
+            if sets[place] in self.known:
+                self.again.append(place)
+            self.known.add(sets[place])
+        self.repaired = RepairCount(len(np.unique(proposal.population[broken], axis=0)), len(self.known) - before)
         return Proposal(population, proposal.changed)
 
     def tell(self, objectives: Floats, tie_breakers: Floats) -> None:

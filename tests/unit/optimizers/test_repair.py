@@ -1,6 +1,7 @@
 """Counts of what repair makes of proposals, and optimizers that begin within constraints."""
 
 from decimal import Decimal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,10 +9,10 @@ import pytest
 from drivecal.bundles.expressions import Constraint
 from drivecal.campaigns.resolve.resolvers import Optimization
 from drivecal.domain.constraints import Constraints
-from drivecal.domain.parameters import Parameter, ParameterSpace
+from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
-from drivecal.optimizers.repair import RepairCount
-from drivecal.plugins.ports import DeclaringOptimizerPlugin
+from drivecal.optimizers.repair import RepairCount, RepairingOptimizer
+from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats, Proposal
 from drivecal.reduction.narrowing import full_area
 
 CURVE = [f"k{number}" for number in range(8)]
@@ -20,12 +21,31 @@ SPACE = ParameterSpace(tuple(Parameter.from_step(name, Decimal(0), Decimal(2), D
 CONSTRAINTS = Constraints(SPACE, {MONOTONE: Constraint(MONOTONE, dict.fromkeys(CURVE, ()))})
 
 
+class Proposing:
+    """Proposes one population."""
+
+    def __init__(self, population: Indices) -> None:
+        self._proposal = Proposal(population, np.ones(len(population), dtype=np.bool_))
+
+    def ask(self) -> Proposal:
+        return self._proposal
+
+    def tell(self, objectives: Floats, tie_breakers: Floats) -> None: ...
+
+    def state(self) -> dict[str, Any]:
+        return {}
+
+
 def test_replaced_proposals_and_new_sets_are_counted() -> None:
     proposed = np.array([[1, 1], [2, 2], [3, 3], [3, 3], [4, 4], [5, 5]])
     repaired = np.array([[1, 1], [1, 1], [7, 7], [7, 7], [8, 8], [9, 9]])
-    first = RepairCount.counted(proposed, repaired, np.array([[8, 8]]))
+    optimizer = RepairingOptimizer(Proposing(proposed), lambda _: repaired)
+    optimizer.known.add((8, 8))
+    assert optimizer.ask().population.tolist() == repaired.tolist()
+    first = optimizer.repaired
     assert first == RepairCount(proposed=4, distinct=2)
     assert first + first == RepairCount(8, 4)
+    assert optimizer.again == [1, 3, 4]
 
 
 @pytest.mark.parametrize(("proposed", "distinct", "collapses"), [(0, 0, False), (10, 1, False), (11, 1, True), (5, 0, True)])

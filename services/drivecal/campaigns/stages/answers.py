@@ -14,6 +14,7 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.asking import AskedRound, cells_of
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore
+from drivecal.domain.parameters import Indices
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import CellAnswer
 from drivecal.storage import results
@@ -46,6 +47,10 @@ class SearchAnswers(ABC):
         sign = self._sign if self._goals is None else self._goals.objectives[0].sign
         known = objectives[~np.isnan(objectives)]
         return float(sign * np.min(sign * known)) if known.size else None
+
+    def settle(self, population: Indices) -> None:
+        """Notes that a population is answered."""
+        del population
 
     @abstractmethod
     def _take(self, answer: CellScore) -> None:
@@ -103,13 +108,29 @@ class PopulationAnswers(SearchAnswers):
         self._cells: list[dict[str, CellScore]] = [{} for _ in range(population)]
         """By individual and scenario, with goals only."""
         self._columns = {scenario: column for column, scenario in enumerate(problem.scenarios)}
+        self._requested: set[int] = set()
+        """Individuals of the current population with answers of their own."""
+        self._by_set: dict[tuple[int, ...], tuple[Floats, Floats, dict[str, CellScore]]] = {}
+        """Answers by grid indices, with constraints only: after a repair, an individual may be an earlier set."""
 
     def _take(self, answer: CellScore) -> None:
+        self._requested.add(answer.individual)
         cell = answer.individual, self._columns[answer.scenario]
         self._scores[cell] = np.nan if answer.score is None else answer.score
         self._ratings[cell] = np.nan if answer.rating is None else answer.rating
         if self._goals is not None:
             self._cells[answer.individual][answer.scenario] = answer
+
+    def settle(self, population: Indices) -> None:
+        """Takes the answers of equal sets for the individuals that were not requested."""
+        sets = list(map(tuple, population.tolist())) if self._problem.constraints else []
+        for place in sorted(self._requested) if sets else ():
+            self._by_set[sets[place]] = self._scores[place].copy(), self._ratings[place].copy(), dict(self._cells[place])
+        for place, indices in enumerate(sets):
+            if place not in self._requested:
+                scores, ratings, cells = self._by_set[indices]
+                self._scores[place], self._ratings[place], self._cells[place] = scores, ratings, dict(cells)
+        self._requested.clear()
 
     def objectives(self, number: int) -> Floats:
         """Returns the weighted score (Eq. 6), or the first objective, of each individual, carried over or not."""

@@ -40,7 +40,7 @@ class AskedRound:
     population: Indices
     """Grid indices of its sets, shape (n, n_searched)."""
     changed: npt.NDArray[np.bool_]
-    """The requested ones among them, shape (n,)."""
+    """The requested ones among them, shape (n,): not those that were asked for before, unchanged or after a repair."""
     cells: Sequence[tuple[int, int]]
     """Individual and place of the scenario, in the order of asking."""
     state: dict[str, Any]
@@ -62,7 +62,7 @@ class PopulationAsker:
     """A generational optimizer: a round is its population, in all scenarios, and it is told when the whole round is answered."""
 
     def __init__(
-        self, optimizer: Optimizer, name: str, shape: tuple[int, Indices], scenarios: int, evaluated: Indices | None = None
+        self, optimizer: Optimizer, name: str, shape: tuple[int, Indices], scenarios: int, populations: Sequence[Any] = ()
     ) -> None:
         """Wraps an optimizer.
 
@@ -71,19 +71,21 @@ class PopulationAsker:
             name: its name, for errors.
             shape: size of the population, and grid sizes.
             scenarios: number of scenarios.
-            evaluated: the last population; None before the first.
+            populations: grid indices of all populations so far.
         """
         self._optimizer, self._name, self._shape, self._scenarios = optimizer, name, shape, scenarios
-        self._evaluated = evaluated
+        self._evaluated = np.array(populations[-1], dtype=np.int64) if populations else None
+        if isinstance(optimizer, RepairingOptimizer):
+            optimizer.known.update(tuple(row) for population in populations for row in population)
 
     def ask(self) -> AskedRound:
         """Returns the next population. Raises InvalidInputError if a plug-in's does not fit the space."""
         proposal = checked_proposal(self._name, self._optimizer.ask(), *self._shape, self._evaluated)
         self._evaluated = proposal.population
-        changed = np.flatnonzero(proposal.changed).tolist()
-        cells = [(individual, scenario) for individual in changed for scenario in range(self._scenarios)]
-        repaired = self._optimizer.repaired if isinstance(self._optimizer, RepairingOptimizer) else None
-        return AskedRound(proposal.population, proposal.changed, cells, self._optimizer.state(), repaired)
+        changed, repaired = proposal.changed.copy(), None
+        if isinstance(self._optimizer, RepairingOptimizer):
+            changed[self._optimizer.again], repaired = False, self._optimizer.repaired
+        return population_round(proposal.population, changed, self._optimizer.state(), self._scenarios, repaired)
 
     def tell(self, *answers: Any) -> None:
         """Passes objectives and tie breakers on."""
@@ -114,6 +116,18 @@ class CellAsker:
     def tell(self, *answers: Any) -> None:
         """Passes the answers of a round on."""
         self._search.tell(*answers)
+
+
+def population_round(
+    population: Indices,
+    changed: npt.NDArray[np.bool_],
+    state: dict[str, Any],
+    scenarios: int,
+    repaired: RepairCount | None = None,
+) -> AskedRound:
+    """Returns the round of a population."""
+    cells = [(individual, scenario) for individual in np.flatnonzero(changed).tolist() for scenario in range(scenarios)]
+    return AskedRound(population, changed, cells, state, repaired)
 
 
 def cells_of(asked: AskedRound) -> list[AskedCell]:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
@@ -31,6 +32,7 @@ from drivecal.campaigns.stages.asking import (
     Computation,
     PopulationAsker,
     cells_of,
+    population_round,
     room_for,
 )
 from drivecal.campaigns.stages.stage import Round, Stage
@@ -168,13 +170,21 @@ class Calibration(Stage):
         with self._database.read() as connection:
             last = generations.last(connection, self._campaign.sequence)
             self._closed = generations.finished(connection, self._campaign.sequence)
-            self._answers.take_in(connection, self._campaign.sequence, range(self._closed))
+            constrained = self._by_cell is None and bool(self._problem.constraints)
+            populations = generations.populations(connection, self._campaign.sequence) if constrained else []
+            for number, population in enumerate(populations[: self._closed]):
+                self._answers.take_in(connection, self._campaign.sequence, [number])
+                self._answers.settle(np.array(population, dtype=np.int64))
+            if not constrained:
+                self._answers.take_in(connection, self._campaign.sequence, range(self._closed))
             self._next = 0 if last is None else last.iteration + 1
             told = max(0, self._next - self._window)
             rounds = [] if self._by_cell is None else self._asked_rounds(connection)
         self._asked = {number: asked for number, asked in enumerate(rounds) if number >= told}
         if last is not None and self._by_cell is None:
-            self._asked = {last.iteration: _population_round(last, len(self._problem.scenarios))}
+            rows, changed = np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_)
+            state = dict(last.optimizer_state or {})
+            self._asked = {last.iteration: population_round(rows, changed, state, len(self._problem.scenarios))}
             self._batches = [] if last.finished else self._split(last.iteration, self._asked[last.iteration])
         if self._search.ended_by is not None:
             return
@@ -182,7 +192,7 @@ class Calibration(Stage):
             answers = [self._answers.for_search(number, rounds[number])[0] for number in range(told)]
             self._compute(partial(self._cell_asker, [cells_of(asked) for asked in rounds], answers, last))
         else:
-            self._compute(partial(self._population_asker, last))
+            self._compute(partial(self._population_asker, last, populations))
 
     def _asked_rounds(self, connection: Connection) -> list[AskedRound]:
         """Returns all rounds of a search by the cell."""
@@ -197,9 +207,8 @@ class Calibration(Stage):
             for number, population in enumerate(generations.populations(connection, self._campaign.sequence))
         ]
 
-    def _population_asker(self, last: StoredGeneration | None) -> PopulationAsker:
+    def _population_asker(self, last: StoredGeneration | None, populations: Sequence[Any]) -> PopulationAsker:
         problem, area, chosen = self._problem, self._area, self._optimization
-        evaluated = None
         if last is None:
             start = area.contract(problem.start_indices) if problem.start_sets else None
             optimizer = chosen.begin(area, problem.constraints, start)
@@ -207,9 +216,9 @@ class Calibration(Stage):
             raise RuntimeError(f"generation {last.iteration} has no optimizer state")
         else:
             optimizer = chosen.restore(area, problem.constraints, last.optimizer_state)
-            evaluated = np.array(last.population, dtype=np.int64)
+            populations = populations or [last.population]
         shape = chosen.population, area.n_values
-        return PopulationAsker(optimizer, chosen.plugin.name, shape, len(problem.scenarios), evaluated)
+        return PopulationAsker(optimizer, chosen.plugin.name, shape, len(problem.scenarios), populations)
 
     def _cell_asker(
         self, rounds: Sequence[Sequence[AskedCell]], answers: Sequence[Sequence[CellAnswer]], last: StoredGeneration | None
@@ -359,7 +368,7 @@ class Calibration(Stage):
     def _within_budget(self, planned: list[RequestedCell]) -> list[RequestedCell]:
         """Returns the first cells for which the budget suffices; the search ends with them if it does not for all."""
         by_cell, reduction, room = self._by_cell is not None, self._problem.specification.reduction, self._room
-        if not by_cell and self._policy().mode not in {"off", "exact"}:  # to confirm the best set
+        if not by_cell and self._policy().mode not in {"off", "exact"}:  # may confirm the best set
             kept_back = min(reduction.confirm, CONFIRMED) * len(self._problem.scenarios)
             room -= min(kept_back, (self._limit or 0) // 10)
         within = affordable(planned, room, by_cell=by_cell)
@@ -450,6 +459,7 @@ class Calibration(Stage):
         asked = self._asked[number]
         with self._database.transaction() as connection:
             self._answers.take_in(connection, self._campaign.sequence, [number])
+            self._answers.settle(asked.population)
             objectives = self._answers.objectives(number)
             self._error_rate = check_reuse(connection, self._view, number, self._problem.scenarios, self._error_rate)
             if self._planner is not None:
@@ -574,10 +584,3 @@ class Calibration(Stage):
             baseline=self._baseline,
             notes=notes,
         )
-
-
-def _population_round(last: StoredGeneration, scenarios: int) -> AskedRound:
-    """Returns the round of a stored generation."""
-    changed = np.array(last.changed, dtype=np.bool_)
-    cells = [(individual, scenario) for individual in np.flatnonzero(changed).tolist() for scenario in range(scenarios)]
-    return AskedRound(np.array(last.population, dtype=np.int64), changed, cells, dict(last.optimizer_state or {}))

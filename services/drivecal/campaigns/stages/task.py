@@ -74,8 +74,8 @@ def most_cells(runs: int, repeated_share: float | None) -> int:
 
 
 def affordable(planned: Sequence[RequestedCell], room: float, *, by_cell: bool) -> list[RequestedCell]:
-    """Returns the first of the planned cells that fit into the room: whole individuals of which every cell counts that a worker may have to
-    simulate, also one whose lot may be rejected, or any cells of a search by the cell."""
+    """Returns the first planned cells that fit into the room, without parts of individuals unless the search is `by_cell`; there, cells
+    count unless a stored result answers them: workers simulate rejected lots, too."""
     if by_cell:
         return list(planned[: int(min(max(0, room), len(planned)))])
     for place, cell in enumerate(planned):
