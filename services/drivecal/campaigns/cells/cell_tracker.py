@@ -284,7 +284,7 @@ class CellTracker:
         return Cell(pending.id, pending.parameters.floats, check=twice, trace=self._view.traced)
 
     def _share_runs(self, connection: Connection, answers: list[AnsweredCell], cells: Iterable[StoredEvaluation]) -> None:
-        """Answers cells of which a run is stored by now."""
+        """Answers cells whose runs are stored by now."""
         wanted: dict[int, list[StoredEvaluation]] = {}
         for waiting in cells:
             if waiting.plan is Outcome.SIMULATED:

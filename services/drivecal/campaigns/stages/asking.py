@@ -40,7 +40,7 @@ class AskedRound:
     population: Indices
     """Grid indices of its sets, shape (n, n_searched)."""
     changed: npt.NDArray[np.bool_]
-    """The requested ones among them, shape (n,): not those that were asked for before, unchanged or after a repair."""
+    """Mask of the requested sets, shape (n,). The others were asked for before: they are unchanged, or equal after a repair."""
     cells: Sequence[tuple[int, int]]
     """Individual and place of the scenario, in the order of asking."""
     state: dict[str, Any]

@@ -79,7 +79,7 @@ class StagedCampaign(Job):
     """Delegates work and results to its stages, in order. The sensitivity stage ends when the campaign has an influence map."""
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, workers: int = 1) -> None:
-        """`workers`: those that are there now."""
+        """`workers`: their number at present."""
         self._database = database
         self._problem = problem
         self._view = View(campaign.sequence, campaign.watermark or 0, problem.bench, workers=workers)
