@@ -1,7 +1,5 @@
 """Chooses the reader or writer of a calibration file."""
 
-import csv
-import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePath
 from typing import Literal
@@ -10,6 +8,7 @@ from drivecal.calibration_data import a2l, cdfx, dcm
 from drivecal.calibration_data.characteristics import Characteristic, Content, Quality
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
+from drivecal.contracts.tables import csv_text
 from drivecal.domain.errors import InvalidInputError, Problem
 
 CalibrationFormat = Literal["dcm", "cdfx", "csv"]
@@ -57,9 +56,5 @@ def labels_of(document: object, parameters: Sequence[str] | None = None) -> dict
 
 
 def write_table(characteristics: Sequence[Characteristic]) -> bytes:
-    """Returns a table (RFC 4180, UTF-8) with one row per characteristic. Numbers keep all their digits."""
-    text = io.StringIO()
-    writer = csv.writer(text)
-    writer.writerow(COLUMNS)
-    writer.writerows([getattr(row, column) for column in COLUMNS] for row in characteristics)
-    return text.getvalue().encode()
+    """Returns a table in CSV, UTF-8, with one row per characteristic."""
+    return csv_text([COLUMNS, *([getattr(row, column) for column in COLUMNS] for row in characteristics)]).encode()

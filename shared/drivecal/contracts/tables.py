@@ -1,7 +1,10 @@
 """Row models of all tables; columns, files, JSON and OpenAPI schemas follow from them."""
 
-from collections.abc import Callable, Mapping, Sequence
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -13,16 +16,54 @@ from drivecal.domain.scales import MOST_BARS
 Kind = Literal["integer", "number", "score", "text", "truth", "numbers"]
 """A `score` is an integer or a number, depending on the campaign's scale."""
 _KINDS: dict[object, Kind] = {bool: "truth", int: "integer", float: "number", str: "text"}
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+_FORMULA = re.compile(r'[ "]*[=+\-@＝＋－＠]|\A[\t\r]')  # the wide signs begin formulas as well
+_PARTS = re.compile(r"([;\t\r\n]+)")
+_QUOTED = re.compile(r'[",;\t\r\n]')
 
 
 def spreadsheet_text(value: str) -> str:
-    """Returns a text of a CSV file that no spreadsheet takes for a formula: with an apostrophe before it, unless it is a number."""
+    """Returns a text of a CSV file that no spreadsheet takes for a formula: with an apostrophe before it, unless it is a number.
+
+    The same holds for its parts: a spreadsheet whose separator is `;` or a tab splits a text there, in spite of quotes.
+    """
+    if _FORMULA.search(value) is None or _is_number(value):
+        return value
+    parts = [f"'{part}" if _FORMULA.match(part) and not _is_number(part) else part for part in _PARTS.split(value)]
+    return "".join(parts)
+
+
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """Returns lines of CSV (RFC 4180): missing values are empty, truth is `true` and `false`, lists are JSON, numbers keep all digits.
+
+    Texts that a spreadsheet would carry out as a formula begin with an apostrophe.
+    """
+    return "".join(f"{','.join(map(_field, row)) or _EMPTY}\r\n" for row in rows)
+
+
+_EMPTY = '""'
+_AS_THEY_ARE = frozenset({int, float})
+
+
+def _field(value: object) -> str:
+    if value is None:
+        return ""
+    if type(value) in _AS_THEY_ARE:  # most are
+        return str(value)
+    return _text_field(json.dumps(value) if isinstance(value, bool | list) else str(value))
+
+
+@lru_cache(maxsize=1024)
+def _text_field(value: str) -> str:
+    text = spreadsheet_text(value)
+    return '"' + text.replace('"', '""') + '"' if _QUOTED.search(text) else text
+
+
+def _is_number(value: str) -> bool:
     try:
         float(value)
     except ValueError:
-        return f"'{value}" if value.startswith(_FORMULA) else value
-    return value
+        return False
+    return True
 
 
 @dataclass(frozen=True, slots=True)

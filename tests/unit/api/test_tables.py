@@ -15,6 +15,8 @@ from pydantic import BaseModel
 
 from drivecal.api.http.queries import TableQuery
 from drivecal.api.tables.paging import ROWS_AT_A_TIME, ROWS_AT_FIRST, download, slices, table_answer
+from drivecal.calibration_data.characteristics import Characteristic
+from drivecal.calibration_data.files import write_table
 from drivecal.contracts.tables import (
     Column,
     EvaluationRow,
@@ -83,14 +85,36 @@ def test_csv_gives_back_what_was_written(pieces: list[list[dict[str, Any]]]) -> 
         assert (json.loads(line[4]) if line[4] else None) == row["effects"]
 
 
-@pytest.mark.parametrize("text", ["=cmd|' /C calc'!A0", "+1+1", "-x", "@SUM(A1)", "\t=1", "\r=1"])
-def test_a_text_that_a_spreadsheet_would_carry_out_begins_with_an_apostrophe(text: str) -> None:
-    row = {"id": 1, "score": -1.5, "name": text, "audited": None, "effects": None}
-    [_, line] = csv.reader(io.StringIO(content("csv", [[row]]).decode(), newline=""))
-    assert line[1:3] == ["-1.5", f"'{text}"]
+FORMULAS = [
+    "=cmd|' /C calc'!A0",
+    "+1+1",
+    "-x",
+    "@SUM(A1)",
+    "\t=1",
+    "\r=1",
+    "a;=1+1;b",
+    "a\t=1",
+    'a;"=1"',
+    "a\n=1",
+    "; @x",
+    "＝1",
+    '"=1"',
+]
 
 
-@pytest.mark.parametrize("text", ["-1.5", "+2", "x=1", "", "'=1"])
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+@pytest.mark.parametrize("text", FORMULAS)
+def test_no_reader_of_any_separator_finds_a_formula(text: str, delimiter: str) -> None:
+    rows = [{"id": 1, "score": -1.5, "name": text, "audited": None, "effects": [-1.0]}]
+    characteristics = [Characteristic(name=text, value=-1.5, unit=text, description=text)]
+    for written in (content("csv", [rows]), write_table(characteristics)):
+        lines = csv.reader(io.StringIO(written.decode(), newline=""), delimiter=delimiter)
+        cells = [cell for line in lines for cell in line]
+        assert not [cell for cell in cells if cell.lstrip(' "')[:1] in set("=+@\t\r＝") or (cell[:1] == "-" and cell != "-1.5")]
+        assert delimiter != "," or "-1.5" in cells
+
+
+@pytest.mark.parametrize("text", ["-1.5", "+2", "x=1", "", "'=1", "1;-2", "a-b"])
 def test_numbers_and_other_texts_are_written_as_they_are(text: str) -> None:
     assert spreadsheet_text(text) == text
 

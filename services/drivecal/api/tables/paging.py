@@ -1,12 +1,9 @@
 """Tables as pages of JSON, or as a whole in CSV and Parquet."""
 
-import csv
 import io
-import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache
 from typing import Any, Literal
 
 from fastapi import Response
@@ -16,14 +13,11 @@ from pydantic import BaseModel
 from drivecal.api.http.queries import PARQUET, TableOf, form_of
 from drivecal.client.frames import arrow_schema, arrow_table
 from drivecal.contracts.campaign import Page
-from drivecal.contracts.tables import Column, file_row, spreadsheet_text
+from drivecal.contracts.tables import Column, csv_text, file_row
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.storage.engine.records import decode_cursor, encode_cursor
 
 Row = Mapping[str, Any]
-_AS_THEY_ARE = frozenset({int, float, type(None)})
-"""Types whose values CSV holds as Python writes them; truth has a type of its own."""
-_text = lru_cache(maxsize=1024)(spreadsheet_text)
 
 
 def download(
@@ -37,31 +31,13 @@ def download(
 
 
 def csv_pieces(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:
-    """Yields CSV (RFC 4180) with a header: missing values are empty, truth is `true` and `false`, lists are JSON, floats round-trip.
-
-    Texts that a spreadsheet would carry out as a formula begin with an apostrophe.
-    """
-    text = io.StringIO()
-    writer = csv.writer(text)
+    """Yields CSV with a header, see `csv_text`."""
     names = [column.name for column in columns]
-    writer.writerow(names)
+    head = csv_text([names])
     for piece in pieces:
-        for row in piece:
-            values = [row[name] for name in names]
-            # Most are numbers or missing: calls for them would take half of the time.
-            writer.writerow([value if type(value) in _AS_THEY_ARE else _plain(value) for value in values])
-        yield text.getvalue().encode()
-        text.seek(0)
-        text.truncate()
-    yield text.getvalue().encode()
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, list):
-        return json.dumps(value)
-    return _text(value) if isinstance(value, str) else value
+        yield (head + csv_text([row[name] for name in names] for row in piece)).encode()
+        head = ""
+    yield head.encode()
 
 
 def _parquet(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:

@@ -1,11 +1,11 @@
 """Time series as files."""
 
-import csv
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
 
 from drivecal.contracts.evaluation import SeriesAnswer, TraceAnswer
+from drivecal.contracts.tables import csv_text
 from drivecal.domain.errors import InvalidInputError, Problem, file_faults
 
 SUFFIXES = (".csv", ".parquet", ".json")
@@ -39,7 +39,7 @@ def save(trace: TraceAnswer | SeriesAnswer, file: Path) -> None:
             pq.write_table(pa.table(_filled(columns)), file)
         else:
             with file.open("w", newline="", encoding="utf-8") as out:
-                csv.writer(out).writerows([columns, *zip_longest(*columns.values())])
+                out.write(csv_text([columns, *zip_longest(*columns.values())]))
 
 
 def _filled(columns: Mapping[str, Sequence[float]]) -> dict[str, list[float | None]]:

@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { CsvReader, cell, extent, type Table } from "./columns";
+import { CsvReader, cell, csvOf, extent, type Table } from "./columns";
 import { binned, conditions, numbered, ordered, select, tally } from "./select";
 
 const TEXT = new Set(["scenario", "failure"]);
@@ -90,4 +90,14 @@ test("what was read so far can be shown while the rest comes", () => {
   expect([begun.length, cell(begun, "outcome", 0), cell(begun, "outcome", 1)]).toEqual([1, "reused", null]);
   expect([reader.finish().length, cell(reader.finish(), "outcome", 2)]).toEqual([3, "failed"]);
   expect(begun.columns["outcome"]).toMatchObject({ words: ["reused"] });
+});
+
+test("a drawing's file holds no formula for any separator, and numbers stay numbers", () => {
+  const texts = ["=1", "a;=1", "a\t@x", 'a;"=1"', "plain", "a;-1"];
+  const file = csvOf({ head: ["name", "value"], rows: texts.map((text) => [text, -1.5]) });
+  expect(file).toBe("name,value\n'=1,-1.5\n\"a;'=1\",-1.5\n\"a\t'@x\",-1.5\n\"a;'\"\"=1\"\"\",-1.5\nplain,-1.5\n\"a;-1\",-1.5\n");
+  const reader = new CsvReader(new Set(["name"]));
+  reader.push(file);
+  const table = reader.finish();
+  expect(texts.map((_, row) => cell(table, "name", row))).toEqual(texts);
 });

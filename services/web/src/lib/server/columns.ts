@@ -162,19 +162,24 @@ export interface Sheet {
   rows: readonly (readonly (string | number | null)[])[];
 }
 
-/** Texts that a spreadsheet would carry out as a formula begin with an apostrophe, as in the server's files. */
-const isFormula = (text: string): boolean => /^[=+\-@\t\r]/.test(text) && Number.isNaN(Number(text));
+/** Parts of a text that a spreadsheet would carry out as a formula, as in the server's files: with `;` or a tab as its separator, too. */
+const FORMULA = /(^|[;\t\r\n])(?=[ "]*[=+\-@＝＋－＠]|[\t\r])([^;\t\r\n]*)/g;
 
-/** A text of a file without the apostrophe that marks it as no formula. */
+function marked(text: string): string {
+  if (!Number.isNaN(Number(text))) return text;
+  return text.replaceAll(FORMULA, (part: string, separator: string, rest: string) => (rest !== "" && !Number.isNaN(Number(rest)) ? part : `${separator}'${rest}`));
+}
+
+/** A text of a file without the apostrophes that mark it as no formula. */
 function unmarked(text: string): string {
-  return text.startsWith("'") && isFormula(text.slice(1)) ? text.slice(1) : text;
+  const plain = text.replaceAll(/(^|[;\t\r\n])'(?=[ "]*[=+\-@＝＋－＠]|[\t\r])/g, "$1");
+  return marked(plain) === text ? plain : text;
 }
 
 export function csvOf(sheet: Sheet): string {
   const field = (value: string | number | null): string => {
-    const plain = value === null ? "" : String(value);
-    const text = isFormula(plain) ? `'${plain}` : plain;
-    return /[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
+    const text = value === null ? "" : marked(String(value));
+    return /[",;\t\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
   };
   return [sheet.head, ...sheet.rows].map((row) => row.map(field).join(",")).join("\n") + "\n";
 }
