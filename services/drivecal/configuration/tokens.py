@@ -196,7 +196,7 @@ def is_loopback(address: str) -> bool:
 def is_this_machine(name: str) -> bool:
     """Returns True for localhost and loopback addresses, False for all other names."""
     try:
-        return name.lower() == "localhost" or is_loopback(name)
+        return name.lower() == "localhost" or ("%" not in name and is_loopback(name))
     except ValueError:
         return False
 

@@ -3,15 +3,17 @@
 Python's own reader accepts NaN and Infinity, turns 1e999 into infinity, keeps the last of two equal keys, passes half surrogates
 on (which no database stores) and fails with a RecursionError on deep nesting. Here each of these is an InvalidInputError.
 
-Texts of users may hold neither C1 control characters nor marks of direction, which steer a terminal or reverse what is read.
+Texts of users may hold neither C1 control characters, separators of lines nor marks of direction, which steer a terminal or reverse what
+is read. Names show something.
 """
 
 import json
 import math
+import unicodedata
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-from pydantic import Field, StringConstraints
+from pydantic import AfterValidator, Field, StringConstraints
 
 from drivecal.domain.errors import InvalidInputError, Problem
 
@@ -116,12 +118,23 @@ def shown(value: object, longest: int = 60) -> str:
     return text if len(text) <= longest else text[: longest - 1] + "…"
 
 
-_STEERING = r"\x7f-\x9f\u202a-\u202e\u2066-\u2069"
+def _visible(text: str) -> str:
+    if all(unicodedata.category(character) in _UNSEEN or character in _BLANK for character in text):
+        raise ValueError(f"{shown(text)} shows nothing; give at least one letter, digit or sign")
+    return text
+
+
+_UNSEEN = {"Cc", "Cf", "Zs", "Zl", "Zp", "Mn", "Me"}
+_BLANK = "\u115f\u1160\u2800\u3164\uffa0"
+"""Letters and a sign that are drawn as nothing."""
+_STEERING = r"\x7f-\x9f\u2028-\u202e\u2066-\u2069"
 ONE_LINE = rf"^[^\x00-\x1f{_STEERING}]+$"
-Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=ONE_LINE)]
-Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=ONE_LINE)]
+Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=ONE_LINE), AfterValidator(_visible)]
+Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=ONE_LINE), AfterValidator(_visible)]
 """Text that names a choice."""
-Tag = Annotated[str, StringConstraints(min_length=1, max_length=40, pattern=rf"^[^\x00-\x20{_STEERING},]+$")]
+Tag = Annotated[
+    str, StringConstraints(min_length=1, max_length=40, pattern=rf"^[^\x00-\x20{_STEERING},]+$"), AfterValidator(_visible)
+]
 """A word without spaces and commas."""
 Comment = Annotated[str, StringConstraints(max_length=4_000, pattern=rf"^[^\x00-\x08\x0b-\x1f{_STEERING}]*$")]
 Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]

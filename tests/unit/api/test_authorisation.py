@@ -189,6 +189,8 @@ def test_a_name_that_a_stranger_may_have_given_to_loopback_is_none(host: str) ->
 def test_without_tokens_a_host_must_be_named_and_named_once() -> None:
     assert ask(None)[0] == 421
     assert ask(None, headers=[HOST, HOST])[0] == 421
+    for host in (b"127.0.0.1%evil", b"[::1%evil]", b"[::1%25lo]:8000", b"127.0.0.1%evil:80"):
+        assert ask(None, headers=[(b"host", host)])[0] == 421
 
 
 @pytest.mark.parametrize(

@@ -73,6 +73,11 @@ def test_a_body_declared_too_large_is_not_read(declared: bytes) -> None:
     assert (status, content) == (413, b"")
 
 
+def test_a_body_that_declares_its_length_twice_ends_its_connection() -> None:
+    status, headers, content = answer([part(b"0")], {b"content-length": b"1", **CHUNKED})
+    assert (status, headers["connection"], content) == (400, "close", b"")
+
+
 def test_a_body_that_turns_out_too_large_is_read_no_further() -> None:
     status, _, content = answer([part(b"0" * 6, more=True)] * 3, CHUNKED)
     assert (status, content) == (413, b"0" * 6)

@@ -12,7 +12,7 @@ from drivecal.contracts.organising import CampaignChanges
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification, RerunSpecification
 from drivecal.domain.errors import InvalidInputError
 
-STEERING = ["\x7f", "\x80", "\x9b", "\x9f", "\u202a", "\u202e", "\u2066", "\u2069"]
+STEERING = ["\x7f", "\x80", "\x9b", "\x9f", "\u2028", "\u2029", "\u202a", "\u202e", "\u2066", "\u2069"]
 CHOICES = {"parameters": [{"name": "x", "choices": ["one", "two *"]}]}
 PROBLEM = {
     "problem": "p",
@@ -64,9 +64,31 @@ def test_what_steers_a_terminal_or_reverses_text_is_refused_at_its_field(
 
 @pytest.mark.parametrize(("model", "document", "field"), DOCUMENTS)
 def test_letters_of_any_script_are_taken(model: type[BaseModel], document: dict[str, Any], field: str) -> None:
-    for character in ("ä", "ש", "ع", "\u200d", "🚗", "'"):
+    for character in ("ä", "ש", "ع", "👩\u200d🚒", "🚗", "'", "₂"):
         assert validated(model, with_character(document, character)), field
 
 
+@pytest.mark.parametrize(
+    "text", ["\u200b", "\ufeff", "\u200b\ufeff\u00ad", "\u00a0", " ", "\u3000 ", "\u3164", "\u2800", "\u0301"]
+)
+@pytest.mark.parametrize(
+    ("model", "document", "field"),
+    [
+        (CampaignSpecification, {"name": "*"}, "name"),
+        (CampaignSpecification, {"parameters": [{"name": "x", "choices": ["one", "*"]}]}, "parameters[0].choices[1]"),
+        (CampaignChanges, {"name": "*"}, "name"),
+        (InfluenceMapSpecification, {"name": "*", "scenarios": {"S1": {}}}, "name"),
+        (RerunSpecification, {"name": "*", "weights": {}}, "name"),
+    ],
+)
+def test_a_name_that_shows_nothing_is_refused_at_its_field(
+    model: type[BaseModel], document: dict[str, Any], field: str, text: str
+) -> None:
+    with pytest.raises(InvalidInputError) as caught:
+        validated(model, with_character(document, text))
+    assert [problem.field for problem in caught.value.problems] == [field]
+    assert all(str(problem).isprintable() for problem in caught.value.problems)
+
+
 def test_the_schema_shows_what_is_refused() -> None:
-    assert r"\u202a-\u202e" in CampaignSpecification.model_json_schema()["properties"]["name"]["pattern"]
+    assert r"\u2028-\u202e" in CampaignSpecification.model_json_schema()["properties"]["name"]["pattern"]

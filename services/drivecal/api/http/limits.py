@@ -24,7 +24,8 @@ CLOSE = {"Connection": "close"}
 
 
 class BodyLimit:
-    """ASGI middleware that refuses bodies that are too large (413), by their declaration or when they turn out to be."""
+    """ASGI middleware that refuses bodies that are too large (413), by their declaration or when they turn out to be, or that declare their
+    length twice (400)."""
 
     def __init__(self, app: ASGIApp, largest: int = LARGEST_BODY, others: Mapping[str, int] | None = None) -> None:
         """Limits the bytes of bodies.
@@ -46,6 +47,10 @@ class BodyLimit:
         request = Request(scope)
         largest, received = self.others.get(scope["path"], self.largest), 0
         detail = f"the body is larger than {largest:,} bytes; send a smaller one"
+        if "content-length" in request.headers and "transfer-encoding" in request.headers:
+            both = "the body has both Content-Length and Transfer-Encoding; send one of them"  # a proxy may believe the other
+            await problem_response(request, 400, both, headers=CLOSE)(scope, receive, send)
+            return
         declared = request.headers.get("content-length", "0")
         if not declared.isdecimal() or len(declared) > 20 or int(declared) > largest:
             await problem_response(request, 413, detail)(scope, receive, send)  # uvicorn throws the body away as it comes
