@@ -1,5 +1,6 @@
 """A problem that attacks whatever it reaches, next to one that works: on a real server with workers, as users have them."""
 
+import os
 import socket
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from tests.support.serve import Server, alive, serving
 from tests.support.simulators import eventually, running
 
 from drivecal.client import Client
+from drivecal.cluster.homes import remember
 
 pytestmark = pytest.mark.slow
 IDLE = 6
@@ -39,7 +41,9 @@ def reach(server: Server, mark: str) -> dict[str, Any]:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     home, cache = server.folder / "home", server.folder / "cache"
-    places = {"home": str(home), "cache": str(cache), "secret": str(home / "push.secret"), "mark": mark}
+    sockets = [str(server.folder / "socket"), "/tmp/drivecal-ray-*/r/session_2*/sockets/*"]
+    places = {"home": str(home), "cache": str(cache), "secret": str(home / "push.secret"), "mark": mark, "sockets": sockets}
+    places |= {"elsewhere": str(server.folder / "elsewhere"), "shared": f"/dev/shm/{mark}"}
     amounts = {"doublings": 9, "memory_mb": 1000, "disk_mb": 100}
     return {**places, **amounts, "server": server.process.pid, "url": server.url, "port": port, "others": [["127.0.0.1", 1]]}
 
@@ -53,12 +57,23 @@ def test_every_attack_is_expected_to_cost_its_cell_or_nothing() -> None:
     assert CAUSES.keys() | UNNOTICED == ATTACKS.keys()
 
 
-def test_an_attack_costs_its_cell_and_nothing_of_a_campaign_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mark, temporary = f"mark-of-{tmp_path.parent.name}", tmp_path / "temporary"
+@pytest.mark.parametrize("backend", ["processes", "ray"])
+def test_an_attack_costs_its_cell_and_nothing_of_a_campaign_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, backend: str
+) -> None:
+    mark, temporary = f"mark-of-{tmp_path.parent.name}-{backend}", tmp_path / "temporary"
     temporary.mkdir()
+    listening, shared, elsewhere = socket.socket(socket.AF_UNIX), Path(f"/dev/shm/{mark}"), tmp_path / "elsewhere"
+    listening.bind(os.path.relpath(tmp_path / "socket"))
+    listening.listen()
+    shared.write_text("1")
+    elsewhere.mkdir()
+    (elsewhere / "push.secret").write_text("another")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    remember([elsewhere])
     monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))
     places = {"DRIVECAL_BUNDLE_CACHE": str(tmp_path / "cache"), "TMPDIR": str(temporary)}
-    with serving(tmp_path, 2, 0, DRIVECAL_BACKEND="processes", **places) as server, Client(server.url) as client:
+    with serving(tmp_path, 2, 0, DRIVECAL_BACKEND=backend, **places) as server, Client(server.url) as client:
         push_attacker(client, tmp_path, attacker(reach(server, mark)))
         push(client, tmp_path, WORKING, WORKS)
         alone = client.wait(client.submit(NEIGHBOUR).id)  # now all workers have started
@@ -72,6 +87,8 @@ def test_an_attack_costs_its_cell_and_nothing_of_a_campaign_beside_it(tmp_path: 
         cells = {name: ended(client, identifier) for name, identifier in posted.items()}
         lost = assert_costs(cells, CAUSES)
         assert (tmp_path / "home" / "push.secret").read_text() not in str(lost)
+        assert shared.read_text() == "1"
+        shared.unlink()
         assert {worker.id for worker in client.workers().items} == workers
         assert processes(server) == family
         # forks have no mark, but the folder of their run

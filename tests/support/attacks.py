@@ -1,7 +1,8 @@
 """A user's simulator that attacks its neighbours, copied into a bundle by tests. Bounded, in case that nothing holds it.
 
 The scenario's data say where and how much: `mark` (a word in names of files and processes that are left), `home`, `cache`
-(folders), `secret` (a file), `server` (a process), `url`, `port`, `others` (addresses), `doublings` (of processes), `memory_mb`, `disk_mb`.
+(folders), `secret` (a file), `server` (a process), `url`, `port`, `others` (addresses), `sockets` (patterns of Unix
+sockets), `shared` (a file in /dev/shm), `elsewhere` (the home of another server), `doublings` (of processes), `memory_mb`, `disk_mb`.
 """
 
 import atexit
@@ -185,6 +186,59 @@ def reads_the_environment(data: Data) -> None:
             if (read := (process / "environ").read_bytes()) and own not in read:
                 raise RuntimeError(process)
     raise RuntimeError(Path(f"/proc/{data['server']}/environ").read_text())
+
+
+def _sockets(data: Data) -> list[str]:
+    return [str(path) for pattern in data["sockets"] for path in Path("/").glob(pattern.removeprefix("/"))]
+
+
+def connects_to_local_sockets(data: Data) -> None:
+    refusal: OSError | None = None
+    for path in _sockets(data):
+        for kind in (socket.SOCK_STREAM, socket.SOCK_SEQPACKET, socket.SOCK_DGRAM):
+            try:
+                with socket.socket(socket.AF_UNIX, kind) as end:
+                    end.connect(path)
+            except OSError as error:
+                refusal = error
+            else:
+                return
+    if refusal is not None:
+        raise refusal
+
+
+def sends_to_local_sockets(data: Data) -> None:
+    for path in _sockets(data):
+        socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)[0].sendto(b"1", path)
+
+
+def overwrites_shared_memory(data: Data) -> None:
+    with Path(data["shared"]).open("r+b") as file:
+        file.write(b"2")
+
+
+def changes_attributes(data: Data) -> None:
+    refusal: OSError | None = None
+    home = Path(data["home"])
+    changes: list[Callable[[], None]] = [
+        lambda: home.chmod(0o755),
+        lambda: os.chown(home, os.getuid(), os.getgid()),
+        lambda: os.utime(home, (1, 1)),
+        lambda: os.setxattr(home, "user.x", b"1"),
+    ]
+    for change in changes:
+        try:
+            change()
+        except OSError as error:
+            refusal = error
+        else:
+            return
+    if refusal is not None:
+        raise refusal
+
+
+def reads_the_secret_of_another_server(data: Data) -> None:
+    raise RuntimeError(Path(data["elsewhere"], "push.secret").read_text())
 
 
 def writes_to_the_cache(data: Data) -> None:

@@ -7,7 +7,9 @@ import os
 import socket
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
+from drivecal.cluster.homes import DATABASE_ENDINGS, remember
 from drivecal.configuration.settings import Settings
 from drivecal.configuration.tokens import is_loopback
 from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem
@@ -15,6 +17,7 @@ from drivecal.server.supervisor import ChildProcess, Supervisor
 from drivecal.storage import processes
 from drivecal.storage.engine import locks
 from drivecal.storage.engine.database import PROMPT, Database
+from drivecal.storage.engine.urls import parse, sqlite_file
 
 DISPATCHER = (sys.executable, "-m", "drivecal.dispatch")
 BACKLOG = 512
@@ -71,9 +74,16 @@ def prepare_database(settings: Settings) -> Database:
         problem = Problem("home", f"{settings.home} cannot be made: {error.strerror}", "set DRIVECAL_HOME to a folder of yours")
         raise InvalidInputError(problem) from error
     database = Database.open(settings.database_url)
+    remember(_secrets(settings))
     with locks.hold(settings.database_url):  # the dispatcher takes it for good
         database.upgrade()
     return database
+
+
+def _secrets(settings: Settings) -> list[Path]:
+    database = sqlite_file(parse(settings.database_url))
+    files = [] if database is None else [Path(f"{database}{ending}") for ending in DATABASE_ENDINGS]
+    return [settings.home, *filter(None, (settings.tokens_file, settings.database_password_file)), *files]
 
 
 class Startup:

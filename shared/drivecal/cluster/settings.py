@@ -10,7 +10,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 OBJECT_STORE_BYTES = 80 * 2**20
-"""Shared memory of a node, Ray's minimum: batches and results travel with the calls; only recorded runs are in the object store."""
+"""Shared memory of a node, Ray's minimum: batches, archives and results travel with the calls."""
+INLINE_BYTES = 256 * 2**20
+"""Size up to which they do. Ray's own limit is 100 kB; beyond it lies in memory that every process of the user may map and change."""
 VERSION_LABEL = "drivecal-version"
 """Label of a node with the release of its installed drivecal: version and digest of the sources."""
 PORT = 6379
@@ -25,6 +27,8 @@ QUIET = {
     "RAY_task_events_report_interval_ms": "0",
     "RAY_enable_metrics_collection": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+    "RAY_max_direct_call_object_size": str(INLINE_BYTES),
+    "RAY_task_rpc_inlined_bytes_limit": str(INLINE_BYTES),
 }
 """Environment of every process that uses Ray."""
 ALERT = {

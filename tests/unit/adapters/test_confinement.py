@@ -1,5 +1,6 @@
 """What a simulator cannot do to its neighbours where the kernel has Landlock, and what it may do all the same."""
 
+import ctypes
 import os
 import socket
 from contextlib import ExitStack
@@ -10,6 +11,7 @@ from tests.support.simulators import lost, opened, scratch_of, served, write_ser
 
 from drivecal.adapters import confinement, keeper
 from drivecal.adapters.scratch import GRANTED, Scratch
+from drivecal.adapters.seclusion import Seclusion
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared
@@ -46,13 +48,36 @@ FORBIDDEN = {
     "policy": "(os.sched_setscheduler(os.getppid(), 3, os.sched_param(0)), check(os.sched_getscheduler(os.getppid()) == 3))",
     "priority": "os.setpriority(os.PRIO_PROCESS, os.getppid(), os.getpriority(os.PRIO_PROCESS, os.getppid()))",
     "priority_of_all": "os.setpriority(os.PRIO_USER, 0, os.getpriority(os.PRIO_USER, 0))",
+    "abstract_socket": "dial({abstract!r})",
+    "socket_by_path": "dial('{outside}/listening')",
+    "datagram_by_path": "socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)[0].sendto(b'1', '{outside}/datagrams')",
+    "raw_pair": "socket.socketpair(socket.AF_UNIX, socket.SOCK_RAW)",
+    "descriptor_of_worker": "os.open('/proc/{worker}/fd/0', os.O_RDONLY)",
+    "stolen_descriptor": "check(ctypes.CDLL(None).syscall(438, os.pidfd_open({worker}), 0, 0) >= 0)",
+    "host_socket": "socket.socket(socket.AF_VSOCK)",
+    "ring": "check(ctypes.CDLL(None).syscall(425, 1, ctypes.byref((ctypes.c_uint32 * 30)())) >= 0)",
+    "keyring": "check(ctypes.CDLL(None).syscall(250, 0, -4, 1) > 0)",
+    "memory_of_others": "open('{shared}').read()",
+    "memory_of_others_changed": "open('{shared}', 'r+')",
+    "segment_of_others": "check(ctypes.CDLL(None).shmget({key}, 0, 0) >= 0)",
     "mount": "check(ctypes.CDLL(None, use_errno=True).mount(b'none', os.getcwd().encode(), b'tmpfs', 0, None) == 0)",
 }
 LATER = {"truncate": "os.truncate('{outside}/file', 0)"}
-SCOPED = {
-    "signal": "os.kill(os.getppid(), 0)",
-    "signal_worker": "os.kill({worker}, 0)",
-    "abstract_socket": "socket.socket(socket.AF_UNIX).connect({abstract!r})",
+SCOPED = {"signal": "os.kill(os.getppid(), 0)", "signal_worker": "os.kill({worker}, 0)"}
+SECLUDED = {
+    "mode": "os.chmod('{outside}/file', 0o666)",
+    "mode_by_descriptor": "os.fchmod(os.open('{outside}/file', os.O_RDONLY), 0o666)",
+    "mode_of_folder": "os.chmod('{outside}', 0o777)",
+    "owner": "os.chown('{outside}/file', os.getuid(), os.getgid())",
+    "times": "os.utime('{outside}/file', (1, 1))",
+    "attribute": "os.setxattr('{outside}/file', 'user.x', b'1')",
+    "mode_of_bundle": "os.chmod('deep/data', 0o666)",
+}
+OWN_MEMORY = {
+    "semaphore": "__import__('multiprocessing').Lock()",
+    "shared_memory": "(m := __import__('multiprocessing.shared_memory').shared_memory.SharedMemory(create=True, size=9), m.unlink())",
+    "left_memory": "os.close(os.open('/dev/shm/left', os.O_CREAT | os.O_EXCL | os.O_RDWR))",
+    "segment": "check(ctypes.CDLL(None).shmget({key}, 9, 0o1600) >= 0)",
 }
 ALLOWED = {
     "work": "open('file', 'w').write('1')",
@@ -60,8 +85,6 @@ ALLOWED = {
     "move": "(os.mkdir('sub'), open('moved', 'w'), os.rename('moved', 'sub/moved'))",
     "device": "open('/dev/null', 'w').write('1')",
     "random": "open('/dev/urandom', 'rb').read(1)",
-    "semaphore": "__import__('multiprocessing').Lock()",
-    "shared_memory": "(m := __import__('multiprocessing.shared_memory').shared_memory.SharedMemory(create=True, size=9), m.unlink())",
     "own_limit": "(resource.setrlimit(resource.RLIMIT_CORE, (0, 0)), resource.prlimit(os.getpid(), resource.RLIMIT_CORE, (0, 0)))",
     "look_at_limits": "resource.prlimit(os.getppid(), resource.RLIMIT_CORE)",
     "own_processors": "[os.sched_setaffinity(number, os.sched_getaffinity(0)) for number in (0, os.getpid())]",
@@ -72,9 +95,9 @@ ALLOWED = {
     "module": "__import__('decimal')",
     "bundle_file": "open('deep/data').read()",
     "listen": "(s := socket.socket(), s.bind(('127.0.0.1', 0)), s.listen())",
-    "own_abstract_socket": "(s := socket.socket(socket.AF_UNIX), s.bind('\\0own-%d' % os.getpid()), s.listen(), dial(s.getsockname()))",
-    "own_socket": "(s := socket.socket(socket.AF_UNIX), s.bind('socket'), s.listen(), dial('socket'))",
-    "manager": "__import__('multiprocessing').get_context('fork').Manager().list([1])",
+    "pair": "(p := socket.socketpair(), p[0].sendall(b'1'), check(p[1].recv(1) == b'1'))",
+    "own_mode": "(open('own', 'w'), os.chmod('own', 0o755), os.utime('own', (1, 1)))",
+    "manager": "[__import__('multiprocessing.managers').managers.SyncManager(('127.0.0.1', 0)).start()]",
     "standard_error": "check(os.system('echo message > /dev/stderr') == 0)",
 }
 
@@ -110,32 +133,44 @@ def test_a_simulator_changes_its_own_folders_only_and_reads_no_secrets(tmp_path:
         path.write_text("content")
     monkeypatch.setenv("DRIVECAL_HOME", str(home))
     monkeypatch.setenv("DRIVECAL_TOKENS_FILE", str(outside / "tokens"))
-    forbidden = dict(FORBIDDEN)
+    is_secluded = Seclusion.make([], 1 << 20) is not None
+    forbidden, allowed = dict(FORBIDDEN), dict(ALLOWED)
+    forbidden, allowed = (forbidden | SECLUDED, allowed | OWN_MEMORY) if is_secluded else (forbidden | OWN_MEMORY, allowed)
     if confinement.version() >= confinement.TRUNCATION_SINCE:
         forbidden |= LATER
     if confinement.version() >= confinement.SCOPES_SINCE:
         forbidden |= SCOPED
-    codes = forbidden | ALLOWED
-    listening = socket.socket(socket.AF_UNIX)
+    codes = forbidden | allowed
     abstract = f"\0drivecal-{os.getpid()}"
-    listening.bind(abstract)
-    listening.listen()
+    listening = [socket.socket(socket.AF_UNIX, kind) for kind in (socket.SOCK_STREAM, socket.SOCK_STREAM, socket.SOCK_DGRAM)]
+    for end, address in zip(listening, (abstract, str(outside / "listening"), str(outside / "datagrams")), strict=True):
+        end.bind(address)
+        if end.type == socket.SOCK_STREAM:
+            end.listen()
+    shared = Path(f"/dev/shm/drivecal-test-{os.getpid()}")
+    shared.write_text("content")
+    segment = ctypes.CDLL(None).shmget(os.getpid(), 9, 0o1600)
     terminal = os.openpty()
     places = {
         "outside": outside,
         "home": home,
         "worker": os.getpid(),
         "abstract": abstract,
+        "shared": shared,
+        "key": os.getpid(),
         "terminal": os.ttyname(terminal[1]),
     }
     command = write_server(bundle, attempts(codes, **places))
     before = sorted(tmp_path.rglob("*"))
     with opened("process", bundle, Declared("trial", tuple(codes)), command=command) as session:
         worked = session.evaluate({"x": 1.0}).measures
-    listening.close()
+    for end in listening:
+        end.close()
+    shared.unlink()
+    ctypes.CDLL(None).shmctl(segment, 0, None)
     for descriptor in terminal:
         os.close(descriptor)
-    assert {name for name, success in worked.items() if success} == set(ALLOWED)
+    assert {name for name, success in worked.items() if success} == set(allowed)
     assert sorted(tmp_path.rglob("*")) == before
     assert (outside / "file").read_text() == "content"
 

@@ -4,7 +4,7 @@ It starts a child on request, limits it, and ends all its descendants: when the 
 gone. As a subreaper it inherits orphans, including those in sessions of their own, so none is missed. A worker cannot do this itself:
 `preexec_fn` is unsafe with threads, the signal of a parent's death follows the starting thread, and orphans would mix with others.
 
-Runs by path, `python -I -S keeper.py FD`, with the standard library, `confinement` and `files` only. FD is a socket of messages
+Runs by path, `python -I -S keeper.py FD`, with the standard library and modules that need nothing else. FD is a socket of messages
 (SOCK_SEQPACKET): the worker sends `s` with three descriptors (standard input, output, error) for a start, `t` for an end and `k` for one at
 once; the keeper answers in JSON, see `Keeper`.
 """
@@ -26,8 +26,10 @@ from typing import Any, NamedTuple
 if __name__ == "__main__":  # isolated, without site-packages
     sys.path.append(str(Path(__file__).parents[2]))
 
-from drivecal.adapters.confinement import confine, hold_to_itself, keep_signals, ruleset
+from drivecal.adapters.confinement import SHARED_MEMORY, confine, keep_signals, ruleset
 from drivecal.adapters.files import remove
+from drivecal.adapters.seclusion import Seclusion
+from drivecal.adapters.system_calls import hold_to_itself
 
 START, END, KILL = b"s", b"t", b"k"
 GRACE_SECONDS = 2.0
@@ -136,9 +138,13 @@ class Keeper:
         """`settings`: `command`, `environment`, `folder` (working directory), `memory` (bytes of data of each process), and `confinement`:
         the arguments of `ruleset`, or None."""
         self._control, self._settings = control, settings
-        self._reaches_its_own_only = settings["confinement"] is not None and _reaches_its_own_only(worker)
+        rules = settings["confinement"]
+        self._seclusion = None if rules is None else Seclusion.make(rules["writable"], settings["memory"])
+        self._reaches_its_own_only = rules is not None and _reaches_its_own_only(worker)
         """A signal to all processes reaches the descendants only."""
-        self._rules = None if settings["confinement"] is None else ruleset(**settings["confinement"])
+        own_memory = None if self._seclusion is None else self._seclusion.shared_memory
+        self._rules = None if rules is None else ruleset(**rules, shared_memory=own_memory)
+        self._shares_memory = own_memory is None and rules is not None and SHARED_MEMORY not in rules["writable"]
         self._library = ctypes.CDLL(None, use_errno=True)
         self._library.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
         self._child: int | None = None
@@ -222,8 +228,10 @@ class Keeper:
             value = value if hard == resource.RLIM_INFINITY else min(value, hard)
             resource.setrlimit(limit, (value, value))
         if self._settings["confinement"] is not None:
+            if self._seclusion is not None:
+                self._seclusion.enter(self._settings["folder"])
             confine(self._rules)
-            hold_to_itself()
+            hold_to_itself(shares_memory=self._shares_memory)
 
     def _notice(self) -> None:
         """Reaps orphans, and reports the child if it has ended."""
@@ -245,6 +253,8 @@ class Keeper:
 
     def _report(self, child: int) -> None:
         self._child = None
+        if self._seclusion is not None:
+            self._seclusion.clear()
         usage = resource.getrusage(resource.RUSAGE_CHILDREN)
         status = self._statuses.pop(child, -signal.SIGKILL)
         self._statuses.clear()

@@ -1,6 +1,7 @@
 """The child of simulator kind `python`: imports a function of a file and serves it. Runs as `python -I -B -m ... SETTINGS`."""
 
 import json
+import multiprocessing.connection
 import platform
 import sys
 import zipfile
@@ -18,7 +19,11 @@ MOST_BYTES = 4 << 30
 
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
-    """Imports the function. `settings`: `file`, `function`, `wheels` (a folder or None), `packages` (where to unpack them)."""
+    """Imports the function. `settings`: `file`, `function`, `wheels` (a folder or None), `packages` (where to unpack them).
+
+    Its managers of shared objects listen on loopback, because Unix sockets are refused.
+    """
+    vars(multiprocessing.connection)["default_family"] = "AF_INET"
     if settings["wheels"] is not None:
         sys.path.insert(0, str(unpack(Path(settings["wheels"]), Path(settings["packages"]))))
     file = Path(settings["file"])

@@ -13,6 +13,7 @@ from typing import Any
 import drivecal
 from drivecal.adapters.files import remove
 from drivecal.bundles.archives import MANIFEST
+from drivecal.cluster.homes import DATABASE_ENDINGS, remembered
 from drivecal.domain.errors import UnavailableError
 
 GRANTED = "DRIVECAL_SIMULATOR_FOLDERS"
@@ -22,7 +23,7 @@ _SECRETS = ("DRIVECAL_TOKENS_FILE", "DRIVECAL_DATABASE_PASSWORD_FILE", "RAY_AUTH
 
 _INHERITED = re.compile(r"PATH|LANG|LC_\w+|TZ|LD_LIBRARY_PATH|PYTHONHASHSEED|\w+_LICENSE\w*")
 """Names of variables that every child gets: what programs need to start, to write numbers and dates, and to reach licence servers."""
-_REFUSALS = ("ermission denied", "EACCES")
+_REFUSALS = ("ermission denied", "EACCES", "ead-only file system", "EROFS")
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """A worker is one of several on its machine, so that a simulator gets one thread if nothing else is set."""
@@ -100,12 +101,17 @@ class Scratch:
         }
 
     def _hidden(self) -> list[Path]:
-        """Files and folders with secrets of the server and of other users' problems."""
-        paths = [Path(os.environ.get("DRIVECAL_HOME") or ".drivecal"), Path("drivecal.toml"), Path("~/.ray/auth_token")]
+        """Files and folders with secrets of the user's servers and of other users' problems."""
+        paths = [
+            *remembered(),
+            Path(os.environ.get("DRIVECAL_HOME") or ".drivecal"),
+            Path("drivecal.toml"),
+            Path("~/.ray/auth_token"),
+        ]
         paths.extend(Path(os.environ[name]) for name in _SECRETS if os.environ.get(name))
         scheme, _, file = os.environ.get("DRIVECAL_DATABASE_URL", "").partition(":///")
         if scheme.startswith("sqlite") and file:
-            paths.extend(Path(file + ending) for ending in ("", "-wal", "-shm", ".lock", ".queue"))
+            paths.extend(Path(file + ending) for ending in DATABASE_ENDINGS)
         if _DIGEST.fullmatch(self._bundle.name):
             paths.append(self._bundle.parent)  # the cache, with others' bundles
         paths.append(self.folder.parent)  # with what other sessions have unpacked

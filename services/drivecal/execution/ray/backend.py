@@ -18,9 +18,6 @@ from drivecal.execution.supervised import CallFailedError, NotKnownYetError, Sup
 from drivecal.execution.worker_process import WorkerProcess
 from drivecal.runtime.worker import Worker
 
-MOST_ARCHIVES = 8
-"""Archives of bundles that are kept in Ray's store for workers to come."""
-
 log = logging.getLogger(__name__)
 
 
@@ -47,8 +44,6 @@ class RayBackend(SupervisedBackend):
         self._trial = trial
         self._version = release()
         self._nodes: tuple[Node, ...] = ()
-        self._archives: dict[str, Any] = {}
-        """References to archives in Ray's store, by digest."""
         if options.address is None:
             for _ in range(options.workers or max(1, self._cluster.cpus())):
                 self._hire(None)
@@ -67,14 +62,7 @@ class RayBackend(SupervisedBackend):
         return worker.handle.run.remote(batch)
 
     def _store(self, worker: WorkerProcess, bundle: str, archive: bytes) -> None:
-        try:
-            if bundle not in self._archives:
-                self._archives[bundle] = self._ray.put(archive)
-        except self._ray.exceptions.RayError as error:
-            raise CallFailedError(str(error)) from error
-        worker.handle.store.remote(bundle, self._archives[bundle])
-        while len(self._archives) > MOST_ARCHIVES:
-            del self._archives[next(iter(self._archives))]
+        worker.handle.store.remote(bundle, archive)
 
     def _end(self, worker: WorkerProcess) -> None:
         self._ray.kill(worker.handle, no_restart=True)
