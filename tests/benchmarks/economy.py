@@ -1,6 +1,7 @@
 """Best objective by the number of simulated cells, for optimizers on several problems: `run.py economy [--problems NAME ...]`.
 
-More options: `--arms NAME ... --seeds N --cells N --cache FOLDER`. Optimizers search in this process; a cell is a set in a scenario. The
+More options: `--arms NAME ... --seeds N --cells N --cache FOLDER`. `--reach` prints instead after how many cells `surrogate` reaches what
+`genetic` finds with 200 sets x 15 iterations, at most `--cells`. Optimizers search in this process; a cell is a set in a scenario. The
 figures are the best objective that is simulated in all scenarios after 120, 300, 600 and 1,200 cells, for paired seeds, mean ranks, and
 Wilcoxon's signed-rank tests of `surrogate` against each other optimizer. Finished runs are kept in `.drivecal/bench/economy.jsonl`,
 answers in the folder of `--cache`. Ten seeds of 1,200 cells take a day of a core.
@@ -88,7 +89,9 @@ def generations(plugin: DeclaringOptimizerPlugin, settings: Any) -> Callable[[Ru
         own = settings.model_copy(update={"seed": seed})
         optimizer = RepairingOptimizer(create_optimizer(plugin, own, task.n_values, task.kinds, task.start), task.repair)
         unchanged = 0
-        while unchanged < 200:  # populations that are equal would be asked for ever
+        for _ in range(settings.iterations):
+            if unchanged == 200:  # populations that are equal would be asked for ever
+                return
             before = len(run.course)
             answers = np.array([run.whole(row) for row in optimizer.ask().population.tolist()])
             optimizer.tell(answers[:, 0], answers[:, 1])
@@ -149,8 +152,8 @@ def surrogate(room: int, window: int) -> Callable[[Run, int], None]:
     return search
 
 
-def _genetic(population: int) -> Callable[[Run, int], None]:
-    return generations(GENETIC, GeneticSettings(population=population, iterations=10_000))
+def _genetic(population: int, iterations: int = 10_000) -> Callable[[Run, int], None]:
+    return generations(GENETIC, GeneticSettings(population=population, iterations=iterations))
 
 
 ARMS: Mapping[str, Callable[[Run, int], None]] = {
@@ -181,6 +184,25 @@ def measured(name: str, arm: str, seed: int, cells: int, cache: Path | None) -> 
         "reached": levels,
         "seconds": time.process_time() - begin,
     }
+
+
+def reach(name: str, seed: int, cells: int, cache: Path | None) -> tuple[int, float, int | None]:
+    """Returns the cells of `genetic` 200 x 15, its best objective, and after how many `surrogate` has an equal one (None: after none)."""
+    genetic, ours = Run(problem(name, cache), sys.maxsize), Run(problem(name, cache), cells)
+    _genetic(200, 15)(genetic, seed)
+    with suppress(Ended):
+        ARMS["surrogate"](ours, seed)
+    return len(genetic.course), genetic.course[-1], _reached(ours.course, genetic.course[-1])
+
+
+def reaching(names: Sequence[str], seeds: Sequence[int], cells: int, cache: Path | None) -> Iterator[str]:
+    """Yields a line for each problem: medians over the seeds; a search that does not get there counts as longer than all others."""
+    yield f"{'':16}{'genetic 200 x 15':>18}{'surrogate':>12}{'share':>8}   reached"
+    for name in names:
+        found = [reach(name, seed, cells, cache) for seed in seeds]
+        needed = [np.inf if ours is None else ours for _, _, ours in found]
+        theirs, ours = float(np.median([genetic for genetic, _, _ in found])), float(np.median(needed))
+        yield f"{name:16}{theirs:>18,.0f}{ours:>12,.0f}{ours / theirs:>8.1%}   {int(np.isfinite(needed).sum())} of {len(seeds)}"
 
 
 def _reached(course: Sequence[float], level: float) -> int | None:
@@ -225,13 +247,19 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--cells", type=int, default=BUDGETS[1])
     parser.add_argument("--cache", type=Path, help="folder of simulated answers")
+    parser.add_argument("--reach", action="store_true")
     chosen = parser.parse_args(arguments)
+    seeds = range(FIRST_SEED, FIRST_SEED + chosen.seeds)
+    if chosen.reach:
+        for line in reaching(chosen.problems, seeds, chosen.cells, chosen.cache):
+            print(line, flush=True)
+        return 0
     rows: list[dict[str, Any]] = []
     lines = TARGET.with_suffix(".jsonl")
     lines.parent.mkdir(parents=True, exist_ok=True)
     kept = [json.loads(line) for line in lines.read_text(encoding="utf-8").splitlines()] if lines.exists() else []
     known = {(row["problem"], row["arm"], row["seed"], row["cells"]): row for row in kept}
-    for seed in range(FIRST_SEED, FIRST_SEED + chosen.seeds):
+    for seed in seeds:
         for name in chosen.problems:
             for arm in chosen.arms:
                 row = known.get((name, arm, seed, chosen.cells))
