@@ -26,6 +26,7 @@ from drivecal.contracts.specification import CampaignSpecification, ReductionSpe
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import digest
+from drivecal.optimizers.external import EXTERNAL
 from drivecal.plugins import registry
 from drivecal.plugins.search import SearchPlugin
 from drivecal.storage import campaigns, generations, labels, results
@@ -183,6 +184,10 @@ def _check_lists(specification: ComparisonSpecification, diagnostics: Diagnostic
         remedy = "ask for a sensitivity analysis, name a map, or leave `influence` and `both` out"
         diagnostics.add("sensitivity", "reductions `influence` and `both` need an influence map", remedy)
     for index, optimizer in enumerate(specification.optimizers):
+        if optimizer.kind == EXTERNAL.name:
+            diagnostics.add(
+                f"optimizers[{index}].kind", "others propose its sets", "give such campaigns a common tag to compare them"
+            )
         for name in optimizer.model_extra or {}:
             if name in COMMON:
                 message = "all optimizers have the same here"

@@ -34,7 +34,7 @@ class ExitCode(IntEnum):
 
 
 ORDER = (
-    *("demo", "serve", "submit", "list", "show", "watch", "pause", "resume", "cancel", "rerun", "label", "delete"),
+    *("demo", "serve", "submit", "list", "show", "watch", "pause", "resume", "cancel", "finish", "rerun", "label", "delete"),
     *("solutions", "report", "export", "explain", "influence", "influence-maps", "robustness", "validate"),
     *("compare-optimizers", "evaluate", "problem", "workers", "db"),
 )

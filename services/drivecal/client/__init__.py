@@ -10,5 +10,6 @@ with Client() as client:  # or Client(url, token)
 
 from drivecal.client.client import Client
 from drivecal.client.frames import DownloadedTable
+from drivecal.client.outside import SearchEndedError
 
-__all__ = ["Client", "DownloadedTable"]
+__all__ = ["Client", "DownloadedTable", "SearchEndedError"]

@@ -14,6 +14,7 @@ from pydantic import RootModel, ValidationError
 from drivecal.client.documents import Document, completed, ids_on, is_abbreviated, plain, weights_text, with_full_ids
 from drivecal.client.following import READ_SECONDS, EventParser, Following, Sent, ServerSentEvent, Told, displayed
 from drivecal.client.frames import DownloadedTable, RankedSets, Rows
+from drivecal.client.outside import AskTell
 from drivecal.client.problems import Pushed, archive_of, push_headers
 from drivecal.client.report import report_of
 from drivecal.client.transport import Answer, Transport, harmless, named, path_of, raise_for, unreachable
@@ -32,12 +33,13 @@ from drivecal.contracts.inventory import (
     WorkerPage,
 )
 from drivecal.contracts.organising import Archived, Deletion
+from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet
 from drivecal.contracts.results import CampaignResults, FrontSummary, TradeOff
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import FrontRow, InfluenceRow, JudgedSet, OptimumRow, RobustnessRow, TableName, ValidationRow
 from drivecal.domain.errors import OverloadError
 
-Action = Literal["pause", "resume", "cancel"]
+Action = Literal["pause", "resume", "cancel", "finish"]
 Table = Literal[TableName, "front/evaluated"]
 
 
@@ -203,8 +205,42 @@ class Client(Transport):
             raise self._strange() from error
 
     def act(self, identifier: str, action: Action) -> Campaign:
-        """Asks for a campaign to be paused, resumed or cancelled. Asking twice is no error."""
+        """Asks for a campaign to be paused, resumed, cancelled or, with an external optimizer, finished. Asking twice is no error."""
         return self._post(Campaign, "campaigns", identifier, action)
+
+    def ask_tell(self, specification: Document | None = None, *, resume: str | None = None) -> AskTell:
+        """Begins a campaign that evaluates the sets of an optimizer of yours.
+
+        Args:
+            specification: The campaign; its `optimizer` is `{kind: external}` unless it says more.
+            resume: Id of an open campaign to go on with, in the place of a specification.
+        """
+        if resume is not None:
+            return AskTell(self, self.campaign(resume))
+        document = dict(plain({} if specification is None else specification))
+        return AskTell(self, self.submit({"optimizer": {"kind": "external"}} | document))
+
+    def propose(self, identifier: str, sets: Sequence[Mapping[str, Any]]) -> AcceptedSets:
+        """Sends up to 1,000 sets to a campaign with an external optimizer: `{"key": "a1", "parameters": {...}}`. Once per key."""
+        place = ("campaigns", identifier, "sets")
+        return self._answer(self._request("POST", place, document={"sets": list(sets)}), AcceptedSets, place)
+
+    def answers(self, identifier: str, after: int = 0, wait: float = 0.0) -> AnswerPage:
+        """Returns the answers of proposed sets after a number, by cell; waits for one if there is none yet.
+
+        Args:
+            identifier: Id of the campaign.
+            after: `last` of the answers before.
+            wait: Seconds to wait, at most two thirds of the client's time limit.
+        """
+        limit = self._http.timeout.read
+        seconds = wait if limit is None else min(wait, 2 / 3 * limit)
+        return self._get(AnswerPage, "campaigns", identifier, "answers", after=after, wait=seconds)
+
+    def cancel_set(self, identifier: str, key: str) -> CancelledSet:
+        """Cancels a proposed set, unless its cells were asked for already."""
+        place = ("campaigns", identifier, "sets", key)
+        return self._answer(self._request("DELETE", place), CancelledSet, place)
 
     def rerun(self, identifier: str, changes: Document, key: str | None = None) -> Campaign:
         """Queues a new campaign on the references and the influence map of an ended one.

@@ -169,6 +169,8 @@ class StoredCampaign(CampaignHeading):
     comment: str
     archived_at: datetime | None
     deleted_at: datetime | None
+    finish_at: datetime | None
+    """The moment at which an outside optimizer said that it proposes no more sets."""
     pruned_at: datetime | None
     """The moment at which most of its cells were removed."""
 

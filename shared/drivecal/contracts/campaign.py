@@ -203,7 +203,7 @@ class FirstObjective(Answer):
     direction: Literal["maximise", "minimise"]
 
 
-SearchEnd = Literal["budget", "stagnation", "iterations"]
+SearchEnd = Literal["budget", "stagnation", "iterations", "finished"]
 
 
 class Repaired(Answer):

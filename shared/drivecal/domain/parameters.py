@@ -258,6 +258,18 @@ class Parameter:
             raise InvalidInputError(Problem(path, f"{value} is not on the grid", f"the nearest values are {neighbours}"))
         return index
 
+    def nearest(self, value: Setting | None, *, clips: bool = False) -> int | None:
+        """Returns the grid index nearest to a value; None if it has none: text that is no choice, or a number outside of the range.
+
+        With `clips`, the ends of the range are nearest to numbers outside.
+        """
+        if isinstance(value, str) or value is None or self.choices:
+            return self.choices.index(value) if value in self.choices else None
+        lower, upper = float(self.lower), float(self.upper)
+        if not clips and not lower <= value <= upper:
+            return None
+        return round((min(max(value, lower), upper) - lower) / (upper - lower) * (self.n_values - 1))
+
 
 @dataclass(frozen=True, slots=True)
 class ParameterSet:

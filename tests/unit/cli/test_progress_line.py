@@ -42,14 +42,14 @@ class Watched(Client):
     """A client of a campaign that is queued, runs and ends, while workers have these states; None: the server is silent."""
 
     def __init__(self, *workers: list[str] | None) -> None:
-        self.answers = list(workers)
+        self.replies = list(workers)
 
     def watch(self, *_: Any, **__: Any) -> Iterator[Campaign]:
         for state in ("queued", "running", "running", "succeeded"):
             yield Campaign(id="1" * 32, name="mine", state=state)
 
     def workers(self) -> WorkerPage:
-        states = self.answers.pop(0)
+        states = self.replies.pop(0)
         if states is None:
             raise UnavailableError("silent")
         return WorkerPage(items=[WorkerAnswer(id=str(place), state=state) for place, state in enumerate(states)], fresh=True)
@@ -70,4 +70,4 @@ def test_why_nothing_is_simulated_is_told_once_if_workers_are_starting(
     client = Watched(*workers, *[["starting"]] * 9)
     assert show_until_ended(client, "1" * 32).state == "succeeded"
     assert capsys.readouterr().err.count("waiting for workers") == told
-    assert len(client.answers) == len(workers) + 9 - asked
+    assert len(client.replies) == len(workers) + 9 - asked

@@ -44,4 +44,5 @@ def test_every_field_that_is_explained_exists() -> None:
 
 @pytest.mark.parametrize("path", sorted(GROUPS))
 def test_every_plug_in_that_comes_with_drivecal_can_be_chosen(path: str) -> None:
-    assert sorted(FIELDS["names"][path]) == registry.names(f"drivecal.{GROUPS[path]}")
+    left_out = {"external"} if path == "optimizers[].kind" else set()  # comparisons refuse it
+    assert sorted({*FIELDS["names"][path], *left_out}) == registry.names(f"drivecal.{GROUPS[path]}")

@@ -167,7 +167,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     reduction, more = check_reuse(specification.reduction, goals, diagnostics)
     specification = specification.model_copy(update={"reduction": reduction})
     notes += more
-    resolvers.check_abilities(optimization, constraints, goals, diagnostics)
+    resolvers.check_abilities(optimization, constraints, goals, diagnostics, narrows=specification.reduction.narrow)
     notes += resolvers.note_search(optimization, constraints)
     if specification.baseline is None:
         baseline, more = resolvers.own_baseline(workbench.baseline, constraints)

@@ -25,6 +25,7 @@ from drivecal.domain.regions import FeasibleRegion
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.vehicles import VehicleParameter
+from drivecal.optimizers.external import External
 from drivecal.optimizers.repair import RepairingOptimizer, create_optimizer, lacking, restore_optimizer, supported
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Ability, ConstrainedFunction, Optimizer, OptimizerPlugin
@@ -62,6 +63,11 @@ class Optimization:
         return self.plugin if isinstance(self.plugin, SearchPlugin) else None
 
     @property
+    def is_external(self) -> bool:
+        """True if another program proposes the sets."""
+        return isinstance(self.plugin, External)
+
+    @property
     def by_population(self) -> OptimizerPlugin:
         """The plug-in if it proposes whole populations. Raises TypeError."""
         if isinstance(self.plugin, SearchPlugin):
@@ -84,7 +90,8 @@ class Optimization:
 
     def expected_cells(self, scenarios: int) -> tuple[int, int]:
         """Returns the largest numbers of proposed and of requested cells."""
-        most = UNLIMITED if self.budget is None or self.budget.simulations is None else self.budget.simulations
+        unknown = 0 if self.is_external else UNLIMITED
+        most = unknown if self.budget is None or self.budget.simulations is None else self.budget.simulations
         if self.iterations is None:
             return most, most
         requested = self.by_population.requested_individuals(self.settings)
@@ -177,7 +184,7 @@ def choose_optimizer(specification: CampaignSpecification, scenarios: int, diagn
                 diagnostics.problems.append(problem(field, detail))
         return None
     budget = specification.budget
-    if budget is None and isinstance(plugin, SearchPlugin):
+    if budget is None and isinstance(plugin, SearchPlugin) and not isinstance(plugin, External):
         budget = BudgetSpecification(simulations=BY_DEFAULT * max(1, scenarios))
     ends_by_budget = budget is not None and wanted.iterations is None
     iterations = (
@@ -321,12 +328,20 @@ def find_constraints(function: Parameterised | None, space: ParameterSpace, diag
 
 
 def check_abilities(
-    optimization: Optimization | None, constraints: Constraints | None, goals: Goals | None, diagnostics: Diagnostics
+    optimization: Optimization | None,
+    constraints: Constraints | None,
+    goals: Goals | None,
+    diagnostics: Diagnostics,
+    *,
+    narrows: bool = False,
 ) -> None:
     """Adds a problem for each kind of parameter that the optimizer does not search, for constraints on parameters that it does not cope
-    with, and for several objectives or constraints on results if it handles a single number only."""
+    with, for several objectives or constraints on results if it handles a single number only, and if it `narrows` a space that others
+    search."""
     if optimization is None or constraints is None:
         return
+    if optimization.is_external and narrows:
+        diagnostics.add("reduction.narrow", "others choose the sets, in the whole space", "leave it out")
     wanted: set[Ability] = {*constraints.space.kinds, *(("constraints",) if constraints else ())}
     name = optimization.plugin.name
     if goals is not None and goals.is_vector and "objectives" not in supported(optimization.plugin):

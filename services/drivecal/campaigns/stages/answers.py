@@ -94,6 +94,10 @@ class CellAnswers(SearchAnswers):
             answers.append(CellAnswer(cell, self.aim.of(answer), failed=self._is_failed(answer)))
         return (answers,)
 
+    def forget(self, number: int) -> None:
+        """Drops the answers of a round that is told to no search; the ranking keeps them."""
+        self._rounds.pop(number, None)
+
     def _is_failed(self, answer: CellScore) -> bool:
         return answer.score is None or answer.score == self._problem.bench.scale.failed
 

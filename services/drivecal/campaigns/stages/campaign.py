@@ -9,6 +9,7 @@ from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.maps import check_basis, stored_map, warnings_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem
 from drivecal.campaigns.stages.calibration import Calibration
+from drivecal.campaigns.stages.outside import OutsideSearch
 from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
 from drivecal.campaigns.stages.stage import Round, Stage
@@ -56,7 +57,14 @@ class SingleEvaluation(Stage):
         """Does nothing: the rows hold the answers."""
 
 
-StageKind = type[Sensitivity] | type[Calibration] | type[RobustnessStage] | type[ValidationStage] | type[PredictionValidation]
+StageKind = (
+    type[Sensitivity]
+    | type[Calibration]
+    | type[OutsideSearch]
+    | type[RobustnessStage]
+    | type[ValidationStage]
+    | type[PredictionValidation]
+)
 Wanted = Callable[[StoredCampaign, CalibrationProblem], bool]
 
 
@@ -67,7 +75,8 @@ def _wants_validation(problem: CalibrationProblem, *, of_predictions: bool) -> b
 
 STAGES: tuple[tuple[StageKind, Wanted], ...] = (
     (Sensitivity, lambda campaign, problem: campaign.influence_map_id is None and problem.analysis() is not None),
-    (Calibration, lambda _, problem: problem.optimization is not None),
+    (Calibration, lambda _, problem: problem.optimization is not None and not problem.optimization.is_external),
+    (OutsideSearch, lambda _, problem: problem.optimization is not None and problem.optimization.is_external),
     (RobustnessStage, lambda _, problem: problem.specification.robustness is not None),
     (ValidationStage, lambda _, problem: _wants_validation(problem, of_predictions=False)),
     (PredictionValidation, lambda _, problem: _wants_validation(problem, of_predictions=True)),

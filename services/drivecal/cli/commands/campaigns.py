@@ -47,7 +47,12 @@ MaybeCampaign = Annotated[
     typer.Argument(metavar="ID", help="The campaign's id, or at least its first four characters.", autocompletion=campaign_ids),
 ]
 MOST_TAGGED = 1_000
-_DONE: Mapping[Action, tuple[str, ...]] = {"pause": ("paused",), "resume": ("queued", "running"), "cancel": ("cancelled",)}
+_DONE: Mapping[Action, tuple[str, ...]] = {
+    "pause": ("paused",),
+    "resume": ("queued", "running"),
+    "cancel": ("cancelled",),
+    "finish": ("succeeded",),
+}
 """States for which an action has nothing left to do."""
 
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the file and count the runs, submit nothing.")]
@@ -164,6 +169,12 @@ def resume(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOpti
 def cancel(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False) -> None:
     """End a campaign; finished simulations are kept."""
     _act(identifier, tag, "cancel", url, as_json)
+
+
+@app.command()
+def finish(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False) -> None:
+    """End a campaign that another program feeds, as soon as the sets that it has are answered."""
+    _act(identifier, tag, "finish", url, as_json)
 
 
 @app.command()

@@ -91,6 +91,7 @@ campaigns = Table(
     Column("archived_at", UtcDateTime),
     # A deleted campaign's row stays with the cells that made runs of the reference table (`storage.retention.deletion`).
     Column("deleted_at", UtcDateTime),
+    Column("finish_at", UtcDateTime),  # when an outside optimizer said that it proposes no more sets
     Column("pruned", Document),  # when most of its cells were removed, what stayed and was known (`storage.retention`)
     *(
         _partial_index(None, name, where=f"{name} IS NOT NULL")
@@ -268,7 +269,10 @@ evaluations = Table(
     Column("confidence", Float),
     Column("predicted_score", Score),
     Column("predicted_rating", Float),
+    # Of cells that an outside optimizer asked for: the place of the answer by arrival in its campaign.
+    Column("answered", Integer),
     UniqueConstraint("campaign_sequence", "stage", "iteration", "individual", "scenario"),
+    _partial_index("ix_evaluations_answered", "campaign_sequence", "answered", where="answered IS NOT NULL"),
     # The plan is in the two look-up indexes, or a class that answered thousands of cells would be read in full to find its donor.
     Index(None, "campaign_sequence", "scenario", "reference_key", "plan"),
     Index(None, "campaign_sequence", "scenario", "parameter_set_id", "plan"),
@@ -276,6 +280,22 @@ evaluations = Table(
     _partial_index(None, "run_id", where="run_id IS NOT NULL"),
     _partial_index("ix_evaluations_pending", "campaign_sequence", "id", where="outcome IS NULL"),
     sqlite_autoincrement=True,
+)
+
+outside_sets = Table(  # parameter sets that outside optimizers propose to campaigns, until and after a round asks for them
+    "outside_sets",
+    metadata,
+    Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), primary_key=True, autoincrement=False),
+    Column("number", Integer, primary_key=True, autoincrement=False),
+    Column("key", Name, nullable=False),
+    Column("indices", Document, nullable=False),  # of the grid, by searched parameter
+    Column("scenarios", Document),  # null: all of the campaign
+    Column("cancelled", Boolean, nullable=False),
+    # Its place among the evaluations; null before.
+    Column("iteration", Integer),
+    Column("individual", Integer),
+    UniqueConstraint("campaign_sequence", "key"),
+    _partial_index("ix_outside_sets_waiting", "campaign_sequence", "number", where="iteration IS NULL AND NOT cancelled"),
 )
 
 processes = Table(

@@ -20,6 +20,7 @@ from drivecal.storage.engine.tables import (
     generations,
     leases,
     lots,
+    outside_sets,
     ratings,
     reference_indexes,
     reference_keys,
@@ -109,7 +110,7 @@ def remove_keys(connection: Connection, index: int) -> bool:
 
 def remove_records(connection: Connection, sequence: int) -> None:
     """Removes what is stored of a campaign, except its row and its cells."""
-    for table in (campaign_stages, generations, lots, studies, events):
+    for table in (campaign_stages, generations, lots, outside_sets, studies, events):
         connection.execute(delete(table).where(table.c.campaign_sequence == sequence))
 
 

@@ -1,0 +1,130 @@
+"""Outside optimizers: they propose sets to a campaign and take its answers."""
+
+import asyncio
+import time
+from functools import lru_cache
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
+from pydantic import Field
+
+from drivecal.api.dependencies import DatabaseDependency, EventStreamPlace
+from drivecal.api.http.bodies import StrictRoute
+from drivecal.api.http.queries import Parameters
+from drivecal.api.live.streams import EventHub
+from drivecal.api.routes.campaigns import accepted
+from drivecal.campaigns.resolve.outside import indices_of
+from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.resolve.resolved_spec import problem_of
+from drivecal.campaigns.resolve.workbench import stored_bundles
+from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet, CellAnswered, ProposedSets
+from drivecal.domain.errors import ConflictError
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import campaigns
+from drivecal.storage.engine.database import Database
+from drivecal.storage.outside import sets as outside_sets
+from drivecal.storage.outside.sets import OutsideSet
+
+router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
+
+LOOK_SECONDS = 0.2
+"""Interval of checks for new answers while a request waits."""
+
+
+@router.post("/{campaign_id}/sets", status_code=202)
+def propose(campaign_id: str, proposed: ProposedSets, database: DatabaseDependency) -> AcceptedSets:
+    """Takes sets of an outside optimizer. They are stored before the answer; sending them again, with the same keys, changes nothing."""
+    with database.transaction() as connection:
+        outside_sets.open_campaign(connection, campaign_id)
+    problem = _problem(database, campaign_id)
+    indices = indices_of(problem, proposed.sets)
+    sets = [
+        OutsideSet(
+            each.key, row, None if each.scenarios is None else [name for name in problem.scenarios if name in each.scenarios]
+        )
+        for each, row in zip(proposed.sets, indices.tolist(), strict=True)
+    ]
+    with database.transaction() as connection:
+        campaign = outside_sets.open_campaign(connection, campaign_id)
+        numbers = outside_sets.add(connection, campaign.sequence, sets)
+    made = problem.space.parameter_sets(indices)
+    changed = {
+        each.key: parameters.floats
+        for each, parameters in zip(proposed.sets, made, strict=True)
+        if any(parameters.floats[name] != value for name, value in each.parameters.items())
+    }
+    return AcceptedSets(numbers=numbers, weights=dict(problem.weights), changed=changed)
+
+
+@lru_cache(maxsize=64)
+def _problem(database: Database, campaign_id: str) -> CalibrationProblem:
+    """Returns a campaign's problem, which takes longer to resolve than a request may wait. It never changes."""
+    with database.read() as connection:
+        campaign = campaigns.get(connection, campaign_id)
+    problem = problem_of(campaign, stored_bundles(database))
+    if not isinstance(problem, CalibrationProblem):
+        raise ConflictError(f"{campaign_id} is a single evaluation")
+    return problem
+
+
+class AnswersQuery(Parameters):
+    """Which answers to return."""
+
+    after: Annotated[int, Field(ge=0, le=2**31 - 1)] = 0
+    """`last` of the answers before."""
+    wait: Annotated[float, Field(ge=0, le=60)] = 0
+    """Seconds to wait for an answer if there is none yet."""
+    limit: Annotated[int, Field(ge=1, le=1000)] = 1000
+    """Largest number of answers."""
+
+
+@router.get("/{campaign_id}/answers")
+async def answers(
+    campaign_id: str,
+    query: Annotated[AnswersQuery, Query()],
+    request: Request,
+    database: DatabaseDependency,
+    place: EventStreamPlace,
+) -> AnswerPage:
+    """Answers of proposed sets, by cell, in the order of their arrival. Returns at once if there are some, or the search has ended."""
+    del place  # held until the answer: a request that waits keeps no other from being answered
+    hub: EventHub = request.app.state.event_hub
+    until = time.monotonic() + query.wait
+    while True:
+        page = await run_in_threadpool(_answers, database, campaign_id, query.after, query.limit)
+        if page.items or page.is_complete or time.monotonic() >= until or hub.closed:
+            return page
+        await asyncio.sleep(LOOK_SECONDS)
+
+
+def _answers(database: Database, campaign_id: str, after: int, limit: int) -> AnswerPage:
+    with database.read() as connection:
+        campaign = campaigns.get(connection, campaign_id)
+        rows = outside_sets.answers(connection, campaign.sequence, after, limit)
+    copied = campaign.spec["reduction"]["max_error"]
+    shares = {Outcome.FAILED: None, Outcome.REUSED: copied}
+    items = [CellAnswered.of(row, parameters=row.parameters.floats, wrong_at_most=shares.get(row.outcome, 0.0)) for row in rows]
+    ended_by = None if campaign.search is None else campaign.search.ended_by
+    is_over = campaign.state.ended or (ended_by is not None and campaign.cells.pending == 0)
+    last = items[-1].number if items else after
+    return AnswerPage(
+        items=items, last=last, state=campaign.state, ended_by=ended_by, is_complete=is_over and len(items) < limit
+    )
+
+
+@router.delete("/{campaign_id}/sets/{key}")
+def cancel_set(campaign_id: str, key: str, database: DatabaseDependency) -> CancelledSet:
+    """Cancels a set, unless its cells were asked for already."""
+    with database.transaction() as connection:
+        number, cancelled = outside_sets.cancel(connection, campaign_id, key)
+    return CancelledSet(key=key, number=number, cancelled=cancelled)
+
+
+@router.post("/{campaign_id}/finish", status_code=202)
+def finish(campaign_id: str, response: Response, database: DatabaseDependency) -> Campaign:
+    """Ends a campaign as soon as the sets that it has are answered. Asking again changes nothing."""
+    with database.transaction() as connection:
+        stored = outside_sets.finish(connection, campaign_id)
+    return accepted(response, database, stored)

@@ -1,0 +1,56 @@
+"""Grid indices of the sets that an outside optimizer proposes to a campaign."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.contracts.outside.sets import ProposedSet
+from drivecal.domain.parameters import Indices, ParameterSpace, Value, decimal
+from drivecal.optimizers.external import ExternalSettings
+
+
+def indices_of(problem: CalibrationProblem, proposed: Sequence[ProposedSet]) -> Indices:
+    """Returns the nearest grid points of proposed sets, shape (n, n_searched).
+
+    With `infeasible: repair` values outside of the bounds become the bounds, and sets that break constraints near feasible ones.
+    Raises InvalidInputError naming each faulty field.
+    """
+    settings = None if problem.optimization is None else problem.optimization.settings
+    repairs = isinstance(settings, ExternalSettings) and settings.infeasible == "repair"
+    space, constraints, diagnostics = problem.space, problem.constraints, Diagnostics()
+    rows = np.zeros((len(proposed), len(space.searched)), dtype=np.int64)
+    for number, each in enumerate(proposed):
+        field = f"sets[{number}].parameters"
+        points = [parameter.nearest(each.parameters.get(parameter.name), clips=repairs) for parameter in space.searched]
+        known = [index for index in points if index is not None]
+        if len(known) == len(points):
+            rows[number] = known
+        if len(known) < max(len(points), len(each.parameters)):  # a faulty value, or a fixed one
+            diagnostics.attempt(partial(space.indices, _rounded(space, each, points), field))
+        for name in each.scenarios or ():
+            if name not in problem.scenarios:
+                message, remedy = f"the campaign does not simulate {name!r}", f"one of {', '.join(problem.scenarios)}"
+                diagnostics.add(f"sets[{number}].scenarios", message, remedy)
+    diagnostics.raise_if_any()
+    if not constraints:
+        return rows
+    if repairs:
+        last = space.n_values - 1
+        return constraints.region(0 * last, last).repair(rows)
+    for number in np.flatnonzero(~constraints.feasible(rows)).tolist():
+        made = space.parameter_set(rows[number].tolist())
+        diagnostics.attempt(partial(constraints.check, made, f"sets[{number}].parameters"))
+    diagnostics.raise_if_any()
+    return rows
+
+
+def _rounded(space: ParameterSpace, proposed: ProposedSet, nearest: Sequence[int | None]) -> dict[str, Value]:
+    """Returns the values of a set, rounded to their nearest grid points as far as they have some."""
+    values: dict[str, Value] = {
+        name: value if isinstance(value, str) else decimal(value) for name, value in proposed.parameters.items()
+    }
+    points = zip(space.searched, nearest, strict=True)
+    return values | {parameter.name: parameter.named(index) for parameter, index in points if index is not None}

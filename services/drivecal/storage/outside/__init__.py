@@ -1,0 +1,1 @@
+"""Rows of others: sets of outside optimizers, results of vehicles and test benches."""

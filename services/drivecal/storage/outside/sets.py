@@ -1,0 +1,210 @@
+"""Parameter sets that outside optimizers propose to campaigns, and the answers of their cells by arrival."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, Row, bindparam, func, select, update
+
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.errors import ConflictError, NotFoundError
+from drivecal.domain.evaluations import Outcome
+from drivecal.domain.parameters import ParameterSet
+from drivecal.storage import campaigns
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.bulk import execute_rows, rows_among
+from drivecal.storage.engine.records import record
+from drivecal.storage.engine.tables import campaigns as campaigns_table
+from drivecal.storage.engine.tables import evaluations, outside_sets, parameter_sets, runs
+from drivecal.storage.engine.types import now
+from drivecal.storage.references import metrics
+
+
+@dataclass(frozen=True, slots=True)
+class OutsideSet:
+    """A proposed set: grid indices by searched parameter, and its scenarios, None for all of the campaign.
+
+    `key` is the name that the outside optimizer gave it, `number` counts the sets of a campaign from 1.
+    """
+
+    key: str
+    indices: list[int]
+    scenarios: list[str] | None = None
+    number: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class OutsideAnswer:
+    """An answered cell. `number` counts the answers of the campaign by arrival, from 1; `set` is the number of its set."""
+
+    number: int
+    set: int
+    key: str
+    parameters: ParameterSet
+    scenario: str
+    evaluation: int
+    outcome: Outcome
+    score: float | None
+    rating: float | None
+    reference: int | None
+    failure: str | None
+    detail: str | None
+    metrics: dict[str, float | None] | None
+
+
+def open_campaign(connection: Connection, campaign_id: str, *, closing: bool = False) -> StoredCampaign:
+    """Returns a campaign that still takes sets, and keeps others from changing it until the transaction ends.
+
+    Args:
+        connection: a transaction.
+        campaign_id: id of the campaign.
+        closing: also returns a campaign that was asked to finish before.
+
+    Raises:
+        NotFoundError: There is no such campaign.
+        ConflictError: It has an optimizer of its own, or has ended or was asked to.
+    """
+    campaign = campaigns.get(connection, campaign_id, lock=True)
+    if (campaign.spec.get("optimizer") or {}).get("kind") != "external":
+        raise ConflictError(f"campaign {campaign_id} proposes its sets itself; submit one with optimizer: {{kind: external}}")
+    reason: str | None = campaign.search.ended_by if campaign.search is not None else None
+    if campaign.state.ended or campaign.requested_action == "cancel":
+        reason = campaign.state if campaign.state.ended else "cancelling"
+    elif reason is None and campaign.finish_at is not None and not closing:
+        reason = "finished"
+    if reason is not None and not (closing and campaign.finish_at is not None):
+        raise ConflictError(f"campaign {campaign_id} takes no more sets ({reason}); submit another campaign")
+    return campaign
+
+
+def finish(connection: Connection, campaign_id: str) -> StoredCampaign:
+    """Lets a campaign end as soon as its sets are answered; asking again changes nothing. Raises as `open_campaign`."""
+    campaign = open_campaign(connection, campaign_id, closing=True)
+    if campaign.finish_at is None:
+        mine = update(campaigns_table).where(campaigns_table.c.sequence == campaign.sequence)
+        connection.execute(mine.values(finish_at=now(), revision=campaigns_table.c.revision + 1))
+    return campaigns.by_sequence(connection, campaign.sequence)
+
+
+def add(connection: Connection, campaign_sequence: int, proposed: Sequence[OutsideSet]) -> dict[str, int]:
+    """Stores proposed sets, each key once, and returns their numbers by key. The caller has called `open_campaign`.
+
+    Raises ConflictError if a key belongs to another set.
+    """
+    table = outside_sets.c
+    query = select(table.key, table.number, table.indices, table.scenarios).where(table.campaign_sequence == campaign_sequence)
+    known = {row.key: row for row in rows_among(connection, query, table.key, [each.key for each in proposed])}
+    for each in proposed:
+        stored = known.get(each.key)
+        if stored is not None and (stored.indices, stored.scenarios) != (each.indices, each.scenarios):
+            raise ConflictError(
+                f"the key {each.key} belongs to set {stored.number}, which is another one; give a new set a new key"
+            )
+    last = connection.scalar(select(func.max(table.number)).where(table.campaign_sequence == campaign_sequence)) or 0
+    new = [each for each in proposed if each.key not in known]
+    numbers = {each.key: number for number, each in enumerate(new, last + 1)}
+    rows = [
+        {"campaign_sequence": campaign_sequence, "number": numbers[each.key], "key": each.key}
+        | {"indices": each.indices, "scenarios": each.scenarios, "cancelled": False}
+        for each in new
+    ]
+    execute_rows(connection, outside_sets.insert(), rows)
+    return {each.key: numbers[each.key] if each.key in numbers else known[each.key].number for each in proposed}
+
+
+def waiting(connection: Connection, campaign_sequence: int, most: int) -> tuple[bool, list[OutsideSet]]:
+    """Returns whether a campaign was asked to finish, and its first sets that no round has asked for.
+
+    The order of reading counts: after a finish no set is added.
+    """
+    finish_at = select(campaigns_table.c.finish_at).where(campaigns_table.c.sequence == campaign_sequence)
+    closes = connection.scalar(finish_at) is not None
+    table = outside_sets.c
+    query = select(table.key, table.indices, table.scenarios, table.number).where(
+        table.campaign_sequence == campaign_sequence, table.iteration.is_(None), ~table.cancelled
+    )
+    return closes, [OutsideSet(*row) for row in connection.execute(query.order_by(table.number).limit(most))]
+
+
+def place(connection: Connection, campaign_sequence: int, iteration: int, numbers: Sequence[int]) -> None:
+    """Notes that a round asks for sets, whose individuals are numbered in this order. Sets cancelled a moment ago are included."""
+    table = outside_sets.c
+    mine = update(outside_sets).where(table.campaign_sequence == campaign_sequence, table.number == bindparam("set"))
+    rows = [{"set": number, "at": individual} for individual, number in enumerate(numbers)]
+    execute_rows(connection, mine.values(iteration=iteration, individual=bindparam("at"), cancelled=False), rows)
+
+
+def cancel(connection: Connection, campaign_id: str, key: str) -> tuple[int, bool]:
+    """Cancels a set unless a round has asked for it. Returns its number, and whether it is cancelled.
+
+    Raises NotFoundError if the campaign has no such key.
+    """
+    campaign = campaigns.get(connection, campaign_id, lock=True)
+    here = outside_sets.c.campaign_sequence == campaign.sequence, outside_sets.c.key == key
+    connection.execute(update(outside_sets).where(*here, outside_sets.c.iteration.is_(None)).values(cancelled=True))
+    row = connection.execute(select(outside_sets.c.number, outside_sets.c.cancelled).where(*here)).one_or_none()
+    if row is None:
+        raise NotFoundError("set", key)
+    return row.number, row.cancelled
+
+
+def number_answers(connection: Connection, campaign_sequence: int, iteration: int) -> None:
+    """Numbers the new answers, by arrival. Earlier iterations have theirs."""
+    cell = evaluations.c
+    mine = cell.campaign_sequence == campaign_sequence
+    new = select(cell.id).where(
+        mine,
+        cell.stage == StageName.CALIBRATION,
+        cell.iteration >= iteration,
+        cell.outcome.is_not(None),
+        cell.answered.is_(None),
+    )
+    ids = list(connection.scalars(new.order_by(cell.id)))
+    if ids:
+        last = connection.scalar(select(func.max(cell.answered)).where(mine, cell.answered.is_not(None))) or 0
+        numbered = update(evaluations).where(cell.id == bindparam("evaluation")).values(answered=bindparam("place"))
+        rows = [{"evaluation": number, "place": place} for place, number in enumerate(ids, last + 1)]
+        execute_rows(connection, numbered, rows)
+
+
+def answers(connection: Connection, campaign_sequence: int, after: int, limit: int) -> list[OutsideAnswer]:
+    """Returns the answers of a campaign after a number, by arrival, at most `limit`."""
+    cell, proposed = evaluations.c, outside_sets.c
+    own = (
+        (proposed.campaign_sequence == cell.campaign_sequence)
+        & (proposed.iteration == cell.iteration)
+        & (proposed.individual == cell.individual)
+    )
+    names = ("scenario", "outcome", "score", "rating", "reference", "failure", "detail")
+    columns: list[ColumnElement[Any]] = [
+        cell.answered.label("number"),
+        proposed.number.label("set"),
+        proposed.key,
+        parameter_sets.c.parameter_values.label("parameters"),
+        cell.id.label("evaluation"),
+        *(cell[name] for name in names),
+        runs.c.metrics,
+    ]
+    query = (
+        select(*columns)
+        .select_from(
+            evaluations.join(outside_sets, own)
+            .join(parameter_sets, parameter_sets.c.id == cell.parameter_set_id)
+            .outerjoin(runs, runs.c.id == cell.run_id)
+        )
+        .where(cell.campaign_sequence == campaign_sequence, cell.answered > after, cell.answered.is_not(None))
+        .order_by(cell.answered)
+        .limit(limit)
+    )
+    read = metrics.reader(connection)
+    return [_answer(row, read) for row in connection.execute(query)]
+
+
+def _answer(row: Row[Any], read: Callable[[metrics.Stored], metrics.Metrics]) -> OutsideAnswer:
+    return record(
+        OutsideAnswer,
+        row,
+        parameters=ParameterSet.from_json(row.parameters),
+        outcome=Outcome(row.outcome),
+        metrics=None if row.metrics is None else dict(read(row.metrics)),
+    )
