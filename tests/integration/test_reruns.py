@@ -144,3 +144,11 @@ def test_a_single_evaluation_by_another_evaluator_is_answered_from_the_stored_ru
     backend = ComputedBackend(answer=strict_answer)
     ended = run(database, submission.evaluate(database, LIMITS, wanted, None), backend)
     assert (ended.cells.repeated, ended.cells.simulated, backend.sent) == (1, 0, [])
+
+
+def test_a_rerun_with_equal_weights_simulates_nothing(database: Database) -> None:
+    first = _run(database, reduction={"mode": "influence", "max_error": 0.2})
+    again = _rerun(database, first, weights={"S1": 5, "S2": 5})
+    assert first.cells.reused > 0
+    assert (again.cells.runs, again.cells.simulated, again.cells.reused) == (0, 0, first.cells.reused)
+    assert again.best == first.best

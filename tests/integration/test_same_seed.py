@@ -4,8 +4,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.runs import everything, run, submit
+from tests.support.runs import WITH_ANALYSIS, everything, influenced, run, submit
+
+from drivecal.domain.campaigns import StageName
 
 
 @pytest.mark.slow("random", "cma_es", "optuna", "nsga2")
@@ -35,3 +38,17 @@ def test_the_same_seed_gives_the_same_campaign(tmp_path: Path, optimizer: dict[s
     first = searched("first", 3)
     assert searched("again", 3) == first
     assert searched("other", 4)[0] != first[0]
+
+
+@pytest.mark.parametrize("limit", [1, 0.2], ids=["without lots", "with lots"])
+@pytest.mark.parametrize("kind", ["genetic", "surrogate"])
+def test_the_same_campaign_again_simulates_nothing(tmp_path: Path, kind: str, limit: float) -> None:
+    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    spec = WITH_ANALYSIS | {"reduction": {"mode": "influence", "audit": 0.1, "max_error": limit}}
+    if kind == "surrogate":
+        spec |= {"optimizer": {"kind": "surrogate"}, "budget": {"simulations": 40}}
+    first, again = (run(database, submit(database, likeness="a", **spec), ComputedBackend(answer=influenced)) for _ in range(2))
+    assert first.cells.reused > 0
+    assert (again.cells.runs, again.cells.simulated, again.counts(StageName.SENSITIVITY).runs) == (0, 0, 0)
+    assert (again.best, again.cells.requested, again.cells.reused) == (first.best, first.cells.requested, first.cells.reused)
+    database.dispose()

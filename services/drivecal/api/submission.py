@@ -285,9 +285,9 @@ def _queue(
 ) -> StoredCampaign:
     specification = problem.specification
     admission.admit(connection, limits.settings.queued_campaigns, key)
-    if rerun_of is not None:
-        campaigns.get(connection, rerun_of)  # it may have been deleted since it was read
+    first = None if rerun_of is None else campaigns.get(connection, rerun_of)  # it may have been deleted since it was read
     used = _stored_parts(connection, problem)
+    analysed = None if first is None or used is None or used != first.influence_map_id else first.spec["sensitivity"]
     stored = campaigns.insert(
         connection,
         name=specification.name,
@@ -296,16 +296,18 @@ def _queue(
         rerun_of=rerun_of,
         idempotency_key=key,
         body_digest=body_digest,
-        likeness=_likeness(problem),
+        likeness=_likeness(problem, analysed),
         priority=specification.priority,
         notes=warnings_of(connection, problem, used, now()),
     )
     return _pinned(connection, stored, problem)
 
 
-def _likeness(problem: CalibrationProblem) -> str:
-    """Returns a digest of everything that decides a search; equal weights are equal, however they are written."""
+def _likeness(problem: CalibrationProblem, analysed: Any) -> str:
+    """Returns a digest of everything that decides a search; equal weights are equal, however they are written. `analysed`: the analysis
+    of an earlier campaign that made the map of a rerun."""
     document = problem.specification.model_dump(mode="json", exclude={"name", "priority", "weights"})
+    document |= {} if analysed is None else {"sensitivity": analysed}
     return digest(canonical_json(document | {"weights": dict(problem.weights)}).encode())
 
 

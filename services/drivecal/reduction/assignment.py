@@ -37,10 +37,12 @@ def assign(
     policy: Policy,
     exact: Mapping[tuple[str, ParameterSet], Donor],
     references: Mapping[tuple[str, bytes], Donor],
+    released: Mapping[tuple[str, ParameterSet], Donor] | None = None,
 ) -> list[RequestedCell]:
     """Returns the cells with their plans, in order.
 
-    `exact` holds stored results by (scenario, parameter set), `references` by (scenario, reference key).
+    `exact` holds stored results by (scenario, parameter set), `references` by (scenario, reference key); `released` the references that
+    answered these cells in an equal campaign, after their inspection: they come first, so that the same campaign again is the same.
     """
     if policy.mode == "off":
         return list(cells)
@@ -49,6 +51,9 @@ def assign(
     planned: list[RequestedCell] = []
     for position, cell in enumerate(cells):
         identity = (cell.scenario, cell.parameters)
+        if released and identity in released:
+            planned.append(replace(cell, plan=Outcome.REUSED, donor=released[identity], is_released=True))
+            continue
         if identity in exact or identity in same_set:
             donor, leader = exact.get(identity), same_set.get(identity)
             planned.append(replace(cell, plan=Outcome.REPEATED, donor=donor, leader=None if donor is not None else leader))

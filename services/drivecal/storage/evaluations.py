@@ -26,7 +26,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import COPIED, Donor, Outcome, OutcomeCosts, RequestedCell
 from drivecal.storage import leases
 from drivecal.storage.engine.bulk import execute_rows, numbers, rows_among
-from drivecal.storage.engine.tables import evaluations, runs
+from drivecal.storage.engine.tables import campaigns, evaluations, ratings, runs
 from drivecal.storage.references import metrics
 from drivecal.storage.references.runs import occupying
 
@@ -197,6 +197,31 @@ def _own(
         if value not in first or at < first[value][0]:
             first[value] = at, Donor(*donor)
     return {value: donor for value, (_, donor) in first.items()}
+
+
+def released_before(
+    connection: Connection, place: tuple[int, int, str, int], evaluator: str, parameter_set_ids: Sequence[int]
+) -> dict[int, Donor]:
+    """Returns the references that answered parameter sets in earlier campaigns of the same `likeness`, by parameter set.
+
+    Args:
+        connection: where to read.
+        place: number of the campaign, iteration, scenario, and number of the setup in the database.
+        evaluator: the evaluator whose ratings are wanted.
+        parameter_set_ids: numbers of the sets.
+    """
+    campaign_sequence, iteration, scenario, setup_id = place
+    cell, here = evaluations.c, select(campaigns.c.likeness).where(campaigns.c.sequence == campaign_sequence).scalar_subquery()
+    alike = select(campaigns.c.sequence).where(campaigns.c.likeness == here, campaigns.c.sequence < campaign_sequence)
+    query = (
+        select(cell.parameter_set_id, cell.reference, cell.run_id, ratings.c.score, ratings.c.rating, cell.failure)
+        .join(ratings, (ratings.c.run_id == cell.run_id) & (ratings.c.evaluator == evaluator))
+        .where(cell.campaign_sequence.in_(alike), cell.scenario == scenario, cell.setup_id == setup_id)
+        .where(cell.iteration == iteration, cell.outcome == Outcome.REUSED, cell.reference.is_not(None))
+        .order_by(cell.id.desc())
+    )
+    rows = rows_among(connection, query, cell.parameter_set_id, [int(number) for number in parameter_set_ids])
+    return {number: Donor(*donor) for number, *donor in rows}
 
 
 _PREDICTION = ("lot", "confidence", "predicted_score", "predicted_rating")

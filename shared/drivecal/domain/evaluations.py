@@ -106,6 +106,8 @@ class RequestedCell:
     donor: Donor | None = None
     leader: int | None = None
     inspected: bool = False
+    is_released: bool = False
+    """The donor answered the same cell in an equal campaign, after an inspection."""
     stage: StageName = StageName.CALIBRATION
     iteration: int = 0
     setup_id: int = 0

@@ -83,6 +83,7 @@ def plan_cells(
     set_ids = dict(zip(sets, parameter_sets.ensure(connection, sets), strict=True))
     exact: dict[tuple[str, ParameterSet], Donor] = {}
     references: dict[tuple[str, bytes], Donor] = {}
+    released: dict[tuple[str, ParameterSet], Donor] = {}
     class_keys: dict[tuple[str, ParameterSet], bytes] = {}
     stocked = runs.stocked(connection, setup_ids.values())  # nothing is known in other vehicles that were never driven
     for scenario, setup_id in setup_ids.items():
@@ -99,6 +100,9 @@ def plan_cells(
         if policy.reuses and scenario in view.keys and setup_id in stocked:
             stored = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)), before)
             references |= {(scenario, key): donor for key, donor in stored.items()}
+            place = view.campaign, iteration, scenario, setup_id
+            known = evaluations.released_before(connection, place, view.bench.evaluator_id, list(by_id))
+            released |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
     placed = [
         replace(
             cell,
@@ -110,7 +114,7 @@ def plan_cells(
         )
         for cell in wanted
     ]
-    return assign(placed, policy, exact, references)
+    return assign(placed, policy, exact, references, released)
 
 
 def _exact(
