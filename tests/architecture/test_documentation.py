@@ -20,6 +20,7 @@ from drivecal.bundles.manifest import AnySimulator
 from drivecal.campaigns.comparison import resolve_comparison
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import resolve
+from drivecal.cli.commands.check import LimitsFile
 from drivecal.cli.main import app
 from drivecal.client.documents import located_yaml, read_document
 from drivecal.client.problems import read_bundle
@@ -180,6 +181,8 @@ def test_yaml_in_the_documentation_is_valid(block: Block) -> None:
         assert resolve_map(validated(InfluenceMapSpecification, document), example).influence_map.scenarios
     elif "scenarios" in document:
         assert list(scenarios_problems(0.1, document["scenarios"])) == []
+    elif "limits" in document:
+        validated(LimitsFile, document)
     elif "scrape_configs" not in document:  # a file of Prometheus
         validated(CampaignSpecification, document)
 

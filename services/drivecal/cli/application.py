@@ -36,7 +36,7 @@ class ExitCode(IntEnum):
 ORDER = (
     *("demo", "serve", "submit", "list", "show", "watch", "pause", "resume", "cancel", "finish", "rerun", "label", "delete"),
     *("solutions", "report", "export", "explain", "influence", "influence-maps", "robustness", "validate"),
-    *("compare-optimizers", "evaluate", "problem", "workers", "db"),
+    *("compare-optimizers", "evaluate", "check", "problem", "workers", "db"),
 )
 """Order of the commands in the help."""
 

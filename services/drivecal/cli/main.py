@@ -10,6 +10,7 @@ import typer
 from drivecal.cli.application import app
 from drivecal.cli.commands import (  # noqa: F401  # importing a module registers its commands
     campaigns,
+    check,
     compare_optimizers,
     db,
     demo,

@@ -435,3 +435,5 @@ class EvaluationSpecification(Model):
     driving_function: Identifier = "frenet"
     vehicle: VehicleSpecification = VehicleSpecification()
     evaluator: Identifier = "reference"
+    fresh: bool = False
+    """Simulates again what is stored."""

@@ -25,8 +25,8 @@ from drivecal.storage.references import influence_maps
 
 
 class SingleEvaluation(Stage):
-    """A parameter set in one or more scenarios. Answers come from equal parameter sets or a simulation, never by reuse; with time series,
-    always from a new simulation."""
+    """A parameter set in one or more scenarios. Answers come from equal parameter sets or a simulation, never by reuse; with time series
+    or if it is to be `fresh`, always from a new simulation."""
 
     name = StageName.CALIBRATION
     ends_early = False
@@ -51,7 +51,8 @@ class SingleEvaluation(Stage):
         self._asked = True
         bench, parameters = self._problem.bench, self._problem.parameter_set
         cells = [RequestedCell(0, scenario, parameters) for scenario in bench.scenarios]
-        return Round(0, [(bench, cells)], Policy("off" if self._view.traced else "exact"))
+        is_new = self._view.traced or self._problem.specification.fresh
+        return Round(0, [(bench, cells)], Policy("off" if is_new else "exact"))
 
     def _tell(self, asked: Round) -> None:
         """Does nothing: the rows hold the answers."""

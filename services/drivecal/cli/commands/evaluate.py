@@ -65,7 +65,7 @@ def evaluate(
     with connect(url) as client:
         queued = client.evaluate(specification)
         tell(f"evaluation {queued.id} is queued; `drivecal show {queued.id}` prints it as well")
-        evaluation = _ended(client, queued, timeout)
+        evaluation = ended(client, queued, timeout)
         if trace is not None:
             time_series.save(trace_of(client, evaluation.id, timeout), trace)
             tell(f"time series: {trace}")
@@ -73,7 +73,8 @@ def evaluate(
     raise typer.Exit(code_of_state(evaluation.state))
 
 
-def _ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Evaluation:
+def ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Evaluation:
+    """Returns an evaluation when it has ended. Raises WaitTimedOutError after `timeout` seconds."""
     goes_on = f"evaluation {evaluation.id} goes on; `drivecal show {evaluation.id}` prints it, `drivecal cancel {evaluation.id}` ends it"
     asking = pauses(SECONDS_BETWEEN_QUESTIONS, timeout)
     with attached(goes_on, timeout):

@@ -1,0 +1,265 @@
+"""`drivecal check`: is a set still good?"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Self
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+import typer
+from pydantic import Field, model_validator
+
+from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, tell
+from drivecal.cli.commands.evaluate import ended
+from drivecal.cli.views.output import print_columns, print_json
+from drivecal.client.client import Client
+from drivecal.client.documents import read_document
+from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
+from drivecal.contracts.input_errors import validated
+from drivecal.contracts.inventory import ProblemAnswer
+from drivecal.contracts.specification import DEFAULT_PROBLEM, GoalSpecification, Model
+from drivecal.contracts.strict_json import Number
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, file_faults
+from drivecal.domain.scales import told
+
+Parameters = Mapping[str, float | str]
+CALIBRATION_FILES = (".dcm", ".cdfx")
+
+
+class SetLimit(GoalSpecification):
+    """A limit of a score or measure in each of its scenarios."""
+
+    at_least: Number | None = None
+    at_most: Number | None = None
+    worse_by_at_most: Annotated[float, Field(ge=0)] | None = None
+    """Largest loss of a score against the baseline."""
+
+    @model_validator(mode="after")
+    def _has_a_limit(self) -> Self:
+        if sum(bound is not None for bound in (self.at_least, self.at_most, self.worse_by_at_most)) != 1:
+            raise ValueError("it needs one of at_least, at_most and worse_by_at_most")
+        if self.worse_by_at_most is not None and self.score is None:
+            raise ValueError("worse_by_at_most is a limit of a score; measures have no direction")
+        return self
+
+    @property
+    def text(self) -> str:
+        """The limit in words."""
+        if self.at_least is not None:
+            return f"{self.label} at least {self.at_least:g}"
+        if self.at_most is not None:
+            return f"{self.label} at most {self.at_most:g}"
+        return f"{self.label} at most {self.worse_by_at_most:g} worse than the baseline"
+
+
+class LimitsFile(Model):
+    """A file of limits."""
+
+    limits: Annotated[list[SetLimit], Field(min_length=1, max_length=1000)]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A limit in a scenario. `broken` says why it does not hold, None if it does."""
+
+    scenario: str
+    limit: str
+    broken: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedSet:
+    """A set with its cells by score and scenario, those of the baseline, and the limits; the first score comes first."""
+
+    cells: Mapping[str, Mapping[str, EvaluatedCell]]
+    baseline: Mapping[str, Mapping[str, EvaluatedCell]]
+    problem: ProblemAnswer
+
+    @property
+    def scenarios(self) -> Mapping[str, EvaluatedCell]:
+        """The cells of the first score."""
+        return next(iter(self.cells.values()))
+
+    def findings(self, limits: Sequence[SetLimit]) -> Iterator[Finding]:
+        """Yields a finding for each scenario, which needs a result, and for each limit in its scenarios."""
+        for name, cell in self.scenarios.items():
+            yield Finding(name, "has a result", None if cell.score is not None else cell.detail or cell.failure or "no result")
+        for limit in limits:
+            for name in self.scenarios if limit.scenarios == "all" else limit.scenarios:
+                yield Finding(name, limit.text, self._broken(limit, name))
+
+    def _broken(self, limit: SetLimit, scenario: str) -> str | None:
+        value = self._value(self.cells, limit, scenario)
+        if value is None:
+            return f"no value of {limit.label}"
+        if limit.worse_by_at_most is None:
+            low, high = limit.at_least, limit.at_most
+            holds = (low is None or value >= low) and (high is None or value <= high)
+        else:
+            before = self._value(self.baseline, limit, scenario)
+            if before is None:
+                return f"the baseline has no value of {limit.label}"
+            sign = -1 if self.problem.scores[limit.score or ""]["direction"] == "minimise" else 1
+            holds = sign * (before - value) <= limit.worse_by_at_most
+        return None if holds else f"{limit.label} is {told(value)}"
+
+    def _value(self, cells: Mapping[str, Mapping[str, EvaluatedCell]], limit: SetLimit, scenario: str) -> float | None:
+        if limit.score is not None:
+            return cells[limit.score][scenario].score
+        return (next(iter(cells.values()))[scenario].metrics or {}).get(limit.measure or "")
+
+
+@app.command()
+def check(
+    chosen: Annotated[str, typer.Argument(metavar="SET", help="A JSON, YAML, DCM or CDFX file, or ID#RANK of a campaign.")],
+    problem: Annotated[str | None, typer.Option(help="The problem; by default the campaign's, or highway.")] = None,
+    limits: Annotated[str | None, typer.Option(metavar="FILE", help="Limits of scores and measures, YAML or JSON.")] = None,
+    baseline: Annotated[str | None, typer.Option(metavar="SET", help="A set to compare with, given as SET is.")] = None,
+    names: Annotated[str | None, typer.Option(metavar="FILE", help="Labels of the parameters in DCM and CDFX files.")] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Simulate again what is stored.")] = False,
+    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the findings as JUnit XML.")] = None,
+    summary: Annotated[Path | None, typer.Option(metavar="FILE", help="Append a summary in Markdown.")] = None,
+    timeout: Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; then exit status 6.")] = None,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check whether a set keeps its limits in every scenario; exit status 1 if not. Only what changed is simulated."""
+    wanted = [] if limits is None else validated(LimitsFile, dict(read_document(limits))).limits
+    with connect(url) as client:
+        parameters, own = _set(client, chosen, names)
+        known = client.problem(problem or own or DEFAULT_PROBLEM)
+        _refuse_unknown(wanted, known, has_baseline=baseline is not None)
+        first = next(iter(known.scores))
+        scores = list(dict.fromkeys([first, *(limit.score for limit in wanted if limit.score is not None)]))
+        compared = {} if baseline is None else _evaluated(client, _set(client, baseline, names)[0], known, scores, timeout)
+        checked = CheckedSet(_evaluated(client, parameters, known, scores, timeout, fresh=fresh), compared, known)
+    findings = list(checked.findings(wanted))
+    if junit is not None:
+        with file_faults(junit, "written", "give another file"):
+            junit.write_bytes(_junit(chosen, findings))
+    if summary is not None:
+        with file_faults(summary, "written", "give another file"), summary.open("a", encoding="utf-8") as stream:
+            stream.write(_markdown(chosen, checked, findings))
+    broken = [finding for finding in findings if finding.broken is not None]
+    if as_json:
+        print_json(_document(checked, findings))
+    else:
+        print_columns(["scenario", "score", "baseline", "obtained", "broken"], _rows(checked, findings))
+        for finding in broken:
+            tell(f"{finding.scenario}: {finding.limit}: {finding.broken}")
+    raise typer.Exit(ExitCode.FAILED if broken else ExitCode.OK)
+
+
+def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, str | None]:
+    """Returns the values of a set, and its problem if it is a campaign's."""
+    identifier, mark, rank = given.rpartition("#")
+    if mark and rank.isdecimal() and int(rank) > 0:
+        campaign = client.campaign(client.full_id(identifier))
+        ranked = client.solutions(campaign.id, limit=int(rank)).items
+        if len(ranked) < int(rank):
+            raise NotFoundError("set", given, f"the campaign has {len(ranked)} ranked sets")
+        return ranked[int(rank) - 1].parameters, campaign.spec["problem"]
+    if Path(given).suffix.lower() not in CALIBRATION_FILES:
+        document = dict(read_document(given))
+        return document.get("parameters", document), None
+    from drivecal.calibration_data import files
+
+    with file_faults(Path(given), "read", "give another file"):
+        content = Path(given).read_bytes()
+    labels = {} if names is None else files.labels_of(dict(read_document(names)))
+    by_label = {label: name for name, label in labels.items()}
+    listed = files.read(content, given).characteristics
+    return {by_label.get(each.name, each.name): each.value for each in listed if each.value is not None}, None
+
+
+def _refuse_unknown(limits: Sequence[SetLimit], problem: ProblemAnswer, *, has_baseline: bool) -> None:
+    faults = []
+    for number, limit in enumerate(limits):
+        field = f"limits[{number}]"
+        for kind, name, names in (("score", limit.score, problem.scores), ("measure", limit.measure, problem.measures)):
+            if name is not None and name not in names:
+                faults.append(
+                    Problem(f"{field}.{kind}", f"{problem.name} has no {kind} {name!r}", f"one of {', '.join(names)}")
+                )
+        for name in () if limit.scenarios == "all" else limit.scenarios:
+            if name not in problem.scenarios:
+                remedy = f"one of {', '.join(problem.scenarios)}"
+                faults.append(Problem(f"{field}.scenarios", f"{problem.name} has no scenario {name!r}", remedy))
+        if limit.worse_by_at_most is not None and not has_baseline:
+            faults.append(Problem(f"{field}.worse_by_at_most", "there is no baseline", "give --baseline"))
+    if faults:
+        raise InvalidInputError(*faults)
+
+
+def _evaluated(
+    client: Client,
+    parameters: Parameters,
+    problem: ProblemAnswer,
+    scores: Sequence[str],
+    timeout: float | None,
+    *,
+    fresh: bool = False,
+) -> dict[str, dict[str, EvaluatedCell]]:
+    """Returns the cells of a set by score and scenario. A file may hold other values besides those of the problem."""
+    missing = [name for name in problem.parameters if name not in parameters]
+    if missing:
+        remedy = "give one value per parameter; --names has the labels of a calibration file"
+        raise InvalidInputError(*(Problem(f"parameters.{name}", "the value is missing", remedy) for name in missing))
+    values = {name: parameters[name] for name in problem.parameters}
+    cells = {}
+    for number, score in enumerate(scores):
+        evaluator = "reference" if number == 0 else score
+        wanted: dict[str, Any] = {"parameters": values, "problem": problem.digest, "evaluator": evaluator}
+        evaluation = ended(client, client.evaluate(wanted | ({"fresh": True} if fresh and number == 0 else {})), timeout)
+        cells[score] = _cells(evaluation)
+    return cells
+
+
+def _cells(evaluation: Evaluation) -> dict[str, EvaluatedCell]:
+    if not evaluation.items:
+        raise InvalidInputError(Problem("parameters", evaluation.error or evaluation.state, "see `drivecal show`"))
+    return {item.scenario: item for item in evaluation.items}
+
+
+def _rows(checked: CheckedSet, findings: Sequence[Finding]) -> Iterator[list[object]]:
+    before = next(iter(checked.baseline.values()), {})
+    for name, cell in checked.scenarios.items():
+        broken = "; ".join(finding.limit for finding in findings if finding.scenario == name and finding.broken is not None)
+        yield [name, cell.score, before[name].score if name in before else None, cell.outcome, broken]
+
+
+def _document(checked: CheckedSet, findings: Sequence[Finding]) -> dict[str, Any]:
+    names = ("scenario", "score", "baseline", "obtained", "broken")
+    return {
+        "passed": all(finding.broken is None for finding in findings),
+        "scenarios": [dict(zip(names, row, strict=True)) for row in _rows(checked, findings)],
+        "findings": [{"scenario": finding.scenario, "limit": finding.limit, "broken": finding.broken} for finding in findings],
+    }
+
+
+def _junit(chosen: str, findings: Sequence[Finding]) -> bytes:
+    failures = sum(finding.broken is not None for finding in findings)
+    suite = Element("testsuite", name=f"drivecal check {chosen}", tests=str(len(findings)), failures=str(failures), errors="0")
+    for finding in findings:
+        case = SubElement(suite, "testcase", classname=finding.scenario, name=finding.limit)
+        if finding.broken is not None:
+            SubElement(case, "failure", message=finding.broken)
+    document: bytes = tostring(suite, encoding="utf-8", xml_declaration=True)
+    return document
+
+
+def _markdown(chosen: str, checked: CheckedSet, findings: Sequence[Finding]) -> str:
+    broken = sum(finding.broken is not None for finding in findings)
+    simulated = sum(cell.outcome == "simulated" for cell in checked.scenarios.values())
+    lines = [
+        f"### {'Passed' if not broken else 'Failed'}: `{chosen}` on {checked.problem.name}",
+        "",
+        f"{len(findings) - broken} of {len(findings)} checks hold; {simulated} of {len(checked.scenarios)} scenarios were simulated.",
+        "",
+        "| scenario | score | baseline | obtained | broken |",
+        "|---|---|---|---|---|",
+    ]
+    for row in _rows(checked, findings):
+        shown = ["" if value is None else told(value) if isinstance(value, float | int) else str(value) for value in row]
+        lines.append(f"| {' | '.join(text.replace('|', chr(92) + '|') for text in shown)} |")
+    return "\n".join([*lines, "", ""])

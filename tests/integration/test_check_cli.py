@@ -1,0 +1,128 @@
+"""`drivecal check`: exit status, JUnit, summary, and what it simulates."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import pytest
+import typer
+import yaml
+from tests.support.computed import ComputedBackend
+from tests.support.runs import working
+from tests.support.server import RunningApi, serving
+from tests.support.tree import PROJECT
+from typer.testing import CliRunner, Result
+
+from drivecal.cli.main import app
+from drivecal.contracts.work import Cell, CellResult
+
+BASELINE = {f"P{number}": 0.5 for number in range(1, 12)}
+MEASURE = "peak_lateral_acceleration_mps2"
+
+
+def answered(scenario: str, cell: Cell) -> CellResult:
+    rating = 6.0 * float(cell.parameters["P1"]) + int(scenario[1:]) / 10
+    return CellResult(cell.id, rating, round(rating), {MEASURE: rating}, None, 7.0)
+
+
+@dataclass
+class Checking:
+    api: RunningApi
+    backend: ComputedBackend
+    folder: Path
+
+    def file(self, name: str, content: Any) -> str:
+        path = self.folder / name
+        path.write_text(content if isinstance(content, str) else json.dumps(content))
+        return str(path)
+
+    def __call__(self, *arguments: str) -> Result:
+        return CliRunner().invoke(app, ["check", *arguments, "--url", self.api.url])
+
+
+@pytest.fixture
+def checking(tmp_path: Path) -> Iterator[Checking]:
+    backend = ComputedBackend(answer=answered)
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api, working(api.database, backend):
+        yield Checking(api, backend, tmp_path)
+
+
+def test_a_set_is_checked_against_limits_and_baseline_in_every_scenario(checking: Checking) -> None:
+    chosen = checking.file("set.json", BASELINE | {"P1": 0.4, "other": 1})
+    limits = checking.file(
+        "limits.yaml",
+        {
+            "limits": [
+                {"score": "comfort", "at_least": 2},
+                {"measure": MEASURE, "at_most": 2.7, "scenarios": ["S1", "S4"]},
+                {"score": "comfort", "worse_by_at_most": 0.5},
+            ]
+        },
+    )
+    baseline = checking.file("base.yaml", {"parameters": BASELINE})
+    junit, summary = checking.folder / "junit.xml", checking.folder / "summary.md"
+    failed = checking(
+        chosen, "--limits", limits, "--baseline", baseline, "--junit", str(junit), "--summary", str(summary), "--json"
+    )
+    assert failed.exit_code == 1, failed.output
+    document = json.loads(failed.stdout)
+    broken = {(each["scenario"], each["limit"]) for each in document["findings"] if each["broken"]}
+    worse = "comfort at most 0.5 worse than the baseline"
+    assert broken == {("S4", f"{MEASURE} at most 2.7"), *((name, worse) for name in ("S5", "S6"))}
+    suite = ET.fromstring(junit.read_bytes())
+    assert (
+        (int(suite.attrib["tests"]), int(suite.attrib["failures"]))
+        == (len(document["findings"]), len(broken))
+        == (20, len(broken))
+    )
+    assert len(suite.findall("testcase/failure")) == 3
+    assert summary.read_text().count("\n| S") == 6
+    assert len(checking.backend.sent) == 12
+    good = checking(baseline, "--limits", checking.file("few.yaml", {"limits": [{"score": "comfort", "at_least": 2}]}))
+    assert good.exit_code == 0, good.output
+    assert len(checking.backend.sent) == 12
+    assert checking(baseline, "--fresh").exit_code == 0
+    assert len(checking.backend.sent) == 18
+
+
+def test_a_calibration_file_with_labels_is_checked_like_any_set(checking: Checking) -> None:
+    lines = [f'FESTWERT ACC_{name}\n  EINHEIT_W "1"\n  WERT {value}\nEND\n' for name, value in (BASELINE | {"X": 3}).items()]
+    file = checking.file("set.dcm", "KONSERVIERUNG_FORMAT 2.0\n" + "\n".join(lines))
+    names = checking.file("names.yaml", {name: f"ACC_{name}" for name in BASELINE})
+    assert checking(file, "--names", names).exit_code == 0
+    missing = checking(file)
+    assert missing.exit_code == 2
+    assert "parameters.P1" in missing.output
+
+
+@pytest.mark.parametrize(
+    ("limit", "field"),
+    [
+        ({"score": "other", "at_least": 1}, "limits[0].score"),
+        ({"measure": "other", "at_least": 1}, "limits[0].measure"),
+        ({"score": "comfort", "at_least": 1, "scenarios": ["S9"]}, "limits[0].scenarios"),
+        ({"score": "comfort", "worse_by_at_most": 1}, "limits[0].worse_by_at_most"),
+        ({"score": "comfort"}, "limits[0]"),
+    ],
+)
+def test_a_limit_that_cannot_be_checked_is_refused_by_its_field(checking: Checking, limit: dict[str, Any], field: str) -> None:
+    refused = checking(checking.file("set.json", BASELINE), "--limits", checking.file("limits.json", {"limits": [limit]}))
+    assert refused.exit_code == 2
+    assert field in refused.output
+    assert not checking.backend.sent
+
+
+@pytest.mark.parametrize("name", ["github", "gitlab"])
+def test_the_examples_for_ci_use_options_that_exist(name: str) -> None:
+    document = yaml.safe_load((PROJECT / "deploy" / "examples" / "ci" / f"{name}.yaml").read_text())
+    job = document["jobs"]["check"] if name == "github" else document["calibration"]
+    lines = [step.get("run", "") for step in job["steps"]] if name == "github" else job["script"]
+    (line,) = [line for line in lines if line.startswith("drivecal check")]
+    known = typer.main.get_command(app).commands["check"].params  # type: ignore[attr-defined]  # a group
+    assert set(re.findall(r"--[a-z]+", line)) <= {option for parameter in known for option in parameter.opts}
