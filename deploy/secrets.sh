@@ -5,7 +5,7 @@
 #
 # postgres_password  between the database and those that use it
 # ray_token          between the nodes of the Ray cluster; nodes on other machines need the same
-# tokens             who may use the API: NAME read|write|author TOKEN, a line each; add lines as you like, the server reads them again
+# tokens             who may use the API: NAME read|write|author|admin TOKEN, a line each; add lines as you like, the server reads them again
 #
 # With DRIVECAL_ALLOW_PUSH=true, `tokens` gets a line with an author if it has none, and the author's token is the one that is shown: it
 # pushes problems, which are code that the workers run. Nothing that exists is ever replaced. Only you can enter the folder; inside, the files are readable, for the users in the containers are

@@ -24,6 +24,10 @@ UNITLESS = {
         "drivecal_build",
         "drivecal_database_up",
         "drivecal_campaigns",
+        "drivecal_campaigns_waiting",
+        "drivecal_resources",
+        "drivecal_resources_held",
+        "drivecal_busy_answers",
         "drivecal_cells",
         "drivecal_cells_pending",
         "drivecal_leases",
@@ -80,7 +84,9 @@ def busy(api: RunningApi) -> Measures:
     measures.count("late_results")
     states = ("idle", "busy", "busy", "starting")
     workers = [{"id": f"worker-{n}", "node": "here", "state": state, "cells": 0} for n, state in enumerate(states)]
-    beat(api, {"workers": workers, "degraded": "one worker is missing", "measures": measures.snapshot()})
+    use = {"name": "carmaker", "total": 4, "held": 3, "settling": 1}
+    detail = {"workers": workers, "resources": [use], "degraded": "one worker is missing", "measures": measures.snapshot()}
+    beat(api, detail)
     return measures
 
 
@@ -88,6 +94,10 @@ def test_the_dispatchers_measures_come_through(api: RunningApi) -> None:
     busy(api)
     found = metrics(api)
     assert samples(found["drivecal_workers"]) == {("starting",): 1, ("idle",): 1, ("busy",): 2}
+    assert (
+        value(found, "drivecal_resources", resource="carmaker"),
+        value(found, "drivecal_resources_held", resource="carmaker"),
+    ) == (4, 3)
     assert (value(found, "drivecal_ready"), value(found, "drivecal_degraded")) == (1, 1)
     assert value(found, "drivecal_dispatcher_heartbeat_age_seconds") < 5
     assert value(found, "drivecal_breakdowns", kind="crash") == 2

@@ -130,6 +130,28 @@ def test_a_token_is_revoked_without_a_restart(tmp_path: Path) -> None:
         assert api.http.get("/readyz").json()["problems"] == []
 
 
+def test_campaigns_are_steered_and_deleted_by_their_owner_and_by_an_admin(tmp_path: Path) -> None:
+    tokens = {name: f"{name}-0123456789abcdef" for name in ("alice", "bob", "root")}
+    lines = [f"alice write {tokens['alice']}", f"bob author {tokens['bob']}", f"root admin {tokens['root']}"]
+    (tmp_path / "tokens").write_text("\n".join(lines))
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tmp_path / "tokens")) as api:
+
+        def ask(name: str, path: str, method: str = "POST", body: Any = None) -> httpx.Response:
+            return api.http.request(method, f"/api/v1/campaigns{path}", headers=bearer(tokens[name]), json=body)
+
+        campaign = ask("bob", "", body=SMALL).json()
+        assert campaign["owner"] == "bob"
+        own = f"/{campaign['id']}"
+        for action in ("pause", "resume", "cancel"):
+            refused = ask("alice", f"{own}/{action}")
+            assert refused.status_code == 403
+            assert "bob" in problem(refused)["detail"]
+        assert ask("bob", f"{own}/pause").status_code == 202
+        assert ask("root", f"{own}/cancel").status_code == 202
+        assert ask("alice", own, "DELETE").status_code == 403
+        assert ask("bob", own, "DELETE").status_code == 200
+
+
 def problem(response: httpx.Response) -> dict[str, Any]:
     assert response.headers["content-type"] == "application/problem+json"
     document: dict[str, Any] = response.json()

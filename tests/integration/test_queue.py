@@ -286,6 +286,10 @@ def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Dat
         fresh.step()
     assert _states(database, submitted)[3] == "paused", "there is no room for it yet"
     with database.transaction() as connection:
+        campaigns.explain(connection, fresh._places())
+    assert "place 1 of 1 in the queue with priority 9" in (get(database, submitted[3]).waiting or "")
+    assert get(database, submitted[0]).waiting is None
+    with database.transaction() as connection:
         submitted.append(campaigns.insert(connection, name="urgent", spec=submitted[0].spec, priority=9))
     for most in (1, 2):
         more = limited(most)

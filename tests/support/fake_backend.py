@@ -5,7 +5,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult
+from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupKey
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import LONGEST_QUEUED, Finished, Lost, Slot, WorkerInfo
 
@@ -36,6 +36,7 @@ class _Worker:
     fault: str | None = None
     refusal: str | None = None
     tools: str | None = None
+    busy: str | None = None
     bad: bool = False
     """What it is in the batch that runs."""
 
@@ -71,6 +72,14 @@ class FakeBackend:
     """Worker and fault of each replacement that was asked for."""
     tools: dict[int, str] = field(default_factory=dict)
     """What probes answer at places; "1.0" elsewhere."""
+    busy_until: dict[str, float] = field(default_factory=dict)
+    """Time until which the simulators of a scenario are busy."""
+    linger_seconds: float = 0.0
+    """How long runs go on after their worker is killed."""
+    held: list[tuple[float, int]] = field(default_factory=list)
+    """Licences in use, as the license server counts them, at each change."""
+    running: list[tuple[float, float]] = field(default_factory=list)
+    """Begin and end of each batch that ran with a licence."""
     closed: bool = False
 
     def __post_init__(self) -> None:
@@ -79,6 +88,14 @@ class FakeBackend:
         self._late: list[Finished | Lost] = []
         self._ended: list[tuple[int, Batch]] = []
         self._sequence = 0
+        self._open: dict[str, dict[SetupKey, int]] = {}
+        """Licences of open sessions by worker."""
+        self._lingering: list[tuple[float, int]] = []
+
+    def _count(self) -> None:
+        self._lingering = [(until, count) for until, count in self._lingering if until > self.now]
+        sessions = sum(count for held in self._open.values() for count in held.values())
+        self.held.append((self.now, sessions + sum(count for _, count in self._lingering)))
 
     def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
         chosen = self._named(worker)
@@ -129,7 +146,8 @@ class FakeBackend:
         worker = self._workers[index % len(self._workers)]
         self._events = [event for event in self._events if event[2] is not worker]
         heapq.heapify(self._events)
-        self._late += self._lose(worker, Breakdown.CRASH)
+        self._lingering += [(self.now + self.linger_seconds, count) for count in self._open.get(worker.name, {}).values()]
+        self._late += self._lose(worker, Breakdown.CRASH, departed=True)
 
     def repeat(self, index: int) -> None:
         """The result of a batch that was given up, or came back already, arrives late."""
@@ -152,13 +170,17 @@ class FakeBackend:
     def _begin(self, worker: _Worker) -> None:
         batch = worker.queue[0][1]
         seconds = self.overhead_seconds
+        if batch.cells and batch.setup.resources and self.busy_until.get(batch.setup.scenario, 0.0) <= self.now:
+            self._open.setdefault(worker.name, {})[batch.setup.key] = sum(batch.setup.resources.values())
+            self._count()
         worker.begun_at = self.now
         worker.refusal, worker.bad = self.refusing.get(worker.place), worker.place in self.bad
         wanted = None if batch.setup.bundle is None else batch.setup.tools
         worker.tools = self.tools.get(worker.place, "1.0") if batch.cells == () or wanted is not None else None
         if worker.refusal is None and wanted not in {None, worker.tools}:
             worker.refusal = f"the probe answers {worker.tools} and {wanted}"
-        for cell in batch.cells if worker.refusal is None else ():
+        worker.busy = "no licence" if self.busy_until.get(batch.setup.scenario, 0.0) > self.now else None
+        for cell in batch.cells if worker.refusal is None and worker.busy is None else ():
             self.attempts[cell.id] = self.attempts.get(cell.id, 0) + 1
             behaviour = behaviour_of(cell)
             if worker.bad:
@@ -171,8 +193,14 @@ class FakeBackend:
 
     def _end(self, worker: _Worker) -> list[Finished | Lost]:
         batch_id, batch = worker.queue[0]
-        refusal, bad = worker.refusal, worker.bad
-        behaviours = [] if bad or refusal is not None else [behaviour_of(cell) for cell in batch.cells]
+        refusal, bad, busy = worker.refusal, worker.bad, worker.busy
+        sessions = self._open.get(worker.name, {})
+        if batch.cells and batch.setup.key in sessions:
+            self.running.append((worker.begun_at, self.now))
+        if batch.closes or not batch.setup.keeps_resources:
+            sessions.pop(batch.setup.key, None)
+            self._count()
+        behaviours = [] if bad or refusal is not None or busy is not None else [behaviour_of(cell) for cell in batch.cells]
         for behaviour, breakdown in ((Behaviour.CRASH, Breakdown.CRASH), (Behaviour.HANG, Breakdown.HANG)):
             if behaviour in behaviours:
                 return self._lose(worker, breakdown)
@@ -186,6 +214,8 @@ class FakeBackend:
             tools = worker.tools if worker.place not in self.refusing else None
             blames = worker.place in self.blaming
             return [Finished(batch_id, BatchResult(worker.name, (), seconds, refusal, tools=tools, unsuitable=blames))]
+        if busy is not None:
+            return [Finished(batch_id, BatchResult(worker.name, (), seconds, busy=busy))]
         if not batch.cells:
             return [Finished(batch_id, BatchResult(worker.name, (), seconds, tools=worker.tools))]
         answers = tuple(_error(cell, "SUMO is gone") if bad else _answer(cell) for cell in batch.cells)
@@ -193,8 +223,11 @@ class FakeBackend:
             worker.fault = None
         return [Finished(batch_id, BatchResult(worker.name, answers, seconds))]
 
-    def _lose(self, worker: _Worker, breakdown: Breakdown) -> list[Finished | Lost]:
-        lost: list[Finished | Lost] = [Lost(batch_id, worker.name, breakdown, "it died") for batch_id, _ in worker.queue]
+    def _lose(self, worker: _Worker, breakdown: Breakdown, *, departed: bool = False) -> list[Finished | Lost]:
+        self._open.pop(worker.name, None)
+        lost: list[Finished | Lost] = [
+            Lost(batch_id, worker.name, breakdown, "it died", departed=departed) for batch_id, _ in worker.queue
+        ]
         self._ended += worker.queue
         worker.queue.clear()
         self._restart(worker)

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Self, TypeVar
 from anyio import CapacityLimiter, to_thread
 from fastapi import Depends, Header, Request
 
+from drivecal.api.http.authorisation import owner_of
 from drivecal.api.http.limits import Places
 from drivecal.configuration.settings import Settings
 from drivecal.storage.engine.database import Database
@@ -69,6 +70,14 @@ async def _limits(request: Request) -> Limits:
 
 
 LimitsDependency = Annotated[Limits, Depends(_limits)]
+
+
+async def _owner(request: Request) -> str | None:
+    return owner_of(request)
+
+
+Owner = Annotated[str | None, Depends(_owner)]
+"""Name of the request's token, None on a server without tokens."""
 
 
 async def _event_stream(request: Request, limits: LimitsDependency) -> AsyncIterator[None]:

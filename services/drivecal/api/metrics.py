@@ -38,6 +38,7 @@ DURATION_METRICS: dict[Duration, tuple[str, str]] = {
 COUNT_METRICS: dict[Happening, tuple[str, str]] = {
     "breakdowns": ("drivecal_breakdowns", "Cells that broke down, alone or with their worker, once per attempt"),
     "retries": ("drivecal_retries", "Cells that were sent again after a breakdown"),
+    "busy_answers": ("drivecal_busy_answers", "Batches that ended early because their simulator was busy; the cells wait"),
     "late_results": ("drivecal_late_results", "Results that came after their lease was over, and were rejected"),
 }
 
@@ -106,6 +107,9 @@ def _of_database(totals: Statistics) -> Iterator[Any]:
         pending.add_metric([stage], sums.pending[stage])
     yield cells
     yield pending
+    yield GaugeMetricFamily(
+        "drivecal_campaigns_waiting", "Campaigns that wait for a place, or with cells that wait", totals.waiting
+    )
     yield GaugeMetricFamily("drivecal_leases", "Cells that are at workers", totals.leases)
     newest = "Number of the newest run in the reference table: how many there are, or on PostgreSQL a little more"
     yield GaugeMetricFamily("drivecal_reference_runs", newest, totals.largest_run)
@@ -127,6 +131,14 @@ def _of_dispatcher(dispatcher: StoredProcess | None) -> Iterator[Any]:
     for state in WORKER_STATES:
         workers.add_metric([state], states.count(state))
     yield workers
+    uses = [] if readiness.silent else dispatcher.detail.get("resources", [])
+    total = GaugeMetricFamily("drivecal_resources", "How many there are of a resource, such as licences", labels=["resource"])
+    held = GaugeMetricFamily("drivecal_resources_held", "How many of a resource are held", labels=["resource"])
+    for use in uses:
+        total.add_metric([use["name"]], use["total"])
+        held.add_metric([use["name"]], use["held"])
+    yield total
+    yield held
     measures: Mapping[str, Any] = dispatcher.detail.get("measures") or {"seconds": {}, "counts": {}}
     for duration in DURATIONS:
         if duration in measures["seconds"]:

@@ -10,6 +10,7 @@ from sqlalchemy import Connection
 from drivecal.api.dependencies import Limits
 from drivecal.api.live.dispatcher_health import judge
 from drivecal.campaigns.comparison import ComparisonProblem, keys_of, resolve_comparison, tag_of
+from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import check_basis, is_outdated, warnings_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
@@ -60,15 +61,20 @@ def pace(connection: Connection, fingerprints: Sequence[str]) -> Pace:
 MAP = "sensitivity.map"
 
 
-def submit(database: Database, limits: Limits, specification: CampaignSpecification, key: str | None) -> StoredCampaign:
-    """Queues a campaign. Raises InvalidInputError if it cannot run, TooLargeError, and OverloadError if the queue is full."""
+def submit(
+    database: Database, limits: Limits, specification: CampaignSpecification, key: str | None, owner: str | None = None
+) -> StoredCampaign:
+    """Queues a campaign of an owner, the name of a token.
+
+    Raises InvalidInputError if it cannot run, TooLargeError, and OverloadError if the queue is full.
+    """
     body_digest = digest_of("campaigns", specification)
     earlier = accepted_before(database, body_digest, key)
     if earlier is not None:
         return earlier
     problem = _checked(database, limits, specification)
     with database.transaction() as connection:
-        return _queue(connection, limits, problem, key, body_digest)
+        return _queue(connection, limits, problem, key, body_digest, owner)
 
 
 def accepted_before(database: Database, body_digest: str, *keys: str | None) -> StoredCampaign | None:
@@ -147,9 +153,33 @@ def resolved(database: Database, specification: CampaignSpecification) -> Calibr
     raise InvalidInputError(*own, *diagnostics.problems)
 
 
+def _refuse_without(limits: Limits, bench: Bench) -> None:
+    """Raises InvalidInputError if a run needs more of a resource than the server has."""
+    exist = limits.settings.resources
+    lacking = {
+        name: (scenario, count)
+        for scenario, request in bench.requests.items()
+        for name, count in request.resources.items()
+        if count > exist.get(name, 0)
+    }
+    if lacking:
+        raise InvalidInputError(
+            *(
+                Problem(
+                    "problem",
+                    f"scenario {scenario} needs {count} {name}, and this server has {exist.get(name, 0)}",
+                    f"start the server with --resources {name}={count} or more, or leave the scenario out",
+                )
+                for name, (scenario, count) in lacking.items()
+            )
+        )
+
+
 def _checked(database: Database, limits: Limits, specification: CampaignSpecification) -> CalibrationProblem:
-    """Returns the resolved campaign. Raises TooLargeError if its stages propose too many cells."""
+    """Returns the resolved campaign. Raises TooLargeError if its stages propose too many cells, and InvalidInputError if it needs more of
+    a resource than there is."""
     problem, largest = resolved(database, specification), limits.settings.largest_campaign
+    _refuse_without(limits, problem.bench)
     runs = problem.expected_runs()
     stages = {"optimizer": runs.calibration_proposed, "sensitivity": runs.sensitivity_at_most} | {
         study: getattr(runs, study) for study in STUDIES
@@ -168,7 +198,9 @@ def _checked(database: Database, limits: Limits, specification: CampaignSpecific
     raise TooLargeError(Problem(stage, message, f"this server takes {largest:,}; reduce {what} or scenarios"))
 
 
-def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpecification, key: str | None) -> StoredCampaign:
+def rerun(
+    database: Database, limits: Limits, first_id: str, changes: RerunSpecification, key: str | None, owner: str | None = None
+) -> StoredCampaign:
     """Queues an ended campaign again with `changes`. Raises ConflictError before its end, NotFoundError, and like `submit`."""
     body_digest = digest_of(f"campaigns/{first_id}/rerun", changes)
     earlier = accepted_before(database, body_digest, key)
@@ -187,10 +219,12 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
         document["sensitivity"] = used.basis["sensitivity"]  # made again, from stored runs if only ratings are others
         problem = _checked(database, limits, validated(CampaignSpecification, document))
     with database.transaction() as connection:
-        return _queue(connection, limits, problem, key, body_digest, rerun_of=first_id)
+        return _queue(connection, limits, problem, key, body_digest, owner, rerun_of=first_id)
 
 
-def compare(database: Database, limits: Limits, specification: ComparisonSpecification, key: str) -> str:
+def compare(
+    database: Database, limits: Limits, specification: ComparisonSpecification, key: str, owner: str | None = None
+) -> str:
     """Queues the campaigns of a comparison, all or none, and returns their tag. Each has a key of its own, made of the Idempotency-Key
     `key`: the same request queues none again as long as one of them is neither deleted nor pruned.
 
@@ -217,6 +251,7 @@ def compare(database: Database, limits: Limits, specification: ComparisonSpecifi
                 idempotency_key=own,
                 body_digest=body_digest,
                 priority=run.priority,
+                owner=owner,
             )
             _pinned(connection, stored, problem.problems[0])
     return tag
@@ -242,6 +277,7 @@ def expected_comparison(database: Database, limits: Limits, specification: Compa
 
 def _checked_comparison(database: Database, limits: Limits, specification: ComparisonSpecification) -> ComparisonProblem:
     problem = resolve_comparison(specification, stored_bundles(database))
+    _refuse_without(limits, problem.problems[0].bench)
     if problem.proposed > limits.settings.largest_campaign:
         message = f"the {len(problem.runs):,} campaigns of the comparison may propose {problem.proposed:,} cells"
         remedy = f"this server takes {limits.settings.largest_campaign:,}; reduce populations, iterations, seeds, optimizers or scenarios"
@@ -254,13 +290,16 @@ def _compared_map(connection: Connection, problem: ComparisonProblem) -> str | N
     return next((named_map(connection, row) for row in problem.problems if row.specification.sensitivity is not None), None)
 
 
-def evaluate(database: Database, limits: Limits, specification: EvaluationSpecification, key: str | None) -> StoredCampaign:
+def evaluate(
+    database: Database, limits: Limits, specification: EvaluationSpecification, key: str | None, owner: str | None = None
+) -> StoredCampaign:
     """Queues a single evaluation. Raises InvalidInputError if it cannot run, OverloadError if the queue is full."""
     body_digest = digest_of("evaluations", specification)
     earlier = accepted_before(database, body_digest, key)
     if earlier is not None:
         return earlier
     problem = resolve_evaluation(specification, stored_bundles(database))
+    _refuse_without(limits, problem.bench)
     with database.transaction() as connection:
         admission.admit(connection, limits.settings.queued_campaigns, key)
         stored = campaigns.insert(
@@ -268,6 +307,7 @@ def evaluate(database: Database, limits: Limits, specification: EvaluationSpecif
             name="evaluation",
             spec=problem.specification.model_dump(mode="json"),
             kind="evaluation",
+            owner=owner,
             idempotency_key=key,
             body_digest=body_digest,
             notes=problem.notes,
@@ -281,6 +321,7 @@ def _queue(
     problem: CalibrationProblem,
     key: str | None,
     body_digest: str,
+    owner: str | None,
     rerun_of: str | None = None,
 ) -> StoredCampaign:
     specification = problem.specification
@@ -298,6 +339,7 @@ def _queue(
         body_digest=body_digest,
         likeness=_likeness(problem, analysed),
         priority=specification.priority,
+        owner=owner,
         notes=warnings_of(connection, problem, used, now()),
     )
     return _pinned(connection, stored, problem)

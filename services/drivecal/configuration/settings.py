@@ -17,9 +17,19 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
-from pydantic import Field, StringConstraints, ValidationError, ValidationInfo, field_validator, model_validator
-from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    StringConstraints,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_settings import BaseSettings, InitSettingsSource, NoDecode, PydanticBaseSettingsSource, SettingsConfigDict
 
+from drivecal.contracts.strict_json import Identifier
 from drivecal.domain.errors import InvalidInputError, Problem
 
 PREFIX = "DRIVECAL_"
@@ -32,6 +42,25 @@ _PASSWORD = re.compile(r":[^/@]*@")
 Line = Annotated[str, StringConstraints(min_length=1, max_length=4096, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Secret = Annotated[str, StringConstraints(min_length=1, max_length=4096, pattern=r"^[\x21-\x7e]+$")]
 """Printable ASCII without blanks, as in an HTTP header."""
+
+
+def _counted(value: object) -> object:
+    """Returns numbers by name; a text lists them as `carmaker=4,vtd=2`."""
+    if not isinstance(value, str):
+        return value
+    entries = [entry.partition("=") for entry in value.split(",") if entry.strip()]
+    if not all(count.strip().isdecimal() for _, _, count in entries):
+        raise ValueError("give whole numbers by name, such as carmaker=4,vtd=2")
+    return {name.strip(): int(count) for name, _, count in entries}
+
+
+Counts = Annotated[
+    dict[Identifier, Annotated[int, Field(ge=0, le=100_000)]],
+    NoDecode,
+    BeforeValidator(_counted),
+    PlainSerializer(lambda counts: ",".join(f"{name}={count}" for name, count in counts.items()), when_used="json"),
+]
+"""Numbers by name."""
 
 
 class Settings(BaseSettings):
@@ -69,6 +98,9 @@ class Settings(BaseSettings):
     """Address of a Ray cluster; without it the dispatcher starts a local Ray."""
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] | None = None
     """Simulations at a time; none: one per CPU, within the quota of a container."""
+    resources: Counts = Field(default_factory=dict)
+    """Licences and other scarce things that all runs of this server share, by name, as `carmaker=4,vtd=2`: see
+    [resources](../how-to/resources.md)."""
     log_format: Literal["text", "json"] = "text"
     """Format of the server's log: readable lines, or a JSON document per line."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"

@@ -4,8 +4,10 @@
     anna    write   Zs6Oq1fO1Hh0T7m1K0cY3A
     plant2  read    9q2kT0bYw8vX5mJ4rL1nPg
     bea     author  Vb3xW9cQpLd7sKj2hTzR5w
+    root    admin   hX2mP8vQ4tLw6nRb1sKzC9
 
-A reader changes nothing, a writer starts campaigns, an author also pushes problems, which carry code.
+A reader changes nothing, a writer starts campaigns, an author also pushes problems, which carry code. Writers and authors steer and delete
+their own campaigns, an admin all campaigns.
 
 No message ever quotes a word of the file: with mixed-up columns it would put a token in the log.
 """
@@ -30,7 +32,7 @@ SHORTEST = 16
 LONGEST = 512
 LARGEST_FILE = 1_048_576
 """Largest size of a tokens file in bytes."""
-FORM = "one token per line: NAME read|write|author TOKEN"
+FORM = "one token per line: NAME read|write|author|admin TOKEN"
 _NAME = re.compile(rb"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
 _PRINTABLE = re.compile(rb"[\x21-\x7e]+")
 
@@ -45,6 +47,12 @@ class Token:
     may_write: bool
     digest: bytes = field(repr=False)
     may_push: bool = False
+    is_admin: bool = False
+    """True if it may steer and delete campaigns of others."""
+
+    def may_steer(self, owner: str | None) -> bool:
+        """Returns whether it may pause, resume, cancel and delete a campaign of an owner, None for a campaign without one."""
+        return self.is_admin or owner is None or owner == self.name
 
 
 def parse(content: bytes, source: str) -> tuple[Token, ...]:
@@ -66,7 +74,8 @@ def _parsed(content: bytes, source: str) -> tuple[list[Token], list[Problem]]:
         if wrong is not None:
             problems.append(Problem(where, *wrong))
             continue
-        token = Token(words[0].decode("ascii"), words[1] != b"read", _digest(words[2]), words[1] == b"author")
+        name, may = words[0].decode("ascii"), words[1]
+        token = Token(name, may != b"read", _digest(words[2]), may in {b"author", b"admin"}, may == b"admin")
         keys: tuple[tuple[str | bytes, str], ...] = ((token.name, "name"), (token.digest, "token"))
         again = [(first_lines[key], kind) for key, kind in keys if key in first_lines]
         problems += [Problem(where, f"the {kind} is that of line {line}", f"give each {kind} once") for line, kind in again]
@@ -92,8 +101,8 @@ def _wrong(words: list[bytes]) -> tuple[str, str] | None:
     if len(words) != 3:
         return f"there are {len(words)} words", f"write {FORM}"
     name, may, token = words
-    if may not in {b"read", b"write", b"author"}:
-        return "the second word is not read, write or author", f"write {FORM}"
+    if may not in {b"read", b"write", b"author", b"admin"}:
+        return "the second word is not read, write, author or admin", f"write {FORM}"
     if not _NAME.fullmatch(name):
         return "invalid name", "give up to 64 letters, digits, `_`, `.`, `@` or `-` (ASCII)"
     if not _PRINTABLE.fullmatch(token):

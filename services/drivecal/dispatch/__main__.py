@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
@@ -21,9 +22,10 @@ from drivecal.configuration.settings import Settings, load_settings
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Heartbeat, Leadership
 from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableError
-from drivecal.execution.backend import Backend, BackendLostError
+from drivecal.execution.backend import BackendLostError
 from drivecal.execution.pool import StoredLeases, WorkPool
-from drivecal.execution.supervised import WorkerLimits
+from drivecal.execution.scheduling.resources import Resources
+from drivecal.execution.supervised import SupervisedBackend, WorkerLimits
 from drivecal.storage import bundles
 from drivecal.storage.engine import locks
 from drivecal.storage.engine.database import LASTING, PROMPT, Database
@@ -73,10 +75,12 @@ def serve(settings: Settings, stop: threading.Event, server: int | None = None) 
         log.info("elected for term %d", leadership.term)
         beating = Database.open(settings.database_url, PROMPT).fenced(leadership.fence)
         with Heartbeat(beating, leadership, lock.renew) as heartbeat:
-            _dispatch(settings, database.fenced(leadership.fence), heartbeat, stop)
+            _dispatch(settings, database.fenced(leadership.fence), leadership, heartbeat, stop)
 
 
-def _dispatch(settings: Settings, database: Database, heartbeat: Heartbeat, stop: threading.Event) -> None:
+def _dispatch(
+    settings: Settings, database: Database, leadership: Leadership, heartbeat: Heartbeat, stop: threading.Event
+) -> None:
     address = settings.ray_address
     heartbeat.tell((), "the workers are being started" if address is None else f"waiting for the Ray cluster at {address}")
     backend = _awaited("workers", lambda: _backend(settings, database), stop, lambda words: heartbeat.tell((), words))
@@ -87,10 +91,12 @@ def _dispatch(settings: Settings, database: Database, heartbeat: Heartbeat, stop
     gc.collect()
     gc.freeze()
     gc.set_threshold(*GARBAGE)
+    free_at = time.monotonic() + leadership.free_in(backend.settle_seconds)
+    resources = Resources(settings.resources, backend.settle_seconds, free_at)
     try:
         dispatcher = Dispatcher(
             database,
-            WorkPool(backend, StoredLeases(database)),
+            WorkPool(backend, StoredLeases(database), resources=resources),
             heartbeat.tell,
             running_campaigns=settings.running_campaigns,
             when_idle=load_predictors,
@@ -106,7 +112,7 @@ def _dispatch(settings: Settings, database: Database, heartbeat: Heartbeat, stop
     backend.close()
 
 
-def _backend(settings: Settings, database: Database) -> Backend:
+def _backend(settings: Settings, database: Database) -> SupervisedBackend:
     """Starts the workers that the settings name: on Ray if it is installed, else as processes. Raises UnavailableError."""
     limits: dict[str, Any] = {"workers": settings.workers, "archive": partial(_archive, database)}
     with_ray = find_spec("ray") is not None

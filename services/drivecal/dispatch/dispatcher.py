@@ -20,6 +20,7 @@ from drivecal.campaigns.resolve.workbench import stored_bundles, with_tools
 from drivecal.campaigns.stages.campaign import SingleEvaluation, StagedCampaign
 from drivecal.configuration import logs
 from drivecal.contracts.work import SetupRequest
+from drivecal.dispatch.heartbeat import Waits
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, DrivecalError, SupersededError, UnavailableError
 from drivecal.execution.backend import BackendLostError, WorkerInfo
@@ -134,13 +135,13 @@ log = logging.getLogger(__name__)
 
 
 class Dispatcher:
-    """The dispatcher's loop. `tell` receives the workers and current problems twice a second, and raises if the dispatcher must end."""
+    """The dispatcher's loop. `tell` receives workers, problems and waits twice a second, and raises if the dispatcher must end."""
 
     def __init__(
         self,
         database: Database,
         pool: WorkPool,
-        tell: Callable[[Sequence[WorkerInfo], str | None], None] = lambda _workers, _trouble: None,
+        tell: Callable[[Sequence[WorkerInfo], str | None, Waits], None] = lambda *_: None,
         *,
         running_campaigns: int = 8,
         when_idle: Callable[[], None] = lambda: None,
@@ -155,6 +156,8 @@ class Dispatcher:
         self._when_idle: Callable[[], None] | None = when_idle
         self._clock = clock
         self._active: dict[int, Active] = {}
+        self._in_line: list[CampaignHeading] = []
+        """Campaigns that wait to be started, or to go on, in their order."""
         self._next_look = self._next_tell = self._next_tidy = 0.0
         self._idle_at = clock() + IDLE_SECONDS
 
@@ -200,7 +203,19 @@ class Dispatcher:
                 by_tag[completion.tag].unwritten.append(completion)
 
     def _report(self) -> None:
-        self._tell(self._pool.workers(), self._pool.trouble())
+        waits = {sequence: self._pool.waits(active.tag) for sequence, active in self._active.items()} | self._places()
+        said = {sequence: reason for sequence, reason in waits.items() if reason is not None}
+        self._tell(self._pool.workers(), self._pool.trouble(), Waits(said, self._pool.resources()))
+
+    def _places(self) -> dict[int, str]:
+        """Returns why campaigns wait to be started or to go on, by number."""
+        most, count = self._running_campaigns, len(self._in_line)
+        why = f"{most} campaigns run, the most at a time on this server (DRIVECAL_RUNNING_CAMPAIGNS)"
+        order = "higher priorities first, then the order of submission"
+        return {
+            waiting.sequence: f"{why}; place {place} of {count} in the queue with priority {waiting.priority}: {order}"
+            for place, waiting in enumerate(self._in_line, start=1)
+        }
 
     def _tidy(self) -> bool:
         """Removes what is old, and some of what is out of use; True if there may be more of it."""
@@ -219,6 +234,8 @@ class Dispatcher:
         for campaign in sorted(headings, key=lambda heading: heading.state not in running):
             with logs.about(campaign=campaign.id, campaign_name=campaign.name):
                 self._look_at(campaign)
+        waiting = [heading for heading in headings if heading.sequence not in self._active and _waits_for_a_place(heading)]
+        self._in_line = waiting if self._is_full else []
 
     def _drop_all_but(self, running: Collection[int]) -> None:
         """Drops campaigns whose rows do not run: the commit that paused or ended them succeeded, and only its answer was lost."""
@@ -256,8 +273,12 @@ class Dispatcher:
 
     def _has_room(self, campaign: CampaignHeading) -> bool:
         """Whether the campaign may start now. The caller asks in starting order."""
-        running = sum(active.campaign.kind != "evaluation" for active in self._active.values())
-        return campaign.kind == "evaluation" or running < self._running_campaigns
+        return campaign.kind == "evaluation" or not self._is_full
+
+    @property
+    def _is_full(self) -> bool:
+        """True if no further campaign may run at the same time."""
+        return sum(active.campaign.kind != "evaluation" for active in self._active.values()) >= self._running_campaigns
 
     def _start(self, campaign: CampaignHeading) -> None:
         with self._database.transaction() as connection:
@@ -389,6 +410,11 @@ class Dispatcher:
             active.job = active.beginning = None
             self._pool.withdraw(active.tag)
         self._next_look = 0.0
+
+
+def _waits_for_a_place(heading: CampaignHeading) -> bool:
+    is_resumed = heading.state is CampaignState.PAUSED and heading.requested_action == "resume"
+    return heading.kind != "evaluation" and (heading.state is CampaignState.QUEUED or is_resumed)
 
 
 def _without(work: Sequence[Work], answered: Collection[int]) -> list[Work]:

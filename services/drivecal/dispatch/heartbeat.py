@@ -6,8 +6,8 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from types import TracebackType
 from typing import Any, Self
@@ -18,6 +18,7 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.execution.backend import WorkerInfo
 from drivecal.execution.measures import MEASURES
+from drivecal.execution.scheduling.resources import ResourceUse
 from drivecal.storage import campaigns, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -26,17 +27,28 @@ from drivecal.storage.processes import DISPATCHER
 
 @dataclass(frozen=True, slots=True)
 class Leadership:
-    """A dispatcher's `term` number and start time."""
+    """A dispatcher's `term` number and start time. `last_seen_at`: the last heartbeat of the dispatcher before it."""
 
     term: int
     began_at: datetime
+    last_seen_at: datetime | None = None
 
     @classmethod
     def begin(cls, database: Database) -> Leadership:
         """Elects this process; from now on no other process writes. The caller must hold the lock."""
         began_at = now()
         with database.transaction() as connection:
-            return cls(processes.elect(connection, DISPATCHER, os.getpid(), began_at), began_at)
+            last = processes.read(connection, DISPATCHER)
+            term = processes.elect(connection, DISPATCHER, os.getpid(), began_at)
+            return cls(term, began_at, None if last is None else last.heartbeat_at)
+
+    def free_in(self, settle_seconds: float) -> float:
+        """Returns the time (s) for which runs of the dispatcher before may still go on. That dispatcher ends soon after its last heartbeat,
+        and its workers with it, whose runs take at most `settle_seconds` more."""
+        if self.last_seen_at is None:
+            return 0.0
+        longest = EVERY_SECONDS + GRACE_SECONDS + settle_seconds
+        return min(longest, max(0.0, longest - (self.began_at - self.last_seen_at).total_seconds()))
 
     def fence(self, connection: Connection) -> None:
         """Raises SupersededError if the leadership is over; see `Database.fenced`."""
@@ -53,13 +65,25 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
+class Waits:
+    """Reasons why campaigns wait, by number, and the use of resources."""
+
+    campaigns: Mapping[int, str] = field(default_factory=dict)
+    resources: Sequence[ResourceUse] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class _Report:
-    """The main thread's latest report: workers, problems, and time."""
+    """The main thread's latest report: workers, problems, waits, and time."""
 
     workers: Sequence[WorkerInfo]
     trouble: str | None
+    waits: Waits
     heard: float
     at: datetime
+
+
+NOTHING_WAITS = Waits()
 
 
 class Heartbeat:
@@ -77,7 +101,7 @@ class Heartbeat:
         self._leadership = leadership
         self._renew_lock = renew_lock
         self._clock = clock
-        self._report = _Report((), "the dispatcher is starting", clock(), now())
+        self._report = _Report((), "the dispatcher is starting", Waits(), clock(), now())
         self._written: _Report | None = None
         self._failure: BaseException | None = None
         self._reachable = True
@@ -93,9 +117,9 @@ class Heartbeat:
         self._stopped.set()
         self._thread.join(GRACE_SECONDS)  # it may be waiting for the database
 
-    def tell(self, workers: Sequence[WorkerInfo], trouble: str | None) -> None:
-        """Takes the main thread's report on its workers. Raises the error that ended the heartbeat, if any."""
-        self._report = _Report(tuple(workers), trouble, self._clock(), now())
+    def tell(self, workers: Sequence[WorkerInfo], trouble: str | None, waits: Waits = NOTHING_WAITS) -> None:
+        """Takes the main thread's report. Raises the error that ended the heartbeat, if any."""
+        self._report = _Report(tuple(workers), trouble, waits, self._clock(), now())
         if self._failure is not None:
             raise self._failure
 
@@ -112,6 +136,7 @@ class Heartbeat:
         detail: dict[str, Any] = {
             "workers": [asdict(worker) for worker in report.workers],
             "degraded": report.trouble,
+            "resources": [asdict(use) for use in report.waits.resources],
             "measures": MEASURES.snapshot(),
         }
         if self._clock() - report.heard > STUCK_AFTER_SECONDS:
@@ -124,6 +149,7 @@ class Heartbeat:
             working = {CampaignState.RUNNING, CampaignState.CANCELLING}
             running = [campaign.sequence for campaign in campaigns.active(connection) if campaign.state in working]
             campaigns.degrade(connection, running, detail["degraded"])
+            campaigns.explain(connection, report.waits.campaigns)
         self._written = report
 
     def _run(self) -> None:

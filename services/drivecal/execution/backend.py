@@ -12,6 +12,8 @@ DEADLINE_FACTOR = 20.0
 """A batch hangs if it takes longer than both the deadline and this multiple of its expected time."""
 
 
+SETTLE_SECONDS = 12.0
+"""How long runs on a living machine may outlive their worker: its keeper asks them to end, kills them, and needs some time itself."""
 LONGEST_QUEUED = 20.0
 """Longest expected time of a batch, s, behind which another one is queued: another worker would begin that one sooner."""
 
@@ -40,6 +42,8 @@ class Lost:
     """Time of the worker; None if unknown."""
     begun: bool = True
     """False if the batch waited behind another one, so that none of its cells was simulated."""
+    departed: bool = False
+    """True if the worker left, killed from outside or with its node: its cells are not to blame."""
 
 
 @dataclass(frozen=True, slots=True)

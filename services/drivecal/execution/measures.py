@@ -20,11 +20,19 @@ from drivecal.domain.evaluations import Breakdown
 Duration = Literal["lookup", "evaluation", "batch", "lease", "record"]
 """`lookup`: look-up of a round's cells. `evaluation`: CPU time of a cell. `batch`: time of a batch at its worker. `lease`, `record`:
 transactions that lease cells and write results."""
-Happening = Literal["breakdowns", "retries", "late_results"]
-"""`breakdowns`: of cells or workers, by kind. `retries`: cells sent again, by kind. `late_results`: rejected results without a lease."""
+Happening = Literal["breakdowns", "retries", "late_results", "busy_answers"]
+"""`breakdowns` of cells or workers, by kind. `retries`: cells sent again, by kind. `late_results`: rejected results without a lease.
+`busy_answers`: batches that ended because their simulator was busy."""
+DEPARTED = "departed"
+"""Kind of a breakdown that is no fault of a cell: its worker was killed from outside, or left with its node."""
 
 DURATIONS: tuple[Duration, ...] = ("lookup", "evaluation", "batch", "lease", "record")
-KINDS: dict[Happening, tuple[str, ...]] = {"breakdowns": tuple(Breakdown), "retries": tuple(Breakdown), "late_results": ("",)}
+KINDS: dict[Happening, tuple[str, ...]] = {
+    "breakdowns": (*Breakdown, DEPARTED),
+    "retries": tuple(Breakdown),
+    "late_results": ("",),
+    "busy_answers": ("",),
+}
 """Series shown as 0 from the start."""
 BOUNDS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
 """Inclusive upper ends of the buckets, s; a last bucket holds longer durations."""

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from drivecal.contracts.work import BatchResult
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import Finished, Lost, WorkerInfo
-from drivecal.execution.measures import MEASURES
+from drivecal.execution.measures import DEPARTED, MEASURES
 from drivecal.execution.scheduling.in_flight import Completed, Dispatch
 
 RECENT_BATCHES = 20
@@ -101,8 +101,10 @@ class Observer:
         if isinstance(event, Finished):
             result = event.result
             self._activity.finished(dispatch.worker, dispatch.batch_id, len(result.results), result.seconds)
-            if result.refusal is None:
+            if result.refusal is None and dispatch.batch.cells:
                 MEASURES.observe("batch", result.seconds)
+            if result.busy is not None:
+                MEASURES.count("busy_answers")
             for answer in result.results:
                 if answer.breakdown is None:
                     MEASURES.observe("evaluation", answer.milliseconds / 1000)
@@ -110,7 +112,7 @@ class Observer:
                 MEASURES.count("breakdowns", kind)
         else:
             self._activity.lost(dispatch.worker, dispatch.batch_id)
-            MEASURES.count("breakdowns", event.breakdown)
+            MEASURES.count("breakdowns", DEPARTED if event.departed else event.breakdown)
         final = {completion.result.id for completion in completed}
         for cell, kind in broken.items():
             if cell not in final:
@@ -139,11 +141,11 @@ class Observer:
 
 
 def breakdowns(dispatch: Dispatch, event: Finished | Lost) -> Mapping[int, str]:
-    """Returns the kind of breakdown by cell id; the cells that a refusal leaves without a result have none."""
+    """Returns the kind of breakdown by cell id. Cells have none that a refusal or a busy simulator leaves, or whose worker left."""
     if isinstance(event, Lost):
-        return dict.fromkeys(dispatch.breakdowns, event.breakdown.value)
+        return {} if event.departed else dict.fromkeys(dispatch.breakdowns, event.breakdown.value)
     result: BatchResult = event.result
     answered = {answer.id: answer.breakdown for answer in result.results}
-    missing = None if result.refusal is not None else Breakdown.ERROR.value
+    missing = None if result.refusal is not None or result.busy is not None else Breakdown.ERROR.value
     kinds = ((cell, answered.get(cell, missing)) for cell in dispatch.breakdowns)
     return {cell: kind for cell, kind in kinds if kind is not None}

@@ -15,6 +15,7 @@ from drivecal.execution.observing import Observer, breakdowns
 from drivecal.execution.probing import Disputes, Questions
 from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Completed, Dispatch, RunBudget, Work
+from drivecal.execution.scheduling.resources import Resources, ResourceUse
 from drivecal.execution.scheduling.scheduler import Scheduler
 from drivecal.storage import leases
 from drivecal.storage.engine.database import Database
@@ -69,11 +70,20 @@ class WorkPool:
         leases: Leases | None = None,
         policy: BatchPolicy | None = None,
         clock: Callable[[], float] = time.monotonic,
+        resources: Resources | None = None,
     ) -> None:
-        """`leases`: None if no other process can lease the cells and breakdowns are not counted."""
+        """Makes a pool.
+
+        Args:
+            backend: the workers.
+            leases: None if no other process can lease the cells and breakdowns are not counted.
+            policy: sizes of batches.
+            clock: returns seconds.
+            resources: licences and other scarce things, by default none.
+        """
         self._backend = backend
         self._leases = leases
-        self._scheduler = Scheduler(policy or BatchPolicy())
+        self._scheduler = Scheduler(policy or BatchPolicy(), resources)
         self._clock = clock
         self._sent: dict[int, Dispatch] = {}
         self._numbers: dict[int, int] = {}
@@ -99,6 +109,14 @@ class WorkPool:
     def trouble(self) -> str | None:
         """Returns the reason for missing or refusing workers, or None."""
         return "; ".join(filter(None, (self._backend.trouble(), self._scheduler.trouble(), self._questions.trouble()))) or None
+
+    def waits(self, tag: str) -> str | None:
+        """Returns why cells of the campaign `tag` wait for something else than their turn, or None."""
+        return self._scheduler.waits(tag)
+
+    def resources(self) -> list[ResourceUse]:
+        """Returns the use of each resource."""
+        return self._scheduler.resources()
 
     def probe(self, request: SetupRequest, tag: str) -> str | None:
         """Returns what the `probe` of a bundle answers on a worker; None until one has answered, so call it again."""
@@ -169,12 +187,12 @@ class WorkPool:
             self._take_answer(event)
             return []
         if isinstance(event, Finished):
-            if event.batch_id in self._sent:
+            if event.batch_id in self._sent and self._sent[event.batch_id].batch.cells:
                 self._note_answer(event.batch_id, event.result)
             finished = self._scheduler.finished(event.batch_id, event.result)
         else:
-            what = event.batch_id, event.worker, event.breakdown, event.detail, event.seconds
-            finished = self._scheduler.lost(*what, begun=event.begun)
+            lost = event.batch_id, event.worker, event.breakdown, event.detail, event.seconds
+            finished = self._scheduler.lost(*lost, begun=event.begun, departed=event.departed)
         dispatch = self._sent.pop(event.batch_id, None)
         if dispatch is None:  # it came back before, and the scheduler ignored it too
             return []

@@ -20,6 +20,7 @@ from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import (
     DEADLINE_FACTOR,
     DEADLINE_SECONDS,
+    SETTLE_SECONDS,
     Backend,
     BackendLostError,
     Finished,
@@ -56,10 +57,10 @@ class WorkerLimits:
 class WorkerDiedError(DrivecalError):
     """A worker's process is gone."""
 
-    def __init__(self, breakdown: Breakdown, reason: str) -> None:
-        """`reason` completes a sentence about the worker."""
-        super().__init__(breakdown, reason)
-        self.breakdown, self.reason = breakdown, reason
+    def __init__(self, breakdown: Breakdown, reason: str, *, departed: bool = False) -> None:
+        """`reason` completes a sentence about the worker. `departed`: nothing says that it died of its work."""
+        super().__init__(breakdown, reason, departed)
+        self.breakdown, self.reason, self.departed = breakdown, reason, departed
 
 
 class CallFailedError(DrivecalError):
@@ -73,6 +74,8 @@ class NotKnownYetError(DrivecalError):
 class SupervisedBackend(Backend, ABC):
     """A `Backend` on worker processes. Subclasses start them, call them, and end them."""
 
+    settle_seconds = SETTLE_SECONDS
+    """How long runs may go on at most after their worker is gone."""
     waits_for_workers = False
     """Whether workers that do not start are waited for without end."""
 
@@ -223,7 +226,7 @@ class SupervisedBackend(Backend, ABC):
         except NotKnownYetError:
             return []
         except WorkerDiedError as error:
-            return self._bury(worker, error.breakdown, f"{worker.place} {error.reason}", error)
+            return self._bury(worker, error.breakdown, f"{worker.place} {error.reason}", error, departed=error.departed)
         except CallFailedError as error:
             words = (str(error).strip() or "it failed without a reason").splitlines()[-1][:LONGEST_REASON]
             if worker.warming is not None:
@@ -258,14 +261,14 @@ class SupervisedBackend(Backend, ABC):
         return events
 
     def _bury(
-        self, worker: WorkerProcess, breakdown: Breakdown, detail: str, cause: BaseException | None
+        self, worker: WorkerProcess, breakdown: Breakdown, detail: str, cause: BaseException | None, *, departed: bool = False
     ) -> list[Finished | Lost]:
         """Returns a worker's batches as lost and starts a new process, after a pause if the start failed."""
         lost_with_machine = self._lost_with_machine(worker)
         if lost_with_machine is not None:
             return lost_with_machine
         log.warning("%s; it is replaced", detail, exc_info=cause if log.isEnabledFor(logging.DEBUG) else None)
-        lost: list[Finished | Lost] = list(worker.lose(breakdown, detail))
+        lost: list[Finished | Lost] = list(worker.lose(breakdown, detail, departed=departed))
         if worker.warming is not None:
             worker.failed_starts += 1
             worker.reason = detail

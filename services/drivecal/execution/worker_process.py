@@ -123,11 +123,11 @@ class WorkerProcess:
         begun = self.deadline - self.calls[0].seconds if self.calls else self.deadline
         return max(0.0, time.monotonic() - begun)
 
-    def lose(self, breakdown: Breakdown, detail: str) -> list[Lost]:
+    def lose(self, breakdown: Breakdown, detail: str, *, departed: bool = False) -> list[Lost]:
         """All its calls are gone; only the running one has taken time."""
         seconds = self.busy_seconds()
         calls, self.calls = self.calls, deque()
         return [
-            Lost(call.batch_id, self.name, breakdown, detail, 0.0 if behind else seconds, begun=not behind)
+            Lost(call.batch_id, self.name, breakdown, detail, 0.0 if behind else seconds, not behind, departed)
             for behind, call in enumerate(calls)
         ]

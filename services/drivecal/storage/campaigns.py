@@ -148,6 +148,10 @@ class StoredCampaign(CampaignHeading):
     watermark: int | None
     """The id of the newest run that it may take its references from, set when it starts; 0 of an isolated campaign."""
     degraded: str | None
+    waiting: str | None
+    """Why it waits to be started, or some of its cells for something else than their turn."""
+    owner: str | None
+    """Name of the token that submitted it; None without tokens."""
     error: str | None
     notes: tuple[str, ...]
     stages: CountsByStage
@@ -220,6 +224,7 @@ def insert(
     body_digest: str | None = None,
     likeness: str | None = None,
     priority: int = 0,
+    owner: str | None = None,
     notes: Sequence[str] = (),
 ) -> StoredCampaign:
     """Queues a campaign, or returns the campaign that an earlier request with the same `idempotency_key` queued.
@@ -234,6 +239,7 @@ def insert(
         "name": name,
         "state": CampaignState.QUEUED,
         "priority": priority,
+        "owner": owner,
         "spec": dict(spec),
         "rerun_of": rerun_of,
         "tags": list(tags),
@@ -445,6 +451,14 @@ def degrade(connection: Connection, sequences: Collection[int], reason: str | No
             events.add(connection, sequence, EventKind.RECOVERED)
         else:
             events.add(connection, sequence, EventKind.DEGRADED, {"reason": reason})
+
+
+def explain(connection: Connection, waits: Mapping[int, str]) -> None:
+    """Stores why campaigns wait, by number; the others that have not ended do not wait."""
+    open_ones = select(campaigns.c.sequence, campaigns.c.waiting).where(campaigns.c.ended_at.is_(None))
+    for sequence, waiting in connection.execute(open_ones).all():
+        if waiting != waits.get(sequence):
+            connection.execute(_of(sequence).values(waiting=waits.get(sequence)))
 
 
 def end(connection: Connection, sequence: int, state: CampaignState, error: str | None = None) -> bool:

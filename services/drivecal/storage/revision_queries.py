@@ -26,6 +26,7 @@ class CampaignRevision:
     requested_action: Action | None
     revision: int
     degraded: str | None
+    waiting: str | None
 
 
 @dataclass(frozen=True, slots=True)

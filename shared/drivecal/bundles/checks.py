@@ -126,6 +126,7 @@ def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables 
         ({"simulator", "scenarios"}, _highway_scenarios(manifest, files)),
         ({"simulator", "scenarios", "parameters", "varied"}, _planner(manifest)),
         ({"simulator", "scenarios", "measures", "series", "failures"}, _highway_answers(manifest)),
+        ({"scenarios"}, _scenario_resources(manifest)),
         ({"failures"}, _failures(manifest.failures)),
         ({"scores"}, _ranges(manifest.scores)),
         ({"scores", "measures"}, _formulas(manifest)),
@@ -247,6 +248,13 @@ def _remainder(manifest: Manifest) -> Iterator[Problem]:
     except InvalidInputError as error:
         for problem in error.problems:
             yield replace(problem, remedy=f"{problem.remedy}, or give a `baseline` that keeps them: a trial proves nothing")
+
+
+def _scenario_resources(manifest: Manifest) -> Iterator[Problem]:
+    for name, data in manifest.scenarios.items():
+        if "resources" in data:
+            message = f"{shown(str(data['resources']))} does not say how many of each resource a run holds"
+            yield Problem(f"scenarios.{name}.resources", message, "give whole numbers by name, such as {carmaker: 1}")
 
 
 def _failures(names: tuple[str, ...]) -> Iterator[Problem]:

@@ -9,7 +9,7 @@ from drivecal.domain.setups import canonical_json, digest
 from drivecal.plugins import registry, setups
 from drivecal.plugins.simulators import VERSIONS
 
-_WITHOUT_EFFECT = {"timeout", "memory_mb", "deterministic"}
+_WITHOUT_EFFECT = {"timeout", "memory_mb", "deterministic", "resources"}
 """Settings that decide whether a run has a result, or say something about it, but change no measure: a run beyond a limit has none."""
 
 

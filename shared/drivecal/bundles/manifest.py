@@ -7,11 +7,11 @@ the whole.
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, StringConstraints, TypeAdapter, ValidationError, model_validator
 
 from drivecal.bundles.highway import HighwaySimulator, PlannerController
 from drivecal.bundles.highway_catalogue import MEASURES
-from drivecal.bundles.simulators import Command, File, SimulatorEntry, Text, Unit
+from drivecal.bundles.simulators import Command, File, Resources, SimulatorEntry, Text, Unit
 from drivecal.contracts.specification import Model
 from drivecal.contracts.strict_json import Choice, Identifier, Number
 from drivecal.domain.scales import Direction, Scale
@@ -119,6 +119,18 @@ AnySimulator = Annotated[
 ]
 
 
+_RESOURCES = TypeAdapter[Any](Resources)
+
+
+def are_resources(counts: object) -> bool:
+    """Returns whether a value is a mapping of numbers by the names of resources."""
+    try:
+        _RESOURCES.validate_python(counts, strict=True)
+    except ValidationError:
+        return False
+    return True
+
+
 class ScoreEntry(Model):
     """A score: arithmetic over measures, or an installed evaluator's rating of a run.
 
@@ -186,7 +198,9 @@ class Manifest(Model):
     simulator: AnySimulator
     """The program that runs a parameter set in a scenario."""
     scenarios: Annotated[dict[Identifier, dict[str, Any]], Field(min_length=1, max_length=1000)]
-    """Data of each, which the simulator gets as it is."""
+    """Data of each, which the simulator gets as it is, without `resources`."""
+    scenario_resources: Annotated[dict[Identifier, Resources], Field(max_length=1000, default_factory=dict)]
+    """Resources of single scenarios, in place of the simulator's of the same name; written as `resources` of the scenario."""
     measures: Annotated[dict[Identifier, Unit], Field(min_length=1, max_length=1000)]
     """Results of a run, with units."""
     failures: Annotated[tuple[Identifier, ...], Field(max_length=100, strict=False)] = ()
@@ -195,6 +209,31 @@ class Manifest(Model):
     """Time series that a run may return, with units."""
     scores: Annotated[dict[Identifier, ScoreEntry], Field(min_length=1, max_length=100)]
     """Made of measures; the first is a campaign's default."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _resources_of_scenarios(cls, document: Any) -> Any:
+        """Moves valid `resources` out of the scenarios, whose data simulators get; `checks` reports the others where they stand."""
+        scenarios = document.get("scenarios") if isinstance(document, Mapping) else None
+        if not isinstance(scenarios, Mapping):
+            return document
+        known = {
+            name: data["resources"] for name, data in scenarios.items() if isinstance(data, Mapping) and "resources" in data
+        }
+        valid = {name: counts for name, counts in known.items() if are_resources(counts)}
+        if not valid:
+            return document
+        rest = {
+            name: {key: value for key, value in data.items() if key != "resources"}
+            for name, data in scenarios.items()
+            if name in valid
+        }
+        return {**document, "scenarios": {**scenarios, **rest}, "scenario_resources": valid}
+
+    def resources(self, scenario: str) -> dict[str, int]:
+        """Returns the number of each resource that a run of a scenario holds, without zeros."""
+        counts = (self.simulator.resources or {}) | self.scenario_resources.get(scenario, {})
+        return {name: count for name, count in counts.items() if count}
 
     @property
     def is_driven(self) -> bool:

@@ -5,6 +5,7 @@ from typing import Annotated
 from pydantic import Field, StringConstraints
 
 from drivecal.contracts.specification import Model
+from drivecal.contracts.strict_json import Identifier
 
 Text = Annotated[str, StringConstraints(max_length=1000)]
 Unit = Annotated[str, StringConstraints(max_length=32)]
@@ -14,6 +15,10 @@ Command = Annotated[list[Annotated[str, StringConstraints(min_length=1, max_leng
 
 Variable = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 """Name of an environment variable."""
+
+
+Resources = Annotated[dict[Identifier, Annotated[int, Field(ge=0, le=10_000)]], Field(max_length=20)]
+"""Number of each scarce thing that a run holds, such as licences, by name."""
 
 
 class SimulatorEntry(Model):
@@ -34,6 +39,8 @@ class SimulatorEntry(Model):
     """A command that prints the version of tools outside of the folder."""
     environment: Annotated[list[Variable], Field(max_length=50)] | None = None
     """Names of further variables that the processes get from the worker."""
+    resources: Resources | None = None
+    """Licences and other scarce things that a run holds, by name; the server counts them (`drivecal serve --resources`)."""
 
     @property
     def renews(self) -> bool:

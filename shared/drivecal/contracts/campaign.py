@@ -277,6 +277,11 @@ class Campaign(CellsByStage):
     """`pause`, `resume` or `cancel` if requested and not done yet."""
     degraded: str | None = None
     """Reason why it is slow or stands still for now."""
+    waiting: str | None = None
+    """Reason why it waits to be started or to go on, with its place in the queue, or why some of its cells wait: for a licence, say."""
+    owner: str | None = None
+    """Name of the token that submitted it; null without tokens."""
+    priority: int = 0
     stage: str | None = None
     iteration: int | None = None
     """Iteration of the search, counted from 0."""
@@ -330,6 +335,7 @@ class Campaign(CellsByStage):
             "progress": f"{done:,} of {total:,} cells",
             "seconds left": None if seconds is None or self.state != "running" else round(seconds),
             "degraded": self.degraded,
+            "waiting": self.waiting,
             "error": self.error,
         }
         best = {} if self.best is None else {"best objective": self.best.objective, **self.best.parameters}

@@ -32,6 +32,7 @@ class CampaignProgress(CellsByStage):
     state: str
     requested_action: str | None = None
     degraded: str | None = None
+    waiting: str | None = None
     stage: str | None = None
     iteration: int | None = None
     """Iteration of the search, counted from 0."""

@@ -172,9 +172,21 @@ class WorkerAnswer(Answer):
     cells_per_second: float | None = None
 
 
+class ResourceAnswer(Answer):
+    """Licences or another scarce thing that runs share: how many exist, and how many of these are held, `settling` among them by runs of
+    workers that are gone, which may go on for a while."""
+
+    name: str
+    total: int
+    held: int
+    settling: int = 0
+
+
 class WorkerPage(Page[WorkerAnswer]):
     """The workers, and when the dispatcher that drives them was last heard of (null: never). `fresh` is false if it has been silent for
     too long to believe what it said; `degraded` says what is wrong."""
+
+    resources: list[ResourceAnswer] = Field(default_factory=list)
 
     dispatcher_seen_at: datetime | None = None
     fresh: bool = False

@@ -48,6 +48,16 @@ class SetupRequest:
     is_driven: bool = False
     """True if it runs in the worker's own process: the code is drivecal's or an installed plug-in's, none of a user's files is run."""
 
+    resources: Mapping[str, int] = field(default_factory=dict)
+    """Number of each scarce thing, such as licences, that a run holds."""
+    renews: bool = False
+    """True if each run has a new process: nothing is held between two runs."""
+
+    @property
+    def keeps_resources(self) -> bool:
+        """True if a session holds its resources between two runs, until it is closed."""
+        return bool(self.resources) and not self.renews and not self.is_driven
+
     @property
     def key(self) -> SetupKey:
         """Key shared by requests that run and rate the same; different manifests may declare other measures for equal runs."""
@@ -79,10 +89,12 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Cells of one setup, sized so that they take 50 to 500 ms. Without cells, a worker only runs the `probe` of the setup's bundle."""
+    """Cells of one setup, sized so that they take 50 to 500 ms. Without cells, a worker only runs the `probe` of the setup's bundle, or
+    with `closes` ends the setup's session, which frees its resources."""
 
     setup: SetupRequest
     cells: tuple[Cell, ...]
+    closes: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,5 +142,8 @@ class BatchResult:
     after it. Another worker may be able to."""
     tools: str | None = None
     """Answer of the `probe` on this worker, if the batch has no cells, or if it is refused because of that answer."""
+    busy: str | None = None
+    """Reason why the simulator takes no run for now, in words, such as a licence in use; as after a refusal there are no further results.
+    The cells are tried again later."""
     unsuitable: bool = False
     """True if it is refused because of the problem's files, so that no other worker is able to run the setup either."""

@@ -76,6 +76,10 @@ class NoMeasuresError(DrivecalError):
         return self.detail
 
 
+class BusyError(UnavailableError):
+    """A simulator takes no run for now, because a licence or a device is in use: the run is to be tried again later."""
+
+
 class UnsuitableError(UnavailableError):
     """A scenario that no machine can run, because of the problem's files. Another attempt or machine does not help."""
 

@@ -16,7 +16,7 @@ NOW = datetime(2026, 1, 1, tzinfo=UTC)
 def campaign_revision(
     state: CampaignState = CampaignState.RUNNING, asked: Action | None = None, revision: int = 7, degraded: str | None = None
 ) -> CampaignRevision:
-    return CampaignRevision(1, "c0ffee", state, asked, revision, degraded)
+    return CampaignRevision(1, "c0ffee", state, asked, revision, degraded, None)
 
 
 @pytest.mark.parametrize(

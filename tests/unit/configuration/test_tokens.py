@@ -48,10 +48,10 @@ SECRET = "s3cret-s3cret-s3cret"
     [
         ("", "it holds no token"),
         ("# only a comment\n", "it holds no token"),
-        (f"anna {SECRET}\n", "line 1: there are 2 words; write one token per line: NAME read|write|author TOKEN"),
+        (f"anna {SECRET}\n", "line 1: there are 2 words; write one token per line: NAME read|write|author|admin TOKEN"),
         (f"anna write {SECRET} extra\n", "line 1: there are 4 words"),
-        (f"anna {SECRET} write\n", "line 1: the second word is not read, write or author"),
-        (f"anna admin {SECRET}\n", "line 1: the second word is not"),
+        (f"anna {SECRET} write\n", "line 1: the second word is not read, write, author or admin"),
+        (f"anna root {SECRET}\n", "line 1: the second word is not"),
         ("\n\nanna write short-s3cret\n", "line 3: the token has 12 characters; give 16 to 512"),
         (f"anna write {SECRET * 30}\n", "line 1: the token has 600 characters"),
         (f"anna write {SECRET}é\n", "line 1: the token holds characters that are not ASCII"),

@@ -108,4 +108,4 @@ def test_a_withdrawn_cell_whose_worker_dies_is_free_again() -> None:
     backend.kill(1)
     assert drain(pool) == []
     assert leases.held == {}
-    assert set(leases.breakdowns.values()) == {1}
+    assert set(leases.breakdowns.values()) == {0}

@@ -9,7 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from drivecal.contracts.evaluation import ReplayAnswer
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome
+from drivecal.plugins.simulators import BusyError, Declared, NoMeasuresError, RunOutcome
 
 MOST_SERIES_VALUES = 1_000_000
 """Limit of the values of all time series of a run."""
@@ -29,11 +29,13 @@ def document(content: bytes, source: str) -> dict[str, Any]:
 
 
 def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool, replay: bool = False) -> RunOutcome:
-    """Returns the outcome that an answer reports. Raises NoMeasuresError if it reports an error or breaks the declaration.
+    """Returns the outcome that an answer reports. Raises NoMeasuresError if it reports an error or breaks the declaration, and BusyError if
+    the simulator takes no run for now.
 
     Answers may hold a replay next to their series if `replay` is true; other simulators report none.
     A failed run may have no, empty or infinite numbers: those measures are left out, and series with such values.
     """
+    refuse_busy(answer)
     if answer.get("error") is not None:
         raise _error(f"the simulator reports: {_shown(str(answer['error']))}")
     failure, reported, recorded = answer.get("failure"), answer.get("measures"), answer.get("series", {})
@@ -53,6 +55,12 @@ def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool, repl
     if not series:
         return RunOutcome(measures, failure)
     return RunOutcome(measures, failure, _series(recorded, declared), replay=_replay(answer) if replay else None)
+
+
+def refuse_busy(answer: Mapping[str, Any]) -> None:
+    """Raises BusyError if an answer says why the simulator takes no run for now."""
+    if answer.get("busy") is not None:
+        raise BusyError(_shown(str(answer["busy"])))
 
 
 def _kept(reported: object, has_value: Callable[[object], bool]) -> object:

@@ -9,8 +9,10 @@ import time
 
 from drivecal.adapters.children import Children, Ended
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins.simulators import NoMeasuresError
+from drivecal.plugins.simulators import BusyError, NoMeasuresError
 
+BUSY = os.EX_TEMPFAIL
+"""Exit code 75 of a command that takes no run for now, because a licence is in use, say."""
 LONGEST_LINE = 16 << 20
 """Largest answer in bytes, time series included."""
 LONGEST_TAIL = 4096
@@ -102,10 +104,12 @@ class Pipes:
                 deadline, seconds = min(deadline, time.monotonic() + CLOSED_SECONDS), -1.0
 
     def wait(self, seconds: float) -> None:
-        """Waits for the child's end. Raises NoMeasuresError if its exit code is not 0."""
+        """Waits for the child's end. Raises BusyError if its exit code is BUSY, and NoMeasuresError if it is another one than 0."""
         deadline = time.monotonic() + seconds
         while self._ended is None:
             self._step(deadline, seconds)
+        if self._ended.status == BUSY:
+            raise BusyError(self._with_tail(f"it ended with exit code {BUSY}"))
         if self._ended.status != 0:
             raise self._failure(self._ended)
 

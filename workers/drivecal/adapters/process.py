@@ -161,6 +161,7 @@ class ProcessSession:
             answer = answers.document(
                 self._pipes.ask(greeting, start_limit(self._timeout), START_LIMIT + self._advice), "the answer"
             )
+            answers.refuse_busy(answer)
             if answer.get("error") is not None:
                 kind = UnsuitableError if self._blames_files and answer.get("unsuitable") is True else UnavailableError
                 raise kind(f"the simulator is not ready: {self._scratch.shown(str(answer['error']))[:300]}")

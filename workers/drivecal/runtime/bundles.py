@@ -24,6 +24,7 @@ from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import (
     MOST_SESSIONS,
     VERSIONS,
+    BusyError,
     Declared,
     NoMeasuresError,
     RunOutcome,
@@ -153,6 +154,8 @@ class BundleSessions:
             except OSError as error:
                 self._drop(setup.key)
                 raise _unable(error) from error
+            except BusyError:  # the program waits for a licence, say: it is asked again as it is
+                raise
             except UnavailableError:
                 # Of a new child, for example: the next attempt begins with all checks, and without other sessions if need be.
                 self._drop(setup.key)
@@ -232,6 +235,11 @@ class BundleSessions:
         """Returns what the bundle's `probe` answers. Raises UnavailableError if it gives no answer."""
         with self.files(setup.bundle) as folder:
             return self._tools.ask(setup, folder)
+
+    def close(self, setup: SetupRequest) -> None:
+        """Ends the session of a setup, whose processes may hold licences."""
+        with self._running:
+            self._drop(setup.key)
 
     def store(self, digest: str, archive: bytes) -> None:
         """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest."""

@@ -17,7 +17,7 @@ from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.scales import plain
 from drivecal.plugins.runners import Runner
-from drivecal.plugins.simulators import UnsuitableError
+from drivecal.plugins.simulators import BusyError, UnsuitableError
 from drivecal.runtime.bundles import BundleSessions, OtherToolsError, compressed, milliseconds_since
 from drivecal.runtime.cache import BundleCache, cache_folder
 from drivecal.runtime.compilation import prepare_cache
@@ -78,25 +78,29 @@ class Worker:
 
     def run(self, batch: Batch) -> BatchResult:
         """Simulates all cells. If this worker cannot run the setup, or its simulator no longer starts, simulates no further one and
-        returns a `refusal`.
+        returns a `refusal`; likewise if its simulator is `busy`. `Batch.closes`: ends the setup's session.
 
         Exceptions of a cell or a plug-in do not propagate: the cell's result has a `breakdown` instead.
         """
         start = time.perf_counter()
         results: list[CellResult] = []
-        refusal = tools = None
+        refusal = busy = tools = None
         unsuitable = False
         try:
-            if not batch.cells and not batch.setup.is_driven:
+            if batch.closes:
+                self._bundles.close(batch.setup)
+            elif not batch.cells and not batch.setup.is_driven:
                 tools = self._bundles.probe(batch.setup)
             for result in self._run_all(batch):  # what an exception ends keeps its results
                 results.append(result)  # noqa: PERF402  # not promised of `extend`
         except OtherToolsError as error:
             refusal, tools = describe(error), error.answer
+        except BusyError as error:
+            busy = describe(error)
         except (RefusedError, UnavailableError) as error:
             refusal, unsuitable = describe(error), isinstance(error, UnsuitableError)
         seconds = time.perf_counter() - start
-        return BatchResult(self._name, tuple(results), seconds, refusal, tools, unsuitable=unsuitable)
+        return BatchResult(self._name, tuple(results), seconds, refusal, tools, busy, unsuitable=unsuitable)
 
     def _run_all(self, batch: Batch) -> Iterator[CellResult]:
         setup = batch.setup

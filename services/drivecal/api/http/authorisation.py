@@ -33,7 +33,7 @@ FOREIGN = {"cross-site", "same-site"}
 """Values of Sec-Fetch-Site in requests of pages of other origins."""
 CHECKED = {f"{ROOT}/campaigns", f"{ROOT}/comparisons"}
 """Paths at which `validate_only=true` stores nothing."""
-ANYBODY = Token("anybody", may_write=True, digest=b"")
+ANYBODY = Token("anybody", may_write=True, digest=b"", is_admin=True)
 """The client of a server without tokens."""
 CHALLENGE = 'Bearer realm="drivecal"'
 
@@ -141,6 +141,19 @@ def refuse_reader(request: Request) -> None:
         raise HTTPException(status, detail, headers)
 
 
+def owner_of(request: Request) -> str | None:
+    """Returns the owner of what a request submits, None on a server without tokens."""
+    token: Token = request.state.token
+    return None if token is ANYBODY else token.name
+
+
+def refuse_others(request: Request, campaign_id: str, owner: str | None) -> None:
+    """Raises HTTPException (403) if the token may not steer a campaign of this owner."""
+    token: Token = request.state.token
+    if not token.may_steer(owner):
+        raise HTTPException(403, f"campaign {campaign_id} belongs to {owner}; only {owner} or an admin may change or delete it")
+
+
 def refuse_push(request: Request) -> str | None:
     """Raises HTTPException (403) if the request may not push a problem. Call it before reading the body.
 
@@ -157,7 +170,9 @@ def refuse_push(request: Request) -> str | None:
         if "authorization" not in request.headers:
             raise HTTPException(403, "a session pushes no problem; send Authorization: Bearer TOKEN")
         if not token.may_push:
-            detail = f"the token of {token.name} may not push problems; that needs one of an author (NAME author TOKEN)"
+            detail = (
+                f"the token of {token.name} may not push problems; that needs one of an author (NAME author TOKEN) or an admin"
+            )
             raise HTTPException(403, detail, {"WWW-Authenticate": CHALLENGE + ', error="insufficient_scope"'})
         return None
     given = request.headers.getlist(HEADER)

@@ -273,6 +273,7 @@ def progress_document(snapshot: ProgressSnapshot, said: str | None, moment: date
         "state": state_of(snapshot),
         "requested_action": snapshot.requested_action,
         "degraded": said,
+        "waiting": snapshot.waiting,
         "stage": snapshot.stage,
         "iteration": snapshot.iteration,
         "progress": snapshot.progress,

@@ -2,10 +2,11 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Response
+from fastapi import APIRouter, Header, Request, Response
 
 from drivecal.api import submission
-from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency
+from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency, Owner
+from drivecal.api.http.authorisation import refuse_others
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import CampaignsQuery, SubmissionQuery
 from drivecal.api.live.dispatcher_health import silence
@@ -33,13 +34,14 @@ def submit(
     response: Response,
     database: DatabaseDependency,
     limits: LimitsDependency,
+    owner: Owner,
     idempotency_key: IdempotencyKey = None,
 ) -> Campaign | ExpectedRuns:
     """Queues a campaign; with `validate_only=true` checks it, counts its runs and stores nothing."""
     if query.validate_only:
         response.status_code = 200
         return submission.expected(database, limits, specification)
-    return accepted(response, database, submission.submit(database, limits, specification, idempotency_key))
+    return accepted(response, database, submission.submit(database, limits, specification, idempotency_key, owner))
 
 
 @router.get("", response_model=CampaignPage, responses=NOT_MODIFIED)
@@ -85,12 +87,13 @@ def change(campaign_id: str, changes: CampaignChanges, response: Response, datab
 
 
 @router.delete("/{campaign_id}")
-def delete(campaign_id: str, database: DatabaseDependency) -> Deletion:
+def delete(campaign_id: str, request: Request, database: DatabaseDependency) -> Deletion:
     """Deletes an ended campaign with its cells, or archives it if other campaigns refer to it. What it simulated stays in the reference
     table. Deleting again changes nothing."""
     with database.transaction() as connection:
         admission.alone(connection)  # or a campaign queued after this look would be answered 409
         stored = campaigns.get(connection, campaign_id, deleted=True)
+        refuse_others(request, campaign_id, stored.owner)
         referring = [] if stored.deleted_at is not None else deletion.references(connection, stored)
         if referring:
             labels.change(connection, campaign_id, CampaignChanges(archived=True))
@@ -102,21 +105,21 @@ def delete(campaign_id: str, database: DatabaseDependency) -> Deletion:
 
 
 @router.post("/{campaign_id}/pause", status_code=202)
-def pause(campaign_id: str, response: Response, database: DatabaseDependency) -> Campaign:
+def pause(campaign_id: str, request: Request, response: Response, database: DatabaseDependency) -> Campaign:
     """Pauses a campaign; running simulations are finished and kept. Asking again changes nothing."""
-    return _asked(database, campaign_id, "pause", response)
+    return _asked(database, campaign_id, "pause", request, response)
 
 
 @router.post("/{campaign_id}/resume", status_code=202)
-def resume(campaign_id: str, response: Response, database: DatabaseDependency) -> Campaign:
+def resume(campaign_id: str, request: Request, response: Response, database: DatabaseDependency) -> Campaign:
     """Resumes a paused campaign. Asking again changes nothing."""
-    return _asked(database, campaign_id, "resume", response)
+    return _asked(database, campaign_id, "resume", request, response)
 
 
 @router.post("/{campaign_id}/cancel", status_code=202)
-def cancel(campaign_id: str, response: Response, database: DatabaseDependency) -> Campaign:
+def cancel(campaign_id: str, request: Request, response: Response, database: DatabaseDependency) -> Campaign:
     """Asks for a campaign to end; finished results are kept. Asking again changes nothing."""
-    return _asked(database, campaign_id, "cancel", response)
+    return _asked(database, campaign_id, "cancel", request, response)
 
 
 @router.post("/{campaign_id}/rerun", status_code=202)
@@ -126,14 +129,16 @@ def rerun(
     response: Response,
     database: DatabaseDependency,
     limits: LimitsDependency,
+    owner: Owner,
     idempotency_key: IdempotencyKey = None,
 ) -> Campaign:
     """Queues a new campaign on the references and the influence map of an ended one."""
-    return accepted(response, database, submission.rerun(database, limits, campaign_id, changes, idempotency_key))
+    return accepted(response, database, submission.rerun(database, limits, campaign_id, changes, idempotency_key, owner))
 
 
-def _asked(database: Database, campaign_id: str, action: Action, response: Response) -> Campaign:
+def _asked(database: Database, campaign_id: str, action: Action, request: Request, response: Response) -> Campaign:
     with database.transaction() as connection:
+        refuse_others(request, campaign_id, campaigns.get(connection, campaign_id, lock=True).owner)
         stored = campaigns.request_action(connection, campaign_id, action)
     return accepted(response, database, stored)
 

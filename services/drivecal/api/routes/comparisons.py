@@ -5,7 +5,7 @@ import uuid
 from fastapi import APIRouter, Response
 
 from drivecal.api import submission
-from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency
+from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency, Owner
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import SubmissionQuery
 from drivecal.api.responses import ROOT
@@ -24,6 +24,7 @@ def submit(
     response: Response,
     database: DatabaseDependency,
     limits: LimitsDependency,
+    owner: Owner,
     idempotency_key: IdempotencyKey = None,
 ) -> Comparison | ExpectedComparison:
     """Queues the campaigns of a comparison, all or none; they have its tag. With `validate_only=true` checks it, counts its runs and stores
@@ -31,7 +32,7 @@ def submit(
     if query.validate_only:
         response.status_code = 200
         return submission.expected_comparison(database, limits, specification)
-    tag = submission.compare(database, limits, specification, idempotency_key or uuid.uuid4().hex)
+    tag = submission.compare(database, limits, specification, idempotency_key or uuid.uuid4().hex, owner)
     response.headers["Location"] = f"{ROOT}/comparisons/{tag}"
     with database.read() as connection:
         return compared(connection, tag)

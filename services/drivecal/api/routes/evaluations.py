@@ -8,7 +8,7 @@ from fastapi import APIRouter, Header, Request, Response
 from sqlalchemy import Connection
 
 from drivecal.api import submission
-from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency, computed
+from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency, Owner, computed
 from drivecal.api.http.authorisation import refuse_reader
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.responses import SECONDS_BETWEEN_POLLS, evaluation_answer, evaluation_row, matches, takes_gzip
@@ -42,10 +42,11 @@ def evaluate(
     response: Response,
     database: DatabaseDependency,
     limits: LimitsDependency,
+    owner: Owner,
     idempotency_key: IdempotencyKey = None,
 ) -> Evaluation:
     """Queues the evaluation of one parameter set; `Location` is the URL of its result."""
-    stored = submission.evaluate(database, limits, specification, idempotency_key)
+    stored = submission.evaluate(database, limits, specification, idempotency_key, owner)
     with database.read() as connection:
         answer = _evaluation(connection, stored)
     response.headers["Location"] = answer.links["self"]

@@ -20,6 +20,7 @@ from drivecal.contracts.inventory import (
     ParameterSpacePage,
     ReferenceAnswer,
     ReferencePage,
+    ResourceAnswer,
     RoadAnswer,
     ScenarioAnswer,
     ScenarioDetail,
@@ -113,9 +114,10 @@ def workers(database: DatabaseDependency) -> WorkerPage:
     with database.read() as connection:
         dispatcher = processes.read(connection, processes.DISPATCHER)
     judgement = judge(dispatcher, now())
-    reported = [] if dispatcher is None else dispatcher.detail.get("workers", [])
+    reported = {} if dispatcher is None else dispatcher.detail
     return WorkerPage(
-        items=[WorkerAnswer.model_validate(worker) for worker in reported],
+        items=[WorkerAnswer.model_validate(worker) for worker in reported.get("workers", [])],
+        resources=[ResourceAnswer.model_validate(use) for use in reported.get("resources", [])],
         dispatcher_seen_at=None if dispatcher is None else dispatcher.heartbeat_at,
         fresh=not judgement.silent,
         degraded="; ".join(judgement.problems) or None,

@@ -89,6 +89,8 @@ class Bench:
                 evaluator=self.evaluator.name if rated and self.evaluator else None,
                 evaluator_version=self.evaluator.version if rated and self.evaluator else None,
                 is_driven=self.is_driven,
+                resources=manifest.resources(name),
+                renews=manifest.simulator.renews,
             )
             for name, data in self.scenarios.items()
         }

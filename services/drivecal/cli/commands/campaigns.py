@@ -131,7 +131,7 @@ def list_campaigns(
     """List campaigns, newest first."""
     with connect(url) as client:
         page = client.campaigns(state=state, limit=limit, tags=tags or (), archived="only" if archived else "without")
-    header = ["id", "state", "kind", "created", "requested", "simulated", "saved", "best", "tags", "name"]
+    header = ["id", "state", "kind", "created", "requested", "simulated", "saved", "best", "owner", "tags", "name"]
     print_page(page, as_json, header, [_row(campaign) for campaign in page.items], limit)
 
 
@@ -324,6 +324,7 @@ def _row(campaign: Campaign) -> list[object]:
         cells.simulated,
         share,
         best,
+        campaign.owner or "-",
         " ".join(campaign.tags) or "-",
         campaign.name,
     ]

@@ -38,10 +38,14 @@ def serve(
     home: Annotated[
         str | None, typer.Option(help="The folder of drivecal's files; else DRIVECAL_HOME, else .drivecal.")
     ] = None,
+    resources: Annotated[
+        str | None,
+        typer.Option(help="Licences and other scarce things, such as carmaker=4,vtd=2; else DRIVECAL_RESOURCES, else none."),
+    ] = None,
     tokens_file: Annotated[
         str | None,
         typer.Option(
-            help="Who may use the server, a line each: NAME read|write|author TOKEN; else DRIVECAL_TOKENS_FILE, else this machine."
+            help="Who may use the server, a line each: NAME read|write|author|admin TOKEN; else DRIVECAL_TOKENS_FILE, else this machine."
         ),
     ] = None,
     as_json: JsonOption = False,
@@ -50,7 +54,13 @@ def serve(
     from drivecal.configuration import logs  # half a second, for this command only
 
     settings = load_settings(
-        workers=workers, backend=backend, ray_address=ray_address, database_url=database_url, home=home, tokens_file=tokens_file
+        workers=workers,
+        backend=backend,
+        ray_address=ray_address,
+        database_url=database_url,
+        home=home,
+        resources=resources,
+        tokens_file=tokens_file,
     )
     logs.configure("server", settings)
     try:
@@ -117,7 +127,9 @@ def doing(worker: WorkerAnswer, now: datetime) -> str | None:
 
 def remarks(page: WorkerPage, now: datetime) -> list[str]:
     """Returns remarks on the table."""
-    lines = [f"degraded: {page.degraded}"] if page.degraded else []
+    late = {use.name: f", {use.settling} of them by runs of lost workers" if use.settling else "" for use in page.resources}
+    uses = [f"{use.name}: {use.held} of {use.total} in use{late[use.name]}" for use in page.resources]
+    lines = [*uses, *([f"degraded: {page.degraded}"] if page.degraded else [])]
     if not page.fresh and page.items and page.dispatcher_seen_at is not None:
         age = duration((now - page.dispatcher_seen_at) / timedelta(seconds=1))
         lines.append(f"this is what the dispatcher said {age} ago, before it fell silent")

@@ -86,7 +86,12 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("rerun of", campaign.rerun_of))
     if campaign.error:
         lines.append(("error", campaign.error))
-    labels = {"tags": " ".join(campaign.tags), "comment": campaign.comment, "archived": when(campaign.archived_at)}
+    labels = {
+        "owner": campaign.owner or "",
+        "tags": " ".join(campaign.tags),
+        "comment": campaign.comment,
+        "archived": when(campaign.archived_at),
+    }
     lines += [(title, text) for title, text in labels.items() if text]
     if campaign.sensitivity_cells.requested:
         lines.append(("analysis", f"{campaign.sensitivity_cells.requested:,} requested = {_sum(campaign.sensitivity_cells)}"))
@@ -200,6 +205,8 @@ def state_text(campaign: Campaign) -> str:
         parts.append(ASKED[campaign.requested_action])
     if campaign.degraded:
         parts.append(f"degraded: {campaign.degraded}")
+    if campaign.waiting:
+        parts.append(f"waiting: {campaign.waiting}")
     return ", ".join(parts)
 
 

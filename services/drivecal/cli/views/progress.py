@@ -199,4 +199,6 @@ def _detail(campaign: Campaign, written: Callable[..., str] = _plain) -> str:
         parts.append(f"{duration(campaign.progress.eta_seconds)} left")
     if campaign.degraded:
         parts.append(written(f"degraded: {campaign.degraded}"))
+    if campaign.waiting:
+        parts.append(written(f"waiting: {campaign.waiting}"))
     return "  ".join(parts)

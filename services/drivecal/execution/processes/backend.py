@@ -125,7 +125,7 @@ class ProcessBackend(SupervisedBackend):
         reference: SentCall = worker.waited_for
         answer = reference.child.answers.pop(reference.number, None)
         if answer is None:
-            raise WorkerDiedError(*_cause(reference.child.process))
+            raise _cause(reference.child.process)
         if answer.error is not None:
             raise CallFailedError(answer.error)
         return answer.value
@@ -135,14 +135,18 @@ def _is_done(reference: SentCall) -> bool:
     return reference.number in reference.child.answers or reference.child.ended
 
 
-def _cause(process: subprocess.Popen[bytes]) -> tuple[Breakdown, str]:
+_FROM_OUTSIDE = {signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
+"""Signals that no crash of a program sends to itself."""
+
+
+def _cause(process: subprocess.Popen[bytes]) -> WorkerDiedError:
     """Returns why a process ended, which has closed its connection."""
     try:
         code = process.wait(timeout=1.0)
     except subprocess.TimeoutExpired:
-        return Breakdown.CRASH, "closed its connection"
+        return WorkerDiedError(Breakdown.CRASH, "closed its connection")
     if code >= 0:
-        return Breakdown.CRASH, f"ended with exit code {code}"
+        return WorkerDiedError(Breakdown.CRASH, f"ended with exit code {code}")
     number = -code
     name = signal.Signals(number).name if number in set(signal.Signals) else f"signal {number}"
-    return Breakdown.CRASH, f"died of {name}"
+    return WorkerDiedError(Breakdown.CRASH, f"died of {name}", departed=number in _FROM_OUTSIDE)

@@ -11,12 +11,16 @@ from drivecal.cluster.settings import release
 from drivecal.contracts.work import Batch
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.backend import Finished, Lost
+from drivecal.execution.backend import SETTLE_SECONDS, Finished, Lost
 from drivecal.execution.ray.cluster import Cluster
 from drivecal.execution.ray.placement import complaint, fits, missing
 from drivecal.execution.supervised import CallFailedError, NotKnownYetError, SupervisedBackend, WorkerDiedError, WorkerLimits
 from drivecal.execution.worker_process import WorkerProcess
 from drivecal.runtime.worker import Worker
+
+CLUSTER_SETTLE_SECONDS = 90.0
+"""How long runs may outlive their worker in a cluster: a node that loses its head ends its workers after a minute
+(`gcs_rpc_server_reconnect_timeout_s`)."""
 
 log = logging.getLogger(__name__)
 
@@ -38,6 +42,7 @@ class RayBackend(SupervisedBackend):
         super().__init__(options)
         self._address = options.address
         self.waits_for_workers = options.address is not None
+        self.settle_seconds = SETTLE_SECONDS if options.address is None else CLUSTER_SETTLE_SECONDS
         self._cluster = Cluster(options.address, options.workers)
         self._ray = self._cluster.ray
         self._actor_class = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(Worker)
@@ -85,7 +90,8 @@ class RayBackend(SupervisedBackend):
                 raise NotKnownYetError from error
             if "low on memory" in str(error):
                 raise out_of_memory from error
-            raise WorkerDiedError(Breakdown.CRASH, "died, as after a segmentation fault or a kill") from error
+            # Ray does not tell a crash from a kill, or from the end of a node that is not known yet
+            raise WorkerDiedError(Breakdown.CRASH, "died, as after a segmentation fault or a kill", departed=True) from error
         except errors.RayError as error:
             cause = getattr(error, "cause", None)  # the exception of the call, if any
             raise CallFailedError(str(cause if isinstance(cause, DrivecalError) else error)) from error
@@ -128,8 +134,8 @@ class RayBackend(SupervisedBackend):
         return [worker for worker in self._workers if worker.home is not None and worker.home.id not in there]
 
     def _dismiss(self, worker: WorkerProcess) -> list[Finished | Lost]:
-        """Removes a worker whose node is gone. The worker may have crashed the node, so its cells count as crashed."""
-        events: list[Finished | Lost] = list(worker.lose(Breakdown.CRASH, f"{worker.place} went with its node"))
+        """Removes a worker whose node is gone."""
+        events: list[Finished | Lost] = list(worker.lose(Breakdown.CRASH, f"{worker.place} went with its node", departed=True))
         self._kill(worker)
         self._workers.remove(worker)
         return events

@@ -17,6 +17,8 @@ Identity = tuple[SetupKey, tuple[str, ...], bytes]
 """Key shared by cells whose results are the same, bit by bit."""
 
 _TEXT = struct.pack("d", float("nan"))
+LOSSES_TOGETHER = 2
+"""Workers that may leave with a batch before its cells are sent alone."""
 WITNESSES = 2
 """Workers that must report an exception before it counts: a worker or an earlier cell of the batch may be to blame."""
 
@@ -61,8 +63,15 @@ class PendingSimulation:
     leader: Claim | None = None
     """The claim whose cell is at a worker; None while the simulation waits."""
     breakdowns: int = 0
+    losses: int = 0
+    """Workers that left while they ran it, killed from outside or with their node: no breakdowns."""
     witnesses: frozenset[str] = frozenset()
     """Living workers that reported a breakdown."""
+
+    @property
+    def is_suspect(self) -> bool:
+        """True if it may be to blame for the end of workers: it is sent alone."""
+        return self.breakdowns > 0 or self.losses >= LOSSES_TOGETHER
 
     @property
     def avoid(self) -> frozenset[str]:
@@ -134,6 +143,10 @@ class InFlightCells:
     def wanted(self) -> set[SetupKey]:
         """Returns the setups with unanswered cells that no campaign dropped."""
         return {claim.simulation.key for claim in self._claims.values() if not claim.withdrawn}
+
+    def setup(self, key: SetupKey) -> SetupRequest:
+        """Returns a setup with unanswered cells."""
+        return self._setups[key][0]
 
     def setups(self) -> Mapping[SetupKey, SetupRequest]:
         """Returns the setups with unanswered cells."""

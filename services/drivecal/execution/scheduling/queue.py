@@ -133,6 +133,11 @@ class FairQueue:
         """Returns the setups with waiting cells."""
         return {setup for counted in self._simulations.values() for setup in counted}
 
+    def setups_of(self, tag: str) -> set[SetupKey]:
+        """Returns the setups of a campaign's waiting cells."""
+        lines = [lines[tag] for lines in self._lines.values() if tag in lines]
+        return {setup for line in lines for setup in (*line.groups, *(setup for setup, _ in line.suspects))}
+
     def avoiding(self, worker: str) -> Iterable[ClaimGroup]:
         """Returns the suspects that a worker must not get."""
         return self._avoided.get(worker, ())
@@ -166,7 +171,7 @@ class FairQueue:
         return lines[tag]
 
     def _group(self, line: Line, simulation: PendingSimulation) -> ClaimGroup:
-        if simulation.breakdowns:
+        if simulation.is_suspect:
             place = (simulation.key, simulation.avoid)
             if place not in line.suspects:
                 line.suspects[place] = ClaimGroup(line, *place)

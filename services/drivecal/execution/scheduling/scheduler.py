@@ -4,6 +4,9 @@ Campaigns of equal priority share the workers' time (`queue`), identical cells a
 another scenario. The loss of a worker makes each cell of its batch a suspect, which is then sent alone to an idle worker, so that a poison
 cell harms no other cell. After `ATTEMPTS` breakdowns a cell has failed; innocent cells succeed at once.
 
+A worker that leaves, killed from outside or with its node, is no fault of its cells: they go to another worker. Two such losses make a
+suspect as well, and a cell that lost `MOST_LOSSES` workers, the last ones alone, has failed: it may kill them after all.
+
 A living worker that reports a breakdown may itself be to blame. Its cells are suspects too, but go to another worker, or to the
 replacement of the only worker. A refusal of a setup says nothing about the cells: they wait for another worker.
 """
@@ -13,7 +16,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from drivecal.contracts.work import Batch, BatchResult, CellResult, SetupKey
+from drivecal.contracts.work import Batch, BatchResult, CellResult, SetupKey, SetupRequest
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.affinity import SetupAffinity
 from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, batch_size
@@ -29,10 +32,14 @@ from drivecal.execution.scheduling.in_flight import (
 )
 from drivecal.execution.scheduling.queue import ClaimGroup, FairQueue, Line
 from drivecal.execution.scheduling.reservation import Reservation
+from drivecal.execution.scheduling.resources import Resources, ResourceUse
 from drivecal.execution.scheduling.worker_health import WorkerHealth
+from drivecal.plugins.simulators import END_SECONDS
 
 ATTEMPTS = 3
 """Breakdowns after which a cell has failed."""
+MOST_LOSSES = 10
+"""Workers that leave with a cell before it has failed: at workers that live through half of their runs, one cell in a thousand."""
 MOST_PASSED_OVER = 100
 """Batches after which a suspect no longer waits for its only worker to run idle."""
 
@@ -51,8 +58,14 @@ class _Sent:
 class Scheduler:
     """Completes every added cell exactly once, unless it is withdrawn before it is sent or while it is lost."""
 
-    def __init__(self, policy: BatchPolicy) -> None:
+    def __init__(self, policy: BatchPolicy, resources: Resources | None = None) -> None:
+        """`resources`: the scarce things of the server, by default none."""
         self._policy = policy
+        self._resources = resources or Resources({})
+        self._is_scarce = False
+        """True once a setup needed resources, or was busy."""
+        self._closing: dict[int, tuple[str, SetupRequest]] = {}
+        """Setups that workers are asked to close, by batch."""
         self._costs = CellCosts()
         self._in_flight = InFlightCells()
         self._queue = FairQueue()
@@ -79,6 +92,7 @@ class Scheduler:
         """
         setup = work.setup.key
         self._costs.relate(setup, work.setup.kind)
+        self._is_scarce |= bool(work.setup.resources)
         cost, had_none = self._costs.seconds_per_cell(setup), not self._in_flight.of(tag)
         claims = self._in_flight.add(work, tag, priority)
         if claims:
@@ -98,34 +112,46 @@ class Scheduler:
         """Notes which workers have started and live, and the time (s)."""
         self._reservation.meet(now)
         self._worker_health.meet(ready)
+        self._resources.meet(ready, now)
         self._affinity.meet(ready)
 
     def next_batch(self, worker: str, *, idle: bool) -> Dispatch | None:
         """Returns the batch for a free slot of a worker, or None. A suspect is sent alone and never behind a running batch; until then its
-        worker gets nothing. A worker to be replaced gets nothing either."""
+        worker gets nothing. A worker to be replaced gets nothing either. A worker with resources closes their setup before another."""
         if self._worker_health.fault(worker) is not None:
             return None
         only_short = False
         for line in self._queue.in_turn():
+            if not self._has_startable(worker, line):
+                continue
             only_short = only_short or not self._may_be_long(worker, line)
             group = self._suspects_for(worker, line, only_short=only_short)
             if group is not None:
                 if not idle:
                     return None
+                if (closing := self._close(worker, group.setup)) is not None:
+                    return closing
                 self._passed_over *= not group.avoid
                 return self._dispatch(worker, group, 1)
             group = self._group_for(worker, line, only_short=only_short)
             if group is not None:
+                if not idle and not self._resources.may_queue(worker, self._in_flight.setup(group.setup)):
+                    return None
+                if idle and (closing := self._close(worker, group.setup)) is not None:
+                    return closing
                 if self._is_alone(worker):
                     if self._passed_over >= MOST_PASSED_OVER:
                         return None
                     self._passed_over += 1
                 return self._dispatch(worker, group, self._size(worker, group))
-        return None
+        return self._close(worker, None) if idle else None
 
     def take_back(self, batch_id: int) -> None:
         """A dispatch was not sent after all: its cells return to the front of their queues, as if they had not been taken out."""
+        if self._is_closed(batch_id, done=False):
+            return
         sent = self._sent.pop(batch_id)
+        self._resources.end(sent.worker, sent.leaders[0].simulation.key)
         self._charge(sent, 0.0)
         self._to_queue(sent.leaders)
 
@@ -141,6 +167,7 @@ class Scheduler:
         self._queue.put_back(dropped)
         if sent.leaders:
             return self._as_dispatch(batch_id, sent)
+        self._resources.end(sent.worker, dropped[0].simulation.key)
         self._charge(self._sent.pop(batch_id), 0.0)
         return None
 
@@ -177,12 +204,17 @@ class Scheduler:
         """Takes the results of a batch; an unexpected batch changes nothing."""
         sent = self._sent.pop(batch_id, None)
         if sent is None:
+            self._is_closed(batch_id, done=True)
             return []
         setup = sent.leaders[0].simulation.key
         self._worker_health.answered(result.worker, setup, result)
-        self._charge(sent, result.seconds if result.refusal is None or result.results else 0.0)
+        self._resources.end(sent.worker, setup, closed=result.refusal is not None)
+        self._resources.note(sent.worker, setup, result.busy)
+        self._is_scarce |= result.busy is not None
+        is_stopped = result.refusal is not None or result.busy is not None
+        self._charge(sent, result.seconds if result.results or not is_stopped else 0.0)
         answers = {answer.id: answer for answer in result.results}
-        if result.refusal is not None:
+        if is_stopped:
             self._to_queue([leader for leader in sent.leaders if leader.cell.id not in answers])
             sent.leaders = [leader for leader in sent.leaders if leader.cell.id in answers]
         elif result.results:
@@ -205,19 +237,44 @@ class Scheduler:
         return any(not leader.withdrawn for leader in self._sent[batch_id].leaders)
 
     def lost(
-        self, batch_id: int, worker: str, breakdown: Breakdown, detail: str, seconds: float | None = None, *, begun: bool = True
+        self,
+        batch_id: int,
+        worker: str,
+        breakdown: Breakdown,
+        detail: str,
+        seconds: float | None = None,
+        *,
+        begun: bool = True,
+        departed: bool = False,
     ) -> list[Completed]:
-        """Takes the loss of a batch: its cells are tried again one by one, and fail without attempts left, or without a budget for another
-        one. `seconds`: the worker's time, if known, which is charged to the campaign; `begun`: see `Lost`."""
+        """Takes the loss of a batch: its cells are tried again one by one, and fail without attempts left,
+        or without a budget for another one.
+
+        Args:
+            batch_id: number of the batch.
+            worker: name of its worker.
+            breakdown: `ERROR` if the worker lives, else the cause of its end.
+            detail: the cause in words.
+            seconds: the worker's time, if known, which is charged to the campaign.
+            begun: see `Lost`.
+            departed: the worker left: that takes no attempt from the cells.
+        """
+        if breakdown is not Breakdown.ERROR:
+            self._resources.leave(worker)
         sent = self._sent.pop(batch_id, None)
         if sent is None:
+            self._is_closed(batch_id, done=False)
             return []
+        self._resources.end(worker, sent.leaders[0].simulation.key)
         self._charge(sent, sent.charged if seconds is None else seconds)
         self._affinity.came_back(sent.leaders[0].simulation.key, failed=True)
         answers = [(leader, _broken(leader, breakdown, detail)) for leader in sent.leaders]
         if breakdown is not Breakdown.ERROR:  # the worker is gone as well
-            again = partial(self._again_or_failed, worker=worker, alone=sent.alone, begun=begun)
-            return [done for answer in answers for done in again(*answer)]
+            if departed:
+                again = partial(self._after_departure, alone=sent.alone, begun=begun)
+            else:
+                again = partial(self._again_or_failed, alone=sent.alone, begun=begun)
+            return [done for answer in answers for done in again(*answer, worker)]
         self._worker_health.failed(worker, detail)
         return [done for answer in answers for done in self._broke_down(*answer, worker, alone=sent.alone)]
 
@@ -250,11 +307,51 @@ class Scheduler:
         """Setups of the cells of `tag` without an answer, or of all cells that are not withdrawn."""
         return self._in_flight.wanted() if tag is None else {claim.simulation.key for claim in self._in_flight.of(tag)}
 
+    def waits(self, tag: str) -> str | None:
+        """Returns why cells of `tag` wait for something else than their turn, or None."""
+        reasons: dict[str, list[str]] = {}
+        for key in self._queue.setups_of(tag) if self._is_scarce else ():
+            setup = self._in_flight.setup(key)
+            if (reason := self._resources.why(setup)) is not None:
+                reasons.setdefault(reason, []).append(setup.scenario)
+        said = [f"{', '.join(sorted(scenarios))}: {reason}" for reason, scenarios in sorted(reasons.items())]
+        return f"cells wait; {'; '.join(said)}" if said else None
+
+    def resources(self) -> list[ResourceUse]:
+        """Returns the use of each resource."""
+        return self._resources.use()
+
+    def _has_startable(self, worker: str, line: Line) -> bool:
+        """Returns whether a worker may start a cell of a line: its resources are free and its simulator is not busy."""
+        setups = (*line.groups, *(setup for setup, _ in line.suspects)) if self._is_scarce else ()
+        return not self._is_scarce or any(self._may_start(worker, setup) for setup in setups)
+
+    def _may_start(self, worker: str, setup: SetupKey) -> bool:
+        return not self._is_scarce or self._resources.may_start(worker, self._in_flight.setup(setup))
+
+    def _close(self, worker: str, chosen: SetupKey | None) -> Dispatch | None:
+        """Returns the request to close a setup that holds resources at an idle worker, if there is one."""
+        setup = self._resources.to_close(worker, chosen)
+        if setup is None:
+            return None
+        batch_id = next(self._batch_ids)
+        self._closing[batch_id] = worker, setup
+        self._resources.close(worker, setup.key)
+        return Dispatch(worker, batch_id, Batch(setup, (), closes=True), END_SECONDS, alone=False, breakdowns={})
+
+    def _is_closed(self, batch_id: int, *, done: bool) -> bool:
+        """Takes the answer to a request to close a setup; returns whether the batch is one."""
+        worker, setup = self._closing.pop(batch_id, (None, None))
+        if worker is not None and setup is not None:
+            self._resources.closed(worker, setup.key, done=done)
+        return setup is not None
+
     def _may_be_long(self, worker: str, line: Line) -> bool:
         """Whether a worker may run a long batch of a line now. Lines behind a line that may not have one must not have one either."""
         if not any(self._is_long(setup) for setup in (*line.groups, *(setup for setup, _ in line.suspects))):
             return True
-        most = self._reservation.most(line, list(self._queue.in_turn()), self._worker_health.ready)
+        waiting = [other for other in self._queue.in_turn() if self._has_startable(worker, other)]
+        most = self._reservation.most(line, waiting, self._worker_health.ready)
         if most >= self._worker_health.ready:
             return True
         long = {sent.worker for sent in self._sent.values() if sent.leaders and self._is_long(sent.leaders[0].simulation.key)}
@@ -267,16 +364,22 @@ class Scheduler:
         able = (
             group
             for (setup, avoid), group in line.suspects.items()
-            if self._worker_health.may_try(worker, setup, avoid) and not (only_short and self._is_long(setup))
+            if self._worker_health.may_try(worker, setup, avoid)
+            and not (only_short and self._is_long(setup))
+            and self._may_start(worker, setup)
         )
         return next(able, None)
 
     def _group_for(self, worker: str, line: Line, *, only_short: bool) -> ClaimGroup | None:
-        able = (
+        able = [
             group
             for setup, group in line.groups.items()
-            if not self._worker_health.refuses(worker, setup) and not (only_short and self._is_long(setup))
-        )
+            if not self._worker_health.refuses(worker, setup)
+            and not (only_short and self._is_long(setup))
+            and self._may_start(worker, setup)
+        ]
+        if self._is_scarce:  # what is scarce is never left to the end
+            able = [group for group in able if self._in_flight.setup(group.setup).resources] or able
         chosen = self._affinity.choose(worker, {group.setup: self._to_do(group) for group in able})
         return None if chosen is None else line.groups[chosen]
 
@@ -297,6 +400,7 @@ class Scheduler:
         sent = _Sent(worker, group.line, self._queue.take(group, most), alone=group.avoid is not None)
         for leader in sent.leaders:
             leader.simulation.leader = leader
+        self._resources.take(worker, self._in_flight.setup(group.setup))
         self._affinity.load(worker, group.setup)
         cells = len(self._in_flight.of(group.line.tag))
         self._reservation.sent(group.line, self._costs.seconds_per_cell(group.setup), cells)
@@ -343,18 +447,34 @@ class Scheduler:
         settled = answer.breakdown == Breakdown.ERROR and len(simulation.witnesses) >= WITNESSES
         if settled or simulation.breakdowns >= ATTEMPTS:
             return self._complete(leader, answer, worker, simulation.breakdowns)
-        simulation.leader = None
         completed: list[Completed] = []
-        if leader.withdrawn:  # with attempts left it has not failed: it was not simulated
-            self._forget(leader)
-        elif begun and not self._budgets.get(leader.tag, RunBudget()).take():
+        if begun and not leader.withdrawn and not self._budgets.get(leader.tag, RunBudget()).take():
             completed.append(Completed(leader.tag, worker, answer, simulation.breakdowns))
-            self._forget(leader)
-        for claim in simulation.claims:
-            claim.cell = replace(claim.cell, check=False)  # a suspect is simulated once
-            self._changed[claim.cell.id] = simulation.breakdowns
-        self._queue.put(simulation)
+            leader.withdrawn = True
+        self._try_again(leader)
+        self._changed |= {claim.cell.id: simulation.breakdowns for claim in simulation.claims}
         return completed
+
+    def _after_departure(self, leader: Claim, answer: CellResult, worker: str, *, alone: bool, begun: bool) -> list[Completed]:
+        """Handles a cell whose worker left: the run takes neither an attempt nor a part of the budget."""
+        simulation = leader.simulation
+        simulation.losses += begun
+        if alone and simulation.losses >= MOST_LOSSES:
+            detail = f"{answer.detail}; {simulation.losses} workers left with this cell, the last ones while it ran alone"
+            return self._complete(leader, replace(answer, detail=detail), worker, max(1, simulation.breakdowns))
+        self._try_again(leader)
+        return []
+
+    def _try_again(self, leader: Claim) -> None:
+        """Queues the simulation of a lost cell again, without a cell that its campaign dropped: it was not simulated."""
+        simulation = leader.simulation
+        simulation.leader = None
+        if leader.withdrawn:
+            self._forget(leader)
+        if simulation.is_suspect:  # it is simulated once
+            for claim in simulation.claims:
+                claim.cell = replace(claim.cell, check=False)
+        self._queue.put(simulation)
 
     def _complete(self, leader: Claim, answer: CellResult, worker: str, attempts: int) -> list[Completed]:
         """Completes the claims to a simulation."""

@@ -83,7 +83,7 @@ class WorkerHealth:
             self._refusals[setup] = still
         if any(answer.breakdown is None or answer.contained for answer in result.results):
             self._note(worker, _Shown(proven=True))
-        elif result.refusal is None:
+        elif result.refusal is None and result.busy is None:
             self.failed(worker, (result.results[-1].detail if result.results else None) or "it says nothing")
 
     def failed(self, worker: str, detail: str) -> None:

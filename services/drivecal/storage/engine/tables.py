@@ -73,6 +73,8 @@ campaigns = Table(
     Column("likeness", Name),  # campaigns that search the same have the same (`campaigns.first_alike`)
     Column("watermark", Identity),
     Column("degraded", Text),
+    Column("waiting", Text),  # why it, or some of its cells, wait, as the dispatcher says
+    Column("owner", Name),  # name of the token that submitted it; null on a server without tokens
     Column("error", Text),
     Column("notes", Document, nullable=False),
     Column("progress", Document, nullable=False),

@@ -87,6 +87,8 @@ class Statistics:
     largest_run: int
     """The number of the newest run in the reference table: how many there are, or, on PostgreSQL, a little more."""
     dispatcher: StoredProcess | None
+    waiting: int = 0
+    """Campaigns that wait, or whose cells wait for something else than their turn."""
 
 
 def read(connection: Connection, tally: Tally) -> tuple[Statistics, Tally]:
@@ -98,7 +100,9 @@ def read(connection: Connection, tally: Tally) -> tuple[Statistics, Tally]:
         # whatever the time: a slow cell outlasts its lease, which ends when the cell comes back
         current = (leases_table.c.term == dispatcher.term) & (leases_table.c.expires_at != leases.OVER)
         out = connection.scalar(select(func.count()).select_from(leases_table).where(current)) or 0
-    return Statistics(sums, out, runs.largest_id(connection), dispatcher), following
+    is_waiting = campaigns.c.ended_at.is_(None) & campaigns.c.waiting.is_not(None)
+    waiting = connection.scalar(select(func.count()).select_from(campaigns).where(is_waiting)) or 0
+    return Statistics(sums, out, runs.largest_id(connection), dispatcher, waiting), following
 
 
 def _advance(connection: Connection, tally: Tally) -> tuple[Sums, Tally]:

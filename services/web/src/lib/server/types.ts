@@ -18,4 +18,4 @@ export interface Specification {
 export type Campaign = Omit<Answer, "spec"> & { spec: Specification };
 
 /** What changes while a campaign runs. */
-export type Moving = Pick<CampaignProgress, "state" | "requested_action" | "degraded" | "stage" | "iteration" | "progress" | "cells" | "stages" | "seconds">;
+export type Moving = Pick<CampaignProgress, "state" | "requested_action" | "degraded" | "waiting" | "stage" | "iteration" | "progress" | "cells" | "stages" | "seconds">;

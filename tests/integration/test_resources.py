@@ -1,0 +1,54 @@
+"""A campaign that needs more of a resource than the server has is refused where it stands."""
+
+from typing import Any
+
+import pytest
+from tests.support.problems import store
+
+from drivecal.api import submission
+from drivecal.api.dependencies import Limits
+from drivecal.configuration.settings import load_settings
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
+from drivecal.domain.errors import InvalidInputError
+from drivecal.storage.engine.database import Database
+
+MANIFEST: dict[str, Any] = {
+    "problem": "licensed",
+    "parameters": {"x": {"lower": 0, "upper": 1}},
+    "simulator": {"kind": "command", "command": ["sh", "-c", "{parameters} {results}"], "resources": {"carmaker": 2}},
+    "scenarios": {"city": {}, "road": {"resources": {"carmaker": 0}}},
+    "measures": {"m": "1"},
+    "scores": {"s": {"formula": "m", "direction": "minimise", "range": [0, 1]}},
+}
+SMALL = {"problem": "licensed", "optimizer": {"kind": "random", "population": 5, "iterations": 1}}
+
+
+def test_a_campaign_that_needs_more_than_exists_is_refused_with_the_field(database: Database) -> None:
+    store(database, MANIFEST)
+    campaign = CampaignSpecification.model_validate(SMALL)
+    on_the_road = CampaignSpecification.model_validate(SMALL | {"catalogue": ["road"]})
+    one = EvaluationSpecification.model_validate({"problem": "licensed", "parameters": {"x": 0.5}})
+    few, enough = (Limits.of(load_settings(resources=f"carmaker={count}, vtd=1")) for count in (1, 2))
+    for refused in (
+        lambda: submission.submit(database, few, campaign, None),
+        lambda: submission.expected(database, few, campaign),
+        lambda: submission.evaluate(database, few, one, None),
+    ):
+        with pytest.raises(InvalidInputError) as error:
+            refused()
+        [problem] = error.value.problems
+        assert problem.field == "problem"
+        assert "city needs 2 carmaker" in problem.message
+    assert submission.submit(database, enough, campaign, None).state == "queued"
+    assert submission.submit(database, few, on_the_road, None).state == "queued"
+
+
+def test_resources_are_read_from_text_and_passed_to_the_servers_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DRIVECAL_RESOURCES", "carmaker=4,vtd=2")
+    settings = load_settings()
+    assert settings.resources == {"carmaker": 4, "vtd": 2}
+    assert settings.environment["DRIVECAL_RESOURCES"] == "carmaker=4,vtd=2"
+    for faulty in ("carmaker", "carmaker=many", "a b=1", "carmaker=-1"):
+        with pytest.raises(InvalidInputError) as error:
+            load_settings(resources=faulty)
+        assert error.value.problems[0].field.startswith("resources")
