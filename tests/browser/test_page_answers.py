@@ -182,21 +182,6 @@ def test_a_gain_within_the_tolerance_is_shown_as_neither_better_nor_worse(shown:
     assert colours == [page.evaluate(probe, name) for name in ("--quiet", "--well")]
 
 
-def test_evaluations_that_a_pruning_removed_are_not_offered_to_be_read(shown: Shown, opening: Opening) -> None:
-    page = opening(f"{shown.api.url}/#/nowhere")
-    changed(page, f"/campaigns/{shown.first.id}$", lambda campaign: campaign | {"pruned_at": "2026-02-03T04:05:06Z"})
-
-    def some(route: Route) -> None:
-        sent = route.fetch()
-        route.fulfill(response=sent, body="".join(sent.text().splitlines(keepends=True)[:11]))
-
-    page.route(re.compile("/evaluations.format=csv$"), some)
-    page.goto(shown.at(shown.first, "evaluations"))
-    total = len(shown.api.http.get(f"/api/v1/campaigns/{shown.first.id}/evaluations?limit=1000").json()["items"])
-    expect(page.get_by_text(f"{total - 10} evaluations were removed. The campaign was pruned on 03/02/2026")).to_be_visible()
-    expect(page.get_by_role("button", name="Read them")).to_have_count(0)
-
-
 def test_a_report_opens_as_a_page_and_is_downloaded_with_its_files(shown: Shown, opening: Opening) -> None:
     page = opening(shown.at(shown.first, ""))
     page.get_by_role("button", name="Report", exact=True).click()

@@ -1,24 +1,19 @@
 """Parts of tests: what tests of the removal of old results ask of a database before and after."""
 
-from datetime import timedelta
 from typing import Any
 
-from sqlalchemy import Connection, text
+from sqlalchemy import text
 from tests.support.runs import get
 
 from drivecal.api.tables.ranking import earlier_best, ranking
-from drivecal.campaigns import retention
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
-from drivecal.campaigns.retention import RetentionPlan
 from drivecal.storage import campaigns, generations, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.types import now
 
 SPACE = [{"name": f"P{number}", "lower": 0, "upper": 1, "step": 0.25} for number in range(1, 12)]
-CUTOFF = timedelta(days=90)
 
 
 def set_column(database: Database, campaign: StoredCampaign, column: str, value: object) -> None:
@@ -48,18 +43,3 @@ def evaluator(campaign: StoredCampaign) -> str:
 
 def problems(database: Database) -> list[str]:
     return [problem for verdict in verify(database, full=True) for problem in verdict.problems]
-
-
-def planned(database: Database, keep_best: int) -> RetentionPlan:
-    return retention.plan(database, now() - CUTOFF, keep_best)
-
-
-def carry_out(database: Database, plan: RetentionPlan) -> None:
-    retention.carry_out(database, plan, lambda *_: None)
-
-
-def dangling(connection: Connection) -> int:
-    """The cells that name a cell that is gone."""
-    there = "SELECT 1 FROM evaluations d WHERE d.id = c.reference"
-    query = f"SELECT count(*) FROM evaluations c WHERE reference IS NOT NULL AND NOT EXISTS ({there})"  # no input
-    return int(connection.execute(text(query)).scalar_one())

@@ -47,8 +47,6 @@ def account(
     origin: MapOrigin | None,
     confirmed: Mapping[str, Mapping[Outcome, int]] | None = None,
     predictors: Mapping[str, float] | None = None,
-    *,
-    pruned: bool = False,
 ) -> Accounting:
     """Returns the account of a campaign.
 
@@ -60,7 +58,6 @@ def account(
         origin: the influence map in use.
         confirmed: number of cells that were simulated after the search, by scenario and first answer.
         predictors: CPU time of the predictor, by scenario.
-        pruned: whether most of its cells are gone.
     """
     cpu_seconds, wall_seconds = sum(cost.run_seconds for cost in costs), sum(cost.occupied_run_seconds for cost in costs)
     runs = sum(cost.runs for cost in costs)
@@ -91,7 +88,6 @@ def account(
     accounting = Accounting(
         campaign=campaign,
         state=state,
-        pruned=pruned,
         clock="wall" if waits else "cpu",
         cpu_seconds=cpu_seconds,
         wall_seconds=max(wall_seconds, cpu_seconds),
@@ -215,9 +211,6 @@ def _remarks(accounting: Accounting) -> list[str]:
 
 
 def _sentence(accounting: Accounting) -> str:
-    if accounting.pruned:
-        cells = accounting.requested + accounting.sensitivity.requested
-        return f"The campaign was pruned: this account counts only the {cells:,} cells that are left."
     if accounting.share_without_simulation is None:
         return f"No cell of the calibration stage has its answer yet; the sensitivity stage took {accounting.sensitivity.seconds:,.1f} s."
     share = f"{accounting.share_without_simulation:.1%} of {accounting.requested:,} requested cells were answered without a simulation"

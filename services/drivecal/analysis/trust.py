@@ -96,16 +96,13 @@ class Later:
 class Earlier:
     """The best set of the `campaign` that is rerun, by its id, under the `weights` of the rerun, which are not normalised.
 
-    `reused`: scenarios whose score is a reference's. `score`: the rerun's, as rankings name it, if the earlier campaign had another.
-    `is_pruned`: only the sets that a pruning kept are compared; `objective` is None if it kept none.
-    """
+    `reused`: scenarios whose score is a reference's. `score`: the rerun's, as rankings name it, if the earlier campaign had another."""
 
     campaign: str
-    objective: float | None
+    objective: float
     weights: Mapping[str, float]
     reused: Sequence[str] = ()
     score: str | None = None
-    is_pruned: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,13 +365,11 @@ def _later(campaign: Campaign, later: Later | None, chosen: Chosen | None) -> It
 
 
 def _earlier(campaign: Campaign, earlier: Earlier | None) -> Iterator[ResultVerdict]:
-    """Yields the verdict that the campaign which is rerun holds a better set, or may have held it before it was pruned."""
+    """Yields the verdict that the campaign which is rerun holds a better set."""
     if earlier is None or campaign.best is None or not CampaignState(campaign.state).ended:
         return
     best = campaign.best.objective
-    if earlier.objective is None or (earlier.objective - best) * sign_of(campaign) <= grain(best):
-        if earlier.is_pruned:
-            yield verdict("earlier_pruned", "amber", earlier=earlier.campaign)
+    if (earlier.objective - best) * sign_of(campaign) <= grain(best):
         return
     numbers: dict[str, Any] = {"earlier": earlier.campaign, "objective": earlier.objective, "best": best}
     numbers |= {"reused": list(earlier.reused), "campaign": campaign.id}

@@ -72,7 +72,6 @@ SEARCH = {
     "search; `drivecal solutions {campaign:id}` lists it.",
     "later_chosen": "Later simulations{by:campaigns} show that the chosen set is the best: {objective:objective} beside {best:objective} "
     "at the end of the search; `drivecal solutions {campaign:id}` lists it.",
-    "earlier_pruned": "The earlier campaign {earlier:id} was pruned: it may have held a better set.",
     "earlier_front": "The earlier campaign {earlier:id} holds a set with a better {name}: {objective:.6g}{reused:copies} beside "
     "{best:.6g}; `drivecal front {campaign:id} --everything` lists what is stored, and a campaign file with it in "
     "`optimizer.start_sets` searches from there.",

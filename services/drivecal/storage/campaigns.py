@@ -175,8 +175,6 @@ class StoredCampaign(CampaignHeading):
     deleted_at: datetime | None
     finish_at: datetime | None
     """The moment at which an outside optimizer said that it proposes no more sets."""
-    pruned_at: datetime | None
-    """The moment at which most of its cells were removed."""
 
     @property
     def cells(self) -> CellCounts:
@@ -504,7 +502,6 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         progress=Progress(**row.progress),
         confirmation=None if row.confirmation is None else Confirmation(**row.confirmation),
         narrowed=None if row.narrowed is None else tuple(Narrowed(**parameter) for parameter in row.narrowed),
-        pruned_at=None if row.pruned is None else datetime.fromisoformat(row.pruned["at"]),
         released={scenario: Released(**rate) for scenario, rate in (row.released or {}).items()},
         error_rate={scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
         best=None if row.best is None else Best(**row.best),

@@ -72,14 +72,10 @@ class Accounting(Answer):
 
     `clock` is `wall` if runs take more than twice their CPU time, else `cpu`. With `wall` all seconds of simulations are wall-clock
     time of the workers. The runs that answered cells took `cpu_seconds` and `wall_seconds`.
-
-    `pruned` is true if most cells of the campaign were removed. The account then counts the remaining cells, without the map. `map` is
-    also null if the campaign that made it was pruned.
     """
 
     campaign: str
     state: str
-    pruned: bool = False
     clock: Literal["cpu", "wall"] = "cpu"
     cpu_seconds: float = 0.0
     wall_seconds: float = 0.0

@@ -314,8 +314,6 @@ class Campaign(CellsByStage):
     comment: str = ""
     archived_at: datetime | None = None
     """Lists leave archived campaigns out unless they are asked for."""
-    pruned_at: datetime | None = None
-    """Since then the tables list only its best sets and cells that others refer to; the counts are those of all cells."""
     created_at: datetime | None = None
     started_at: datetime | None = None
     ended_at: datetime | None = None

@@ -16,7 +16,6 @@ from drivecal.api import submission
 from drivecal.api.dependencies import Limits
 from drivecal.api.http.authorisation import ANYBODY
 from drivecal.api.routes.evaluations import read_trace
-from drivecal.campaigns import retention
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
@@ -26,7 +25,7 @@ from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.retention import deletion
+from drivecal.storage.retention import deletion, pruning
 
 LIMITS = Limits.of(load_settings())
 PATIENCE = 60
@@ -142,9 +141,9 @@ def test_a_deletion_waits_for_a_submission_that_was_checked_and_is_refused(
 
 
 def prune(database: Database, campaign: StoredCampaign) -> None:
-    planned = retention.plan(database, now(), 0)
-    assert [each.id for each in planned.selection.prunable] == [campaign.id]
-    retention.carry_out(database, planned, lambda *_: None)
+    planned = pruning.plan(database, now())
+    assert [each.id for group in planned.groups for each in group.campaigns] == [campaign.id]
+    pruning.carry_out(database, planned)
 
 
 def delete_whole(database: Database, campaign: StoredCampaign) -> None:

@@ -222,8 +222,6 @@ def test_a_campaign_without_a_search_has_no_light() -> None:
 def test_a_better_set_of_the_rerun_campaign_is_amber(objective: float, given: dict[str, Any], is_told: bool) -> None:
     earlier = Earlier("e" * 32, objective, {"S1": 4.0, "S2": 1.0})
     assert ("earlier_better" in lights(campaign(**given), earlier=earlier)) is is_told
-    pruned = replace(earlier, objective=None, is_pruned=True)
-    assert ("earlier_pruned" in lights(campaign(**given), earlier=pruned)) is ({"state", "best"}.isdisjoint(given))
 
 
 def test_a_better_earlier_set_names_the_command_that_lists_it() -> None:

@@ -31,13 +31,7 @@ def test_an_account_adds_up_in_its_table() -> None:
         BalanceItem(name="reused", label="reused cells", seconds=0.4),
         BalanceItem(name="map", label="analysis", seconds=-9.0),
     ]
-    known: dict[str, Any] = {
-        "pruned": False,
-        "clock": "cpu",
-        "balance": balance,
-        "net_seconds": -8.6,
-        "sentence": "It lost 8.6 s.",
-    }
+    known: dict[str, Any] = {"clock": "cpu", "balance": balance, "net_seconds": -8.6, "sentence": "It lost 8.6 s."}
     account = Accounting.model_construct(None, remarks=[], **known)
     assert rows_of(sections.account_blocks(account)) == [["reused cells", "+0.4"], ["analysis", "-9.0"], ["net", "-8.6"]]
     assert sections.account_blocks(None) == []

@@ -131,20 +131,17 @@ def account_of(connection: Connection, campaign: StoredCampaign) -> Accounting:
         _map_origin(connection, campaign),
         evaluations.confirmed(connection, campaign.sequence, searched),
         predictors,
-        pruned=campaign.pruned_at is not None,
     )
 
 
 def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin | None:
-    """Returns the map in use and what it cost; None without a map, and if the cells that say it were pruned."""
-    if campaign.influence_map_id is None or campaign.pruned_at is not None:
+    """Returns the map in use and what it cost; None without a map."""
+    if campaign.influence_map_id is None:
         return None
     stored = influence_maps.get(connection, campaign.influence_map_id)
     if stored.basis is None:
         return MapOrigin(stored.id, made_by=None)
     maker = campaigns.get(connection, stored.source)
-    if maker.pruned_at is not None:
-        return None
     return MapOrigin(stored.id, maker.id, evaluations.costs_by_outcome(connection, maker.sequence))
 
 
@@ -229,7 +226,7 @@ def _search(connection: Connection, campaign: StoredCampaign) -> SearchCourse | 
     searched = [parameter for parameter in begun_with.space.searched if parameter.kind != "choice" and parameter.n_values > 2]
     ranges = {parameter.name: (float(parameter.lower), float(parameter.upper)) for parameter in searched}
     course = [] if has_several_objectives(campaign) else generations.course(connection, campaign.sequence)
-    whole = campaign.pruned_at is None and all(parameter.kind != "continuous" for parameter in begun_with.space.searched)
+    whole = all(parameter.kind != "continuous" for parameter in begun_with.space.searched)
     grid = prod(parameter.n_values for parameter in begun_with.space.searched) if whole else 0
     requested = campaign.cells.proposed // max(1, len(begun_with.weights))
     is_exact = 100 * requested >= grid > 0  # else the share is negligible, and counting takes as long as reading the campaign

@@ -125,10 +125,9 @@ def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCa
     given: Mapping[str, float] = campaign.spec["weights"]
     weights = {name: given.get(name, 1.0) if name in ours.weights else 0.0 for name in theirs.weights}
     ranked = ranking(database, earlier, replace(theirs, weights=weights, goals=ours.goals), None, score).ranked
-    is_pruned = earlier.pruned_at is not None
     if not ranked or ranked[0].violation > campaign.best.violation:
-        return Earlier(earlier.id, None, weights, score=score, is_pruned=True) if is_pruned else None
-    return Earlier(earlier.id, ranked[0].objective, weights, ranked[0].reused, score, is_pruned)
+        return None
+    return Earlier(earlier.id, ranked[0].objective, weights, ranked[0].reused, score)
 
 
 def later_best(database: Database, campaign: StoredCampaign) -> Later | None:

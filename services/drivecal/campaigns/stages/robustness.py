@@ -70,13 +70,6 @@ def check_source(connection: Connection, problem: CalibrationProblem) -> None:
     if source.cells.requested == 0:
         message = f"campaign {wanted.of} has no solutions: it searched nothing, or ended before it had found any"
         raise InvalidInputError(Problem(field, message, "name one that has searched"))
-    if source.pruned_at is not None and wanted.solutions:
-        message = (
-            f"campaign {wanted.of} was pruned on {source.pruned_at:%Y-%m-%d}: most sets that it would choose from are gone"
-        )
-        raise InvalidInputError(
-            Problem(field, message, "name another campaign, or name its sets in `sets` with `solutions: 0`")
-        )
     if not source.state.ended:
         raise InvalidInputError(Problem(field, f"campaign {wanted.of} is {source.state}", "name one that has ended"))
     if source.spec["driving_function"] != function:

@@ -181,9 +181,6 @@ def check_predictions(connection: Connection, problem: CalibrationProblem) -> No
     if source.kind != "calibration" or not source.state.ended:
         message = f"{wanted.of} is a {source.kind} that is {source.state}"
         raise InvalidInputError(Problem(FIELD, message, "name a campaign that has ended"))
-    if source.pruned_at is not None:
-        message = f"campaign {wanted.of} was pruned on {source.pruned_at:%Y-%m-%d}: the predictions that are left are no sample of its lots"
-        raise InvalidInputError(Problem(FIELD, message, "name a campaign that was not pruned"))
     if source.cells.predicted == 0:
         raise InvalidInputError(
             Problem(FIELD, f"campaign {wanted.of} released no predictions", "name one with predicted cells")

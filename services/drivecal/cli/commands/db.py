@@ -18,9 +18,9 @@ from drivecal.configuration.settings import load_settings
 from drivecal.domain.errors import DatabaseError
 
 if TYPE_CHECKING:  # half a second that only these commands need, when they run
-    from drivecal.campaigns.retention import RetentionPlan
     from drivecal.storage.engine.database import Database
     from drivecal.storage.maintenance.backup import Copied
+    from drivecal.storage.retention.pruning import PruningPlan
 
 TOLD_SECONDS = 2.0
 """Between two lines about how far a copy is."""
@@ -127,67 +127,49 @@ def prune(
             "--older", parser=_duration, metavar="90d", help="Age of what goes since its end: days (90d) or weeks (12w)."
         ),
     ],
-    keep_best: Annotated[int, typer.Option("--keep-best", min=0, help="Best parameter sets of each campaign that stay.")] = 10,
     problem: Annotated[str | None, typer.Option("--problem", help="Campaigns of this problem only.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print what goes and change nothing.")] = False,
     database_url: DatabaseOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Remove cells and runs of old campaigns, but for their best sets and what other campaigns refer to. A server may run meanwhile."""
-    from drivecal.campaigns import retention
+    """Remove old campaigns with all that they simulated, unless a younger one is linked to them. A server may run."""
     from drivecal.storage.engine.types import now
+    from drivecal.storage.retention import pruning
 
     with _opened(database_url) as (_, opened):
         opened.check()
-        planned = retention.plan(opened, now() - older, keep_best, problem)
+        planned = pruning.plan(opened, now() - older, problem)
         if not dry_run:
-            retention.carry_out(opened, planned, _Telling())
+            pruning.carry_out(opened, planned)
         name = opened.name
     _print_pruned(name, planned, as_json=as_json, dry_run=dry_run)
 
 
-def _print_pruned(name: str, planned: RetentionPlan, *, as_json: bool, dry_run: bool) -> None:
-    doomed, selection = planned.doomed, planned.selection
+def _print_pruned(name: str, planned: PruningPlan, *, as_json: bool, dry_run: bool) -> None:
+    going = [(each, planned.cells.get(each.sequence, 0)) for group in planned.groups for each in group.campaigns]
     report = {
         "database": name,
         "dry_run": dry_run,
         "campaigns": [
-            {
-                "id": campaign.id,
-                "name": campaign.name,
-                "kind": campaign.kind,
-                "ended_at": campaign.ended_at.isoformat(),
-                "best": len(planned.best[campaign.sequence]),
-                "cells": doomed.by_campaign.get(campaign.sequence, 0),
-            }
-            for campaign in selection.prunable
+            {"id": each.id, "name": each.name, "kind": each.kind, "ended_at": f"{each.ended_at}", "cells": cells}
+            for each, cells in going
         ],
-        "spared": [{"id": spared.id, "reason": spared.reason} for spared in selection.spared],
-        "cells": {"removed": doomed.cells, "kept": doomed.stay},
-        "runs": doomed.runs,
-        "bytes": planned.bytes,
+        "spared": [{"id": old.id, "for": young.id} for old, young in planned.spared],
+        "cells": sum(planned.cells.values()),
+        "runs": planned.runs,
     }
     if as_json:
         print_json(report)
         return
-    touched = [campaign for campaign in selection.prunable if doomed.by_campaign.get(campaign.sequence)]
-    rows = [
-        [f"{campaign.ended_at:%Y-%m-%d}", campaign.id, campaign.name, f"{doomed.by_campaign[campaign.sequence]:,}"]
-        for campaign in touched[:LISTED]
-    ]
+    rows = [[f"{each.ended_at:%Y-%m-%d}", each.id, each.name, f"{cells:,}"] for each, cells in going[:LISTED]]
     if rows:
-        print_columns(["ended", "campaign", "name", "cells that go"], rows)
-    if len(touched) > LISTED:
-        typer.echo(f"and {len(touched) - LISTED:,} campaigns more; --json lists all")
-    for spared in selection.spared[:LISTED]:
-        typer.echo(f"{spared.id} stays whole: {spared.reason}")
-    if len(selection.spared) > LISTED:
-        typer.echo(f"and {len(selection.spared) - LISTED:,} campaigns more stay whole")
+        print_columns(["ended", "campaign", "name", "cells"], rows)
+    for old, young in planned.spared[:LISTED]:
+        typer.echo(f"{old.id} stays: campaign {young.id} has the same setups, or they are linked, and it is not old")
+    if max(len(going), len(planned.spared)) > LISTED:
+        typer.echo(f"{len(going):,} campaigns in all, and {len(planned.spared):,} old ones that stay; --json lists all")
     verb = "would go" if dry_run else "went"
-    typer.echo(
-        f"{doomed.cells:,} cells and {doomed.runs:,} runs {verb}, about {planned.bytes / 1e6:,.0f} MB of {name};"
-        f" {doomed.stay:,} cells of these campaigns stay"
-    )
+    typer.echo(f"{report['cells']:,} cells and {planned.runs:,} runs {verb} from {name}")
 
 
 @contextmanager

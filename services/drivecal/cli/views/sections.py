@@ -129,8 +129,8 @@ def failures_table(causes: Sequence[FailureCause]) -> list[Block]:
 
 
 def account_blocks(account: Accounting | None) -> list[Block]:
-    """Returns savings and costs; nothing before the first answered cell, and after a pruning."""
-    if account is None or account.pruned:
+    """Returns savings and costs; nothing before the first answered cell."""
+    if account is None:
         return []
     clock = "CPU" if account.clock == "cpu" else "wall-clock"
     items = [*((item.label, item.seconds) for item in account.balance), ("net", account.net_seconds)]

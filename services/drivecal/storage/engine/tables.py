@@ -94,7 +94,6 @@ campaigns = Table(
     # A deleted campaign's row stays with the cells that made runs of the reference table (`storage.retention.deletion`).
     Column("deleted_at", UtcDateTime),
     Column("finish_at", UtcDateTime),  # when an outside optimizer said that it proposes no more sets
-    Column("pruned", Document),  # when most of its cells were removed, what stayed and was known (`storage.retention`)
     *(
         _partial_index(None, name, where=f"{name} IS NOT NULL")
         for name in ("rerun_of", "influence_map_id", "robustness_of", "validation_of", "likeness")

@@ -181,8 +181,8 @@ def check_counters(connection: Connection) -> Iterator[str]:
 
 
 _NOT_IN_ROWS = {"unrepeatable", "unscored", "cut", "runs", "discarded"}
-_WHOLE = campaigns.c.pruned.is_(None) & campaigns.c.deleted_at.is_(None)
-"""Campaigns with all their cells: a pruned or deleted one counts its former cells."""
+_WHOLE = campaigns.c.deleted_at.is_(None)
+"""Campaigns with all their cells: a deleted one counts its former cells."""
 
 
 def check_ended(connection: Connection) -> Iterator[str]:
