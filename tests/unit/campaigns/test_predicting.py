@@ -142,7 +142,7 @@ def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:
 
 
 def test_sets_within_reach_of_the_best_one_are_simulated_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By their predicted objective, or by half a standard deviation above the mean of what is believed."""
+    """By their predicted objective, or by two standard deviations above the believed mean."""
     monkeypatch.setattr(lots, "insert", lambda _, __, new: list(range(len(new))))
     space = ParameterSpace((Parameter("P1", Decimal(0), Decimal(1), 11),))
     view: Any = SimpleNamespace(names=("P1",), campaign=1, bench=SimpleNamespace(scale=COMFORT))
@@ -155,7 +155,7 @@ def test_sets_within_reach_of_the_best_one_are_simulated_whole(monkeypatch: pyte
     ]
     scores, variances = np.full(98, 4.0), np.zeros(98)
     means = scores.copy()
-    scores[0], scores[1], means[2:4], variances[2:4] = 6.0, 5.5, 5.0, (8.0, 7.9)
+    scores[0], scores[1], means[2:4], variances[2:4] = 6.0, 5.5, 5.0, (0.5, 0.49)
     predictions = Predictions(scores, scores, np.ones(98), means, variances)
     planner._rows = {place: place for place in range(98)}
     planner._forecasts = {name: predicting._Forecast(predictions, np.zeros(98), 500, 3.0) for name in weights}

@@ -49,7 +49,7 @@ from drivecal.storage.references import runs
 SMALLEST_SLICE, LARGEST_SLICE, SLICES = FEWEST_KNOWN, 250, 4
 """Fewest and most sets, and wanted number of slices, of a start population that is learned from slice by slice. After a smaller slice too
 little would be known for a prediction, and the workers would have waited for its last cell in vain."""
-REACH = 0.5
+REACH = 2.0
 """Standard deviations on the better side of its believed objective at which a set is within reach of the best one."""
 
 
