@@ -277,7 +277,6 @@ def measure_front(browser: Browser, api: ApiProcess, campaign: StoredCampaign) -
     page.wait_for_timeout(1000)
     places = {
         "slider": page.get_by_role("slider", name=f"Weight of {OBJECTIVES[0]}"),
-        "map of weights": page.get_by_role("slider", name="Weights of the objectives"),
         "axis": page.get_by_role("slider", name=re.compile(r"Range of P1\b")),
         "scatter": page.get_by_role("slider", name=re.compile("^Set in view")),
     }

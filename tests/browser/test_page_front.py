@@ -122,8 +122,6 @@ def test_moved_weights_name_the_winner_at_once_and_files_follow_them(shown: Show
     [first, *_] = shown.front(shown.two, weights="heave=0.9,energy=0.1")
     rank = next(row["rank"] for row in shown.front(shown.two) if row["parameters"] == first["parameters"])
     expect(weights.get_by_role("status")).to_contain_text(f"Set {rank} wins")
-    map_ = weights.get_by_role("slider", name="Weights of the objectives")
-    expect(map_).to_have_attribute("aria-valuetext", f"heave 90 %, energy 10 %: set {rank} wins")
     with page.expect_download() as saved:
         page.get_by_role("link", name="CSV").last.click()
     exported = list(csv.DictReader(io.StringIO(saved.value.path().read_text())))
@@ -136,11 +134,8 @@ def test_moved_weights_name_the_winner_at_once_and_files_follow_them(shown: Show
         (int(row["rank"]), float(row["weighted"])) for row in exported
     ]
     expect(page.get_by_role("grid").get_by_role("row").nth(1).get_by_role("gridcell").first).to_have_text(str(rank))
-    map_.press("Shift+ArrowLeft")
-    expect(map_).to_have_attribute("aria-valuetext", re.compile("^heave 80 %, energy 20 %: set .* wins$"))
-    page.wait_for_url(re.compile("weights=heave%3D0.8"))
     weights.get_by_role("button", name="Equal weights").click()
-    expect(map_).to_have_attribute("aria-valuetext", re.compile("^heave 50 %"))
+    expect(weights.get_by_role("slider", name="Weight of heave")).to_have_value("50")
 
 
 def test_an_overview_shows_a_small_front_that_leads_to_its_view(shown: Shown, opening: Opening) -> None:

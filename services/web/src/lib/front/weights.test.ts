@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { height, leading, moved, normalised, pointOf, segments, shares, sums, triangle, weightsAt, weightsOf, weightsText } from "./weights";
+import { leading, moved, normalised, shares, sums, weightsOf, weightsText } from "./weights";
 
 const GOALS = [{ name: "comfort", direction: "maximise", tolerance: 0 }, { name: "jerk", direction: "minimise", tolerance: 0 }];
 const ROWS = [{ objectives: { comfort: 6, jerk: 9 } }, { objectives: { comfort: 5, jerk: 4 } }, { objectives: { comfort: 2, jerk: 1 } }];
@@ -28,24 +28,6 @@ test("weights are written as the API reads them, also of names with a sign of eq
   expect(weightsOf("a=b=3", [{ name: "a=b" }])).toEqual([3]);
   expect([weightsOf(undefined, GOALS), weightsOf("comfort=0,jerk=0", GOALS)]).toEqual([null, null]);
   expect(weightsOf("comfort=-1,jerk=x", GOALS)).toEqual([1, 1]);
-});
-
-test("the intervals of two objectives lie beside each other, and sets that never win have none", () => {
-  const rows = [{ weights: [[1, 0], [0.6, 0.4]] }, { weights: [] }, { weights: [[0.6, 0.4], [0, 1]] }, { weights: [[0.6, 0.4]] }, { weights: null }];
-  expect(segments(rows)).toEqual([{ place: 2, from: 0, to: 0.6 }, { place: 0, from: 0.6, to: 1 }]);
-});
-
-test("a point of the triangle and its weights are the same thing", () => {
-  for (const weights of [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.2, 0.3, 0.5]]) {
-    weightsAt(pointOf(weights, 300), 300).forEach((weight, place) => expect(weight).toBeCloseTo(weights[place] ?? NaN));
-  }
-  expect(pointOf([1, 0, 0], 300)).toEqual(triangle(300)[0]);
-});
-
-test("a point beside the triangle has the weights of its border", () => {
-  expect(weightsAt([150, -80], 300)).toEqual([1, 0, 0]);
-  const [first, second, third] = weightsAt([-50, height(300)], 300);
-  expect([first, second, third]).toEqual([0, 1, 0]);
 });
 
 test("one weight moves, and the others keep their proportions", () => {

@@ -66,45 +66,6 @@ export function weightsText(weights: readonly number[], goals: readonly Pick<Goa
   return goals.map(({ name }, place) => `${name}=${Number((weights[place] ?? 1).toFixed(4))}`).join(",");
 }
 
-/** Weights of the first of two objectives that make a set win. */
-export interface Segment {
-  place: number;
-  from: number;
-  to: number;
-}
-
-/** Where each set wins along the first of two weights, in ascending order; sets that win at single points are left out. */
-export function segments(rows: readonly Pick<FrontRow, "weights">[]): Segment[] {
-  return rows.flatMap(({ weights }, place): Segment[] => {
-    const ends = (weights ?? []).map((corner) => corner[0] as number);
-    return ends.length < 2 ? [] : [{ place, from: Math.min(...ends), to: Math.max(...ends) }];
-  }).sort((one, other) => one.from - other.from);
-}
-
-type Point = [number, number];
-
-/** The corners of a triangle of this width that stands on its side: the first objective at the top, the second left, the third right. */
-export function triangle(width: number): [Point, Point, Point] {
-  return [[width / 2, 0], [0, height(width)], [width, height(width)]];
-}
-
-export function height(width: number): number {
-  return (width * Math.sqrt(3)) / 2;
-}
-
-/** The point of three weights of sum 1 in the triangle. */
-export function pointOf(weights: readonly number[], width: number): Point {
-  const corners = triangle(width);
-  return [0, 1].map((axis) => corners.reduce((sum, corner, place) => sum + (weights[place] ?? 0) * (corner[axis] as number), 0)) as Point;
-}
-
-/** The weights at a point; outside of the triangle the weights of a near point on its border. */
-export function weightsAt([x, y]: readonly [number, number], width: number): number[] {
-  const first = 1 - y / height(width);
-  const third = x / width - first / 2;
-  return normalised([first, 1 - first - third, third].map((weight) => Math.max(0, weight)));
-}
-
 /** Weights with one more or less of one objective, the others in their proportions. */
 export function moved(weights: readonly number[], which: number, by: number): number[] {
   const parts = normalised(weights);
