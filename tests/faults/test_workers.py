@@ -10,15 +10,12 @@ from typing import Any
 
 import psutil
 import pytest
-from sqlalchemy import func, select
 from tests.support.faults.coordinator import Coordinator, coordinator
 from tests.support.faults.lives import assert_as_without_faults, has_ended, wait_until_ended
 from tests.support.faults.oracle import carried_out
 from tests.support.faults.workload import Accepted, submit
 
 from drivecal.domain.errors import DrivecalError
-from drivecal.execution.scheduling.scheduler import ATTEMPTS
-from drivecal.storage.engine.tables import leases
 
 EVERY_SECONDS = 2.0
 FOR_SECONDS = 180.0
@@ -34,16 +31,13 @@ UNREDUCED: dict[str, Any] = {
 
 @contextmanager
 def _murderer(server: Coordinator, seed: int) -> Iterator[list[int]]:
-    """Kills one worker every two seconds while the block lasts; gives the process ids of the killed, as they come.
-
-    A third kill would fail a cell that two have hit, so that it gets the time for its answer.
-    """
+    """Kills one worker every two seconds while the block lasts; gives the process ids of the killed, as they come."""
     stop, killed, chance = threading.Event(), list[int](), random.Random(seed)
 
     def work() -> None:
         while not stop.wait(EVERY_SECONDS):
             with suppress(DrivecalError, psutil.NoSuchProcess):
-                if not _is_hit_twice(server) and (workers := server.workers()):
+                if workers := server.workers():
                     victim = chance.choice(workers)
                     victim.kill()
                     killed.append(victim.pid)
@@ -55,12 +49,6 @@ def _murderer(server: Coordinator, seed: int) -> Iterator[list[int]]:
     finally:
         stop.set()
         thread.join()
-
-
-def _is_hit_twice(server: Coordinator) -> bool:
-    """Returns whether a cell without an answer has broken down as often as it may."""
-    with server.database.read() as connection:
-        return (connection.scalar(select(func.max(leases.c.attempts))) or 0) >= ATTEMPTS - 1
 
 
 @pytest.mark.faults

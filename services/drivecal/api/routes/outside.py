@@ -10,6 +10,7 @@ from fastapi.concurrency import run_in_threadpool
 from pydantic import Field
 
 from drivecal.api.dependencies import DatabaseDependency, EventStreamPlace
+from drivecal.api.http.authorisation import refuse_others
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import Parameters
 from drivecal.api.live.streams import EventHub
@@ -34,10 +35,10 @@ LOOK_SECONDS = 0.2
 
 
 @router.post("/{campaign_id}/sets", status_code=202)
-def propose(campaign_id: str, proposed: ProposedSets, database: DatabaseDependency) -> AcceptedSets:
+def propose(campaign_id: str, proposed: ProposedSets, request: Request, database: DatabaseDependency) -> AcceptedSets:
     """Takes sets of an outside optimizer. They are stored before the answer; sending them again, with the same keys, changes nothing."""
     with database.transaction() as connection:
-        outside_sets.open_campaign(connection, campaign_id)
+        refuse_others(request, campaign_id, outside_sets.open_campaign(connection, campaign_id).owner)
     problem = _problem(database, campaign_id)
     indices = indices_of(problem, proposed.sets)
     sets = [
@@ -115,16 +116,18 @@ def _answers(database: Database, campaign_id: str, after: int, limit: int) -> An
 
 
 @router.delete("/{campaign_id}/sets/{key}")
-def cancel_set(campaign_id: str, key: str, database: DatabaseDependency) -> CancelledSet:
+def cancel_set(campaign_id: str, key: str, request: Request, database: DatabaseDependency) -> CancelledSet:
     """Cancels a set, unless its cells were asked for already."""
     with database.transaction() as connection:
+        refuse_others(request, campaign_id, campaigns.get(connection, campaign_id).owner)
         number, cancelled = outside_sets.cancel(connection, campaign_id, key)
     return CancelledSet(key=key, number=number, cancelled=cancelled)
 
 
 @router.post("/{campaign_id}/finish", status_code=202)
-def finish(campaign_id: str, response: Response, database: DatabaseDependency) -> Campaign:
+def finish(campaign_id: str, request: Request, response: Response, database: DatabaseDependency) -> Campaign:
     """Ends a campaign as soon as the sets that it has are answered. Asking again changes nothing."""
     with database.transaction() as connection:
+        refuse_others(request, campaign_id, campaigns.get(connection, campaign_id, lock=True).owner)
         stored = outside_sets.finish(connection, campaign_id)
     return accepted(response, database, stored)

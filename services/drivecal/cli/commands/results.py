@@ -19,6 +19,7 @@ from drivecal.cli.views.fronts import front_blocks
 from drivecal.cli.views.output import dumped, print_answer, print_blocks, print_columns, print_json, print_solutions
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
+from drivecal.client.mlflow import write_runs
 from drivecal.client.transport import harmless_text
 from drivecal.contracts.assignments import assignments, value_text
 from drivecal.contracts.results import TradeOff, ValuePair
@@ -130,6 +131,12 @@ def export(
         typer.Option("--format", help=f"One of {', '.join(get_args(Format))}; by default the file's ending, or csv."),
     ] = None,
     output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Where to; - is standard output.")] = "-",
+    to: Annotated[
+        Literal["mlflow"] | None,
+        typer.Option(
+            help="Write the campaign and its best 1,000 sets as runs of MLflow's file store, into the folder -o (mlruns)."
+        ),
+    ] = None,
     row: Annotated[
         int | None,
         typer.Option(
@@ -162,6 +169,12 @@ def export(
 ) -> None:
     """Write a whole table of a campaign to a file, or its best set as a calibration file (dcm, cdfx, or csv
     with --row)."""
+    if to == "mlflow":
+        folder = Path("mlruns" if output == "-" else output)
+        with connect(url) as client:
+            number = write_runs(client, client.full_id(identifier), folder)
+        tell(f"{folder}: {number:,} runs; show them by: MLFLOW_ALLOW_FILE_STORE=true mlflow ui --backend-store-uri {folder}")
+        return
     form = "json" if as_json else form or _format_of(output)
     if weights is not None and table not in {"solutions", "front"}:
         raise typer.BadParameter("--weights needs --table solutions or front")
