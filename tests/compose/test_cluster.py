@@ -16,7 +16,7 @@ NOTICED_SECONDS = 10.0
 KILL = """
 import os, pathlib, signal
 for process in pathlib.Path("/proc").glob("[0-9]*"):
-    if (process / "cmdline").read_bytes().startswith(b"ray::Worker"):
+    if (process / "cmdline").read_bytes().startswith(b"ray::RayWorker"):
         os.kill(int(process.name), signal.SIGKILL)
 """
 """Kills the simulating process of a node; the image has no tool for that."""
@@ -70,7 +70,7 @@ def test_a_campaign_survives_whatever_is_done_to_the_cluster_and_finds_what_it_f
     print(f"six nodes were at work {time.monotonic() - scaled:.0f} s after they were asked for", flush=True)
     campaign.gets_on(0)
     cluster.run(
-        "docker", "exec", cluster.containers("ray-worker")[-1], "python", "-c", KILL.replace("ray::Worker", "ray::Runtime")
+        "docker", "exec", cluster.containers("ray-worker")[-1], "python", "-c", KILL.replace("ray::RayWorker", "ray::Runtime")
     )
     campaign.wait()
 

@@ -10,6 +10,7 @@ from threading import Timer
 
 from drivecal.api.app import create_app
 from drivecal.api.http.protocol import Server, configuration
+from drivecal.cluster import pulse
 from drivecal.configuration import logs, memory
 from drivecal.configuration.pushing import OFF, Pushing
 from drivecal.configuration.settings import Settings, load_settings
@@ -32,6 +33,7 @@ def main() -> int:
     parser.add_argument("--port", type=int, default=8000)
     parser.add_argument("--socket", type=int, help="file descriptor of a socket that listens already, instead of host and port")
     arguments = parser.parse_args()
+    descriptor = pulse.take_descriptor()
     memory.settle()
     try:
         settings = load_settings()
@@ -43,7 +45,8 @@ def main() -> int:
             created = socket.create_server((arguments.host, arguments.port), family=family)
             listener = socket.socket(fileno=created.detach())  # with its protocol: asyncio then sends small answers at once
         check_exposure(listener.getsockname()[0], settings)
-        server = Server(configuration(create_app(settings, _pushing(settings, listener.getsockname()[0]))))
+        app = create_app(settings, _pushing(settings, listener.getsockname()[0]))
+        server = Server(configuration(app, descriptor))
     except (DrivecalError, OSError) as error:
         log.error("%s", error)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
         return 1

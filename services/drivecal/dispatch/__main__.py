@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 from drivecal.bundles.installed import installed
 from drivecal.campaigns.cells.predicting import load_predictors
 from drivecal.campaigns.resolve.problem import trial
+from drivecal.cluster import pulse
 from drivecal.configuration import logs, memory
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.dispatch.dispatcher import Dispatcher
@@ -41,6 +42,8 @@ log = logging.getLogger(__name__)
 
 def main() -> int:
     """Serves campaigns until SIGTERM or SIGINT."""
+    if (descriptor := pulse.take_descriptor()) is not None:
+        pulse.show(descriptor)
     memory.settle()
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):

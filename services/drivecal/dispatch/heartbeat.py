@@ -56,8 +56,10 @@ class Leadership:
 
 
 EVERY_SECONDS = 1.0
-STUCK_AFTER_SECONDS = 60.0
+STUCK_AFTER_SECONDS = 12.0
 """Time limit of a main-thread step before it is reported; resuming a campaign on a large reference table may take long."""
+HUNG_AFTER_SECONDS = 180.0
+"""The same for a main thread that does not compute, before this process ends: another one resumes its campaigns."""
 GRACE_SECONDS = 10.0
 """Time for the main thread to end the process after the heartbeat has stopped."""
 
@@ -106,7 +108,9 @@ class Heartbeat:
         self._failure: BaseException | None = None
         self._reachable = True
         self._stopped = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="pulse", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
+        self._clock_of_main = time.pthread_getcpuclockid(threading.get_ident())
+        self._computed, self._computed_at = 0.0, clock()
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -155,6 +159,9 @@ class Heartbeat:
     def _run(self) -> None:
         while not self._stopped.is_set():
             begun = time.monotonic()
+            if self._is_hung():
+                log.error("the dispatcher ends: its main thread hangs since %s UTC", f"{self._report.at:%H:%M:%S}")
+                os._exit(1)
             try:
                 self.beat()
                 self._note_reachable(None)
@@ -164,6 +171,13 @@ class Heartbeat:
                 self._fail(error)
                 return
             self._stopped.wait(max(0.1, begun + EVERY_SECONDS - time.monotonic()))
+
+    def _is_hung(self) -> bool:
+        """Returns whether the main thread has neither reported nor computed for long."""
+        computed = time.clock_gettime(self._clock_of_main)
+        if computed > self._computed + 0.01:
+            self._computed, self._computed_at = computed, self._clock()
+        return self._clock() - max(self._report.heard, self._computed_at) > HUNG_AFTER_SECONDS
 
     def _note_reachable(self, error: UnavailableError | None) -> None:
         if error is not None and self._reachable:

@@ -108,6 +108,10 @@ class SupervisedBackend(Backend, ABC):
     def _value(self, worker: WorkerProcess) -> Any:
         """Returns the answer of a worker's running call. Raises WorkerDiedError, CallFailedError or NotKnownYetError."""
 
+    def _is_silent(self, worker: WorkerProcess) -> bool:  # noqa: ARG002  # for subclasses
+        """Returns whether the process of a started worker has shown no sign of life for long, see `cluster.pulse`."""
+        return False
+
     def _changes(self) -> list[Finished | Lost]:
         """Follows the machines of the cluster; returns the lost batches of those that are gone. Raises BackendLostError."""
         return []
@@ -153,6 +157,7 @@ class SupervisedBackend(Backend, ABC):
                     self._start(worker)
             events += self._collect(max(0.0, min(until, self._next_deadline()) - now))
             events += self._overdue(time.monotonic())
+            events += self._bury_silent()
             if not self.waits_for_workers and all(worker.failed_starts >= TRIES_TO_START for worker in self._workers):
                 raise BackendLostError(f"no worker starts: {self._workers[0].reason}")
             if time.monotonic() >= until:
@@ -258,6 +263,16 @@ class SupervisedBackend(Backend, ABC):
                 events += self._bury(
                     worker, Breakdown.HANG, f"{worker.place} was ended after {seconds:.0f} s in one batch", None
                 )
+        return events
+
+    def _bury_silent(self) -> list[Finished | Lost]:
+        """Replaces workers that are stopped or hang as a whole, long before the deadline of their batch."""
+        events: list[Finished | Lost] = []
+        for worker in tuple(self._workers):
+            if worker.ready and self._is_silent(worker):
+                detail = f"{worker.place} showed no sign of life"
+                worker.faults, worker.reason = worker.faults + 1, f"{detail} and was replaced"
+                events += self._bury(worker, Breakdown.HANG, detail, None)
         return events
 
     def _bury(

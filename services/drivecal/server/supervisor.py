@@ -1,4 +1,4 @@
-"""Supervision of the server's processes: restarts dead ones and leaves none behind."""
+"""Supervision of the server's processes: restarts dead ones, ends and restarts silent ones, and leaves none behind."""
 
 import logging
 import os
@@ -7,8 +7,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
+from drivecal.cluster import pulse
 from drivecal.server.guardian import end_session
 
 GRACE_SECONDS = 8.0
@@ -30,7 +32,8 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class ChildProcess:
-    """A command. `keep`: inherited file descriptors. `environment` is added to this process's own."""
+    """A command, which shows signs of life (`cluster.pulse`). `keep`: inherited file descriptors. `environment` is added to this process's
+    own."""
 
     name: str
     command: Sequence[str]
@@ -55,22 +58,34 @@ class _Child:
         self.specification = specification
         self.pauses = Pauses()
         self.process: subprocess.Popen[bytes] | None = None
+        self._pulse = pulse.Pipe()
         self.started_at = self.start_at = 0.0
         self.gave_up = 0
         """Ends that were its own doing, since it last lived for a minute."""
 
     def start(self) -> None:
-        keep = ",".join(str(descriptor) for descriptor in self.specification.keep)
+        self._pulse.close()
+        self._pulse = pulse.Pipe()
+        kept = (*self.specification.keep, self._pulse.writer)
+        keep = ",".join(map(str, kept))
         guardian = [sys.executable, "-m", "drivecal.server.guardian", str(GRACE_SECONDS), keep]
         self.process = subprocess.Popen(  # noqa: S603  # the server's own commands
             [*guardian, *self.specification.command],
             stdin=subprocess.PIPE,  # never written to; its end tells the guardian that we are gone
             env={name: value for name, value in os.environ.items() if name not in KEPT_BACK}
-            | dict(self.specification.environment),
-            pass_fds=self.specification.keep,
+            | dict(self.specification.environment)
+            | {pulse.VARIABLE: str(self._pulse.writer)},
+            pass_fds=kept,
             start_new_session=True,  # Ctrl-C in a terminal reaches the supervisor alone
         )
         self.started_at = time.monotonic()
+
+    def end_if_silent(self) -> None:
+        """Kills a process that is stopped or hangs; its guardian ends what it leaves."""
+        if self.process is not None and self._pulse.is_silent():
+            log.warning("the %s shows no sign of life; it is ended and starts again", self.specification.name)
+            with suppress(ProcessLookupError):
+                os.kill(self._pulse.process if self._pulse.process > 0 else self.process.pid, signal.SIGKILL)
 
     def ended(self) -> int | None:
         """Cleans up after an ended process and returns its exit code; None while it runs or waits for its restart."""
@@ -125,6 +140,7 @@ class Supervisor:
         patience, next_question = time.monotonic() + PATIENCE_SECONDS, 0.0
         while not self._signals:
             for child in self._children:
+                child.end_if_silent()
                 code = child.ended()
                 if code is not None and not self._signals:
                     name = child.specification.name

@@ -1,12 +1,13 @@
-"""Runs `ray start --block` and exits with it: `python -m drivecal.cluster.guard COMMAND...`.
+"""Runs a command and exits with it: `python -m drivecal.cluster.guard COMMAND...`. A restart policy then starts it again.
 
 When a raylet exits in order, e.g. after the death of one of its agents, `ray start` takes that for a requested end and blocks forever.
-This guard ends a node that has lost its raylet or its GCS server, so that a restart policy can let it join again. It uses the standard
-library only, to stay small.
+This guard ends a node that has lost its raylet or its GCS server, or whose raylet is stopped, so that it can join again. API and dispatcher
+in containers show signs of life (`pulse`), and are ended without them. Standard library only, to stay small.
 """
 
 import ctypes
 import logging
+import os
 import signal
 import subprocess
 import sys
@@ -14,6 +15,8 @@ import time
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
+
+from drivecal.cluster import pulse
 
 PR_SET_PDEATHSIG = 1
 
@@ -43,15 +46,20 @@ log = logging.getLogger("drivecal.cluster")
 
 
 def vital_processes(parent: int) -> set[str]:
-    """Returns the names of Ray's vital processes among the children of a process; empty on systems without /proc."""
-    return VITAL & {name for _, name, fields in processes() if int(fields[1]) == parent and fields[0] != "Z"}
+    """Returns the names of Ray's vital processes among the children of a process, unless they are stopped; empty on systems without
+    /proc."""
+    return VITAL & {name for _, name, fields in processes() if int(fields[1]) == parent and fields[0] not in "ZT"}
 
 
 def guard(command: Sequence[str], poll_seconds: float = POLL_SECONDS) -> int:
-    """Returns the command's exit code, or 1 if one of its vital processes ended first. SIGTERM and SIGINT end it in order."""
+    """Returns the command's exit code, or 1 if one of its vital processes ended first, or if it shows no more signs of life. SIGTERM and
+    SIGINT end it in order."""
+    signs = pulse.Pipe()
     process = subprocess.Popen(  # noqa: S603  # `ray start`
         command,
         stdout=subprocess.DEVNULL,  # Ray's welcome; its errors are on standard error
+        env=os.environ | {pulse.VARIABLE: str(signs.writer)},
+        pass_fds=[signs.writer],
         preexec_fn=partial(end_with_parent, signal.SIGTERM),  # noqa: PLW1509  # this process has no threads
     )
     signals: list[int] = []
@@ -64,6 +72,11 @@ def guard(command: Sequence[str], poll_seconds: float = POLL_SECONDS) -> int:
         signal.signal(number, end)
     seen: set[str] = set()
     while process.poll() is None:
+        if signs.is_silent() and signs.process > 0:  # Ray shows none
+            log.error("the process shows no sign of life; ending it")
+            process.kill()
+            process.wait()
+            return 1
         running = vital_processes(process.pid)
         if seen - running and not signals and process.poll() is None:
             log.error("Ray's %s ended; stopping this node", " and ".join(sorted(seen - running)))

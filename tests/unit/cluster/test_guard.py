@@ -1,5 +1,6 @@
 """A node ends with its vital parts."""
 
+import os
 import shutil
 import signal
 import subprocess
@@ -7,7 +8,11 @@ import sys
 import time
 from pathlib import Path
 
+import psutil
 import pytest
+from tests.support.serve import until
+
+from drivecal.cluster.guard import POLL_SECONDS
 
 PARENT = "import subprocess, sys, time; subprocess.Popen(sys.argv[1:]); time.sleep(60)"
 
@@ -37,3 +42,36 @@ def test_a_node_that_is_asked_to_ends_in_order(tmp_path: Path) -> None:
     process.send_signal(signal.SIGTERM)
     assert process.wait(30) in {0, -signal.SIGTERM, 256 - signal.SIGTERM, 128 + signal.SIGTERM}
     process.communicate()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
+def test_a_node_whose_raylet_is_stopped_ends(tmp_path: Path) -> None:
+    process = guarded(tmp_path, "raylet", "600")
+    pids: list[int] = []
+
+    def started() -> bool:
+        pids[:] = [found.pid for found in psutil.Process(process.pid).children(recursive=True) if found.name() == "raylet"]
+        return bool(pids)
+
+    until(started, "a raylet")
+    time.sleep(2 * POLL_SECONDS)  # it must have been seen alive; a later stop is noticed as well
+    os.kill(pids[0], signal.SIGSTOP)
+    assert process.wait(300) == 1
+    os.kill(pids[0], signal.SIGKILL)
+    assert "raylet" in process.communicate()[1]
+
+
+SHOWING = "import os, time; from drivecal.cluster import pulse; pulse.show(pulse.take_descriptor()); time.sleep(600)"
+
+
+def test_a_process_without_further_signs_of_life_ends_so_that_it_is_started_again() -> None:
+    command = [sys.executable, "-m", "drivecal.cluster.guard", sys.executable, "-c", SHOWING]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    until(lambda: bool(psutil.Process(process.pid).children()), "the process")
+    (child,) = psutil.Process(process.pid).children()
+    until(lambda: child.num_threads() == 2, "its signs of life")
+    child.send_signal(signal.SIGSTOP)
+    _, said = process.communicate(timeout=300)
+    assert process.returncode == 1
+    assert "no sign of life" in said
+    assert not child.is_running()

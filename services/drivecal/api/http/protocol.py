@@ -1,6 +1,7 @@
 """Uvicorn's HTTP protocol with refusals as problem+json and a limit of connections, and its settings."""
 
 import asyncio
+import os
 import socket
 import sys
 from http import HTTPStatus
@@ -11,6 +12,7 @@ from fastapi import FastAPI
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from drivecal.api.http.problems import MEDIA_TYPE, problem_content
+from drivecal.cluster.pulse import EVERY_SECONDS, sign
 
 MOST_CONNECTIONS = 500
 """Largest number of open connections, idle ones included. Most systems allow a process 1,024 open files; the database takes at
@@ -78,8 +80,16 @@ class Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def configuration(app: FastAPI) -> uvicorn.Config:
-    """Returns uvicorn's configuration."""
+def configuration(app: FastAPI, pulse: int | None = None) -> uvicorn.Config:
+    """Returns uvicorn's configuration. `pulse`: the event loop writes signs of life to this descriptor."""
+
+    async def show() -> None:
+        if pulse is not None:
+            sign(pulse)
+
+    if pulse is not None:
+        os.set_inheritable(pulse, False)
+        os.set_blocking(pulse, False)
     return uvicorn.Config(
         app,
         http=Protocol,
@@ -92,4 +102,6 @@ def configuration(app: FastAPI) -> uvicorn.Config:
         proxy_headers=False,
         timeout_keep_alive=SECONDS_IDLE,
         timeout_graceful_shutdown=SECONDS_TO_STOP,
+        callback_notify=show,
+        timeout_notify=round(EVERY_SECONDS),
     )

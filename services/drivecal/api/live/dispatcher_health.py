@@ -78,7 +78,8 @@ def judge(dispatcher: StoredProcess | None, now: datetime) -> Judgement:
         problems.append(f"{AHEAD}; set them alike")
     elif silent > SILENT_SECONDS:
         problems.append(
-            f"the dispatcher has been silent for {silent:.0f} s; it is started again by itself, and its log says why"
+            f"the dispatcher has been silent for {silent:.0f} s; `drivecal serve`, or the guard of its container, starts it again, and its"
+            " log says why"
         )
     if dispatcher.detail.get("degraded"):
         problems.append(str(dispatcher.detail["degraded"]))

@@ -14,6 +14,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from drivecal.cluster.machine import cpus
+from drivecal.cluster.pulse import Pipe
 from drivecal.contracts.work import Batch
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.processes.calls import RemoteAnswer, RemoteCall
@@ -30,9 +31,11 @@ class ConnectedProcess:
     Threads send and receive, so that a process that is stopped, or holds its interpreter for long, delays no other.
     """
 
-    def __init__(self, process: subprocess.Popen[bytes], connection: Connection, arrived: threading.Condition) -> None:
-        """`arrived` is notified of answers, and of the end of the process."""
-        self.process = process
+    def __init__(
+        self, process: subprocess.Popen[bytes], connection: Connection, pulse: Pipe, arrived: threading.Condition
+    ) -> None:
+        """`arrived` is notified of answers, and of the end of the process; `pulse` gets its signs of life."""
+        self.process, self.pulse = process, pulse
         self.answers: dict[int, RemoteAnswer] = {}
         self.ended = False
         self._connection, self._arrived = connection, arrived
@@ -53,6 +56,7 @@ class ConnectedProcess:
         for thread in self._threads:
             thread.join(ENDING_SECONDS)
         self._connection.close()
+        self.pulse.close()
 
     def _send_all(self) -> None:
         with suppress(OSError):  # the end of the process is noticed by the other thread
@@ -94,12 +98,12 @@ class ProcessBackend(SupervisedBackend):
 
     def _launch(self, worker: WorkerProcess) -> None:
         ours, theirs = socket.socketpair()
+        pulse = Pipe()
         with theirs:
-            descriptor = theirs.fileno()
-            arguments = [str(descriptor), worker.name]
-            command = [sys.executable, "-m", "drivecal.execution.processes.child", *arguments]
-            process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=[descriptor])  # noqa: S603  # our own module
-        worker.handle = ConnectedProcess(process, Connection(ours.detach()), self._arrived)
+            kept = [theirs.fileno(), pulse.writer]
+            command = [sys.executable, "-m", "drivecal.execution.processes.child", *map(str, kept), worker.name]
+            process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=kept)  # noqa: S603  # our own module
+        worker.handle = ConnectedProcess(process, Connection(ours.detach()), pulse, self._arrived)
         worker.warming = self._call(worker.handle, "warm", self._trial)
 
     def _send(self, worker: WorkerProcess, batch: Batch) -> SentCall:
@@ -112,6 +116,9 @@ class ProcessBackend(SupervisedBackend):
         reference = SentCall(child, next(self._numbers))
         child.send(RemoteCall(reference.number, method, arguments))
         return reference
+
+    def _is_silent(self, worker: WorkerProcess) -> bool:
+        return bool(worker.handle.pulse.is_silent())
 
     def _end(self, worker: WorkerProcess) -> None:
         worker.handle.end()

@@ -1,4 +1,4 @@
-"""The process of a worker: answers the calls that arrive on a connection. Runs as `python -m ... DESCRIPTOR NAME`."""
+"""The process of a worker: answers the calls that arrive on a connection. Runs as `python -m ... DESCRIPTOR PULSE NAME`."""
 
 import os
 import queue
@@ -7,6 +7,7 @@ import sys
 import threading
 from multiprocessing.connection import Connection
 
+from drivecal.cluster import pulse
 from drivecal.cluster.guard import end_with_parent
 from drivecal.domain.errors import DrivecalError
 from drivecal.execution.processes.calls import RemoteAnswer, RemoteCall
@@ -15,8 +16,9 @@ from drivecal.runtime.worker import Worker, describe
 
 def main() -> int:
     """Serves calls until the other end of the connection is closed."""
-    descriptor, name = int(sys.argv[1]), sys.argv[2]
+    descriptor, name = int(sys.argv[1]), sys.argv[3]
     os.set_inheritable(descriptor, False)
+    pulse.show(int(sys.argv[2]))
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the coordinator ends its workers
     end_with_parent(signal.SIGKILL)  # Linux only; elsewhere the end of the connection ends this process

@@ -1,12 +1,18 @@
 """The backend on Ray actors. Ray restarts and retries nothing: lost actors are replaced here."""
 
 import logging
+import os
+import secrets
+import signal
+import socket
 import time
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Any
 
 from drivecal.cluster.members import Node
+from drivecal.cluster.pulse import Silence
 from drivecal.cluster.settings import release
 from drivecal.contracts.work import Batch
 from drivecal.domain.errors import DrivecalError
@@ -14,9 +20,9 @@ from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import SETTLE_SECONDS, Finished, Lost
 from drivecal.execution.ray.cluster import Cluster
 from drivecal.execution.ray.placement import complaint, fits, missing
+from drivecal.execution.ray.worker import RayWorker
 from drivecal.execution.supervised import CallFailedError, NotKnownYetError, SupervisedBackend, WorkerDiedError, WorkerLimits
 from drivecal.execution.worker_process import WorkerProcess
-from drivecal.runtime.worker import Worker
 
 CLUSTER_SETTLE_SECONDS = 90.0
 """How long runs may outlive their worker in a cluster: a node that loses its head ends its workers after a minute
@@ -32,6 +38,15 @@ class RayOptions(WorkerLimits):
     address: str | None = None
 
 
+@dataclass(slots=True)
+class _Signs:
+    """Signs of life of a worker: its key in the state store, and the latest value."""
+
+    key: bytes
+    latest: bytes | None = None
+    silence: Silence = field(default_factory=Silence)
+
+
 class RayBackend(SupervisedBackend):
     """A `Backend`, once per process; only the main thread may create, use and close it."""
 
@@ -45,7 +60,9 @@ class RayBackend(SupervisedBackend):
         self.settle_seconds = SETTLE_SECONDS if options.address is None else CLUSTER_SETTLE_SECONDS
         self._cluster = Cluster(options.address, options.workers)
         self._ray = self._cluster.ray
-        self._actor_class = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(Worker)
+        self._actor_class = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(RayWorker)
+        self._signs: dict[str, _Signs] = {}
+        """Signs of life of workers, by name."""
         self._trial = trial
         self._version = release()
         self._nodes: tuple[Node, ...] = ()
@@ -60,7 +77,8 @@ class RayBackend(SupervisedBackend):
         self._cluster.close()
 
     def _launch(self, worker: WorkerProcess) -> None:
-        worker.handle = self._actor_class.options(**self._bound_to(worker.home)).remote(worker.name)
+        signs = self._signs[worker.name] = _Signs(f"drivecal-pulse-{secrets.token_hex(8)}".encode())
+        worker.handle = self._actor_class.options(**self._bound_to(worker.home)).remote(worker.name, signs.key)
         worker.warming = worker.handle.warm.remote(self._trial)
 
     def _send(self, worker: WorkerProcess, batch: Batch) -> Any:
@@ -69,8 +87,21 @@ class RayBackend(SupervisedBackend):
     def _store(self, worker: WorkerProcess, bundle: str, archive: bytes) -> None:
         worker.handle.store.remote(bundle, archive)
 
+    def _is_silent(self, worker: WorkerProcess) -> bool:
+        signs = self._signs[worker.name]
+        before, signs.latest = signs.latest, self._cluster.value(signs.key)
+        heard = signs.latest != before or self._cluster.trouble() is not None
+        here = worker.pid if worker.node == socket.gethostname() else None
+        return signs.silence.is_too_long(here, heard=heard)
+
     def _end(self, worker: WorkerProcess) -> None:
+        signs = self._signs.pop(worker.name, None)
+        if signs is not None:
+            self._cluster.forget(signs.key)
         self._ray.kill(worker.handle, no_restart=True)
+        if worker.pid is not None and worker.node == socket.gethostname():
+            with suppress(OSError):  # Ray asks a stopped process to end itself
+                os.kill(worker.pid, signal.SIGKILL)
 
     def _answered(self, references: Sequence[Any], timeout: float) -> Collection[Any]:
         done, _ = self._ray.wait(references, num_returns=1, timeout=timeout, fetch_local=False)

@@ -46,6 +46,8 @@ class Cluster:
         self._folder: _PrivateFolder | None = None
         self._own: OwnNode | None = None
         self._watch: ClusterWatch | None = None
+        self._values: dict[bytes, bytes | None] = {}
+        """Watched keys of the state store, with their values at the last look."""
         self.nodes: tuple[Node, ...] = ()
         """Living nodes of a joined cluster; replaced as a whole, about twice a second."""
         os.environ.update(QUIET)
@@ -114,6 +116,14 @@ class Cluster:
         """Returns a message while Ray does not answer, else None."""
         return None if self._watch is None else self._watch.trouble()
 
+    def value(self, key: bytes) -> bytes | None:
+        """Returns the value of a key in the cluster's state store at the last look; from now on it is looked at twice a second."""
+        return self._values.setdefault(key, None)
+
+    def forget(self, key: bytes) -> None:
+        """Looks at a key no more."""
+        self._values.pop(key, None)
+
     def answered_since(self, moment: float) -> bool:
         """Whether Ray has answered after a moment of the monotonic clock; it is asked twice a second."""
         return self._watch is not None and self._watch.answered_since(moment)
@@ -137,8 +147,9 @@ class Cluster:
         try:
             if self._folder is None:
                 self.nodes = members(client, ANSWER_SECONDS)
-            else:
-                client.internal_kv_exists(b"drivecal", None, timeout=ANSWER_SECONDS)
+            keys = list(self._values)
+            values = client.internal_kv_multi_get(keys or [b"drivecal"], None, timeout=ANSWER_SECONDS)
+            self._values |= {key: values[key] for key in keys if key in values and key in self._values}
         except self.ray.exceptions.AuthenticationError as error:
             raise StartedAnewError("was restarted, or no longer accepts our token") from error
 
