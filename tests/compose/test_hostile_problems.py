@@ -34,6 +34,9 @@ REACH = {
     "cache": "/tmp/drivecal-bundles",
     "secret": "/run/secrets/ray_token",
     "mark": MARK,
+    "sockets": ["/tmp/ray/session_2*/sockets/*"],
+    "shared": f"/dev/shm/{MARK}",
+    "elsewhere": "/nowhere",
     "server": 1,
     "url": "http://api:8000",
     "port": 4711,
@@ -42,7 +45,7 @@ REACH = {
     "disk_mb": 3000,
 }
 """What the attacks try on a node: more memory and disk than its container has."""
-NO_DATABASE = {"overwrites_the_database", "holds_up_the_database"}
+NOT_THERE = {"overwrites_the_database", "holds_up_the_database", "reads_the_secret_of_another_server"}
 """Attacks on files that no node has; the database itself is among the others that are out of reach."""
 IN_CONTAINERS = {
     **CAUSES,
@@ -110,6 +113,8 @@ def test_an_attack_on_a_node_costs_its_cell_and_nothing_of_a_campaign_beside_it(
     cluster.until(lambda: len(cluster.ready_nodes()) == len(nodes), "that all nodes work")
     with Client(cluster.url, cluster.token) as client:
         data = REACH | {"others": others(cluster)}
+        for node in nodes:
+            cluster.run("docker", "exec", node, "sh", "-c", f"echo 1 > /dev/shm/{MARK}; ls /tmp/ray/session_2*/sockets/*")
         push_attacker(client, tmp_path, attacker(data))
         push(client, tmp_path, WORKING, WORKS)
         begin = time.monotonic()
@@ -119,7 +124,7 @@ def test_an_attack_on_a_node_costs_its_cell_and_nothing_of_a_campaign_beside_it(
         before = {node: look(cluster, node) for node in nodes}
         workers, running = {worker.id for worker in client.workers().items}, lives(cluster)
 
-        posted = {name: attack(client, name) for name in held_back(sorted(ATTACKS.keys() - NO_DATABASE))}
+        posted = {name: attack(client, name) for name in held_back(sorted(ATTACKS.keys() - NOT_THERE))}
         begin = time.monotonic()
         beside = client.wait(client.submit(NEIGHBOUR).id)
         print(f"the neighbour took {time.monotonic() - begin:.1f} s, alone {seconds_alone:.1f} s", flush=True)
@@ -131,6 +136,8 @@ def test_an_attack_on_a_node_costs_its_cell_and_nothing_of_a_campaign_beside_it(
         lost = assert_costs(cells, IN_CONTAINERS)
         assert cells.keys() - lost.keys() == UNNOTICED
         assert (cluster.secrets / "ray_token").read_text().strip() not in str(lost)
+        for node in nodes:
+            assert cluster.run("docker", "exec", node, "sh", "-c", f"cat /dev/shm/{MARK} && rm /dev/shm/{MARK}") == "1\n"
         assert lives(cluster) == running
         assert {worker.id for worker in client.workers().items} == workers
 
