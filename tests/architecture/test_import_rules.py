@@ -118,7 +118,7 @@ def test_the_backends_and_drivecal_local_are_the_only_exceptions() -> None:
     exceptions = [exception for one in rules() for exception in one.get("ignore_imports", [])]
     assert {exception.split(" -> ")[0] for exception in exceptions} == {
         "drivecal.execution.processes.child",
-        "drivecal.execution.ray.backend",
+        "drivecal.execution.ray.worker",
         "drivecal.local.evaluation",
         "drivecal.local.problems",
     }
