@@ -247,7 +247,7 @@ def commands(command: Any, name: str) -> Iterator[str]:
     if hasattr(command, "commands"):
         listed = command.list_commands(None)
         for inner in listed:
-            yield from commands(command.commands[inner], f"{name} {inner}")
+            yield from commands(command.get_command(None, inner), f"{name} {inner}")
         return
     arguments = [parameter for parameter in command.params if parameter.param_type_name == "argument"]
     options = [

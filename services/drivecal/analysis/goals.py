@@ -16,8 +16,9 @@ from drivecal.analysis.front import Mask, non_dominated
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.scoring import LARGEST, rate
 from drivecal.domain.evaluations import CellScore
-from drivecal.domain.rounding import Floats, grain, grains, levels, same
+from drivecal.domain.rounding import grain, grains, levels, same
 from drivecal.domain.scales import Scale
+from drivecal.plugins.ports import Floats
 
 SCORE = "score"
 """Key of the campaign's own score, which cells store."""

@@ -3,12 +3,12 @@
 import re
 import sys
 from enum import IntEnum
-from typing import Annotated, Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
-from drivecal.client import Client
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import (
     DrivecalError,
@@ -18,6 +18,9 @@ from drivecal.domain.errors import (
     Problem,
     UnavailableError,
 )
+
+if TYPE_CHECKING:
+    from drivecal.client import Client
 
 
 class ExitCode(IntEnum):
@@ -33,12 +36,41 @@ class ExitCode(IntEnum):
     INTERRUPTED = 130
 
 
-ORDER = (
-    *("demo", "serve", "submit", "list", "show", "watch", "pause", "resume", "cancel", "finish", "rerun", "label", "delete"),
-    *("solutions", "report", "export", "explain", "influence", "influence-maps", "robustness", "validate"),
-    *("compare-optimizers", "evaluate", "check", "problem", "workers", "db"),
-)
-"""Order of the commands in the help."""
+COMMANDS: dict[str, tuple[str, str]] = {
+    "demo": ("demo", "Calibrate the motorway planner in six SUMO scenarios on this machine, then again with other weights."),
+    "serve": ("serve", "Run the server: the API and the dispatcher with its workers."),
+    "submit": ("campaigns", "Submit a campaign."),
+    "list": ("campaigns", "List campaigns, newest first."),
+    "show": ("campaigns", "Show one campaign, or a single evaluation by its whole id."),
+    "watch": ("campaigns", "Follow a campaign until it has ended."),
+    "pause": ("campaigns", "Pause a campaign; running simulations are finished and kept."),
+    "resume": ("campaigns", "Resume a paused campaign."),
+    "cancel": ("campaigns", "End a campaign; finished simulations are kept."),
+    "finish": ("campaigns", "End a campaign that another program feeds, as soon as the sets that it has are answered."),
+    "rerun": ("campaigns", "Run an ended campaign again with other weights or another evaluator, on the stored results."),
+    "label": ("campaigns", "Change a campaign's name, tags or comment, or archive it."),
+    "delete": ("campaigns", "Delete an ended campaign, or archive it if others refer to it."),
+    "solutions": ("results", "Show the best parameter sets of a campaign."),
+    "front": ("results", "Show the sets of a campaign that no other set beats in every objective."),
+    "report": ("results", "Write a campaign's results as one page that needs no server, its tables and its specification."),
+    "export": ("results", "Write a whole table of a campaign to a file, or its best set as a calibration file."),
+    "explain": ("evaluate", "Explain why a cell was answered without a simulation, or why it was not."),
+    "influence": ("influence", "Show where each parameter can change the score of each scenario."),
+    "influence-maps": ("influence", "Influence maps: where a parameter can change the score of a scenario, and where not."),
+    "robustness": ("studies", "Rank the best sets of a campaign by how far the vehicle may differ."),
+    "validate": ("studies", "Check by simulation whether a campaign's influence map is right."),
+    "compare-optimizers": (
+        "compare_optimizers",
+        "Calibrate one problem with several optimizers, populations, seeds and reductions, and compare the results.",
+    ),
+    "evaluate": ("evaluate", "Simulate one parameter set and show its scores."),
+    "check": ("check", "Check whether a set keeps its limits in every scenario; exit status 1 if not."),
+    "parameters": ("problem", "Print the parameters of calibration files as sections of problem.yaml."),
+    "problem": ("problem", "Your own problems: a simulation, its parameters, measures and scores."),
+    "workers": ("serve", "Show the workers with their activity and speed."),
+    "db": ("db", "The database. These commands open it themselves and need no server."),
+}
+"""Module below `cli.commands` and summary of each command, in the order of the help: a command imports its own module only."""
 
 
 EXTRAS = {
@@ -74,9 +106,27 @@ _LISTS = {
 class Commands(TyperGroup):
     """A group whose commands report drivecal's errors on stderr, one line per problem, and exit with the fitting code."""
 
+    _summarises = False
+
     def list_commands(self, ctx: Any) -> list[str]:
-        """Returns the commands in the order of `ORDER`."""
-        return sorted(super().list_commands(ctx), key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
+        """Returns the commands in the order of `COMMANDS`."""
+        del ctx
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Returns a command, whose module is imported unless the help only summarises it."""
+        if cmd_name in COMMANDS and cmd_name not in self.commands:
+            module, summary = COMMANDS[cmd_name]
+            if self._summarises:
+                return TyperCommand(cmd_name, help=summary)
+            import_module(f"drivecal.cli.commands.{module}")
+            self.commands.update(typer.main.get_group(app).commands)
+        return super().get_command(ctx, cmd_name)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Writes the help."""
+        self._summarises = True
+        super().format_help(ctx, formatter)
 
     def invoke(self, ctx: Any) -> Any:
         """Runs the command."""
@@ -112,6 +162,8 @@ UrlOption = Annotated[
 
 def campaign_ids(incomplete: str) -> list[str]:
     """Returns the ids of the newest campaigns that begin so, for the completion of a shell; none if no server answers."""
+    from drivecal.client import Client
+
     try:
         with Client(timeout=SECONDS_TO_COMPLETE) as client:
             return [campaign.id for campaign in client.campaigns(limit=200).items if campaign.id.startswith(incomplete)]
@@ -169,6 +221,8 @@ def tell(message: str) -> None:
     sys.stderr.flush()
 
 
-def connect(url: str | None) -> Client:
+def connect(url: str | None) -> "Client":
     """Returns a client of the server at `url`, by default that of the environment or the config file."""
+    from drivecal.client import Client  # it takes most of the start, which the help does not need
+
     return Client(url)

@@ -1,4 +1,4 @@
-"""The command line's entry point: all commands in one application."""
+"""The command line's entry point: commands are imported when they are called."""
 
 import io
 import sys
@@ -8,19 +8,6 @@ from typing import Annotated
 import typer
 
 from drivecal.cli.application import app
-from drivecal.cli.commands import (  # noqa: F401  # importing a module registers its commands
-    campaigns,
-    check,
-    compare_optimizers,
-    db,
-    demo,
-    evaluate,
-    influence,
-    problem,
-    results,
-    serve,
-    studies,
-)
 
 __all__ = ["app", "main"]
 

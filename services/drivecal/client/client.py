@@ -6,7 +6,7 @@ import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from http import HTTPStatus
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import httpx
 from pydantic import RootModel, ValidationError
@@ -15,7 +15,6 @@ from drivecal.client.documents import Document, completed, ids_on, is_abbreviate
 from drivecal.client.following import READ_SECONDS, EventParser, Following, Sent, ServerSentEvent, Told, displayed
 from drivecal.client.frames import DownloadedTable, RankedSets, Rows
 from drivecal.client.outside import AskTell
-from drivecal.client.problems import Pushed, archive_of, push_headers
 from drivecal.client.report import report_of
 from drivecal.client.transport import Answer, Transport, harmless, named, path_of, raise_for, unreachable
 from drivecal.configuration.settings import load_settings
@@ -38,6 +37,9 @@ from drivecal.contracts.results import CampaignResults, FrontSummary, TradeOff
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import FrontRow, InfluenceRow, JudgedSet, OptimumRow, RobustnessRow, TableName, ValidationRow
 from drivecal.domain.errors import OverloadError
+
+if TYPE_CHECKING:
+    from drivecal.client.problems import Pushed
 
 Action = Literal["pause", "resume", "cancel", "finish"]
 Table = Literal[TableName, "front/evaluated"]
@@ -440,8 +442,10 @@ class Client(Transport):
         link = campaign.links.get("influence_map")
         return None if link is None else self.influence_map(link.rpartition("/")[2])
 
-    def push_problem(self, problem: Pushed) -> ProblemAnswer:
+    def push_problem(self, problem: "Pushed") -> ProblemAnswer:
         """Stores a problem: a folder with `problem.yaml`, or an archive of one. Takes a token of an author, or the server's own user."""
+        from drivecal.client.problems import archive_of, push_headers  # what checks problems takes a second to import
+
         archive = archive_of(problem)
         place, headers = ("problems",), push_headers(archive, signed="Authorization" not in self._http.headers)
         return self._answer(self._request("POST", place, headers=headers, content=archive), ProblemAnswer, place)

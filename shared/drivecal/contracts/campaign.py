@@ -20,7 +20,7 @@ MOST_ROWS = 20
 class Answer(BaseModel):
     """The base of all answers: immutable; a client ignores unknown fields."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore", json_schema_serialization_defaults_required=True)
+    model_config = ConfigDict(frozen=True, extra="ignore", json_schema_serialization_defaults_required=True, defer_build=True)
 
     @classmethod
     def of(cls, stored: object, **more: Any) -> Self:

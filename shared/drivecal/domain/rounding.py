@@ -1,11 +1,18 @@
-"""Comparison of numbers at their own scale, whatever their unit and offset: all that ranks, compares or learns uses it."""
+"""Comparison of numbers at their own scale, whatever their unit and offset: all that ranks, compares or learns uses it.
+
+Functions of arrays import numpy themselves: clients and the command line compare single numbers only, and start without it.
+"""
+
+from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import numpy as np
-import numpy.typing as npt
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+    Floats = npt.NDArray[np.float64]
 
 SHARE = 1e-9
 """Share of a declared range up to which numbers count as equal."""
@@ -29,6 +36,8 @@ def same(first: float | None, other: float | None, span: float = 0.0) -> bool:
 
 def grains(first: Floats, other: Floats | float, span: Floats | float = 0.0) -> Floats:
     """Returns `grain` of each pair of numbers; infinite ones have none."""
+    import numpy as np
+
     sizes = (np.where(np.isfinite(each), np.abs(each), 0.0) for each in (first, np.asarray(other)))
     return np.asarray(np.maximum(SHARE * np.asarray(span), NOISE * np.maximum(*sizes)), dtype=np.float64)
 
@@ -36,6 +45,8 @@ def grains(first: Floats, other: Floats | float, span: Floats | float = 0.0) -> 
 def levels(values: Floats, span: float = 0.0) -> npt.NDArray[np.int64]:
     """Returns the place of each number among the distinct ones, from 0 for the lowest, shape (n,): neighbours that are equal but for
     rounding share it. Numbers are finite or infinite."""
+    import numpy as np
+
     result = np.zeros(len(values), dtype=np.int64)
     order = np.argsort(values, kind="stable")
     rising = values[order]
@@ -53,8 +64,10 @@ class Scaling:
     unit: float = 1.0
 
     @classmethod
-    def of(cls, values: Floats) -> "Scaling":
+    def of(cls, values: Floats) -> Scaling:
         """Returns the scaling of numbers; NaN and infinite ones are left out."""
+        import numpy as np
+
         known = values[np.isfinite(values)]
         if not known.size:
             return cls()
@@ -67,8 +80,12 @@ class Scaling:
 
     def __call__(self, values: Floats) -> Floats:
         """Returns scaled numbers."""
+        import numpy as np
+
         return np.asarray((values - self.centre) / self.unit, dtype=np.float64)
 
     def undone(self, scaled: Floats) -> Floats:
         """Inverts the scaling."""
+        import numpy as np
+
         return np.asarray(scaled * self.unit + self.centre, dtype=np.float64)
