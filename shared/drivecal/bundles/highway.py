@@ -36,6 +36,7 @@ Constant = (
 """A value of an FMU's variable, which may be in any unit; its type has closer limits (`bundles.fmus.checks`)."""
 Constants = Annotated[dict[Variable, Constant], Field(max_length=200)]
 ParameterName = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[^\x00-\x1f\x7f]+$")]
+Coordinate = Annotated[float, Field(ge=-1e8, le=1e8)]
 Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
 CLASSES: Mapping[str, tuple[float, float, float]] = {
     "passenger": (5.0, 1.8, 0.1),
@@ -269,9 +270,17 @@ class Driver(Model):
 
 
 class TrafficEntry(Placed, Driver):
-    """A vehicle that exists from the start. `id`: by default `vehicle0` and so on."""
+    """A vehicle that exists from the start. `id`: by default `vehicle0` and so on.
+
+    `path`: points (x, y, m, in the network's coordinates) along which its centre moves, straight on beyond them, on no lane; `s` counts
+    along it. Riders and pedestrians have such paths. Its model is `constant`, and SUMO's vehicles do not see it.
+    """
 
     id: VehicleId | None = None
+    path: (
+        Annotated[list[Annotated[tuple[Coordinate, Coordinate], Field(strict=False)]], Field(min_length=2, max_length=10_000)]
+        | None
+    ) = None
     actions: Annotated[list[Action], Field(max_length=50, default_factory=list)]
 
 
@@ -323,6 +332,8 @@ class HighwayScenario(Surroundings):
     route: Route
     duration: Duration
     ego: Ego
+    crossings: bool = False
+    """The route may lead over crossings without traffic lights; no vehicle gives way there."""
 
 
 class TaskOfEgo(Model):

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterator, Sequence
 
 from drivecal.bundles.highway import TrafficEntry
-from drivecal.bundles.highway_actions import EGO, Action, Brake, Condition, CutIn, Drift, Trigger
+from drivecal.bundles.highway_actions import EGO, Action, Brake, Condition, CutIn, Drift, Meet, Trigger
 from drivecal.contracts.input_errors import nearest
 from drivecal.domain.errors import Problem
 
@@ -44,7 +44,7 @@ def actions_problems(
             siblings,
             "other action of the vehicle",
         )
-        named = [(f"{place}.{key}", getattr(action, key, None)) for key in ("like", "beside")]
+        named = [(f"{place}.{key}", getattr(action, key, None)) for key in ("like", "beside", "other")]
         for section in ("after", "when"):
             for number, condition in enumerate(getattr(action, section) or ()):
                 inner = f"{place}.{section}[{number}]"
@@ -98,6 +98,10 @@ def _content(field: str, vehicle: TrafficEntry, action: Action) -> Iterator[Prob
             key = "continuous" if action.continuous else "factor"
             yield Problem(f"{field}.{key}", "there is no vehicle to compare with", "add `like`, or leave it out")
         return
+    if isinstance(action, Meet) and vehicle.path is None:
+        yield Problem(field, "the vehicle has no path", "add `path`, or brake")
+    if isinstance(action, CutIn | Drift) and vehicle.path is not None:
+        yield Problem(field, "the vehicle moves along a path, on no lane", "give its way by the path")
     if isinstance(action, Drift):
         yield from _at_most_one(field, action, ("seconds", "lateral_acceleration"))
     if not isinstance(action, CutIn):

@@ -99,10 +99,24 @@ class Drift(Trigger):
     lateral_acceleration: Annotated[float, Field(gt=0, le=20)] | None = None
 
 
+class Meet(Trigger):
+    """The vehicle, which has a `path`, is `at` (m along it) when the vehicle `other` is at `other_s` (m) of the scenario's route.
+
+    `speed`: its own there, which it has `steady` metres before; without it, it drives at the speed that brings it there in time.
+    """
+
+    do: Literal["meet"]
+    other: VehicleId = EGO
+    other_s: Annotated[float, Field(ge=-1e6, le=1e6)]
+    at: Position
+    speed: Speed | None = None
+    steady: Annotated[float, Field(ge=0, le=10_000)] = 0.0
+
+
 class Wait(Trigger):
     """The vehicle does nothing. The action is done as soon as it begins, and other actions may wait for that."""
 
     do: Literal["wait"]
 
 
-Action = Annotated[Brake | CutIn | Drift | Wait, Field(discriminator="do")]
+Action = Annotated[Brake | CutIn | Drift | Meet | Wait, Field(discriminator="do")]

@@ -250,10 +250,25 @@ def scenario_problems(
     drivers: list[tuple[str, Driver]] = [(f"traffic[{index}]", entry) for index, entry in enumerate(scenario.traffic)]
     drivers += [(f"flows[{index}]", entry) for index, entry in enumerate(scenario.flows)]
     yield from _drivers(field, drivers)
+    yield from _paths(field, scenario)
     is_whole = is_whole or (scenario.routes is None and isinstance(scenario, HighwayScenario))
     yield from actions_problems(field, scenario.traffic, is_whole=is_whole, others=others)
     yield from _times(field, scenario, step, is_whole=is_whole)
     yield from _flows(field, scenario)
+
+
+def _paths(field: str, scenario: Described) -> Iterator[Problem]:
+    """Yields fields that contradict a path."""
+    for index, entry in enumerate(scenario.traffic):
+        if entry.path is None:
+            continue
+        place = f"{field}.traffic[{index}]"
+        if entry.model != "constant":
+            yield Problem(f"{place}.model", f"{entry.model} drives on lanes, and the vehicle on a path", "give model: constant")
+        for key in {"lane", "edge", "offset", "route", "lane_change"} & entry.model_fields_set:
+            yield Problem(f"{place}.{key}", "the vehicle moves along a path, on no lane", "leave it out, or leave `path` out")
+        if all(point == entry.path[0] for point in entry.path):
+            yield Problem(f"{place}.path", "all points of the path are one", "give two different points")
 
 
 def _times(field: str, scenario: Described, step: float, *, is_whole: bool) -> Iterator[Problem]:

@@ -42,7 +42,7 @@ MOST_EDGES = 20_000
 """Edges of these routes together."""
 MOST_SECONDS = 120.0
 """Limit of a core's time for the files that describe scenarios: a server reads one push at a time."""
-Driven = tuple[str, tuple[str, ...], float]
+Driven = tuple[str, tuple[str, ...], float, bool]
 """Network, route and limit of lanes without one (m/s, 0 without it) of a scenario: what its corridor depends on."""
 LARGEST_JUMP = 2.0
 """Metres between two lanes that SUMO's vehicles may skip without a note."""
@@ -163,7 +163,7 @@ def _step(manifest: Manifest) -> float:
 def _check_effort(descriptions: Iterable[Description]) -> None:
     """Raises InvalidInputError if checking the routes would take minutes."""
     routes = {_road(description.scenario) for description in descriptions}
-    edges = sum(len(route) for _, route, _ in routes)
+    edges = sum(len(route) for _, route, *_ in routes)
     remedy = "give more scenarios the same route, or push several problems"
     if len(routes) > MOST_ROUTES:
         message = f"they have {len(routes):,} different routes, more than {MOST_ROUTES}"
@@ -208,7 +208,10 @@ class _Roads:
             self._last = None  # before the next is made
             try:
                 network = self.map(scenario.network).network
-                self._last = key, corridor(network, scenario.route, scenario.network, scenario.default_limit)
+                self._last = (
+                    key,
+                    corridor(network, scenario.route, scenario.network, scenario.default_limit, crossings=scenario.crossings),
+                )
             except InvalidInputError as error:
                 self._last = key, error
         road = self._last[1]
@@ -265,7 +268,9 @@ def _start(road: Corridor, scenario: HighwayScenario) -> float:
 
 
 def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str) -> Iterator[Problem]:
-    """Yields the faults of a vehicle's place and route."""
+    """Yields the faults of a vehicle's place and route; a path has neither."""
+    if vehicle.path is not None:
+        return
     yield from _route(network, vehicle, field)
     if vehicle.edge is None:
         try:
@@ -357,7 +362,7 @@ def files_read(files: Mapping[str, BundleFile], check: Callable[[], None] = lamb
 
 
 def _road(scenario: HighwayScenario) -> Driven:
-    return scenario.network, tuple(scenario.route), scenario.default_limit or 0.0
+    return scenario.network, tuple(scenario.route), scenario.default_limit or 0.0, scenario.crossings
 
 
 def _prefixed(error: InvalidInputError, field: str) -> Iterator[Problem]:

@@ -8,7 +8,7 @@ the junctions of the route, measured along the roads, is on another level. The o
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
 from itertools import pairwise
 
@@ -134,7 +134,9 @@ class Corridor:
         return best if off[best] < np.inf else None
 
 
-def corridor(network: Network, route: Sequence[str], name: str, default_limit: float | None = None) -> Corridor:
+def corridor(
+    network: Network, route: Sequence[str], name: str, default_limit: float | None = None, *, crossings: bool = False
+) -> Corridor:
     """Returns the corridor of a route.
 
     Args:
@@ -142,11 +144,12 @@ def corridor(network: Network, route: Sequence[str], name: str, default_limit: f
         route: ids of its edges, in the order of the drive.
         name: the network's file in messages.
         default_limit: speed limit (m/s) of lanes without one.
+        crossings: whether the route may lead over crossings without traffic lights.
 
     Raises InvalidInputError with fields `route` or `route[i]` if the route cannot be driven, and with `default_limit` if lanes of it have
     no limit.
     """
-    network = limited(network, default_limit)
+    network = replace(limited(network, default_limit), crossed=crossings)
     lanes = lanes_of(network, route)
     check_limits(network, _driven(lanes))
     _check_placed(network, lanes)

@@ -155,6 +155,8 @@ class Network:
     junctions: Mapping[str, Junction]
     roundabouts: frozenset[str]
     offset: tuple[float, float] = (0.0, 0.0)
+    crossed: bool = False
+    """A route may lead over crossings without traffic lights."""
 
     def lane(self, name: str) -> Lane | None:
         """Returns the lane of an id such as `e1_0`."""

@@ -41,7 +41,7 @@ def check_junction(network: Network, links: Sequence[Connection], index: int) ->
             raise _refused(network, index, f"{where}: the route turns back", "give a route that continues")
         if link.state in STOPS:
             raise _refused(network, index, f"{where} has {STOPS[link.state]}", "give a route without crossings")
-    crossing = next(_crossings(network, junction, links), None)
+    crossing = None if network.crossed else next(_crossings(network, junction, links), None)
     if crossing is not None:
         message = (
             f"{where} is a crossing: {crossing} crosses the way from {shown(links[0].begin, 80)} to {shown(links[0].end, 80)}"

@@ -130,9 +130,9 @@ def test_a_route_of_many_scenarios_is_checked_once(monkeypatch: pytest.MonkeyPat
     document["scenarios"] = {f"s{number}": others if number % 2 else scenario for number in range(6)}
     routes: list[list[str]] = []
 
-    def counted(network: Network, route: list[str], name: str, default_limit: float | None) -> Corridor:
+    def counted(network: Network, route: list[str], name: str, default_limit: float | None, *, crossings: bool) -> Corridor:
         routes.append(route)
-        return corridor(network, route, name, default_limit)
+        return corridor(network, route, name, default_limit, crossings=crossings)
 
     monkeypatch.setattr(highway_roads, "corridor", counted)
     check_roads(checked(document), networks())

@@ -102,6 +102,13 @@ def changed(content: bytes, pattern: str, replacement: str) -> bytes:
     return text.encode()
 
 
+def test_crossings_are_driven_if_nobody_gives_way_and_traffic_lights_are_not() -> None:
+    road = corridor(read_network(crossing(), "n"), ["west", "east"], "n", crossings=True)
+    assert len(road.tracks) == 1
+    with pytest.raises(InvalidInputError):
+        corridor(read_network(crossing("traffic_light"), "n"), ["west", "east"], "n", crossings=True)
+
+
 def test_crossings_are_refused() -> None:
     field, message = refused(crossing(), "west", "east")
     assert field == "route[1]"

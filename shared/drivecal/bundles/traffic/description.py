@@ -80,16 +80,20 @@ def described(scenario: Declared, files: Files, maps: Maps, step: float) -> Desc
 
 def _complete(scenario: OpenScenario, files: Files, maps: Maps, step: float) -> Description:
     """Returns a scenario with the entries of its OpenSCENARIO file."""
+    # Vehicles of the file do as they are told, and give way to none.
+    crossings = not (scenario.flows or scenario.routes or any(entry.model != "constant" for entry in scenario.traffic))
     names = VehicleNames([*(vehicle.id for vehicle in scenario.traffic), *(flow.id for flow in scenario.flows)])
     document = scenario.model_dump(exclude_none=True, exclude={"openscenario", "parameters", "ego"})
     network, limit = network_of(scenario, files), scenario.default_limit
     roads = maps(network)
     try:
         file = ScenarioFile(scenario, files)
-        content, entries = file.described(roads, lambda route: corridor(roads.network, route, network, limit), step, names)
+        content, entries = file.described(
+            roads, lambda route: corridor(roads.network, route, network, limit, crossings=crossings), step, names
+        )
     except InvalidInputError as error:
         raise _located(error, scenario) from error
-    document |= {"network": network} | content
+    document |= {"network": network, "crossings": crossings} | content
     origins: dict[str, Problem] = {}
     for entry in entries:
         section = document.setdefault(entry.section, [])

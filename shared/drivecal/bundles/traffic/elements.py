@@ -131,11 +131,11 @@ class Notes:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._lines: dict[tuple[str, str], list[int]] = {}
+        self._lines: dict[tuple[str, str, str], list[int]] = {}
 
     def add(self, element: Attributes, text: str) -> None:
         """Adds a note on an element."""
-        self._lines.setdefault((element.element, text), []).append(element.line)
+        self._lines.setdefault((element.file, element.element, text), []).append(element.line)
 
     def texts(self, root: Element) -> tuple[str, ...]:
         """Returns the notes, those of equal text in one, and one on each element and attribute below `root` that was not read.
@@ -147,10 +147,9 @@ class Notes:
         for section in root.every("Storyboard"):
             for element, keys in section.read_in_part():
                 self.add(element, f"ignored: {', '.join(keys)}"[:LONGEST_NOTE])
-        notes = sorted(self._lines.items(), key=lambda entry: entry[1][0])
-        return tuple(
-            f"{self._name}: {note}" for note in cut(f"{_lines(sorted(lines))}, <{tag}>: {text}" for (tag, text), lines in notes)
-        )
+        notes = sorted(self._lines.items(), key=lambda entry: (entry[0][0] != self._name, entry[0][0], entry[1][0]))
+        texts = cut(f"{file}: {_lines(sorted(lines))}, <{tag}>: {text}" for (file, tag, text), lines in notes)
+        return tuple(text if ": " in text else f"{self._name}: {text}" for text in texts)
 
 
 def _lines(lines: list[int]) -> str:
@@ -246,6 +245,11 @@ def _check(declaration: Element, name: str, given: Mapping[str, object]) -> None
         if name in given:
             raise InvalidInputError(Problem(f"parameters.{name}", message, f"see line {declaration.line}"))
         raise declaration.fault(message, "give another value in `parameters`")
+
+
+def parameter_holds(condition: Element) -> bool:
+    """Returns whether a ParameterCondition holds: parameters keep their values in a run. Raises InvalidInputError."""
+    return _holds(condition, _value(condition, condition.parameter("parameterRef")))
 
 
 def _holds(limit: Element, value: str) -> bool:

@@ -1,4 +1,4 @@
-"""Entities of an OpenSCENARIO file: vehicles, and obstacles that stand still, in the file or in a catalog of the bundle."""
+"""Entities of an OpenSCENARIO file: vehicles, riders, pedestrians and obstacles, in the file or in a catalog of the bundle."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -20,6 +20,7 @@ CATEGORIES: Mapping[str, str] = {
     "bicycle": "motorcycle",
 }
 """SUMO's class of vehicles by OpenSCENARIO's category."""
+ENTITIES = ("Vehicle", "MiscObject", "Pedestrian")
 LONGEST = 50.0
 """Metres of a vehicle."""
 MOST_ENTITIES = 200
@@ -44,17 +45,13 @@ class Files:
 
 @dataclass(frozen=True, slots=True)
 class Entity:
-    """A vehicle: class, length and width (m), and how far the centre lies ahead of the point that positions mean (m).
-
-    `is_still`: a pedestrian, which can only be an obstacle.
-    """
+    """A vehicle, rider or pedestrian: class, length and width (m), and metres from the point that positions mean to the centre ahead."""
 
     name: str
     vehicle_class: str
     length: float
     width: float
     centre: float
-    is_still: bool
     element: Element
 
 
@@ -83,7 +80,7 @@ def entities_of(root: Element, files: Files, notes: Notes) -> dict[str, Entity]:
         if name in names:
             raise element.fault(f"another entity is called {shown(name)}", "rename one")
         names.append(name)
-        described = element.only("Vehicle", "MiscObject", "Pedestrian", "CatalogReference")
+        described = element.only(*ENTITIES, "CatalogReference")
         if described.element == "CatalogReference":
             referring.setdefault(described.text("catalogName"), []).append((name, described, element))
         else:
@@ -109,14 +106,30 @@ def _entity(name: str, described: Element, element: Element, notes: Notes) -> En
     box = described.only("BoundingBox")
     size, centre = box.only("Dimensions"), box.only("Center")
     length, width = (size.number(key, 0.05, LONGEST) for key in ("length", "width"))
-    is_still = described.element == "Pedestrian"
-    return Entity(name, vehicle_class, length, width, centre.number("x", -LONGEST, LONGEST), is_still, element)
+    return Entity(name, vehicle_class, length, width, centre.number("x", -LONGEST, LONGEST), element)
 
 
-def _catalog(name: str, reference: Element, locations: Element | None, files: Files) -> tuple[str, dict[str, Element]]:
+class Catalogs:
+    """Catalogs of maneuvers, trajectories and routes; each is read once."""
+
+    def __init__(self, root: Element, files: Files) -> None:
+        self._root, self._files = root, files
+        self._known: dict[tuple[str, str], tuple[str, dict[str, Element]]] = {}
+
+    def entry(self, reference: Element, tag: str) -> Element:
+        """Returns the entry of a catalog that a reference names, e.g. a <Maneuver>. Raises InvalidInputError."""
+        name = reference.text("catalogName")
+        if (name, tag) not in self._known:
+            self._known[name, tag] = _catalog(name, reference, self._root.optional("CatalogLocations"), self._files, (tag,))
+        return _entry(*self._known[name, tag], reference)
+
+
+def _catalog(
+    name: str, reference: Element, locations: Element | None, files: Files, tags: tuple[str, ...] = ENTITIES
+) -> tuple[str, dict[str, Element]]:
     """Returns a catalog's file, and its entries by name. Raises InvalidInputError if the bundle does not have it."""
     folders: list[str] = []
-    given = [] if locations is None else locations.every("VehicleCatalog", "MiscObjectCatalog", "PedestrianCatalog")
+    given = [] if locations is None else locations.every(*(f"{tag}Catalog" for tag in tags))
     if len({location.element for location in given}) < len(given):
         raise given[-1].fault("there are several locations of a kind", "give one")
     for location in given:
@@ -126,11 +139,11 @@ def _catalog(name: str, reference: Element, locations: Element | None, files: Fi
         for file in sorted(path for path in files.names if dirname(path) == folder and path.endswith(".xosc")):
             content = files.catalog(file, name)
             if content is not None:
-                described = reversed(content.every("Vehicle", "MiscObject", "Pedestrian"))  # the first of a name stays
+                described = reversed(content.every(*tags))  # the first of a name stays
                 return file, {element.text("name"): element for element in described}
     place = f" in {', '.join(shown(folder, 100) for folder in folders)}" if folders else ""
     message = f"the bundle has no catalog {shown(name)}{place}"
-    raise reference.fault(message, "copy its .xosc file there, or write a <Vehicle> into the file")
+    raise reference.fault(message, f"copy its .xosc file there, or write a <{tags[0]}> into the file")
 
 
 def _entry(file: str, entries: Mapping[str, Element], reference: Element) -> Element:

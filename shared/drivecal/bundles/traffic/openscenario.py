@@ -6,20 +6,24 @@ A declared subset is read. What has no effect on the drive is noted with its lin
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import ceil
+from math import ceil, pi
 from typing import Any, Literal, NamedTuple
+
+import numpy as np
 
 from drivecal.bundles.highway import OpenScenario
 from drivecal.bundles.highway_actions import EGO
 from drivecal.bundles.traffic.conditions import ABOVE, LARGEST
 from drivecal.bundles.traffic.elements import Element, Notes, declare, read_tree, substituted
-from drivecal.bundles.traffic.entities import Entity, Files, bundle_path, entities_of
+from drivecal.bundles.traffic.entities import Catalogs, Entity, Files, bundle_path, entities_of
 from drivecal.bundles.traffic.places import FilePlace, Map, along
 from drivecal.bundles.traffic.storyboard import Storyboard, Ways, ignore_controller, ignore_global, target_speed
+from drivecal.bundles.traffic.ways import FREE, Pose, Way, WayReader, is_turned
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.roads.corridor import Corridor
+from drivecal.roads.lines import project
 
 _OTHER = re.compile(r"[^A-Za-z0-9_-]")
 LONGEST = 64
@@ -63,10 +67,18 @@ SHORTEST = 1_000.0
 
 @dataclass(slots=True)
 class _Start:
-    """Start of an entity: the place of its centre, and its speed (m/s)."""
+    """Start of an entity: the place of its centre, and its speed (m/s).
+
+    `path`: its way, if it moves on no lane; `along`: metres on it to its centre, and `place` means nothing.
+    """
 
     place: FilePlace
     speed: float
+    path: Way | None = None
+    along: float = 0.0
+
+
+NOWHERE = FilePlace("", 0, 0.0, 0.0)
 
 
 class ScenarioFile:
@@ -85,6 +97,8 @@ class ScenarioFile:
             raise header.fault(message, "export the file as OpenSCENARIO 1.0 to 1.3")
         declare(self._root, scenario.parameters)
         self.notes: tuple[str, ...] = ()
+        self._drive: tuple[str, ...] = ()
+        """Edges of the ego vehicle's route, if the file has one."""
 
     @property
     def network(self) -> str:
@@ -110,19 +124,30 @@ class ScenarioFile:
         entities = entities_of(self._root, self._files, self._notes)
         ego = self._ego(entities)
         duration = self._duration(storyboard, step)
-        starts = self._starts(storyboard.only("Init"), entities, roads)
+        reader = WayReader(roads, Catalogs(self._root, self._files))
+        starts = self._starts(storyboard.only("Init"), entities, roads, reader)
         if ego.name not in starts:
             raise ego.element.fault("it has no place", "give it a TeleportAction in <Init>")
-        route = scenario.route or self._route(starts, ego, roads, duration)
+        route = scenario.route or list(self._drive) or self._route(starts, ego, roads, duration)
         present = {name: entity for name, entity in entities.items() if name in starts}
         ids = {name: EGO if name == ego.name else names.new(name, entity.element) for name, entity in present.items()}
-        ways = {ids[name]: self._way(start, route, roads, duration) for name, start in starts.items()}
+        ways = {ids[name]: self._way(start, route, roads, duration) for name, start in starts.items() if start.path is None}
+        paths = {ids[name]: start.path for name, start in starts.items() if start.path is not None}
 
         def reached(position: Element) -> tuple[float, float]:
-            for relative in position.every("RelativeLanePosition", "RelativeRoadPosition"):
+            for relative in position.every(
+                *(child.element for child in position.children if child.element.startswith("Relative"))
+            ):
                 message = f"a place that moves with {shown(relative.text('entityRef'))} is not supported"
                 raise relative.fault(message, "give a place on the road, or a RelativeDistanceCondition")
             corridor: Corridor = corridor_of(route)
+            if position.every(*FREE):
+                point = np.array([reader.pose(position, {}, {}, route)[:2]])
+                near = corridor.line[np.argmin(np.hypot(*(corridor.line[:, 1:3] - point).T)), 0]
+                foot, left = (float(value[0]) for value in project(corridor.line, point, np.array([near])))
+                if not 0.0 <= foot <= float(corridor.line[-1, 0]):
+                    raise position.fault("the place is not beside the route", "give a place on the scenario's route")
+                return foot, left
             place = roads.place(position, {}, route)
             try:
                 s, d = corridor.position(place.edge, place.index, place.position)
@@ -131,14 +156,14 @@ class ScenarioFile:
             return s, d + place.offset
 
         centres = {ids[name]: entity.centre for name, entity in present.items()}
-        actions = Storyboard(storyboard, ids, centres, Ways(ways, roads), reached, self._notes).actions
-        for name, entity in present.items():
-            acts = any(action["do"] != "wait" for action in actions.get(ids[name], []))
-            if entity.is_still and (name == ego.name or acts or starts[name].speed > 0.0):
-                raise entity.element.fault("a pedestrian that walks is not supported", "let it stand, or leave it out")
+        actions = Storyboard(storyboard, ids, centres, Ways(ways, roads, paths, reader), reached, self._notes).actions
         document = {"route": route, "duration": duration, "ego": _placed(starts[ego.name], ego)}
         entries = [
-            Entry("traffic", self._vehicle(entity, starts[name], ids[name], ways[ids[name]], route, actions), entity.element)
+            Entry(
+                "traffic",
+                self._vehicle(entity, starts[name], ids[name], ways.get(ids[name], []), route, actions),
+                entity.element,
+            )
             for name, entity in present.items()
             if name != ego.name
         ]
@@ -173,10 +198,11 @@ class ScenarioFile:
                 self._notes.add(group, "ignored: the run lasts until the time of the StopTrigger")
         return round(max(1, ceil(min(times) / step - 1e-9)) * step, 9)
 
-    def _starts(self, init: Element, entities: Mapping[str, Entity], roads: Map) -> dict[str, _Start]:
+    def _starts(self, init: Element, entities: Mapping[str, Entity], roads: Map, reader: WayReader) -> dict[str, _Start]:
         """Returns the starts of the entities that have one, in the order of <Init>."""
         starts: dict[str, _Start] = {}
         places: dict[str, FilePlace] = {}
+        poses: dict[str, Pose] = {}
         ego = self._ego(entities).name
         sections = init.only("Actions")
         for section in sections.every("GlobalAction"):
@@ -191,15 +217,83 @@ class ScenarioFile:
             for kind in (kind for kind in kinds if kind.element == "TeleportAction"):
                 known = places.get(ego, next(iter(places.values()), None))
                 drive = self._scenario.route or (along(roads.network, known.edge, BEHIND) if known is not None else [])
-                places[name] = roads.place(kind.only("Position"), places, drive)
+                position = kind.only("Position")
+                pose = reader.pose(position, places, poses, drive)
+                path = None if name == ego else self._off_lane(position, pose, places, drive, roads, reader)
+                poses[name] = pose
+                if path is not None:
+                    starts[name] = _Start(NOWHERE, 0.0, path, entities[name].centre)
+                    continue
+                if position.every(*FREE):
+                    places[name] = roads.at(pose.x, pose.y, pose.heading, drive, position)
+                else:
+                    places[name] = roads.place(position, places, drive)
+                    if name == ego and places[name].lane <= 0 and is_turned(pose, reader.pose_of(places[name]).heading):
+                        raise position.fault(
+                            "the ego vehicle would start across or against its lane", "give it the lane's direction"
+                        )
                 starts[name] = _Start(self._centre(places[name], entities[name], roads, kind), 0.0)
+            for kind in (kind for kind in kinds if kind.element == "RoutingAction"):
+                self._follow(kind, name, entities[name], starts, places, poses, reader)
             placed = starts[name].place if name in starts else None
             for kind in kinds:
                 self._init(kind, name, entities, starts, roads)
             if name in starts and starts[name].place is not placed:  # others are placed relative to its reference point
                 place = starts[name].place
                 places[name] = replace(place, position=place.position - entities[name].centre)
+                poses[name] = reader.pose_of(places[name])
         return starts
+
+    def _off_lane(
+        self,
+        position: Element,
+        pose: Pose,
+        places: Mapping[str, FilePlace],
+        drive: Sequence[str],
+        roads: Map,
+        reader: WayReader,
+    ) -> Way | None:
+        """Returns the way of a vehicle that starts off the lanes, or in another direction than its lane; None if it drives on its lane."""
+        straight = Way(np.array([pose[:2], pose.moved(1.0, 0.0)[:2]]))
+        if position.every(*FREE):
+            return straight
+        place = roads.place(position, places, drive)
+        heading = reader.pose_of(place).heading
+        if place.lane > 0 or not is_turned(pose, heading):  # on left lanes, files mean both directions by both headings
+            return None
+        self._notes.add(position.children[0], "not in the direction of its lane: it moves on no lane, unseen by SUMO's models")
+        return reader.back(place) if not is_turned(pose, heading + pi) else straight
+
+    def _follow(
+        self,
+        kind: Element,
+        name: str,
+        entity: Entity,
+        starts: dict[str, _Start],
+        places: Mapping[str, FilePlace],
+        poses: dict[str, Pose],
+        reader: WayReader,
+    ) -> None:
+        """Takes a trajectory or a route of <Init>: the drive of the ego vehicle, or the path of another one."""
+        action = kind.only("FollowTrajectoryAction", "AssignRouteAction")
+        is_ego = name.lower() == self._scenario.ego.lower()
+        if action.element == "AssignRouteAction":
+            way = reader.route(action, places)
+            if is_ego:
+                self._drive = way.edges
+                return
+        elif is_ego:
+            message = "the ego vehicle follows a trajectory, and the problem's controller drives it"
+            raise action.fault(message, "give it a TeleportAction and, if it turns, an AssignRouteAction")
+        else:
+            way = reader.trajectory(action, places, poses)
+            action.only("TimeReference").only("None")
+            for mode in action.every("TrajectoryFollowingMode"):
+                mode.skip()
+        along, left = way.along(poses[name]) if name in poses else (0.0, 0.0)
+        poses[name] = way.pose(along, left)
+        self._notes.add(action, "driven on no lane, unseen by SUMO's models")
+        starts[name] = _Start(NOWHERE, 0.0, way.shifted(left), along + entity.centre)
 
     def _centre(self, place: FilePlace, entity: Entity, roads: Map, element: Element) -> FilePlace:
         """Returns the place of an entity's centre: positions mean another point, e.g. that of the rear axle."""
@@ -210,7 +304,7 @@ class ScenarioFile:
 
     def _init(self, kind: Element, name: str, entities: Mapping[str, Entity], starts: dict[str, _Start], roads: Map) -> None:
         """Takes an action of <Init> other than the place."""
-        if kind.element == "TeleportAction":
+        if kind.element in {"TeleportAction", "RoutingAction"}:
             return
         if kind.element != "LongitudinalAction":
             if name == self._ego(entities).name:
@@ -250,6 +344,8 @@ class ScenarioFile:
     ) -> FilePlace:
         """Returns the place at a distance to another entity: before it, or behind it."""
         other = action.text("entityRef")
+        if any(starts[entity].path is not None for entity in (name, other) if entity in starts):
+            raise action.fault("a distance of an entity that is on no lane is not supported", "give its place")
         if other not in starts or action.decides("continuous", "false"):
             raise action.fault("a distance that is kept is not supported", 'give continuous="false", or a SpeedAction')
         default = "any" if self._minor == "0" else "trailingReferencedEntity"
@@ -277,7 +373,7 @@ class ScenarioFile:
         length = start.place.position + max(SHORTEST, SPARE * max(start.speed, 10.0) * duration)
         ahead = along(roads.network, start.place.edge, length)
         before: Sequence[str] = ()
-        for other in starts.values():
+        for other in (start for start in starts.values() if start.path is None):
             way = along(roads.network, other.place.edge, BEHIND)
             if start.place.edge in way[1:]:
                 before = max(before, way[: way.index(start.place.edge)], key=len)
@@ -303,7 +399,14 @@ class ScenarioFile:
         route: Sequence[str],
         actions: Mapping[str, list[dict[str, Any]]],
     ) -> dict[str, Any]:
-        document = {"id": name, "model": "constant", "vehicle_class": entity.vehicle_class} | _placed(start, entity)
+        document: dict[str, Any] = {"id": name, "model": "constant", "vehicle_class": entity.vehicle_class}
+        if start.path is not None:
+            points, s = start.path.points.round(6).tolist(), start.along
+            if s < 0.0:
+                points, s = [list(start.path.pose(s)[:2]), *points], 0.0
+            size = {"length": entity.length, "width": entity.width}
+            return document | {"path": points, "s": s, "speed": start.speed, "actions": actions.get(name, [])} | size
+        document |= _placed(start, entity)
         if start.place.edge not in route:
             document["route"] = way
         return document | {"actions": actions.get(name, [])}
@@ -311,6 +414,7 @@ class ScenarioFile:
 
 _INIT = (
     "TeleportAction",
+    "RoutingAction",
     "LongitudinalAction",
     "ControllerAction",
     "ActivateControllerAction",

@@ -262,7 +262,7 @@ MOST_LANES = 1_000
 """Lanes in a row over which a relative place may lie."""
 LARGEST = 1e6
 MOST_ASIDE = 50.0
-"""Metres beside a lane's centre."""
+"""Largest distance (m) to a lane's centre."""
 
 
 class Map:
@@ -309,6 +309,10 @@ class Map:
             return self._on_road(self._road(kind, there.road), there.s + ds, there.t + kind.number("dt", -100.0, 100.0), kind)
         offset = kind.number("offset", -MOST_ASIDE, MOST_ASIDE, 0.0)
         return self._beside(there, kind.integer("dLane", -30, 30), ds, offset, kind)
+
+    def at(self, x: float, y: float, heading: float, route: Sequence[str], element: Element) -> FilePlace:
+        """Returns the place on a lane at coordinates of the network. Raises InvalidInputError."""
+        return self._ground.place(x, y, heading, route, element)
 
     def lane_index(self, edge: str, road_lane: int) -> int | None:
         """Returns the index of the lane of an edge that was made of a lane of its road, None if there is none."""

@@ -5,8 +5,10 @@ from typing import Any, NamedTuple
 
 from drivecal.bundles.highway_actions import EGO
 from drivecal.bundles.traffic.conditions import LARGEST, Part, Parts, Reached, Triggers
-from drivecal.bundles.traffic.elements import Element, Notes, declare
+from drivecal.bundles.traffic.elements import Element, Notes, declare, parameter_holds
 from drivecal.bundles.traffic.places import MOST_ASIDE, Map
+from drivecal.bundles.traffic.ways import Way, WayReader
+from drivecal.contracts.strict_json import shown
 
 MOST_ACTIONS = 2_000
 IMMEDIATE = 0.1
@@ -27,10 +29,12 @@ class _Planned(NamedTuple):
 
 
 class Ways(NamedTuple):
-    """The edges that each vehicle drives, from its start on, by its id."""
+    """Edges of each vehicle on lanes, beginning with its start, and paths of the other ones, by id."""
 
     edges: Mapping[str, list[str]]
     roads: Map
+    paths: Mapping[str, Way]
+    reader: WayReader
 
 
 class Storyboard:
@@ -40,38 +44,46 @@ class Storyboard:
         self, root: Element, ids: Mapping[str, str], centres: Mapping[str, float], ways: Ways, reached: Reached, notes: Notes
     ) -> None:
         """`ids`: of vehicles by entity; `centres`: as in `Triggers`. Raises InvalidInputError."""
-        self._ids, self._ways, self._notes = ids, ways, notes
+        self._ids, self._ways, self._notes, self._centres, self._reached = ids, ways, notes, centres, reached
         self._parts = Parts()
         self._count = 0
         planned = list(self._planned(root))
         triggers = Triggers(ids, centres, self._parts, reached, notes)
         self.actions: dict[str, list[dict[str, Any]]] = {}
-        idle: dict[str, tuple[str, dict[str, Any]]] = {}
+        idle: dict[str, _Planned] = {}
         for entry in planned:
-            after = triggers.conditions(entry.act.optional("StartTrigger"))
-            when = triggers.conditions(entry.event.element.optional("StartTrigger"))
             contents = list(self._content(entry))
             ends = self._ended(entry, planned)
             if not contents:
-                idle[entry.id] = entry.vehicle, {"id": entry.id, "after": after, "when": when, "do": "wait"}
+                idle[entry.id] = entry
                 if ends:
                     self._notes.add(entry.event.element, "ends no other event, for nothing of it is driven")
             for content in contents:
-                document = {"id": entry.id, "after": after, "when": when, "ends": ends} | content
+                document = {"id": entry.id, "ends": ends} | self._begin(entry, triggers) | content
                 self.actions.setdefault(entry.vehicle, []).append(document)
         driven = [action for actions in self.actions.values() for action in actions]
         for action in driven:
             action["ends"] = [name for name in action["ends"] if name not in idle]
-        self._add_awaited(driven, idle)
+        self._add_awaited(driven, idle, triggers)
+        for entry in idle.values():
+            for trigger in entry.event.element.every("StartTrigger"):
+                trigger.skip()
 
-    def _add_awaited(self, driven: list[dict[str, Any]], idle: dict[str, tuple[str, dict[str, Any]]]) -> None:
+    @staticmethod
+    def _begin(entry: _Planned, triggers: Triggers) -> dict[str, Any]:
+        """Returns the conditions on which an action begins."""
+        triggered = {"after": entry.act, "when": entry.event.element}
+        return {key: triggers.conditions(element.optional("StartTrigger")) for key, element in triggered.items()}
+
+    def _add_awaited(self, driven: list[dict[str, Any]], idle: dict[str, _Planned], triggers: Triggers) -> None:
         """Adds the actions without effect for which others wait: they have begun and are done once, as any other."""
         while driven:
             action = driven.pop()
             names = {condition.get("done", condition.get("begun")) for condition in action["after"] + action["when"]}
             for name in sorted(names & idle.keys()):
-                vehicle, awaited = idle.pop(name)
-                self.actions.setdefault(vehicle, []).append(awaited)
+                entry = idle.pop(name)
+                awaited = {"id": entry.id, "do": "wait"} | self._begin(entry, triggers)
+                self.actions.setdefault(entry.vehicle, []).append(awaited)
                 driven.append(awaited)
 
     def _planned(self, root: Element) -> Iterator[_Planned]:
@@ -80,20 +92,31 @@ class Storyboard:
             declare(element, {})
             story = self._parts.new("story", element)
             for act in (self._parts.new("act", act, story) for act in element.every("Act")):
+                if _never_begins(act.element):
+                    act.element.skip()
+                    self._notes.add(act.element, "never begins: a condition on a parameter does not hold")
+                    continue
                 for group in (self._parts.new("maneuverGroup", group, act) for group in act.element.every("ManeuverGroup")):
                     yield from self._group(group, act.element)
 
     def _group(self, group: Part, act: Element) -> Iterator[_Planned]:
         """Yields the actions of a group of maneuvers, for each of its actors."""
-        for reference in group.element.every("CatalogReference"):
-            raise reference.fault("maneuvers of catalogs are not supported", "write the <Maneuver> into the file")
         actors = group.element.only("Actors")
         if actors.decides("selectTriggeringEntities", "false"):
             raise actors.fault("triggering entities as actors are not supported", "name the actors")
         self._note_order(group.element)
         names = [actor.entity(self._ids) for actor in actors.every("EntityRef")]
-        for maneuver in (self._parts.new("maneuver", maneuver, group) for maneuver in group.element.every("Maneuver")):
-            declare(maneuver.element, {})
+        if not names:
+            group.element.skip()
+            self._notes.add(group.element, "ignored: it has no actor")
+        listed = group.element.every("Maneuver", "CatalogReference") if names else []
+        for element in listed:
+            if element.element == "Maneuver":
+                declare(element, {})
+        whole = [
+            self._ways.reader.entry(element, "Maneuver") if element.element != "Maneuver" else element for element in listed
+        ]
+        for maneuver in (self._parts.new("maneuver", element, group) for element in whole):
             for event in (self._parts.new("event", event, maneuver) for event in maneuver.element.every("Event")):
                 self._note_order(event.element)
                 for action in (self._parts.new("action", action, event) for action in event.element.every("Action")):
@@ -144,8 +167,11 @@ class Storyboard:
             "VisibilityAction",
             "AppearanceAction",
             "ActivateControllerAction",
+            "SynchronizeAction",
         )
-        if kind.element == "LongitudinalAction":
+        if kind.element == "SynchronizeAction":
+            yield self._meeting(kind, entry.vehicle)
+        elif kind.element == "LongitudinalAction":
             yield from speed_action(kind.only("SpeedAction"), self._ids, self._notes)
         elif kind.element == "LateralAction":
             lateral = kind.only("LaneChangeAction", "LaneOffsetAction")
@@ -153,7 +179,36 @@ class Storyboard:
         else:
             ignore_controller(kind, self._notes)
 
+    def _meeting(self, action: Element, vehicle: str) -> dict[str, Any]:
+        """Returns a SynchronizeAction as the document of a `meet`."""
+        if vehicle not in self._ways.paths:
+            raise action.fault(
+                "an entity on a lane is not synchronised", "give it a FollowTrajectoryAction or AssignRouteAction in <Init>"
+            )
+        master = action.text("masterEntityRef")
+        if master not in self._ids:
+            raise action.fault(f"there is no entity {shown(master)}", f"give one of {', '.join(list(self._ids)[:10])}")
+        other = self._ids[master]
+        s, _ = self._reached(action.only("TargetPositionMaster"))
+        pose = self._ways.reader.pose(action.only("TargetPosition"), {}, {}, ())
+        at = self._ways.paths[vehicle].along(pose)[0] + self._centres[vehicle]
+        document = {"do": "meet", "other": other, "other_s": s + self._centres[other], "at": at}
+        final = action.optional("FinalSpeed")
+        if final is None:
+            return document
+        wanted = final.only("AbsoluteSpeed")
+        speed = wanted.number("value", 0.0, 100.0)
+        steady = wanted.optional("TargetDistanceSteadyState", "TargetTimeSteadyState")
+        metres = 0.0
+        if steady is not None and steady.element == "TargetDistanceSteadyState":
+            metres = steady.number("distance", 0.0, 10_000.0)
+        elif steady is not None:
+            metres = steady.number("time", 0.0, 100.0) * speed
+        return document | {"speed": speed, "steady": metres}
+
     def _lane_change(self, action: Element, vehicle: str) -> dict[str, Any]:
+        if vehicle in self._ways.paths:
+            raise action.fault("the entity is on no lane", "give its way by its trajectory or route")
         if abs(action.number("targetLaneOffset", -10.0, 10.0, 0.0)) > 0.0:
             raise action.fault("targetLaneOffset is not supported", "give a LaneOffsetAction after the change of lanes")
         return {"do": "cut_in"} | self._sideways(action.only("LaneChangeActionDynamics")) | self._target(action, vehicle)
@@ -209,6 +264,24 @@ class Storyboard:
         }
 
 
+def _never_begins(act: Element) -> bool:
+    """Returns whether an act waits for a condition on a parameter that does not hold; others on parameters are fulfilled, and taken out."""
+    groups = [group for trigger in act.every("StartTrigger") for group in trigger.every("ConditionGroup")]
+    results = []
+    for group in groups:
+        held = []
+        for condition in group.every("Condition"):
+            value = condition.optional("ByValueCondition")
+            parameter = value.optional("ParameterCondition") if value is not None else None
+            if parameter is None:
+                continue
+            condition.skip()
+            held.append(parameter_holds(parameter))
+            group.children.remove(condition)
+        results.append(all(held))
+    return bool(results) and not any(results)
+
+
 def speed_action(action: Element, ids: Mapping[str, str], notes: Notes) -> Iterator[dict[str, Any]]:
     """Yields a change of speed as the document of a `brake`, nothing if its rate is 0."""
     dynamics = action.only("SpeedActionDynamics")
@@ -253,5 +326,5 @@ def ignore_controller(kind: Element, notes: Notes) -> None:
 
 def ignore_global(action: Element, notes: Notes) -> None:
     """Notes an action of the surroundings without effect on the traffic. Raises InvalidInputError for others."""
-    action.only("EnvironmentAction", "InfrastructureAction").skip()
+    action.only("EnvironmentAction", "InfrastructureAction", "VariableAction", "ParameterAction").skip()
     notes.add(action, "ignored")

@@ -284,7 +284,6 @@ CASES = {
         "Nobody",
     ),
     "two of a name": (scenario(CARS, EGO + OTHER).replace(b'name="Other"', b'name="Ego"'), "another entity"),
-    "walks": (scenario(CARS | {"Other": PEDESTRIAN}, EGO + OTHER), "pedestrian"),
 }
 
 

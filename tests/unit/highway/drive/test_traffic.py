@@ -153,3 +153,52 @@ def test_vehicles_that_keep_their_lanes_are_where_sumo_has_them_until_they_arriv
                 front = x + half * np.cos(heading), y + half * np.sin(heading)
                 assert np.hypot(*np.subtract(GET_POSITION(name), front)) < (0.5 if internal else 1.0), (name, index)
         assert subject.names == ["vehicle0"]
+
+
+def crossing(road: HighwayRoad, s: float, d: float, reach: float) -> list[list[float]]:
+    """A path across the road, from `reach` metres to the right of a place to as far to its left."""
+    points = []
+    for side in (-reach, reach):
+        x, y, _ = road.start(s, d + side)
+        points.append([x, y])
+    return points
+
+
+@pytest.mark.parametrize(
+    ("reach", "final", "steady"), [(6.0, 1.39, 5.0), (6.0, 1.39, 0.0), (30.0, 4.17, 10.0), (20.0, None, 0.0)]
+)
+def test_a_vehicle_on_a_path_meets_the_ego_vehicle_where_it_should(
+    reach: float, final: float | None, steady: float, tmp_path: Path
+) -> None:
+    """A pedestrian, who waits and starts in time, and a rider, on no lane and of their true size."""
+    road, _ = traffic(NETWORK, ROUTE, tmp_path)
+    place, steps = 100.0 + SPEED * 6.0, 60
+    walker = {
+        "id": "walker", "model": "constant", "path": crossing(road, place, 0.0, reach), "s": 0.0, "speed": 0.0, "length": 0.6, "width": 0.5,
+        "actions": [{"id": "a", "do": "meet", "time": 0.0, "other_s": place, "at": reach, "speed": final, "steady": steady}],
+    }  # fmt: skip
+    road, drive = traffic(NETWORK, ROUTE, tmp_path, walker, {"id": "car", "lane": 1, "s": 400.0, "speed": 20.0})
+    runs = []
+    for _ in range(2):
+        drive.reset()
+        drive.motion[geometry.SIZE : geometry.SIZE + 2] = SIZE
+        rows = []
+        for index in range(steps):
+            rows.append(drive.outlines[drive.names.index("walker")].copy())
+            pose = np.array([*road.start(100.0 + SPEED * STEP * (index + 1), 0.0), SPEED, 0, 0, 0, 0])
+            assert geometry.place(road.line, road.lanes, pose, 100.0 + SPEED * STEP * index, drive.motion)
+            assert drive.advance(index)
+            geometry.locate(road.line, road.lanes, drive.neighbours, drive.outlines, STEP, drive.keeps_lanes)
+        rows.append(drive.outlines[drive.names.index("walker")].copy())
+        runs.append(np.array(rows))
+    assert np.array_equal(runs[0], runs[1])
+    x, y, _ = road.start(place, 0.0)
+    there = runs[0][-1]
+    assert np.hypot(there[0] - x, there[1] - y) < 0.5 * abs(there[5]) * STEP + 0.1
+    assert (there[3], there[4]) == (0.3, 0.25)
+    if final is not None:
+        assert abs(there[5]) == pytest.approx(final, abs=0.05)
+        assert runs[0][0, 5] == 0.0
+    assert set(drive.names) == {"walker", "car"}
+    crossing_speed = drive.neighbours[drive.names.index("walker"), 2]
+    assert abs(crossing_speed) < 0.1 * abs(there[5])  # across the road, not along it

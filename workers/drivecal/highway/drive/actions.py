@@ -5,14 +5,18 @@ Conditions are evaluated once per step of the traffic.
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from math import ceil, copysign, hypot, inf, isnan, sqrt
+from math import atan2, ceil, copysign, cos, hypot, inf, isnan, sin, sqrt
+from types import MappingProxyType
 from typing import NamedTuple
 
+import numpy as np
+
 from drivecal.bundles.highway import TrafficEntry
-from drivecal.bundles.highway_actions import EGO, Action, Brake, Condition, CutIn, Drift, Trigger, Wait
+from drivecal.bundles.highway_actions import EGO, Action, Brake, Condition, CutIn, Drift, Meet, Trigger, Wait
 from drivecal.domain.errors import DrivecalError
 from drivecal.highway import sumo
 from drivecal.highway.sumo import FREE, FREE_BUT_SAFE, MODEL
+from drivecal.roads.lines import lengths
 
 SLOWEST = 1e-3
 """Speed and closing speed (m/s) below which there is no time headway and no time to collision."""
@@ -208,13 +212,86 @@ class _Shift:
         return self.start + self.way * u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
 
 
+NEAR = 1e-6
+"""Metres and seconds before a meeting that count as none."""
+
+
+class PathVehicle:
+    """The motion of one of them: `along` (m) from the path's first point to its centre, and its speed (m/s)."""
+
+    def __init__(self, entry: TrafficEntry) -> None:
+        """Takes an entry with a path."""
+        self._points = np.array(entry.path, np.float64)
+        self._lengths, self._half = lengths(self._points), 0.5 * entry.length
+        self._start = entry.s, entry.speed
+        self.along, self.speed = self._start
+
+    def reset(self) -> None:
+        """Puts it to its start."""
+        self.along, self.speed = self._start
+
+    def advance(self, step: float) -> None:
+        """Moves it on for a step (s)."""
+        self.along += self.speed * step
+
+    def front(self) -> tuple[float, float, float]:
+        """Returns x and y of its front (m), and its heading (rad). It goes straight on beyond the path's ends."""
+        row = int(np.clip(np.searchsorted(self._lengths, self.along, side="right") - 1, 0, len(self._points) - 2))
+        (x, y), (dx, dy) = self._points[row], self._points[row + 1] - self._points[row]
+        heading = atan2(dy, dx)
+        ahead = self.along - float(self._lengths[row]) + self._half
+        return float(x) + ahead * cos(heading), float(y) + ahead * sin(heading), heading
+
+
+def meeting_speed(meet: Meet, along: float, speed: float, seconds: float, step: float) -> float | None:
+    """Returns the speed after the next step of a vehicle that is to meet another one, None if it is there.
+
+    It waits, if it stands, as long as one constant acceleration suffices to arrive in time at the final speed; on its way it takes two
+    constant accelerations of equal time.
+
+    Args:
+        meet: The action.
+        along: Metres on its path.
+        speed: Its speed now (m/s).
+        seconds: Time after which the other vehicle is at its place, infinite if it stands.
+        step: Seconds of a step.
+    """
+    way = meet.at - along
+    if way <= max(NEAR, 0.5 * speed * step):
+        return None
+    if meet.speed is None:
+        return way / max(seconds, step) if seconds < inf else speed
+    final = meet.speed
+    way, seconds = way - meet.steady, seconds - (meet.steady / final if final > 0.0 else 0.0)
+    if way <= NEAR:
+        return final
+    if seconds <= 2.0 * step:  # it is late
+        return final
+    if speed == 0.0 and 2.0 * way < final * seconds:
+        return 0.0
+    middle = max(0.5 * (4.0 * way / seconds - speed - final), 0.0)
+    return max(speed + (middle - speed) * min(2.0 * step / seconds, 1.0), 0.0)
+
+
+def _seconds_to(way: float, speed: float) -> float:
+    """Returns the time that a vehicle takes for a way (m) at a speed (m/s): infinite if it stands, 0 if it is beyond."""
+    if way <= 0.0:
+        return 0.0
+    return way / speed if speed > 1e-3 else inf
+
+
 class Actions:
     """The actions of all vehicles of a scenario."""
 
     def __init__(
-        self, vehicles: Mapping[str, TrafficEntry], lateral: Lateral = lambda _, d, __: d, stretch: Stretch = straight
+        self,
+        vehicles: Mapping[str, TrafficEntry],
+        lateral: Lateral = lambda _, d, __: d,
+        stretch: Stretch = straight,
+        paths: Mapping[str, PathVehicle] = MappingProxyType({}),
     ) -> None:
-        """`vehicles` have ids; `lateral` and `stretch` belong to the road."""
+        """`vehicles` have ids; `lateral` and `stretch` belong to the road; `paths` are the vehicles that SUMO does not know."""
+        self._paths = paths
         self._entries = [(name, action) for name, vehicle in vehicles.items() for action in vehicle.actions]
         self._vehicles, self._lateral, self._stretch = vehicles, lateral, stretch
         self.reset()
@@ -225,12 +302,13 @@ class Actions:
         self._late: list[tuple[str, CutIn]] = []
         self._speeding: dict[str, _Speeding] = {}
         self._shifts: dict[str, _Shift] = {}
+        self._meets: dict[str, Meet] = {}
         self._events = Events()
 
     @property
     def pending(self) -> bool:
         """Some action is still to be done."""
-        return bool(self._waiting or self._late or self._speeding or self._shifts)
+        return bool(self._waiting or self._late or self._speeding or self._shifts or self._meets)
 
     def act(self, time: float, step: float, vehicles: Mapping[str, Moving], stretch: float) -> None:
         """Begins and continues actions for the step from `time` on. `vehicles`, ego among them, and `stretch` are as in `Moment`.
@@ -258,6 +336,8 @@ class Actions:
             self._speed(name, moment, step)
         for name in [name for name in self._shifts if name in vehicles]:
             self._shift(name, time + step)
+        for name in list(self._meets):
+            self._meet(name, moment, step)
 
     def _begin(self, name: str, action: Action, moment: Moment) -> None:
         vehicle = sumo.vehicle
@@ -267,15 +347,23 @@ class Actions:
         if isinstance(action, Wait):
             self._events.done.add(action.id or "")
             return
-        if isinstance(action, Brake):
+        if isinstance(action, (Brake, Meet)):
             if name in self._speeding:
-                self._events.done.add(self._speeding[name].brake.id or "")
-            speed = vehicle.getSpeed(name)
+                self._events.done.add(self._speeding.pop(name).brake.id or "")
+            if name in self._meets:
+                self._events.done.add(self._meets.pop(name).id or "")
+        if isinstance(action, Meet):
+            self._meets[name] = action
+            return
+        if isinstance(action, Brake):
+            path = self._paths.get(name)
+            speed = vehicle.getSpeed(name) if path is None else path.speed
             target = _target(action, moment, speed)
             rate = _rate(action, speed, target)
             # A speed that is already that of the other vehicle says no rate at which to keep to it.
             self._speeding[name] = _Speeding(action, speed, target, DEFAULT_RATE if action.continuous and rate == 0.0 else rate)
-            vehicle.setSpeedMode(name, FREE if self._vehicles[name].model == "constant" else FREE_BUT_SAFE)
+            if path is None:
+                vehicle.setSpeedMode(name, FREE if self._vehicles[name].model == "constant" else FREE_BUT_SAFE)
             return
         if name in self._shifts:
             self._events.done.add(self._shifts[name].action or "")
@@ -320,6 +408,8 @@ class Actions:
         if running is not None and running.brake.id in ended:
             running.brake = running.brake.model_copy(update={"hold": None, "continuous": False})
             running.target, running.until = running.target if running.rate == inf else running.speed, None
+        if name in self._meets and self._meets[name].id in ended:
+            self._events.done.add(self._meets.pop(name).id or "")
         if shift is not None and shift.action in ended and shift.seconds > SHORTEST:
             self._events.done.add(shift.action or "")
             del self._shifts[name]
@@ -353,13 +443,30 @@ class Actions:
         change, target = running.rate * step, running.target
         speed = max(running.speed - change, target) if running.speed > target else min(running.speed + change, target)
         running.speed = speed
-        sumo.vehicle.setSpeed(name, speed)
+        if name in self._paths:
+            self._paths[name].speed = speed
+        else:
+            sumo.vehicle.setSpeed(name, speed)
         if speed != target or running.until is not None:
             return
         if running.brake.hold is not None:
             running.until = time + step + running.brake.hold
         elif not running.brake.continuous:
             self._events.done.add(running.brake.id or "")
+
+    def _meet(self, name: str, moment: Moment, step: float) -> None:
+        """Gives a vehicle on a path the speed with which it meets another one; it keeps its last speed if the other one has gone."""
+        meet, path = self._meets[name], self._paths[name]
+        other = moment.vehicles.get(meet.other)
+        speed = None
+        if other is not None and not isnan(other.s):
+            stretch = moment.stretch if meet.other == EGO else moment.stretch_at(other.s, other.d)
+            seconds = _seconds_to((meet.other_s - other.s) * stretch, other.speed)
+            speed = meeting_speed(meet, path.along, path.speed, seconds, step)
+        if speed is None:
+            self._events.done.add(meet.id or "")
+            del self._meets[name]
+        path.speed = path.speed if speed is None else speed
 
     def _shift(self, name: str, time: float) -> None:
         """Moves a vehicle sideways, and into the next lane when its centre crosses the marking, or after the junction."""

@@ -58,7 +58,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     scenario = description.scenario
     network = folder / network_file(scenario.network)
     roads = read_network(network.read_bytes(), scenario.network)
-    route = corridor(roads, scenario.route, scenario.network, scenario.default_limit)
+    route = corridor(roads, scenario.route, scenario.network, scenario.default_limit, crossings=scenario.crossings)
     road = HighwayRoad(route, other_levels(roads, route), unlimited(roads))
     beside = neighbouring(roads, route)
     changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleValues) else {}

@@ -73,6 +73,8 @@ OVERLAP = 0.3
 """A vehicle is in each lane into which it reaches by more than this (m)."""
 GORE = 4.0
 """Largest distance (m) between two lanes of one road, between which another one may open. Ramps farther apart are roads of their own."""
+CROSSING = 0.5
+"""Cosine of the angle to the road above which a vehicle drives along it; another one is as fast along the road as its part of the speed."""
 FAR = 1000.0
 """Gap without a vehicle; `highway_catalogue.FAR`."""
 OWN, BESIDE = 20, 7
@@ -227,7 +229,7 @@ def locate(
     `step`: seconds since the last update; 0 means that there was none, so that foot points are searched and rates are 0.
     """
     for i in range(len(neighbours)):
-        half, speed = 0.5 * neighbours[i, 4], outlines[i, SAID + 2]
+        half, speed, rate = 0.5 * neighbours[i, 4], outlines[i, SAID + 2], nan
         change = (speed - abs(outlines[i, 5])) / step if step > 0.0 else 0.0
         near = neighbours[i, 0] + half + neighbours[i, 2] * step
         if keeps_lanes:
@@ -261,7 +263,10 @@ def locate(
                 s, d, course, _, _, curvature, _ = foot(line, x, y, nearest(line, x, y))
             stretch = max(1.0 - curvature * d, 0.1)
             if strays:
-                if cos(heading - course) < 0.0:
+                turned = cos(heading - course)
+                if abs(turned) < CROSSING:
+                    rate = speed * turned
+                if turned < 0.0:
                     speed, change = -speed, -change
             else:
                 heading = course - half * curvature / stretch
@@ -270,7 +275,7 @@ def locate(
                 s -= half / stretch
             outlines[i, 0], outlines[i, 1] = x, y
         neighbours[i, 3] = (d - neighbours[i, 1]) / step if step > 0.0 and not isnan(neighbours[i, 1]) else 0.0
-        neighbours[i, 0], neighbours[i, 1], neighbours[i, 2] = s, d, speed / stretch
+        neighbours[i, 0], neighbours[i, 1], neighbours[i, 2] = s, d, (speed if isnan(rate) else rate) / stretch
         outlines[i, 2], outlines[i, 3], outlines[i, 4] = heading, half, 0.5 * neighbours[i, 5]
         outlines[i, 5], outlines[i, 6] = speed, change
 
@@ -301,6 +306,8 @@ def _seen(
         reach = 0.5 * (_lane(lanes, row, 0.0, track, 1) + neighbours[i, 5]) - OVERLAP
         if abs(neighbours[i, 1] - _lane(lanes, row, share, track, 0)) < reach:
             seen[first], seen[first + 1], seen[first + 2] = gap, outlines[i, 5], outlines[i, 6]
+            if abs(neighbours[i, 2]) < CROSSING * abs(outlines[i, 5]):
+                seen[first + 1], seen[first + 2] = neighbours[i, 2] * motion[STRETCH], 0.0
 
 
 @compiled

@@ -66,6 +66,7 @@ def keeps_lanes(scenario: HighwayScenario) -> bool:
     """Returns whether no vehicle of an exact scenario leaves the centre of its lane, or the route."""
     return is_exact(scenario) and all(
         vehicle.route is None
+        and vehicle.path is None
         and vehicle.offset == 0.0
         and (vehicle.edge is None or vehicle.edge in scenario.route)
         and all(isinstance(action, (Brake, Wait)) for action in vehicle.actions)
@@ -100,6 +101,8 @@ def routes_file(scenario: HighwayScenario, routes: RouteTraffic | None = None) -
     SubElement(root, "route", id=route_id(EGO), edges=" ".join(scenario.route))
     fields = [f"traffic[{index}]" for index in range(len(vehicles))] + [f"flows[{index}]" for index in range(len(flows))]
     for field, (name, entry) in zip(fields, (vehicles | flows).items(), strict=True):
+        if isinstance(entry, TrafficEntry) and entry.path is not None:
+            continue
         SubElement(root, "vType", {"id": name} | _type(entry, unmoved))
         SubElement(root, "route", id=route_id(name), edges=" ".join(_route(scenario, entry, field)))
     for name, flow in sorted(flows.items(), key=lambda entry: scenario.begin_of(entry[1])):

@@ -22,7 +22,7 @@ from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem
 from drivecal.domain.roads import Floats
 from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
-from drivecal.highway.drive.actions import Actions, Moving
+from drivecal.highway.drive.actions import Actions, Moving, PathVehicle
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.routes import (
     drive_alone,
@@ -106,7 +106,9 @@ class Traffic:
         """
         self.name, self.scenario, self.road, self.step = name, scenario, road, step
         vehicles, flows = drivers(scenario)
-        self._vehicles = list(vehicles)
+        self._paths = {name: PathVehicle(vehicle) for name, vehicle in vehicles.items() if vehicle.path is not None}
+        """Vehicles that SUMO does not know; their rows are the last."""
+        self._vehicles = [name for name in vehicles if name not in self._paths]
         self.starting = len(vehicles)
         """Number of the first rows, whose vehicles exist from time 0; the others have come in the warm-up."""
         self._drivers: dict[str, Driver] = {**vehicles, **flows}
@@ -140,7 +142,9 @@ class Traffic:
         try:
             self._load()
             placed: list[tuple[str, str, Placed, float]] = [
-                (f"traffic[{index}]", key, vehicle, vehicle.length) for index, (key, vehicle) in enumerate(vehicles.items())
+                (f"traffic[{index}]", key, vehicle, vehicle.length)
+                for index, (key, vehicle) in enumerate(vehicles.items())
+                if key not in self._paths
             ]
             self._starts = [
                 sumo.Start(key, route_id(key), *_front(road, entry, length, f"{field}.{part}"), entry.speed, entry.offset)
@@ -150,7 +154,7 @@ class Traffic:
         except SUMO_ERRORS as error:
             traffic = "its traffic" if scenario.routes is None else scenario.routes
             raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with {traffic}: {error}") from error
-        self._actions = Actions(vehicles, road.lateral, road.stretch)
+        self._actions = Actions(vehicles, road.lateral, road.stretch, self._paths)
         self._has_actions = self._actions.pending
         curvature = point(road.line, self.start_s)[3]
         start = Moving(self.start_s, self.start_d, ego.speed, 0.5 * ego.length)
@@ -169,7 +173,8 @@ class Traffic:
 
     def _use(self, names: list[str], neighbours: Floats, outlines: Floats) -> None:
         self.names, self.neighbours, self.outlines = names, neighbours, outlines
-        self._turned = [(row, name) for row, name in enumerate(names) if self._strays[name]]
+        self._in_sumo = [name for name in names if name not in self._paths]
+        self._turned = [(row, name) for row, name in enumerate(self._in_sumo) if self._strays[name]]
         """Rows and names of the vehicles whose heading is SUMO's."""
         self._drifting = [(row, self._drifts[name]) for row, name in enumerate(names) if name in self._drifts]
         self._places, self._asides, self._speeds, self._headings = (column.data for column in outlines.T[geometry.SAID :])
@@ -207,12 +212,14 @@ class Traffic:
             entering = [name for name in present if self._routes is not None and name in self._routes.starting]
             driving = [name for name in present if name not in entering]
             missing = sumo.place(self._starts)
-            self.starting = len(self._vehicles) + len(entering)
+            self.starting = len(self._vehicles) + len(entering) + (0 if driving else len(self._paths))
+            for path in self._paths.values():
+                path.reset()
             if self._began is None:
                 self.names = []
                 self._enlist(self._vehicles + entering + driving)
             else:
-                self._use(self._vehicles, *(array.copy() for array in self._began))
+                self._use([*self._vehicles, *self._paths], *(array.copy() for array in self._began))
                 for start in self._starts[:-1]:
                     self._instruct(start.name, start.speed)
         except SUMO_ERRORS as error:
@@ -238,8 +245,9 @@ class Traffic:
         start = np.array([self.start_s, self.start_d, ego.speed, 0.0, ego.length, ego.width])
         pose = self.road.start(self.start_s, self.start_d)
         outline = np.array([*pose, 0.5 * ego.length, 0.5 * ego.width, ego.speed, *[0.0] * 5])
-        sideways = [sumo.vehicle.getLateralSpeed(name) for name in self.names]
+        sideways = [0.0 if name in self._paths else sumo.vehicle.getLateralSpeed(name) for name in self.names]
         rows = too_close(self.neighbours, self.outlines, self.starting, start, outline, sideways)
+        rows = [row for row in rows if self.names[row] not in self._paths]
         if not rows:
             return
         for row in rows:
@@ -270,7 +278,9 @@ class Traffic:
                 if at[geometry.S] > self.road.length - self.scenario.ego.length - at[geometry.OWN_SPEED] * self.step:
                     return False
                 raise TrafficError(f"scenarios.{self.name}: SUMO has removed the ego vehicle in step {index}")
-            self._speeds[:] = array("d", map(GET_SPEED, self.names))
+            for path in self._paths.values():
+                path.advance(self.step)
+            self._read_speeds()
             if self.keeps_lanes:
                 for row, offsets in self._drifting:
                     self._asides[row] = offsets[index]
@@ -284,8 +294,8 @@ class Traffic:
     def _update(self) -> bool:
         """Takes in the vehicles that have come, and leaves out vehicles that have arrived; returns whether the ego vehicle is there."""
         present = set(sumo.vehicle.getIDList())
-        if present != {EGO, *self.names}:
-            kept = [name for name in self.names if name in present]
+        if present != {EGO, *self._in_sumo}:
+            kept = [name for name in self._in_sumo if name in present]
             self._enlist(kept + sorted(present - {EGO, *kept}))
         self._loaded = EGO in present
         return self._loaded
@@ -335,6 +345,7 @@ class Traffic:
 
     def _enlist(self, names: list[str]) -> None:
         """Replaces the arrays for other vehicles; new ones are told what they may do."""
+        names = [*(name for name in names if name not in self._paths), *self._paths]
         neighbours, outlines = np.zeros((len(names), 6)), np.zeros((len(names), geometry.OUTLINED))
         rows = {name: row for row, name in enumerate(self.names)}
         for row, name in enumerate(names):
@@ -343,11 +354,14 @@ class Traffic:
                 continue
             driver = self._driver(name)
             size = (driver.length, driver.width) if driver else (sumo.vehicle.getLength(name), sumo.vehicle.getWidth(name))
-            self._strays[name] = not self._own.issuperset(sumo.vehicle.getRoute(name))
-            s = geometry.nearest(self.road.line, *GET_POSITION(name)) - 0.5 * size[0]
+            path = self._paths.get(name)
+            self._strays[name] = path is not None or not self._own.issuperset(sumo.vehicle.getRoute(name))
+            s = geometry.nearest(self.road.line, *(GET_POSITION(name) if path is None else path.front()[:2])) - 0.5 * size[0]
             neighbours[row] = s, np.nan, 0.0, 0.0, *size
-            outlines[row, :2], outlines[row, 5], outlines[row, geometry.SAID + 3] = np.nan, GET_SPEED(name), np.nan
-            self._instruct(name, outlines.item(row, 5))
+            speed = GET_SPEED(name) if path is None else path.speed
+            outlines[row, :2], outlines[row, 5], outlines[row, geometry.SAID + 3] = np.nan, speed, np.nan
+            if path is None:
+                self._instruct(name, speed)
         self._use(names, neighbours, outlines)
 
     def _instruct(self, name: str, speed: float) -> None:
@@ -363,8 +377,15 @@ class Traffic:
         """Returns the driver of a vehicle or of its flow, None for vehicles of a route file, which SUMO drives."""
         return self._drivers.get(name) or self._drivers.get(name.rpartition(".")[0])
 
+    def _read_speeds(self) -> None:
+        self._speeds[: len(self._in_sumo)] = array("d", map(GET_SPEED, self._in_sumo))
+        for row, path in enumerate(self._paths.values(), len(self._in_sumo)):
+            self._speeds[row] = path.speed
+
     def _read_places(self) -> None:
-        sumo.positions(self.names, self._places, self._asides)
+        sumo.positions(self._in_sumo, self._places, self._asides)
+        for row, path in enumerate(self._paths.values(), len(self._in_sumo)):
+            self._places[row], self._asides[row], self._headings[row] = path.front()
         for row, name in self._turned:
             self._headings[row] = radians(90.0 - GET_ANGLE(name))
         if self.road.levels:
@@ -377,7 +398,7 @@ class Traffic:
                 track, place = self.road.sumo.along(edge, int(lane), start.position)
                 self.outlines[row, geometry.SAID :] = place, 0.0, start.speed, track
         else:
-            self._speeds[:] = array("d", map(GET_SPEED, self.names))
+            self._read_speeds()
             self._read_places()
             self._set_off()
         geometry.locate(self.road.line, self.road.lanes, self.neighbours, self.outlines, 0.0, self.keeps_lanes)
@@ -394,7 +415,7 @@ class Traffic:
 
     def _leave_out_other_levels(self) -> None:
         """Gives vehicles above or below the road no place on it."""
-        for row, name in enumerate(self.names):
+        for row, name in enumerate(self._in_sumo):
             stretch = self.road.levels.get(GET_ROAD(name))
             if stretch is not None and stretch[0] <= GET_LANE_POSITION(name) <= stretch[1]:
                 self.outlines[row, geometry.SAID : geometry.SAID + 2] = np.nan
