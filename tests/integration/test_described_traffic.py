@@ -88,6 +88,16 @@ def test_a_car_that_overtakes_cuts_in_ahead_and_brakes_afterwards(folder: Path) 
     assert braking == pytest.approx(13.1, abs=0.3)  # a second after the change is done
 
 
+def test_a_pedestrian_who_crosses_is_hit_by_who_does_not_brake_in_the_same_bits(folder: Path) -> None:
+    data = {"openscenario": "scenarios/walks_across.xosc"}
+    with driven(folder, data, CONTROLLERS["python"] | {"file": "acc.py"}) as session:
+        first, second = session.evaluate(PARAMETERS), session.evaluate(PARAMETERS)
+    assert first.failure == second.failure == "collision"
+    assert first.measures == second.measures
+    # The pedestrian is in the middle of the lane when the front is there, 146 m behind the start; the step has 2 m.
+    assert first.measures["distance_m"] == pytest.approx(146.0, abs=3.0)
+
+
 def test_a_route_file_brings_its_vehicles_and_flows(folder: Path) -> None:
     outcome = result(folder, MERGE, "follow.py")
     assert outcome.failure is None

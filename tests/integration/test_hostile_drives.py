@@ -44,6 +44,7 @@ SUBJECTS: dict[str, tuple[str, dict[str, Any]]] = {
     "real network": ("highway.net.xml", ON_HIGHWAY),
     "routes": ("merge.rou.xml", ON_RAMP),
     "cut_in": ("scenarios/cut_in.xosc", {"openscenario": "scenarios/cut_in.xosc", "duration": 4}),
+    "walks_across": ("scenarios/walks_across.xosc", {"openscenario": "scenarios/walks_across.xosc", "duration": 4}),
     "cut_out": ("scenarios/cut_out.xosc", {"openscenario": "scenarios/cut_out.xosc", "duration": 4}),
 }
 """The damaged file, and the scenario that reads it."""

@@ -188,7 +188,31 @@ def cut_out() -> bytes:
     )
 
 
-FILES = {"cut_in": cut_in, "slower_cut_in": slower_cut_in, "cut_out": cut_out}
+def walks_across() -> bytes:
+    """A pedestrian walks across the road so as to meet the ego vehicle, in front of a parked car and an oncoming one."""
+    person = f'<Pedestrian name="p" mass="1" pedestrianCategory="pedestrian">{BOX.format(centre=0, length=0.6, width=0.5)}</Pedestrian>'
+    vertices = "".join(f"<Vertex>{lane(-3, 300, offset)}</Vertex>" for offset in ("${-$reach}", "$reach"))
+    way = f'<TrajectoryRef><Trajectory name="w" closed="false"><Shape><Polyline>{vertices}</Polyline></Shape></Trajectory></TrajectoryRef>'
+    follow = f"<FollowTrajectoryAction><TimeReference><None/></TimeReference>{way}</FollowTrajectoryAction>"
+    final = '<FinalSpeed><AbsoluteSpeed value="1.4"><TargetDistanceSteadyState distance="3"/></AbsoluteSpeed></FinalSpeed>'
+    meet = (
+        '<SynchronizeAction masterEntityRef="Ego"><TargetPositionMaster><LanePosition roadId="7" laneId="-3" s="296"/>'
+        f'</TargetPositionMaster><TargetPosition><TrajectoryPosition s="$reach">{way}</TrajectoryPosition></TargetPosition>{final}'
+        "</SynchronizeAction>"
+    )
+    turned = '<Position><LanePosition roadId="7" laneId="-2" s="500"><Orientation type="relative" h="${pi}"/></LanePosition></Position>'
+    parked = '<Position><RelativeObjectPosition entityRef="Ego" dx="${round(100.4)}" dy="-4"/></Position>'
+    starts = (
+        start("Ego", lane(-3, 150), absolute(20))
+        + f'<Private entityRef="Other"><PrivateAction><RoutingAction>{follow}</RoutingAction></PrivateAction></Private>'
+        + start("Oncoming", turned, absolute(15))
+        + f'<Private entityRef="Parked"><PrivateAction><TeleportAction>{parked}</TeleportAction></PrivateAction></Private>'
+    )
+    entities = {"Ego": vehicle(), "Other": person, "Oncoming": vehicle(), "Parked": vehicle()}
+    return scenario(entities, starts, act("Other", event("meet", meet, when_time(0))), parameters={"reach": 6})
+
+
+FILES = {"cut_in": cut_in, "slower_cut_in": slower_cut_in, "cut_out": cut_out, "walks_across": walks_across}
 ROUTES = b"""<routes>
 <vType id="car" carFollowModel="IDM" laneChangeModel="LC2013" length="4.5" maxSpeed="35" tau="1.2" speedFactor="normc(1,0.1,0.2,2)"
   lcAssertive="2" color="red"/>

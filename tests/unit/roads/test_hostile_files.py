@@ -3,6 +3,7 @@
 `DRIVECAL_LONG` in the environment makes it thorough.
 """
 
+import resource
 import tracemalloc
 from collections.abc import Callable
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from tests.support import effort
 from tests.support.effort import tries
-from tests.support.mutations import mutated, outcome
+from tests.support.mutations import mutated, nudged, outcome
 from tests.support.networks import REAL, crossing, entrance, generated, real
 from tests.support.opendrive_files import FILES
 
@@ -70,6 +71,30 @@ def test_damaged_opendrive_files_are_read_or_refused(file: str) -> None:
         results.append(outcome(attempt))
     assert any(results)
     assert not all(results)
+
+
+def used() -> tuple[float, float]:
+    """Processor time (s) so far, and the largest memory (MB) of a finished child."""
+    own, children = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
+    return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime, children.ru_maxrss / 1024
+
+
+@pytest.mark.parametrize("count", [24, pytest.param(1000, marks=pytest.mark.slow)])
+def test_mutated_roads_are_converted_or_refused_within_a_minute_and_two_gigabytes(count: int) -> None:
+    files, chance = [make() for make in FILES.values()], effort.chance(f"roads {count}")
+    converted_files = 0
+    for number in range(count):
+        damage = nudged if number % 3 else mutated
+        damaged, (begin, _) = damage(files[number % len(files)], chance), used()
+        try:
+            converted(damaged, "road.xodr")
+            converted_files += 1
+        except InvalidInputError as error:
+            assert all(problem.message and problem.remedy for problem in error.problems)  # noqa: PT017  # both outcomes are right
+        seconds, megabytes = used()
+        assert seconds - begin < 62.0
+        assert megabytes < 2048
+    assert 0 < converted_files < count
 
 
 def unconnected(edges: int, lanes: int, length: float = 20.0) -> bytes:
