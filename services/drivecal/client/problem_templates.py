@@ -3,7 +3,7 @@
 import json
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from decimal import Decimal
 from importlib import resources
 from pathlib import Path
@@ -109,6 +109,7 @@ def fmu_manifest(name: str, folder: str, file: str, description: FmuDescription)
         f"problem: {name}",
         "parameters:",
         *_parameter_lines(parameters),
+        *_left_out(description, named),
         "simulator:",
         "  kind: fmu",
         f"  file: {json.dumps(file)}",
@@ -144,6 +145,14 @@ def _parameter_lines(parameters: list[FmuVariable]) -> Iterator[str]:
         comment = f" # {shown(parameter.description)}" if parameter.description else ""
         start = "" if parameter.start is None else f"{comment or ' #'} (start: {parameter.start:g})"
         yield f"  {'# ' if index >= MOST_ENTRIES else ''}{entry}{start or comment}"
+
+
+def _left_out(description: FmuDescription, named: Mapping[str, FmuVariable]) -> Iterator[str]:
+    """Yields a comment that counts the parameters that a problem cannot have."""
+    kinds = {"parameter", "structuralParameter"}
+    others = [shown(entry.name, 60) for entry in description.variables if entry.causality in kinds and entry.name not in named]
+    if others:
+        yield f"  # left out: {len(others)} texts, arrays, and parameters of unusable names or ranges, e.g. {', '.join(others[:5])}"
 
 
 def _bounds(variable: FmuVariable) -> tuple[float, float] | None:

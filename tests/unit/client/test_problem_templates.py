@@ -162,6 +162,7 @@ def test_an_fmu_fills_parameters_and_outputs(description: str, tmp_path: Path) -
         assert set(manifest.parameters) == {"k", "engine.mass", "gear", "abs", "true"}
         assert (manifest.parameters["gear"].integer, manifest.parameters["gear"].upper) == (True, 6)
         assert manifest.simulator.measures == {"der_x_last": "last(der(x))"}
+        assert "left out: 2 " in (tmp_path / "folder" / "problem.yaml").read_text()  # table[1] and youngs
         assert (manifest.simulator.duration, manifest.simulator.step) == (20, 0.01)
 
 

@@ -228,10 +228,8 @@ class ScenarioFile:
                     places[name] = roads.at(pose.x, pose.y, pose.heading, drive, position)
                 else:
                     places[name] = roads.place(position, places, drive)
-                    if name == ego and places[name].lane <= 0 and is_turned(pose, reader.pose_of(places[name]).heading):
-                        raise position.fault(
-                            "the ego vehicle would start across or against its lane", "give it the lane's direction"
-                        )
+                    if name == ego and is_turned(pose, reader.pose_of(places[name]).heading):
+                        self._notes.add(position.children[0], "the ego vehicle starts in the direction of its lane")
                 starts[name] = _Start(self._centre(places[name], entities[name], roads, kind), 0.0)
             for kind in (kind for kind in kinds if kind.element == "RoutingAction"):
                 self._follow(kind, name, entities[name], starts, places, poses, reader)

@@ -237,13 +237,13 @@ def _candidates(lanes: Iterable[Lane], x: float, y: float, heading: float | None
 
 def _projections(lanes: Iterable[Lane], x: float, y: float) -> Iterator[_Candidate]:
     for lane in lanes:
-        along, left, off, direction = _projected(lane.shape, x, y)
+        along, left, off, direction = projected(lane.shape, x, y)
         position = min(along * lane.length, lane.length)
         place = FilePlace(lane.edge, lane.index, round(position, DECIMALS), round(left, DECIMALS))
         yield _Candidate(off, left, lane, place, direction)
 
 
-def _projected(shape: Floats, x: float, y: float) -> tuple[float, float, float, float]:
+def projected(shape: Floats, x: float, y: float) -> tuple[float, float, float, float]:
     """Returns the closest point of a polyline to coordinates: its share of the length, distance to its left, distance, direction there."""
     starts, steps = shape[:-1], np.diff(shape, axis=0)
     squares = np.maximum(np.einsum("ij,ij->i", steps, steps), 1e-12)

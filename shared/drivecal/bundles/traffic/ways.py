@@ -9,7 +9,7 @@ import numpy as np
 
 from drivecal.bundles.traffic.elements import Element
 from drivecal.bundles.traffic.entities import Catalogs
-from drivecal.bundles.traffic.places import FilePlace, Map, links
+from drivecal.bundles.traffic.places import FilePlace, Map, links, projected
 from drivecal.domain.roads import Floats
 from drivecal.roads.lines import lengths
 
@@ -48,13 +48,8 @@ class Way(NamedTuple):
 
     def along(self, pose: Pose) -> tuple[float, float]:
         """Returns the length (m) along it of the point that is closest to a pose, and how far the pose is to its left (m)."""
-        starts, steps = self.points[:-1], np.diff(self.points, axis=0)
-        rest = np.array([pose.x, pose.y]) - starts
-        sizes = np.hypot(*steps.T)
-        shares = np.clip(np.einsum("ij,ij->i", rest, steps) / sizes**2, 0.0, 1.0)
-        row = int(np.argmin(np.hypot(*(rest - shares[:, None] * steps).T)))
-        left = float(steps[row, 0] * rest[row, 1] - steps[row, 1] * rest[row, 0]) / float(sizes[row])
-        return float(lengths(self.points)[row] + shares[row] * sizes[row]), left
+        share, left, _, _ = projected(self.points, pose.x, pose.y)
+        return share * float(lengths(self.points)[-1]), left
 
     def shifted(self, left: float) -> "Way":
         """Returns the way at a distance (m) to the left."""
@@ -186,8 +181,8 @@ class WayReader:
         if orientation is None:
             return pose
         turn = orientation.number("h", -100.0, 100.0, 0.0)
-        is_absolute = orientation.word("type", ("relative", "absolute"), "absolute") == "absolute"
-        if is_absolute and kind.element in {"LanePosition", "RoadPosition"}:
+        kind_of_turn = orientation.word("type", ("relative", "absolute"), "absolute" if turn else "relative")
+        if kind_of_turn == "absolute" and kind.element in {"LanePosition", "RoadPosition"}:
             return pose._replace(heading=turn)
         return pose._replace(heading=pose.heading + turn)
 
