@@ -278,7 +278,7 @@ def _normalized(content: bytes, file: RoadFile) -> bytes:
             if child.tag not in known or (child.tag == "signal" and not _is_light(child)):
                 element.remove(child)
     for header in document.iter("header"):
-        header.attrib.setdefault("revMinor", "4")
+        header.set("revMinor", minor if (minor := header.get("revMinor", "")).isdigit() else "4")
     for geometry in document.iter("geometry"):
         for curve in [child for child in geometry if child.tag in {"arc", "spiral"}]:
             _flatten(geometry, curve)
@@ -361,6 +361,8 @@ def _cause(file: RoadFile, code: int, errors: list[str]) -> Problem:
                     f"{shown(other.id, 60)} of junction {shown(other.junction, 60)}, which netconvert cannot convert"
                 )
                 return Problem(file.name, message, "put a road between the junctions, or make them one junction")
+    if file.lost and "is not known" in said:
+        return file.lost[0]
     named = [file.roads[name] for name in re.findall(r"'([^']*)'", said) if name in file.roads]
     where = "".join(f"line {road.line}, road {shown(road.id, 60)}: " for road in named[:1])
     remedy = "correct the road there" if named else "export the file again, or leave out roads until it can be converted"

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import GAUSS_POINTS, GAUSS_WEIGHTS, Floats
@@ -198,7 +199,7 @@ class FileRoad:
     sections: list[LaneSection] = field(default_factory=list)
     limits: list[tuple[float, float | None]] = field(default_factory=list)
     linked: list[str] = field(default_factory=list)
-    """Ids of the roads before and after."""
+    """Ids of the roads before and after it."""
 
     def reference(self, s: Floats) -> tuple[Floats, Floats, Floats]:
         """Returns x, y and heading of the reference line at each s."""
@@ -254,12 +255,14 @@ class FileRoad:
 
 @dataclass(slots=True)
 class RoadFile:
-    """The content of an `.xodr`. `ignored`: how often each element stands in it that the conversion ignores; `notes`: on the rest."""
+    """The content of an `.xodr`. `ignored`: how often each element stands in it that the conversion ignores; `notes`: on the rest;
+    `lost`: links to roads that are not there."""
 
     name: str
     roads: dict[str, FileRoad]
     ignored: Mapping[str, int]
     notes: JoinedNotes
+    lost: tuple[Problem, ...] = ()
 
 
 def read_opendrive(content: bytes, name: str) -> RoadFile:
@@ -331,6 +334,8 @@ class _Reader:
         self.geometry: Attributes | None = None
         self.kind_begin = 0.0
         self.notes = JoinedNotes()
+        self.named: list[tuple[Attributes, str]] = []
+        """Elements that name a road, with the attribute."""
 
     def start(self, attributes: Attributes) -> None:
         """Takes an element of a known place. Refuses what would let netconvert read other files."""
@@ -367,7 +372,13 @@ class _Reader:
         """Returns the file's content."""
         if not self.roads:
             raise InvalidInputError(Problem(self.name, "the file has no roads", "give a file with roads"))
-        return RoadFile(self.name, self.roads, self.ignored, self.notes)
+        lost = []
+        for attributes, key in self.named:
+            if (name := attributes.text(key)) not in self.roads:
+                message = f"{key} is {shown(name, 60)}, and there is no such road"
+                lost += attributes.fault(message, nearest(name, list(self.roads))).problems
+                self.notes.add(f"line {attributes.line}, <{attributes.element}>", f"{key} names a road that is not there")
+        return RoadFile(self.name, self.roads, self.ignored, self.notes, tuple(lost))
 
     def on_opendrive_header(self, attributes: Attributes) -> None:
         """Checks the version."""
@@ -382,8 +393,7 @@ class _Reader:
             raise attributes.fault("the road is for left-hand traffic", "give a file for right-hand traffic")
         if name in self.roads:
             raise attributes.fault("another road has the same id", "rename one")
-        if _NO_NAME.search(name):
-            raise attributes.fault("the id is empty, or has a character that edges of SUMO cannot have", "rename the road")
+        _check_name(attributes, "id")
         self.road = FileRoad(
             name, attributes.number("length", 0.0, LONGEST), attributes.text("junction", "-1"), attributes.line
         )
@@ -434,18 +444,44 @@ class _Reader:
             self.lane.limits.append((attributes.number("sOffset", 0.0, LONGEST), _speed(attributes)))
 
     def on_link_successor(self, attributes: Attributes) -> None:
-        """Takes the lane that follows."""
+        """Takes the lane or the road that follows."""
         if self.lane is not None:
             self.lane.successor = attributes.integer("id", -64, 64)
-        elif self.road is not None and attributes.values.get("elementType") == "road":
-            self.road.linked.append(attributes.text("elementId"))
+        else:
+            self._on_linked(attributes)
 
     def on_link_predecessor(self, attributes: Attributes) -> None:
-        """Takes the lane before."""
+        """Takes the lane or the road before."""
         if self.lane is not None:
             self.lane.predecessor = attributes.integer("id", -64, 64)
-        elif self.road is not None and attributes.values.get("elementType") == "road":
+        else:
+            self._on_linked(attributes)
+
+    def _on_linked(self, attributes: Attributes) -> None:
+        _check_name(attributes, "elementId")
+        if attributes.text("elementType") == "road" and self.road is not None:
+            self.named.append((attributes, "elementId"))
             self.road.linked.append(attributes.text("elementId"))
+
+    def on_opendrive_junction(self, attributes: Attributes) -> None:
+        """Checks a junction, which netconvert reads."""
+        _check_name(attributes, "id")
+
+    def on_junction_connection(self, attributes: Attributes) -> None:
+        """Checks a connection, which netconvert reads."""
+        attributes.text("id")
+        self.named += [
+            (attributes, key) for key in ("incomingRoad", "connectingRoad", "linkedRoad") if key in attributes.values
+        ]
+        if len(self.named) < 2 or self.named[-2][0] is not attributes:
+            raise attributes.fault("it names less than two roads", "give incomingRoad and connectingRoad")
+        if "connectingRoad" in attributes.values and attributes.text("contactPoint") not in {"start", "end"}:
+            raise attributes.fault(f"contactPoint is {shown(attributes.text('contactPoint'), 20)}", "give start or end")
+
+    def on_connection_lanelink(self, attributes: Attributes) -> None:
+        """Checks a link of lanes, which netconvert reads."""
+        for key in ("from", "to"):
+            attributes.integer(key, -64, 64)
 
     def on_road_type(self, attributes: Attributes) -> None:
         """Takes a road's type, which has no limit until one is found in it."""
@@ -488,6 +524,13 @@ class _Reader:
             if abs(geometry.begin + geometry.length - end) > FLAT * max(1.0, geometry.length):
                 place = f"road {road.id}, geometry from {geometry.begin:g} m to {geometry.begin + geometry.length:g} m"
                 self.notes.add(place, "the next one, or the road's end, is elsewhere; what lies between is not driven")
+
+
+def _check_name(attributes: Attributes, key: str) -> None:
+    """Raises InvalidInputError if SUMO cannot have an id."""
+    if _NO_NAME.search(attributes.text(key)):
+        message = f"{key} is {shown(attributes.text(key), 60)}: empty, or with a character that ids of SUMO cannot have"
+        raise attributes.fault(message, "rename it in the whole file")
 
 
 def _speed(attributes: Attributes) -> float | None:

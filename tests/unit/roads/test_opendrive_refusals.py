@@ -110,6 +110,43 @@ def test_an_id_that_sumo_cannot_have_is_refused_at_its_line() -> None:
     assert "main road" in problem.message
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "part"),
+    [
+        ('<connection id="0"', "<connection", "the attribute id is missing"),
+        ('incomingRoad="1" ', "", "less than two roads"),
+        ('connectingRoad="11"', "", "less than two roads"),
+        ('contactPoint="start">', 'contactPoint="middle">', "contactPoint"),
+        ('from="-1"', 'from="left"', "from is"),
+        ('to="-1"/>', "/>", "the attribute to is missing"),
+        ('<junction id="A"', "<junction", "the attribute id is missing"),
+        ('predecessor elementType="road" elementId="1"', 'predecessor elementType="road" elementId="7"', "no such road"),
+    ],
+)
+def test_faults_of_junctions_are_named_by_line(old: str, new: str, part: str) -> None:
+    content = with_a_junction()
+    assert converted(content, NAME).network
+    changed = content.replace(old.encode(), new.encode())
+    assert changed != content
+    message = refused(changed).message
+    assert message.startswith("line ")
+    assert part in message
+
+
+def with_a_junction() -> bytes:
+    """A road that leads into another one through a junction."""
+    link = '<{} elementType="road" elementId="{}" contactPoint="{}"/>'
+    inside = link.format("predecessor", "1", "end") + link.format("successor", "2", "start")
+    lanes = lane(-1).replace("<width", '<link><predecessor id="-1"/><successor id="-1"/></link><width')
+    return document(
+        road("1", link='<successor elementType="junction" elementId="A"/>'),
+        road("2", LINE.replace('x="0"', 'x="200"'), link='<predecessor elementType="junction" elementId="A"/>'),
+        road("11", LINE.replace('x="0"', 'x="100"'), lanes, junction="A", link=inside),
+        '<junction id="A" name=""><connection id="0" incomingRoad="1" connectingRoad="11" contactPoint="start">'
+        '<laneLink from="-1" to="-1"/></connection></junction>',
+    )
+
+
 def test_a_junction_that_leads_to_a_junction_is_refused_with_both() -> None:
     link = '<{} elementType="road" elementId="{}" contactPoint="{}"/>'
     inner = lane(-1).replace("<width", '<link><predecessor id="-1"/><successor id="-1"/></link><width')

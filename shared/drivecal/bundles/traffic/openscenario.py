@@ -18,7 +18,7 @@ from drivecal.bundles.traffic.elements import Element, Notes, declare, read_tree
 from drivecal.bundles.traffic.entities import Catalogs, Entity, Files, bundle_path, entities_of
 from drivecal.bundles.traffic.places import FilePlace, Map, along
 from drivecal.bundles.traffic.storyboard import Storyboard, Ways, ignore_controller, ignore_global, target_speed
-from drivecal.bundles.traffic.ways import FREE, Pose, Way, WayReader, is_turned
+from drivecal.bundles.traffic.ways import FREE, Polyline, Pose, WayReader, is_turned
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -74,7 +74,7 @@ class _Start:
 
     place: FilePlace
     speed: float
-    path: Way | None = None
+    path: Polyline | None = None
     along: float = 0.0
 
 
@@ -250,9 +250,9 @@ class ScenarioFile:
         drive: Sequence[str],
         roads: Map,
         reader: WayReader,
-    ) -> Way | None:
+    ) -> Polyline | None:
         """Returns the way of a vehicle that starts off the lanes, or in another direction than its lane; None if it drives on its lane."""
-        straight = Way(np.array([pose[:2], pose.moved(1.0, 0.0)[:2]]))
+        straight = Polyline(np.array([pose[:2], pose.moved(1.0, 0.0)[:2]]))
         if position.every(*FREE):
             return straight
         place = roads.place(position, places, drive)

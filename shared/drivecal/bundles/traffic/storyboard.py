@@ -7,7 +7,7 @@ from drivecal.bundles.highway_actions import EGO
 from drivecal.bundles.traffic.conditions import LARGEST, Part, Parts, Reached, Triggers
 from drivecal.bundles.traffic.elements import Element, Notes, declare, parameter_holds
 from drivecal.bundles.traffic.places import MOST_ASIDE, Map
-from drivecal.bundles.traffic.ways import Way, WayReader
+from drivecal.bundles.traffic.ways import Polyline, WayReader
 from drivecal.contracts.strict_json import shown
 
 MOST_ACTIONS = 2_000
@@ -33,7 +33,7 @@ class Ways(NamedTuple):
 
     edges: Mapping[str, list[str]]
     roads: Map
-    paths: Mapping[str, Way]
+    paths: Mapping[str, Polyline]
     reader: WayReader
 
 

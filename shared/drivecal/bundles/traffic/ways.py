@@ -33,7 +33,7 @@ class Pose(NamedTuple):
         return Pose(self.x + ahead * forward - left * aside, self.y + ahead * aside + left * forward, self.heading)
 
 
-class Way(NamedTuple):
+class Polyline(NamedTuple):
     """A polyline (n, 2); of a route also its edges and the number of its first lane in the OpenDRIVE file."""
 
     points: Floats
@@ -51,13 +51,13 @@ class Way(NamedTuple):
         share, left, _, _ = projected(self.points, pose.x, pose.y)
         return share * float(lengths(self.points)[-1]), left
 
-    def shifted(self, left: float) -> "Way":
+    def shifted(self, left: float) -> "Polyline":
         """Returns the way at a distance (m) to the left."""
         if abs(left) < 1e-9:
             return self
         s = lengths(self.points)
         poses = [self.pose(float(at), left) for at in (*s[:-1], float(s[-1]) - 1e-6)]
-        return Way(np.array([pose[:2] for pose in poses]), self.edges)
+        return Polyline(np.array([pose[:2] for pose in poses]), self.edges)
 
 
 class WayReader:
@@ -77,7 +77,9 @@ class WayReader:
             return self.resolved(child, tag)
         return child if child.element == tag else self._catalogs.entry(child, tag)
 
-    def trajectory(self, reference: Element, places: Mapping[str, FilePlace], poses: Mapping[str, Pose], depth: int = 0) -> Way:
+    def trajectory(
+        self, reference: Element, places: Mapping[str, FilePlace], poses: Mapping[str, Pose], depth: int = 0
+    ) -> Polyline:
         """Returns the polyline of a trajectory. Raises InvalidInputError for other shapes."""
         trajectory = self.resolved(reference, "Trajectory")
         if depth > DEEPEST:
@@ -91,9 +93,9 @@ class WayReader:
         points = [pose[:2] for number, pose in enumerate(corners) if number == 0 or pose[:2] != corners[number - 1][:2]]
         if len(points) < 2:
             raise trajectory.fault("all its vertices are one place", "give two different places")
-        return Way(np.array(points))
+        return Polyline(np.array(points))
 
-    def route(self, reference: Element, places: Mapping[str, FilePlace]) -> Way:
+    def route(self, reference: Element, places: Mapping[str, FilePlace]) -> Polyline:
         """Returns the way of a route along the lanes from its first waypoint to its last. Raises InvalidInputError."""
         route = self.resolved(reference, "Route")
         if route.decides("closed", "false"):
@@ -106,7 +108,7 @@ class WayReader:
         for waypoint, place in zip(waypoints[1:], stops[1:], strict=True):
             waypoint.text("routeStrategy", "shortest")
             edges += self._between(edges[-1], place.edge, waypoint)
-        return Way(self._lanes(stops[0], edges), tuple(edges))
+        return Polyline(self._lanes(stops[0], edges), tuple(edges))
 
     def _between(self, first: str, last: str, element: Element) -> list[str]:
         """Returns the edges after one edge up to another, by the least number of edges. Raises InvalidInputError if there is no way."""
@@ -131,7 +133,7 @@ class WayReader:
         """Returns the centre line of a lane behind a place, and of the lanes that follow along the edges."""
         network, index = self._roads.network, place.index
         shape, metres = self._shape(place)
-        parts = [Way(shape).pose(metres)[:2], *shape[lengths(shape) > metres + 1e-6].tolist()]
+        parts = [Polyline(shape).pose(metres)[:2], *shape[lengths(shape) > metres + 1e-6].tolist()]
         for edge, after in pairwise(edges):
             ways = [link for link in links(network, edge) if link.end == after]
             link = next((link for link in ways if link.from_lane == index), ways[0])
@@ -186,7 +188,7 @@ class WayReader:
             return pose._replace(heading=turn)
         return pose._replace(heading=pose.heading + turn)
 
-    def on_route(self, kind: Element, places: Mapping[str, FilePlace]) -> tuple[Way, Pose]:
+    def on_route(self, kind: Element, places: Mapping[str, FilePlace]) -> tuple[Polyline, Pose]:
         """Returns the route of a <RoutePosition>, and the pose on it."""
         way = self.route(kind.only("RouteRef"), places)
         at = kind.only("InRoutePosition").only("FromRoadCoordinates", "FromLaneCoordinates")
@@ -200,19 +202,19 @@ class WayReader:
     def pose_of(self, place: FilePlace) -> Pose:
         """Returns the pose of a place on a lane, in the lane's direction."""
         shape, metres = self._shape(place)
-        return Way(shape).pose(metres, place.offset)
+        return Polyline(shape).pose(metres, place.offset)
 
     def _shape(self, place: FilePlace) -> tuple[Floats, float]:
         """Returns the centre line of a place's lane and the metres along it: SUMO's positions are stretched."""
         lane = self._roads.network.edges[place.edge].lanes[place.index]
         return lane.shape, place.position / max(lane.length, 1e-9) * float(lengths(lane.shape)[-1])
 
-    def back(self, place: FilePlace) -> Way:
+    def back(self, place: FilePlace) -> Polyline:
         """Returns the way from a place on a lane to the lane's begin, against its direction."""
         shape, metres = self._shape(place)
         before = shape[lengths(shape) < metres - 1e-3][::-1]
-        points = np.vstack([[Way(shape).pose(metres)[:2]], before if len(before) else [Way(shape).pose(-100.0)[:2]]])
-        return Way(points).shifted(-place.offset)
+        points = np.vstack([[Polyline(shape).pose(metres)[:2]], before if len(before) else [Polyline(shape).pose(-100.0)[:2]]])
+        return Polyline(points).shifted(-place.offset)
 
 
 def is_turned(pose: Pose, heading: float) -> bool:
