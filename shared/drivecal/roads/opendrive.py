@@ -372,7 +372,7 @@ class _Reader:
         """Returns the file's content."""
         if not self.roads:
             raise InvalidInputError(Problem(self.name, "the file has no roads", "give a file with roads"))
-        lost = []
+        lost: list[Problem] = []
         for attributes, key in self.named:
             if (name := attributes.text(key)) not in self.roads:
                 message = f"{key} is {shown(name, 60)}, and there is no such road"
@@ -522,8 +522,9 @@ class _Reader:
         ends = [*(geometry.begin for geometry in road.geometries[1:]), road.length]
         for geometry, end in zip(road.geometries, ends, strict=True):
             if abs(geometry.begin + geometry.length - end) > FLAT * max(1.0, geometry.length):
-                place = f"road {road.id}, geometry from {geometry.begin:g} m to {geometry.begin + geometry.length:g} m"
-                self.notes.add(place, "the next one, or the road's end, is elsewhere; what lies between is not driven")
+                first, last = sorted((geometry.begin + geometry.length, end))
+                place = f"road {road.id}, s = {first:g} m to {last:g} m"
+                self.notes.add(place, "the geometries leave it out, or are there twice; it is not driven")
 
 
 def _check_name(attributes: Attributes, key: str) -> None:

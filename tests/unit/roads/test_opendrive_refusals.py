@@ -178,8 +178,8 @@ def test_a_junction_that_leads_to_a_junction_is_refused_with_both() -> None:
 
 def test_a_geometry_that_ends_before_its_road_is_noted() -> None:
     result = converted(document(road(geometry=LINE.replace("100", "60"))), NAME)
-    assert "60 m" in noted(result, "road 1, geometry")
-    assert not [note for note in converted(document(road()), NAME).notes if "geometry" in note]
+    assert "60 m to 100 m" in noted(result, "geometries")
+    assert not [note for note in converted(document(road()), NAME).notes if "geometries" in note]
 
 
 def test_a_lane_that_is_driven_against_its_side_is_closed_and_noted() -> None:
