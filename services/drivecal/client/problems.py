@@ -1,6 +1,7 @@
 """Problem bundles on disk: reads a folder with `problem.yaml` into a checked manifest and an archive."""
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -50,8 +51,18 @@ def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[s
             *(replace(problem, field=located(problem.field, lines, MANIFEST)) for problem in error.problems)
         ) from error
     archive = with_files(archive, networks) if networks else archive
-    manifest, road_notes = _read_archived(files_of(archive))
+    try:
+        manifest, road_notes = _read_archived(files_of(archive))
+    except InvalidInputError as error:
+        raise InvalidInputError(*(_with_notes(problem, notes) for problem in error.problems)) from error
     return manifest, archive, (*fmu_notes, *notes, *road_notes)
+
+
+def _with_notes(problem: Problem, notes: Sequence[str]) -> Problem:
+    """Returns a problem of a place on a road with the first notes on the conversion, which may name its cause."""
+    if not notes or not re.search(r"\.(route|ego|traffic|flows)\b", problem.field):
+        return problem
+    return replace(problem, remedy=f"{problem.remedy}; notes on the roads: {'; '.join(notes[:3])}")
 
 
 def read_archived(files: Mapping[str, BundleFile]) -> Manifest:

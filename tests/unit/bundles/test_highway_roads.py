@@ -1,6 +1,7 @@
 """Scenarios of kind `highway` against their networks: every fault by its field, conversions in archives, and notes."""
 
 import copy
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -184,6 +185,14 @@ def folder(path: Path, road: bytes, **others: bytes) -> Path:
     for name, content in others.items():
         (path / "maps" / name.replace("__", ".")).write_bytes(content)
     return path
+
+
+def test_a_refusal_of_a_place_on_a_converted_road_comes_with_the_notes_that_may_explain_it(tmp_path: Path) -> None:
+    turned = re.sub(rb'<lane id="(-\d+)" type="driving"', rb'<lane id="\1" type="driving" direction="reversed"', exit_ramp())
+    with pytest.raises(InvalidInputError) as error:
+        read_bundle(folder(tmp_path, turned))
+    problem = next(problem for problem in error.value.problems if ".route" in problem.field)
+    assert 'direction="reversed"' in problem.remedy
 
 
 def test_an_archive_holds_the_converted_network_and_the_folder_does_not(tmp_path: Path) -> None:
