@@ -63,7 +63,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "highway.net.xml").write_bytes(real("highway").read_bytes())
     (folder / "maps" / "motorway.xodr").write_bytes(opendrive())
     (folder / "maps" / "motorway.xodr.net.xml").write_bytes(converted(opendrive(), "motorway.xodr").network)
-    for name in ("cut_in", "cut_out"):
+    for name in ("cut_in", "cut_out", "walks_across"):
         (folder / "scenarios" / f"{name}.xosc").write_bytes(FILES[name]())
     return folder
 
