@@ -86,11 +86,6 @@ class StoredEvaluation:
         """True if it was simulated to check a prediction."""
         return self.inspected and self.reference is None
 
-    @property
-    def is_copied(self) -> bool:
-        """True if no run of the very cell is known of its answer: a reused or predicted one."""
-        return self.outcome in COPIED
-
 
 _NAMES = tuple(field.name for field in fields(StoredEvaluation))
 _PARAMETERS, _PLAN, _OUTCOME = map(_NAMES.index, ("parameters", "plan", "outcome"))

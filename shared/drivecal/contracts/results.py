@@ -145,11 +145,6 @@ class StudyResult(Answer):
     robustness: list[RobustnessRow] = Field(default_factory=list)
     validation: list[ValidationRow] = Field(default_factory=list)
 
-    @property
-    def is_of_predictions(self) -> bool:
-        """True if it simulated released predictions, and not variants that an influence map calls equal."""
-        return bool(self.study.settings.get("of")) and self.study.stage == "validation"
-
 
 class CampaignResults(Answer):
     """The results of a campaign, which page and command line draw: what was asked for (`campaign.spec`, `setup`),
@@ -165,11 +160,6 @@ class CampaignResults(Answer):
     failures: list[FailureCause] = Field(default_factory=list)
     studies: list[StudyResult] = Field(default_factory=list)
 
-    def of_stage(self, stage: str, *, of_predictions: bool = False) -> list[StudyResult]:
-        """Returns the studies of a stage; validations of the influence map, or `of_predictions`."""
-        return [each for each in self.studies if each.study.stage == stage and each.is_of_predictions is of_predictions]
-
-    @property
-    def recommended(self) -> RobustnessRow | None:
-        """The set that the first robustness study recommends."""
-        return next((row for study in self.of_stage("robustness")[:1] for row in study.robustness if row.recommended), None)
+    def of_stage(self, stage: str) -> list[StudyResult]:
+        """Returns the studies of a stage."""
+        return [each for each in self.studies if each.study.stage == stage]

@@ -286,8 +286,8 @@ def recent_milliseconds(connection: Connection, fingerprints: Sequence[str]) -> 
     return fmean(means) if fingerprints and len(means) == len(fingerprints) else None
 
 
-def simulated_later(connection: Connection, campaign_sequence: int, evaluator: str, cell: int | None = None) -> list[LaterRun]:
-    """Returns the runs by which `results.answers` corrects copied scores of a calibration, or of one `cell`, but for those of its own."""
+def simulated_later(connection: Connection, campaign_sequence: int, evaluator: str) -> list[LaterRun]:
+    """Returns the runs by which `results.answers` corrects copied scores of a calibration, but for those of its own."""
     table, run = evaluations.c, runs.c
     elsewhere = (run.campaign_sequence != campaign_sequence) | (run.stage != StageName.CALIBRATION)
     query = (
@@ -303,6 +303,4 @@ def simulated_later(connection: Connection, campaign_sequence: int, evaluator: s
         )
         .order_by(table.iteration, table.individual, table.scenario)
     )
-    if cell is not None:
-        query = query.where(table.id == cell)
     return [LaterRun(*row) for row in connection.execute(query)]
