@@ -40,6 +40,7 @@ CAMPAIGN = (
     specification.OptimizerSpecification,
     specification.ObjectiveSpecification,
     specification.ConstraintSpecification,
+    specification.ReplicatesSpecification,
     specification.ReductionSpecification,
     specification.SensitivitySpecification,
     specification.RobustnessSpecification,

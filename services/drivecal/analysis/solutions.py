@@ -5,10 +5,15 @@ With several objectives or constraints, sets are ranked by the first objective, 
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from statistics import fmean
+from typing import Any
 
 import numpy as np
 
+from drivecal.analysis import replicates
 from drivecal.analysis.goals import Goals, Judged
+from drivecal.analysis.replicates import SetStatistics
+from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.rounding import levels, same
 from drivecal.plugins.ports import Floats
@@ -32,6 +37,28 @@ class EvaluatedSet:
     """All objectives and the violations; None without goals."""
     span: float = 0.0
     """Width of the objective's declared range; 0 without one."""
+    replicates: int = 1
+    """Seeds under which it has a result in every scenario."""
+    failures: int = 0
+    """Failed runs under these seeds."""
+    standard_error: float | None = None
+    """Standard error of the objective; None without randomness, and before the noise is known."""
+    lower: float | None = None
+    upper: float | None = None
+    """Interval of the objective."""
+    probability_best: float | None = None
+    """Probability that no other set has a better mean."""
+    is_close: bool = False
+    """It cannot be told from the best set."""
+    runs_to_tell: int | None = None
+    """Number of runs of this set and of the best set that would tell them apart; None if they are told apart, or equal so far."""
+    bound: float | None = None
+    """Least value of the objective at the confidence, which ranks the set; None: the objective."""
+
+    @property
+    def ranked_by(self) -> float:
+        """The objective, or what it reaches at least if its runs are random."""
+        return self.objective if self.bound is None else self.bound
 
     @property
     def violation(self) -> float:
@@ -60,10 +87,24 @@ class FrontMember:
 class Ranking:
     """All parameter sets with their scores, under one choice of weights; grows as answers arrive."""
 
-    def __init__(self, weights: Mapping[str, float], sign: int = 1, goals: Goals | None = None, span: float = 1.0) -> None:
+    def __init__(
+        self,
+        weights: Mapping[str, float],
+        sign: int = 1,
+        goals: Goals | None = None,
+        span: float = 1.0,
+        wanted: ReplicatesSpecification | None = None,
+    ) -> None:
         """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named count for goals alone. `sign`: the
-        scale's. `goals`: their first objective ranks in the place of the weighted score. `span`: width of the scale's range."""
-        self._sign, self._goals = sign, goals
+        scale's. `goals`: their first objective ranks in the place of the weighted score. `span`: width of the scale's range. `wanted`:
+        replicates of a random simulator."""
+        self._sign, self._goals, self._wanted = sign, goals, wanted or ReplicatesSpecification()
+        self._choosing = replicates.choosing(self._wanted.most)
+        self._runs: dict[int, dict[int, dict[str, CellScore]]] = {}
+        """Answers by set, seed and scenario."""
+        self._samples: dict[int, dict[int, float]] = {}
+        """Objectives by set and seed, of sets with several seeds."""
+        self._is_assessed = True
         self._span = span if goals is None else goals.objectives[0].span
         total = sum(weights.values())
         self._shares = {name: weight / total for name, weight in weights.items() if weight > 0}
@@ -86,13 +127,14 @@ class Ranking:
             number = answer.parameter_set
             place = (answer.iteration, answer.individual)
             self._places[number] = min(self._places.get(number, place), place)
-            cells = self._answers.setdefault(number, {})
+            cells = self._runs.setdefault(number, {}).setdefault(answer.seed or 1, {})
             if answer.scenario in self._scenarios and _counts_more(answer, cells.get(answer.scenario)):
                 cells[answer.scenario] = answer
             touched.add(number)
         self._surest_front = self._best = self._levels = None
+        self._is_assessed = False
         for number in touched:
-            solution = self._solution(number)
+            solution = self._over_seeds(number)
             if solution is None:
                 continue
             if any(cell.predicted for cell in self._answers[number].values()):
@@ -103,23 +145,112 @@ class Ranking:
 
     def order(self, solution: EvaluatedSet) -> tuple[int, int, float, int, int]:
         """Sorts best first: feasible sets first, equal objectives by the weighted continuous rating, then by discovery."""
+        self._assess()
         if self._levels is None:
             known = list((self._solutions | self._predicted).values())
             violations = levels(np.array([each.violation for each in known])).tolist()
-            objectives = levels(np.array([-each.sign * each.objective for each in known]), self._span).tolist()
+            objectives = levels(np.array([-each.sign * each.ranked_by for each in known]), self._span).tolist()
             numbers = (each.parameter_set for each in known)
             self._levels = dict(zip(numbers, zip(violations, objectives, strict=True), strict=True))
         rating = -solution.sign * solution.rating
         return *self._levels[solution.parameter_set], rating, solution.iteration, solution.individual
 
+    def _over_seeds(self, number: int) -> EvaluatedSet | None:
+        """Returns the solution of a set with the means over its seeds."""
+        runs = self._runs[number]
+        if len(runs) == 1:
+            [self._answers[number]] = runs.values()
+            return self._solution(number, self._answers[number])
+        by_seed = {seed: self._solution(number, cells) for seed, cells in sorted(runs.items())}
+        whole = {seed: solution for seed, solution in by_seed.items() if solution is not None}
+        if not whole:
+            self._answers[number] = next(iter(runs.values()))
+            return None
+        self._samples[number] = {seed: solution.objective for seed, solution in whole.items()}
+        fresh = [seed for seed in whole if seed > self._choosing]
+        used = fresh if len(fresh) > 1 else [seed for seed in whole if seed <= self._choosing] or fresh
+        self._answers[number] = {name: over_seeds([runs[seed][name] for seed in used]) for name in runs[used[0]]}
+        solution = self._solution(number, self._answers[number])
+        if solution is None:
+            return None
+        failures = sum(cell.failed for seed in whole for cell in runs[seed].values())
+        objective = fmean(self._samples[number][seed] for seed in used)
+        return replace(solution, objective=objective, replicates=len(whole), failures=failures)
+
+    def uncertainty(self, best: EvaluatedSet) -> dict[str, Any]:
+        """Returns the uncertainty of the best set's objective, and how many sets cannot be told from it."""
+        names = ("replicates", "failures", "standard_error", "lower", "upper", "probability_best")
+        close = sum(each.is_close for each in self._solutions.values())
+        return {name: getattr(best, name) for name in names} | {"close": close}
+
+    def seeds(self, parameter_set: int) -> Collection[int]:
+        """Returns the seeds under which a set was run."""
+        return self._runs.get(parameter_set, {}).keys()
+
+    def standing(self) -> tuple[list[int], SetStatistics] | None:
+        """Returns what is known of the sets by the seeds that choose, and their ids; None without a set. Sets that keep all
+        constraints, or else all sets."""
+        kept = [each for each in self._solutions.values() if each.violation == 0] or list(self._solutions.values())
+        by_seed = {each.parameter_set: self._chosen_by(each) for each in kept}
+        numbers = [number for number, objectives in by_seed.items() if objectives]
+        if not numbers:
+            return None
+        samples = np.full((len(numbers), max(max(by_seed[number]) for number in numbers)), np.nan)
+        for place, number in enumerate(numbers):
+            for seed, objective in by_seed[number].items():
+                samples[place, seed - 1] = kept[0].sign * objective
+        return numbers, replicates.assess(samples)
+
+    def _chosen_by(self, solution: EvaluatedSet) -> dict[int, float]:
+        objectives = self._samples.get(solution.parameter_set)
+        if objectives is None:
+            objectives = {next(iter(self._runs[solution.parameter_set])): solution.objective}
+        return {seed: objective for seed, objective in objectives.items() if seed <= self._choosing}
+
+    def _assess(self) -> None:
+        """Adds intervals and probabilities to the solutions, if their runs are random."""
+        if self._is_assessed:
+            return
+        self._is_assessed, confidence = True, self._wanted.confidence
+        if not self._samples:
+            return
+        self._levels = None
+        known = self.standing()
+        if known is None or not known[1].is_known:
+            return
+        numbers, standing = known
+        probabilities, bounds, leader = standing.probabilities(), standing.bounds(confidence), standing.best(confidence)
+        ahead, halves = standing.ahead(leader), standing.half_widths(confidence)
+        for place, number in enumerate(numbers):
+            solution = self._solutions[number]
+            fresh = [objective for seed, objective in self._samples.get(number, {}).items() if seed > self._choosing]
+            interval = replicates.mean_interval(fresh, confidence)
+            half = float(halves[place])
+            lower, upper = interval or (solution.objective - half, solution.objective + half)
+            error = float(np.std(fresh, ddof=1) / len(fresh) ** 0.5) if interval else float(standing.standard_errors[place])
+            close = place != leader and ahead[place] > 1 - confidence
+            self._solutions[number] = replace(
+                solution,
+                standard_error=error,
+                # runs that chose the best set say too much of it
+                lower=None if place == leader and interval is None else lower,
+                upper=None if place == leader and interval is None else upper,
+                probability_best=float(probabilities[place]),
+                is_close=bool(close),
+                runs_to_tell=replicates.to_tell(standing, leader, place, confidence) if close else None,
+                bound=solution.sign * float(bounds[place]),
+            )
+
     def ranking(self) -> list[EvaluatedSet]:
         """All solutions, best first."""
+        self._assess()
         return sorted(self._solutions.values(), key=self.order)
 
     def best(self) -> tuple[EvaluatedSet, int] | None:
         """The best solution and how many share its objective, itself included; None before the first."""
         if not self._solutions or self._best is not None:
             return self._best
+        self._assess()
         best = min(self._solutions.values(), key=self.order)
         first = self.order(best)[:2]
         self._best = best, sum(self.order(solution)[:2] == first for solution in self._solutions.values())
@@ -215,10 +346,10 @@ class Ranking:
 
     def get(self, parameter_set: int) -> EvaluatedSet | None:
         """A parameter set's solution, None if a result is missing; `parameter_set` is its id."""
+        self._assess()
         return self._solutions.get(parameter_set)
 
-    def _solution(self, number: int) -> EvaluatedSet | None:
-        cells = self._answers[number]
+    def _solution(self, number: int, cells: Mapping[str, CellScore]) -> EvaluatedSet | None:
         objective = rating = 0.0
         scores: dict[str, float] = {}
         reused: list[str] = []
@@ -245,6 +376,21 @@ class Ranking:
         if not first.is_weighted_mean(self._shares):
             rating = judgement.amounts[0]
         return replace(solution, objective=judgement.amounts[0], rating=rating, sign=first.sign, judgement=judgement)
+
+
+def over_seeds(cells: Sequence[CellScore]) -> CellScore:
+    """Returns the mean of the answers of a cell under several seeds; seeds without a result do not count."""
+    known = [cell for cell in cells if cell.score is not None and cell.rating is not None]
+    if len(known) < 2:
+        return known[0] if known else cells[0]
+    keys = [key for key in known[0].values if all(key in cell.values for cell in known)]
+    return replace(
+        known[0],
+        score=fmean(cell.score for cell in known if cell.score is not None),
+        rating=fmean(cell.rating for cell in known if cell.rating is not None),
+        own=all(cell.own for cell in known),
+        values={key: fmean(cell.values[key] for cell in known) for key in keys},
+    )
 
 
 def _counts_more(new: CellScore, known: CellScore | None) -> bool:

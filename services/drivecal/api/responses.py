@@ -134,6 +134,7 @@ def evaluation_row(stored: StoredEvaluation) -> dict[str, Any]:
     row: dict[str, Any] = dict(zip(_FIELDS[:PLACE], _place(stored), strict=True))
     row |= {_column(name): value for name, value in stored.parameters.floats.items()}
     row |= zip(_FIELDS[PLACE:], _rest(stored), strict=True)
+    row["seed"] = stored.seed or None
     return row
 
 

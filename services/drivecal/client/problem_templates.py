@@ -19,7 +19,7 @@ from drivecal.domain.parameters import text
 
 PLANNER = "highway-planner"
 """The built-in motorway as a start."""
-KINDS = ("process", "command", "python", "fmu", "highway", PLANNER)
+KINDS = ("process", "command", "python", "python-random", "fmu", "highway", PLANNER)
 MOST_ENTRIES = 20
 """Parameters and outputs of an FMU that are written out; further ones become comments."""
 LONGEST, COARSEST = 1e6, 1e4

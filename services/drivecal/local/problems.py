@@ -260,9 +260,9 @@ class _OwnLoop:
     def __init__(self, runner: Runner) -> None:
         self._runner = runner
 
-    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
-        """Drives one parameter set; it has no time series of a manifest's."""
-        del series
+    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False, seed: int = 1) -> RunOutcome:
+        """Drives one parameter set; it has no time series of a manifest's, and its scenario has the seed."""
+        del series, seed
         began = time.thread_time()
         result = self._runner.run([float(parameters[name]) for name in self._runner.parameters])
         failure = None if result.failure is None else result.failure.value

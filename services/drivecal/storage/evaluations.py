@@ -231,7 +231,7 @@ def _row(campaign_sequence: int, cell: RequestedCell, number: int, together: Seq
     """`together`: the numbers of the cells that are inserted with it."""
     leader = None if cell.leader is None else together[cell.leader]
     answered = cell.donor if cell.answered_at_once else None
-    as_it_is = ("stage", "scenario", "setup_id", "parameter_set_id", "reference_key", "plan", "inspected", *_PREDICTION)
+    as_it_is = ("stage", "scenario", "setup_id", "parameter_set_id", "reference_key", "plan", "inspected", "seed", *_PREDICTION)
     return {name: getattr(cell, name) for name in as_it_is} | {
         "id": number,
         "campaign_sequence": campaign_sequence,
@@ -306,10 +306,20 @@ def scored(connection: Connection, campaign_sequence: int, score: float, most: i
     return [ScoredRun(row[0], read(row[1]), *row[2:]) for row in connection.execute(query.limit(most))]
 
 
-def places(connection: Connection, campaign_sequence: int, stage: StageName) -> list[tuple[int, int, str]]:
-    """Returns iteration, individual and scenario of a stage's cells, in the order of requests."""
+def cells_from(connection: Connection, campaign_sequence: int, stage: StageName, first: int) -> tuple[int, int]:
+    """Returns the last iteration of a stage from the `first` on, and the number of cells; the iteration before `first` without a cell."""
     table = evaluations.c
-    query = select(table.iteration, table.individual, table.scenario).where(
+    query = select(func.max(table.iteration), func.count()).where(
+        table.campaign_sequence == campaign_sequence, table.stage == stage, table.iteration >= first
+    )
+    last, cells = connection.execute(query).one()
+    return first - 1 if last is None else int(last), int(cells)
+
+
+def places(connection: Connection, campaign_sequence: int, stage: StageName) -> list[tuple[int, int, str, int]]:
+    """Returns iteration, individual, scenario and seed of a stage's cells, in the order of requests."""
+    table = evaluations.c
+    query = select(table.iteration, table.individual, table.scenario, table.seed).where(
         table.campaign_sequence == campaign_sequence, table.stage == stage
     )
     return [(*row,) for row in connection.execute(query.order_by(table.id))]

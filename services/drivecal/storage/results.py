@@ -37,7 +37,7 @@ parsed = lru_cache(10_000)(ParameterSet.from_json)
 """Reads a stored set. Each is requested in several scenarios, and read when it waits and when predictors learn its answers."""
 Valued = Callable[[Mapping[str, float | None], str | None], Mapping[str, float]]
 """Returns further values of a run from its metrics and its failure."""
-_PLACE = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual, evaluations.c.scenario)
+_PLACE = tuple(evaluations.c[name] for name in ("stage", "iteration", "individual", "scenario", "seed"))
 _COPIED = evaluations.c.outcome.in_(COPIED)
 # Made once: an alias computes its columns anew, which takes longer than to read a small campaign.
 _ANSWERING_RUN, _OWN_RUN, _OWN_RATING = runs.alias("answering_run"), runs.alias("own_run"), ratings.alias("own_rating")
@@ -75,6 +75,8 @@ class StoredEvaluation:
     confidence: float | None
     predicted_score: float | None
     predicted_rating: float | None
+    seed: int
+    """Of the run; 0 if the simulator does not depend on one."""
 
     @property
     def audited(self) -> bool:
@@ -125,11 +127,11 @@ def number_of_sets(connection: Connection, campaign_sequence: int, stage: StageN
 def page(
     connection: Connection, campaign_sequence: int, *, limit: int = 100, cursor: str | None = None
 ) -> tuple[list[StoredEvaluation], str | None]:
-    """At most `limit` evaluations, ordered by stage, iteration, individual, scenario, and the cursor of the next page (None on the
+    """At most `limit` evaluations, ordered by stage, iteration, individual, scenario, seed, and the cursor of the next page (None on the
     last). Raises InvalidInputError."""
     query = _of_campaign(campaign_sequence).limit(limit + 1)
     if cursor is not None:
-        number, *rest = decode_cursor(cursor, int, int, int, str)
+        number, *rest = decode_cursor(cursor, int, int, int, str, int)
         place = (STAGES.get(number, STAGES[len(STAGES)]), *rest)
         # Typed one by one: a tuple does not hand its types on, and stages are stored as numbers.
         typed = (literal(value, column.type) for value, column in zip(place, _PLACE, strict=True))
@@ -138,7 +140,7 @@ def page(
     if len(page) <= limit:
         return page, None
     last = page[limit - 1]
-    return page[:limit], encode_cursor(ORDER[last.stage], last.iteration, last.individual, last.scenario)
+    return page[:limit], encode_cursor(ORDER[last.stage], last.iteration, last.individual, last.scenario, last.seed)
 
 
 def stream(connection: Connection, campaign_sequence: int) -> Iterator[StoredEvaluation]:
@@ -200,6 +202,8 @@ def answers(
             table.iteration,
             table.individual,
             type_coerce(believed & (table.outcome == Outcome.PREDICTED), Boolean),
+            table.seed,
+            type_coerce(table.failure.is_not(None), Boolean),
             *measured,
         )
         .select_from(source)
@@ -211,7 +215,7 @@ def answers(
         query = query.where(table.iteration == iteration)
     read = metrics.reader(connection)
     for row in connection.execute(query):
-        cell = CellScore(*row[:8])
+        cell = CellScore(*row[:10])
         yield cell if valued is None or row.metrics is None else replace(cell, values=valued(read(row.metrics), row.failure))
 
 
@@ -246,7 +250,10 @@ def sets_since(connection: Connection, campaign_sequence: int, stage: StageName,
     """The parameter sets that a stage asked for since an iteration, one after the other: their ids, in that order."""
     table = evaluations.c
     query = select(table.iteration, table.parameter_set_id).where(
-        table.campaign_sequence == campaign_sequence, table.stage == stage, table.iteration >= iteration
+        table.campaign_sequence == campaign_sequence,
+        table.stage == stage,
+        table.iteration >= iteration,
+        table.seed == 0,  # further seeds confirm no copy
     )
     return [number for _, number in connection.execute(query.distinct().order_by(table.iteration))]
 

@@ -9,7 +9,7 @@ from drivecal.domain.setups import canonical_json, digest
 from drivecal.plugins import registry, setups
 from drivecal.plugins.simulators import VERSIONS
 
-_WITHOUT_EFFECT = {"timeout", "memory_mb", "deterministic", "resources"}
+_WITHOUT_EFFECT = {"timeout", "memory_mb", "deterministic", "random", "resources"}
 """Settings that decide whether a run has a result, or say something about it, but change no measure: a run beyond a limit has none."""
 
 
@@ -22,6 +22,7 @@ def setup_document(
     data: Mapping[str, Any] | None = None,
     varied: Mapping[str, float] | None = None,
     tools: str | None = None,
+    seed: int = 0,
 ) -> dict[str, Any]:
     """Returns the document of a scenario's setup.
 
@@ -36,6 +37,7 @@ def setup_document(
         data: the scenario's data, by default the manifest's.
         varied: values of the problem's varied parameters.
         tools: answer of the probe on the workers.
+        seed: seed of the run; 0 if the simulator does not depend on one.
     """
     section = manifest.simulator.model_dump(mode="json") if section is None else section
     data = manifest.scenarios[scenario] if data is None else data
@@ -43,7 +45,13 @@ def setup_document(
     for name, part in inputs.items():
         if isinstance(part, dict):
             inputs[name] = {key: value for key, value in part.items() if value is not None}
-    document = {"simulator": inputs, "adapter": VERSIONS[section["kind"]], "scenario": scenario, "data": data, "files": files}
+    document: dict[str, Any] = {
+        "simulator": inputs,
+        "adapter": VERSIONS[section["kind"]],
+        "scenario": scenario,
+        "data": data,
+        "files": files,
+    }
     if manifest.integers:
         document["integers"] = list(manifest.integers)
     if section["kind"] == "process":
@@ -52,6 +60,8 @@ def setup_document(
         document["varied"] = dict(varied)
     if tools is not None:
         document["tools"] = tools
+    if seed:
+        document["seed"] = seed
     return document | {name: version for name, version in parts_of(section, data).items() if version is not None}
 
 

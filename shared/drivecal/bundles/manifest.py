@@ -66,7 +66,8 @@ class ProcessSimulator(SimulatorEntry):
 
 
 class CommandSimulator(SimulatorEntry):
-    """A program that is started for each cell: `{parameters}`, `{scenario}` and `{results}` are paths of JSON files."""
+    """A program that is started for each cell: `{parameters}`, `{scenario}` and `{results}` are paths of JSON files, `{seed}` the number
+    that the variable DRIVECAL_SEED has as well."""
 
     kind: Literal["command"]
     command: Command
@@ -79,7 +80,10 @@ class CommandSimulator(SimulatorEntry):
 
 
 class PythonSimulator(SimulatorEntry):
-    """A function `(parameters: dict, scenario: dict) -> dict of measures` in a file; `wheels`: folder with its packages."""
+    """A function `(parameters: dict, scenario: dict) -> dict of measures` in a file; `wheels`: folder with its packages.
+
+    The scenario of a random simulator has an entry `seed`.
+    """
 
     kind: Literal["python"]
     file: File
@@ -105,6 +109,8 @@ class FmuSimulator(SimulatorEntry):
     """Step of the communication, s."""
     measures: Annotated[dict[Identifier, str], Field(min_length=1, max_length=1000)]
     """By name, how each is computed from an output."""
+    seed: Identifier | None = None
+    """The FMU's parameter or start value that a random FMU takes its seed from."""
     reset: bool = True
     """Between runs the FMU is reset; false: each run has a new process, for FMUs whose reset is missing or leaves something."""
 
@@ -112,6 +118,14 @@ class FmuSimulator(SimulatorEntry):
     def renews(self) -> bool:
         """True if each run has a new process."""
         return not self.reset
+
+    @model_validator(mode="after")
+    def _has_a_seed(self) -> Self:
+        if self.random != (self.seed is not None):
+            raise ValueError(
+                "a random FMU has `random: true` and `seed: NAME`, the variable that takes the seed; give both or neither"
+            )
+        return self
 
 
 AnySimulator = Annotated[
@@ -234,6 +248,13 @@ class Manifest(Model):
         """Returns the number of each resource that a run of a scenario holds, without zeros."""
         counts = (self.simulator.resources or {}) | self.scenario_resources.get(scenario, {})
         return {name: count for name, count in counts.items() if count}
+
+    @model_validator(mode="after")
+    def _has_one_seed(self) -> Self:
+        seeded = [name for name, data in self.scenarios.items() if "seed" in data]
+        if seeded and self.simulator.random:
+            raise ValueError(f"scenarios.{seeded[0]}: each run of a random simulator has a seed of its own; leave `seed` out")
+        return self
 
     @property
     def is_driven(self) -> bool:

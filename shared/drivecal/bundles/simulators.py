@@ -1,8 +1,8 @@
 """Common part of the simulators' sections in a manifest: types of fields, and the settings of child processes."""
 
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import Field, StringConstraints
+from pydantic import Field, StringConstraints, model_validator
 
 from drivecal.contracts.specification import Model
 from drivecal.contracts.strict_json import Identifier
@@ -35,12 +35,20 @@ class SimulatorEntry(Model):
     """Memory limit of a run's processes, MB."""
     deterministic: bool = False
     """Equal inputs give equal measures."""
+    random: bool = False
+    """The measures depend on the `seed` of a request as well."""
     probe: Command | None = None
     """A command that prints the version of tools outside of the folder."""
     environment: Annotated[list[Variable], Field(max_length=50)] | None = None
     """Names of further variables that the processes get from the worker."""
     resources: Resources | None = None
     """Licences and other scarce things that a run holds, by name; the server counts them (`drivecal serve --resources`)."""
+
+    @model_validator(mode="after")
+    def _is_random_or_not(self) -> Self:
+        if self.random and self.deterministic:
+            raise ValueError("it is random and deterministic; give one of them, or neither if you do not know")
+        return self
 
     @property
     def renews(self) -> bool:

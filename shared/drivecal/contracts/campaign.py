@@ -165,6 +165,20 @@ class Best(Answer):
     scores: dict[str, Score]
     alternatives: int
     violation: float = 0.0
+    replicates: int = 1
+    """Seeds under which it ran."""
+    failures: int = 0
+    """Failed runs under these seeds."""
+    standard_error: float | None = None
+    """Standard error of the objective; null if the simulator is not random."""
+    lower: float | None = None
+    """Lower end of the interval of the objective, at `replicates.confidence`, by runs that did not choose the set; null without any."""
+    upper: float | None = None
+    """Upper end of that interval."""
+    probability_best: float | None = None
+    """Probability that no other evaluated set is better; null if the simulator is not random."""
+    close: int = 0
+    """Sets that cannot be told from it with the campaign's confidence."""
 
 
 class Baseline(Answer):

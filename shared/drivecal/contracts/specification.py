@@ -28,6 +28,7 @@ LARGEST_POPULATION = 100_000
 LARGEST_ITERATIONS = 10_000
 LARGEST_CONFIRM = 1_000
 LARGEST_BUDGET = 10_000_000
+LARGEST_REPLICATES = 10_000
 
 
 def _each_once(value: str | list[str]) -> str | list[str]:
@@ -362,6 +363,23 @@ class ProblemSpecification(Model):
     """A new analysis, a stored map, or neither."""
 
 
+class ReplicatesSpecification(Model):
+    """Runs of a set in a scenario of a random simulator, under the seeds 1, 2, ...: the same for all sets."""
+
+    least: Annotated[int, Field(ge=1, le=LARGEST_REPLICATES)] = 1
+    """Runs of each set that the search asks for."""
+    most: Annotated[int, Field(ge=1, le=LARGEST_REPLICATES)] = 20
+    """Runs of a set that may be the best."""
+    confidence: Annotated[float, Field(ge=0.5, le=0.999)] = 0.95
+    """Confidence of intervals, and of the choice of the best set."""
+
+    @model_validator(mode="after")
+    def _are_ordered(self) -> Self:
+        if self.least > self.most:
+            raise ValueError(f"least is {self.least} and most is {self.most}; give at least as many")
+        return self
+
+
 class CampaignSpecification(ProblemSpecification):
     """A whole campaign. Everything has a default: `{}` searches the paper's problem with 100 simulations for each scenario."""
 
@@ -369,6 +387,8 @@ class CampaignSpecification(ProblemSpecification):
     """Null if only other stages are requested."""
     budget: BudgetSpecification | None = None
     """The end of the search; null: 100 simulations for each scenario, or the optimizer's own number of iterations."""
+    replicates: ReplicatesSpecification = ReplicatesSpecification()
+    """Runs of a set in a scenario, if the simulator is random."""
     reduction: ReductionSpecification = Field(default=ReductionSpecification(), validate_default=True)
     """Cells that may be answered without a simulation."""
     robustness: RobustnessSpecification | None = None
@@ -430,6 +450,8 @@ class EvaluationSpecification(Model):
 
     parameters: Annotated[dict[Identifier, Number | Choice], Field(min_length=1, max_length=200)]
     scenario: Identifier | None = None
+    seed: Annotated[int, Field(ge=1, le=2**31 - 1)] | None = None
+    """Seed of the run; null: 1 for a random simulator, and none for others."""
     problem: ProblemName = DEFAULT_PROBLEM
     catalogue: Identifier = "highway"
     driving_function: Identifier = "frenet"

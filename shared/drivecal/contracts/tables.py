@@ -210,6 +210,8 @@ class EvaluationRow(Answer):
     lot: int | None = None
     confidence: float | None = None
     sampled: bool = False
+    seed: int | None = None
+    """Seed of the run; null if the simulator does not depend on one."""
 
     @classmethod
     def file_columns(cls, parameters: Mapping[str, Kind], *, whole_scores: bool = True) -> list[Column]:
@@ -252,6 +254,20 @@ class Solution(Answer):
     iteration: int
     """Counted from 0; commands and page count iterations from 1."""
     individual: int
+    replicates: int = 1
+    """Seeds under which it ran in every scenario."""
+    failures: int = 0
+    """Failed runs under these seeds."""
+    standard_error: float | None = None
+    """Standard error of the objective; this and the following are null if the simulator is not random, and while the noise is unknown."""
+    lower: float | None = None
+    """Lower end of the interval of the objective, at `replicates.confidence`."""
+    upper: float | None = None
+    """Upper end of that interval."""
+    probability_best: float | None = None
+    """Probability that no other set is better."""
+    runs_to_tell: int | None = None
+    """Number of runs of this set and of the best set that would tell them apart; null if they are told apart."""
 
 
 class OptimumRow(Solution):

@@ -45,6 +45,10 @@ class SetupRequest:
     """Evaluator that rates the runs on the worker, which have the time series that it may need. None: the coordinator rates."""
     evaluator_version: str | None = None
     """The coordinator's: ratings of another one must not be stored under its name."""
+    seed: int = 0
+    """Seed of the runs; 0 if the simulator does not depend on one."""
+    session: str = ""
+    """Run fingerprint without the seed: one session of the simulator serves all seeds. Empty: the run fingerprint."""
     is_driven: bool = False
     """True if it runs in the worker's own process: the code is drivecal's or an installed plug-in's, none of a user's files is run."""
 
@@ -64,9 +68,17 @@ class SetupRequest:
         return (self.run_fingerprint, self.bundle, self.scenario, self.evaluator or "")
 
     @property
+    def session_key(self) -> SetupKey:
+        """Key shared by requests that one session of the simulator serves."""
+        return (self.session or self.run_fingerprint, *self.key[1:])
+
+    @property
     def kind(self) -> Kind:
-        """Key without the varied parameters: a robustness study runs few cells at each of hundreds of their values."""
-        return self.key if not self.varied else (fingerprint_of({**self.document, "varied": {}}), *self.key[1:])
+        """Key without seed and varied parameters: a robustness study runs few cells at each of hundreds of their values."""
+        if not self.varied:
+            return self.session_key
+        unseeded = {name: value for name, value in self.document.items() if name != "seed"}
+        return (fingerprint_of({**unseeded, "varied": {}}), *self.key[1:])
 
     @property
     def timeout(self) -> float | None:

@@ -108,6 +108,8 @@ class RequestedCell:
     inspected: bool = False
     is_released: bool = False
     """The donor answered the same cell in an equal campaign, after an inspection."""
+    seed: int = 0
+    """Seed of the run; 0 if the simulator does not depend on one."""
     stage: StageName = StageName.CALIBRATION
     iteration: int = 0
     setup_id: int = 0
@@ -140,6 +142,10 @@ class CellScore:
     iteration: int
     individual: int
     predicted: bool = False
+    seed: int = 0
+    """Seed of its run; 0 if the simulator does not depend on one."""
+    failed: bool = False
+    """The run ended with a failure of the system under test."""
     values: Mapping[str, float] = field(default_factory=dict)
     """Other values of the run that answered the cell, by their keys."""
 

@@ -18,7 +18,10 @@ from drivecal.plugins.ports import Ability, Floats, Named
 
 @dataclass(frozen=True, slots=True)
 class AskedCell:
-    """A cell that a search asks for: the grid indices of its set, by searched parameter, and the place of its scenario."""
+    """A cell that a search asks for: the grid indices of its set, by searched parameter, and the place of its scenario.
+
+    The runs of a random simulator have seeds, the same for all sets: a search gets the mean over them.
+    """
 
     indices: tuple[int, ...]
     scenario: int

@@ -20,6 +20,8 @@ PROBE_SECONDS = 45.0
 """Time limit of a probe: below that of a batch, whose worker would be ended, and above the start of slow tools."""
 
 
+SEED = 1
+"""Seed of simulators without randomness, and first seed of random ones."""
 MOST_SESSIONS = 8
 """Open sessions of a worker, least recently used first to go: each may hold a process of the user's."""
 END_SECONDS = 3.0
@@ -87,8 +89,8 @@ class UnsuitableError(UnavailableError):
 class SimulatorSession(Protocol):
     """A simulator that is ready for runs of one scenario. After a NoMeasuresError it restarts itself and the next run is unaffected."""
 
-    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
-        """Runs one parameter set. `series`: report time series, too.
+    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False, seed: int = SEED) -> RunOutcome:
+        """Runs one parameter set under a seed. `series`: report time series, too.
 
         Raises NoMeasuresError without a result, and UnavailableError if the simulator had to start again and could not.
         """

@@ -41,6 +41,12 @@ def test_a_command_reads_files_and_writes_one(tmp_path: Path, monkeypatch: pytes
     assert out.read_text() == '{"x": 4}{"k": 3}{"x": 5, "mode": "eco"}{"k": 3}'
 
 
+def test_a_command_gets_its_seed_as_a_word_and_as_a_variable(tmp_path: Path) -> None:
+    write(tmp_path, "x=$((x + 100 * $4 + DRIVECAL_SEED))")
+    with opened("command", tmp_path, command=[*COMMAND, "{seed}"]) as session:
+        assert [session.evaluate({"x": 4}, seed=seed).measures["y"] for seed in (1, 3, 1)] == [210, 614, 210]
+
+
 @pytest.mark.parametrize(
     ("body", "breakdown", "detail"),
     [

@@ -26,6 +26,13 @@ def test_a_function_gets_parameters_and_scenario(tmp_path: Path) -> None:
         assert session.evaluate({"x": 3.0}).measures == {"y": 9.0}
 
 
+def test_the_scenario_of_a_random_function_has_the_seed(tmp_path: Path) -> None:
+    write(tmp_path, "return {'y': x + 10 * scenario.get('seed', 0)}")
+    for is_random, measured in ((True, [12.0, 42.0]), (False, [2.0, 2.0])):
+        with opened("python", tmp_path, file="model.py", random=is_random) as session:
+            assert [session.evaluate({"x": 2.0}, seed=seed).measures["y"] for seed in (1, 4)] == measured
+
+
 def test_the_function_and_the_file_may_have_other_names(tmp_path: Path) -> None:
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "helper.py").write_text("FACTOR = 5")

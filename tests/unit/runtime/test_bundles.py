@@ -49,6 +49,7 @@ class ScriptedSimulator:
     answers: Mapping[float, RunOutcome | NoMeasuresError] = field(default_factory=dict)
     opened: list[str] = field(default_factory=list)
     closed: list[str] = field(default_factory=list)
+    seeds: list[int] = field(default_factory=list)
     version: str = "1"
 
     def open(
@@ -68,9 +69,10 @@ class ScriptedSession:
     simulator: ScriptedSimulator
     scenario: str
 
-    def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False) -> RunOutcome:
+    def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False, seed: int = 1) -> RunOutcome:
         x = parameters["x"]
         assert isinstance(x, float)
+        self.simulator.seeds.append(seed)
         outcome = self.simulator.answers.get(x, RunOutcome({"a": x}, None, {"v": (1.0, 2.0)} if series else {}, SECONDS))
         if isinstance(outcome, NoMeasuresError):
             raise outcome
@@ -92,6 +94,16 @@ def test_measures_come_back_unrated_with_the_cpu_time_of_children(
     (result,) = works.run(Batch(request_, (Cell(7, {"x": 2.0, "other": 1.0}),))).results
     assert (result.id, result.metrics, result.score, result.rating, result.breakdown) == (7, {"a": 2.0}, None, None, None)
     assert result.milliseconds >= 1000 * SECONDS
+
+
+def test_one_session_serves_all_seeds(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
+    simulator = ScriptedSimulator()
+    works = worker(tmp_path, simulator)
+    works.store(request_.bundle, archive)
+    for seed in (0, 1, 7):
+        fingerprint = f"fingerprint of {seed}"
+        works.run(Batch(replace(request_, seed=seed, session="s", run_fingerprint=fingerprint), (Cell(1, {"x": 2.0}),)))
+    assert (simulator.seeds, simulator.opened) == ([1, 1, 7], ["city"])
 
 
 def test_a_batch_without_its_files_is_refused(tmp_path: Path, request_: SetupRequest) -> None:
@@ -246,9 +258,9 @@ def test_whole_numbers_are_sent_as_such(tmp_path: Path, archive: bytes, request_
     sent: list[Mapping[str, float | str]] = []
 
     class Listening(ScriptedSession):
-        def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False) -> RunOutcome:
+        def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False, seed: int = 1) -> RunOutcome:
             sent.append(parameters)
-            return super().evaluate(parameters, series=series)
+            return super().evaluate(parameters, series=series, seed=seed)
 
     class ListeningSimulator(ScriptedSimulator):
         def open(self, *_: Any) -> SimulatorSession:

@@ -95,10 +95,10 @@ def test_a_simulator_that_no_longer_starts_refuses_the_cells_from_there_on(
     tmp_path: Path, archive: bytes, request_: SetupRequest, kind: type[UnavailableError]
 ) -> None:
     class Upgraded(ScriptedSession):
-        def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False) -> RunOutcome:
+        def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False, seed: int = 1) -> RunOutcome:
             if parameters["x"] == 3.0 and len(self.simulator.opened) == 1:
                 raise kind("SUMO has another version")
-            return super().evaluate(parameters, series=series)
+            return super().evaluate(parameters, series=series, seed=seed)
 
     class UpgradedSimulator(ScriptedSimulator):
         def open(self, *arguments: Any) -> SimulatorSession:
@@ -123,11 +123,11 @@ def test_a_checked_cell_whose_second_start_is_refused_keeps_its_first_outcome(
     class Once(ScriptedSession):
         runs = 0
 
-        def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False) -> RunOutcome:
+        def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False, seed: int = 1) -> RunOutcome:
             self.runs += 1
             if self.runs > 1:
                 raise fault
-            return super().evaluate(parameters, series=series)
+            return super().evaluate(parameters, series=series, seed=seed)
 
     class OnceSimulator(ScriptedSimulator):
         def open(self, *arguments: Any) -> SimulatorSession:

@@ -69,6 +69,8 @@ class Children:
     def __init__(self, launch: Launch, scratch: Scratch) -> None:
         """Stores the settings; `start` starts processes."""
         self._launch, self._scratch = launch, scratch
+        self.seed: int | None = None
+        """Seed of the next child, if its command depends on one."""
         self._keeper: int | None = None
         self._control: socket.socket | None = None
         self._pid: int | None = None
@@ -102,7 +104,7 @@ class Children:
         reply = None
         if self._control is not None:
             with contextlib.suppress(OSError):
-                socket.send_fds(self._control, [keeper.START], [stdin, stdout, stderr])
+                socket.send_fds(self._control, [keeper.START, str(self.seed or "").encode()], [stdin, stdout, stderr])
                 reply = self._reply()
         if reply is None:
             self._lose()

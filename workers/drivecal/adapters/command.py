@@ -17,7 +17,7 @@ from drivecal.adapters.scratch import Scratch, discard
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
-from drivecal.plugins.simulators import PROBE_SECONDS, Declared, NoMeasuresError, RunOutcome
+from drivecal.plugins.simulators import PROBE_SECONDS, SEED, Declared, NoMeasuresError, RunOutcome
 
 LONGEST_ANSWER = 4000
 """Largest answer in characters."""
@@ -67,8 +67,9 @@ class CommandSession:
             command = [part.replace(f"{{{name}}}", str(path)) for part in command]
         self._children = Children(Launch.of(command, section), scratch)
 
-    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
-        """Runs the command."""
+    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False, seed: int = SEED) -> RunOutcome:
+        """Runs the command under a seed."""
+        self._children.seed = seed
         return self._children.timed(lambda: self._evaluate(parameters, series=series))
 
     def close(self) -> None:

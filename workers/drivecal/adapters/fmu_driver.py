@@ -300,6 +300,8 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     fmu.check((output for _, output in measures.values()), "measured output")
     fmu.check(settings["data"], "name in the scenario's data")
     fmu.check_parameters(settings["parameters"])
+    seed = settings["seed"]
+    fmu.check([] if seed is None else [seed], "seed")
     declared = settings["units"]
     for name, (key, output) in measures.items():
         if name in declared:
@@ -312,7 +314,8 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:
         fmu.check(request["parameters"], "parameter")
         try:
-            fmu.begin({**settings["data"], **request["parameters"]}, duration)
+            seeded = {} if seed is None else {seed: request["seed"]}
+            fmu.begin({**settings["data"], **request["parameters"], **seeded}, duration)
             values = reader.read()
             statistics = [OutputStatistics(value) for value in values]
             rows = [values]

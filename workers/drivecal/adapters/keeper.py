@@ -5,8 +5,8 @@ gone. As a subreaper it inherits orphans, including those in sessions of their o
 `preexec_fn` is unsafe with threads, the signal of a parent's death follows the starting thread, and orphans would mix with others.
 
 Runs by path, `python -I -S keeper.py FD`, with the standard library and modules that need nothing else. FD is a socket of messages
-(SOCK_SEQPACKET): the worker sends `s` with three descriptors (standard input, output, error) for a start, `t` for an end and `k` for one at
-once; the keeper answers in JSON, see `Keeper`.
+(SOCK_SEQPACKET): the worker sends `s`, and the child's seed if it has one, with three descriptors (standard input, output, error) for a
+start, `t` for an end and `k` for one at once; the keeper answers in JSON, see `Keeper`.
 """
 
 import contextlib
@@ -165,11 +165,11 @@ class Keeper:
             self._notice()
             if control not in ready:
                 continue
-            message, descriptors, _, _ = socket.recv_fds(self._control, 1, 3)
+            message, descriptors, _, _ = socket.recv_fds(self._control, 32, 3)
             if not message:
                 return
-            if message == START:
-                self._start(descriptors)
+            if message.startswith(START):
+                self._start(descriptors, message.removeprefix(START).decode())
             elif self._child is not None:
                 if message == END:
                     self._ask()
@@ -185,17 +185,18 @@ class Keeper:
     def _say(self, message: dict[str, Any]) -> None:
         self._control.sendall(json.dumps(message).encode())
 
-    def _start(self, descriptors: list[int]) -> None:
+    def _start(self, descriptors: list[int], seed: str) -> None:
         settings = self._settings
+        seeded = {"DRIVECAL_SEED": seed} if seed else {}
         self._statuses.clear()
         try:
             child = subprocess.Popen(  # noqa: S603  # running a user's program is the purpose
-                settings["command"],
+                [part.replace("{seed}", seed) for part in settings["command"]] if seed else settings["command"],
                 stdin=descriptors[0],
                 stdout=descriptors[1],
                 stderr=descriptors[2],
                 cwd=settings["folder"],
-                env=settings["environment"],
+                env=settings["environment"] | seeded,
                 start_new_session=True,
                 preexec_fn=self._limit,  # noqa: PLW1509  # safe here: this process has one thread
             )

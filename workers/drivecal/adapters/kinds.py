@@ -113,6 +113,7 @@ def _open_python(
             "function": section.get("function", "evaluate"),
             "wheels": None if wheels is None else str(folder / wheels),
             "packages": str(scratch.folder / "packages"),
+            "random": section.get("random", False),
         }
         launch = Launch.of([*_PYTHON, "drivecal.adapters.python_driver", json.dumps(settings)], section)
         timeout = section["timeout"]
@@ -135,6 +136,7 @@ def _open_fmu(section: Section, scenario: str, data: Mapping[str, Any], folder: 
             "units": {name: unit for name, unit in declared.units.items() if unit not in units.WITHOUT},
             "data": dict(data),
             "parameters": dict(declared.parameters),
+            "seed": section.get("seed"),
         }
         launch = Launch.of([*_PYTHON, "drivecal.adapters.fmu_driver", json.dumps(settings)], section)
         return ProcessSession(

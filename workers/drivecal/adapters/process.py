@@ -16,7 +16,7 @@ from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
-from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, UnsuitableError, start_limit
+from drivecal.plugins.simulators import SEED, Declared, NoMeasuresError, RunOutcome, UnsuitableError, start_limit
 
 START_LIMIT = (
     "the limit of a start (`simulator.timeout` in problem.yaml, s, or 60 if that is less); raise it if starts may take longer"
@@ -26,8 +26,6 @@ QUIT_SECONDS = 1.0
 """Time that a program has to end after `quit`."""
 WATCH_SECONDS, WATCH_SHARE = 1.0, 0.002
 """Shortest time between two looks at a session between its runs, and their largest share of a core."""
-SEED = 1
-"""Seed in every request: equal random numbers for all parameter sets make them comparable."""
 _QUIT = b'{"quit": true}\n'
 
 log = logging.getLogger(__name__)
@@ -70,7 +68,7 @@ class ProcessSession:
         self._children = Children(launch, scratch)
         self._pipes: Pipes | None = None
         self._number = self._runs = 0
-        self._head = json.dumps({"scenario": scenario, "data": data, "seed": SEED}, allow_nan=False).removesuffix("}")
+        self._head = json.dumps({"scenario": scenario, "data": data}, allow_nan=False).removesuffix("}")
         self._failed_start: NoMeasuresError | None = None
         self._lock = threading.Lock()
         self._next_watch = 0.0
@@ -87,10 +85,10 @@ class ProcessSession:
         """The first start has failed, which the next run will report."""
         return self._failed_start is not None
 
-    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
-        """Runs one parameter set. Raises UnavailableError if a new child reports an error instead of being ready."""
+    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False, seed: int = SEED) -> RunOutcome:
+        """Runs one parameter set under a seed. Raises UnavailableError if a new child reports an error instead of being ready."""
         with self._lock:
-            return self._children.timed(lambda: self._evaluate(parameters, series=series))
+            return self._children.timed(lambda: self._evaluate(parameters, series=series, seed=seed))
 
     def watch(self) -> None:
         """Ends the child if it exceeds a limit between two runs. Does nothing during a run, and soon after the last look. Thread-safe."""
@@ -117,7 +115,7 @@ class ProcessSession:
             self._children.close()
             self._scratch.remove()
 
-    def _evaluate(self, parameters: Mapping[str, Setting], *, series: bool) -> RunOutcome:
+    def _evaluate(self, parameters: Mapping[str, Setting], *, series: bool, seed: int) -> RunOutcome:
         if self._failed_start is not None:
             failed, self._failed_start = self._failed_start, None
             raise failed
@@ -128,7 +126,8 @@ class ProcessSession:
             pipes = self._start_again()
             wall_seconds, cpu_seconds = time.perf_counter() - wall, self._children.cpu_seconds() - cpu
         self._number, self._runs = self._number + 1, self._runs + 1
-        request = f'{{"id": {self._number}, {self._head[1:]}, "parameters": {json.dumps(dict(parameters), allow_nan=False)}'
+        request = f'{{"id": {self._number}, {self._head[1:]}, "seed": {seed}'
+        request += f', "parameters": {json.dumps(dict(parameters), allow_nan=False)}'
         request += ', "series": true}\n' if series else "}\n"
         try:
             answer = answers.document(pipes.ask(request.encode(), self._timeout, RUN_LIMIT + self._advice), "the answer")

@@ -19,7 +19,8 @@ MOST_BYTES = 4 << 30
 
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
-    """Imports the function. `settings`: `file`, `function`, `wheels` (a folder or None), `packages` (where to unpack them).
+    """Imports the function. `settings`: `file`, `function`, `wheels` (a folder or None), `packages` (where to unpack them), `random` (the
+    scenario gets an entry `seed`).
 
     Its managers of shared objects listen on loopback, because Unix sockets are refused.
     """
@@ -34,7 +35,8 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
         raise InvalidInputError(Problem("simulator.function", message, "name one that the file has"))
 
     def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:
-        return answer(function(request["parameters"], request["data"]))
+        seed = {"seed": request["seed"]} if settings["random"] else {}
+        return answer(function(request["parameters"], request["data"] | seed))
 
     return evaluate
 

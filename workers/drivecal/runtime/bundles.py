@@ -23,6 +23,7 @@ from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import (
     MOST_SESSIONS,
+    SEED,
     VERSIONS,
     BusyError,
     Declared,
@@ -149,20 +150,20 @@ class BundleSessions:
                 try:
                     return self._run(setup, cell)
                 except OSError:  # a full disk, or what the simulator did to its folder: a new session has another
-                    self._drop(setup.key)
+                    self._drop(setup.session_key)
                     return self._run(setup, cell)
             except OSError as error:
-                self._drop(setup.key)
+                self._drop(setup.session_key)
                 raise _unable(error) from error
             except BusyError:  # the program waits for a licence, say: it is asked again as it is
                 raise
             except UnavailableError:
                 # Of a new child, for example: the next attempt begins with all checks, and without other sessions if need be.
-                self._drop(setup.key)
+                self._drop(setup.session_key)
                 raise
             finally:
-                if setup.key in self._sessions:
-                    self._used[setup.key] = self._clock()
+                if setup.session_key in self._sessions:
+                    self._used[setup.session_key] = self._clock()
                 self._close_idle()
 
     def watch(self) -> None:
@@ -188,7 +189,7 @@ class BundleSessions:
         parameters |= {name: int(parameters[name]) for name in setup.integers}
         self._starts += 1
         try:
-            outcome = session.evaluate(parameters, series=cell.trace)
+            outcome = session.evaluate(parameters, series=cell.trace, seed=setup.seed or SEED)
             trace = _series(outcome) if cell.trace else None
         except NoMeasuresError as error:
             milliseconds = milliseconds_since(start) + 1000 * error.cpu_seconds
@@ -219,13 +220,13 @@ class BundleSessions:
         start = time.thread_time_ns()
         self._starts += 1
         try:
-            again = self._sessions[setup.key].evaluate(parameters)
+            again = self._sessions[setup.session_key].evaluate(parameters, seed=setup.seed or SEED)
         except NoMeasuresError as error:
             return False, milliseconds_since(start) + 1000 * error.cpu_seconds
         except (UnavailableError, OSError) as error:
             # The first outcome counts all the same, or the cell would come back again and again. The next one begins with all checks.
             log.warning("a run of %s cannot be repeated: %s", setup.problem, error)
-            self._drop(setup.key)
+            self._drop(setup.session_key)
             self._starts -= 1
             return None, milliseconds_since(start)
         same = (again.failure, dict(again.measures)) == (outcome.failure, dict(outcome.measures))
@@ -256,25 +257,25 @@ class BundleSessions:
 
     def _session(self, setup: SetupRequest) -> SimulatorSession:
         with ExitStack() as hold:
-            if setup.key not in self._sessions:
+            if setup.session_key not in self._sessions:
                 hold.enter_context(self._cache.hold(setup.bundle))
             self._tools.check(setup, lambda: self._cache.folder(setup.bundle))
-            if setup.key not in self._sessions:
-                self._sessions[setup.key] = self._opened_alone(setup)
-                self._holds[setup.key] = hold.pop_all()
+            if setup.session_key not in self._sessions:
+                self._sessions[setup.session_key] = self._opened_alone(setup)
+                self._holds[setup.session_key] = hold.pop_all()
                 if len(self._sessions) > MOST_SESSIONS:
                     self._drop(next(iter(self._sessions)))
-            self._sessions.move_to_end(setup.key)
+            self._sessions.move_to_end(setup.session_key)
         if not self._watched:
             self._watched = True
             threading.Thread(target=_watch, args=(weakref.ref(self),), daemon=True).start()
-        return self._sessions[setup.key]
+        return self._sessions[setup.session_key]
 
     def _opened_alone(self, setup: SetupRequest) -> SimulatorSession:
         """Opens a session, if need be without the others, which may hold the licence or the memory that it lacks. That is tried again only
         after IDLE_SECONDS: refused cells are asked for often, and the others would start again each time."""
         refuse_other_parts(setup, self._simulators(setup.simulator["kind"]).version)
-        tried = self._clock() - self._failed_alone.get(setup.key, -math.inf) < IDLE_SECONDS
+        tried = self._clock() - self._failed_alone.get(setup.session_key, -math.inf) < IDLE_SECONDS
         try:
             session = self._opened(setup)
         except UnsuitableError:
@@ -288,10 +289,10 @@ class BundleSessions:
             _close(session)
         for key in list(self._sessions):
             self._drop(key)
-        self._failed_alone[setup.key] = self._clock()
+        self._failed_alone[setup.session_key] = self._clock()
         session = self._opened(setup)
         if not _has_failed(session):
-            del self._failed_alone[setup.key]
+            del self._failed_alone[setup.session_key]
         return session
 
     def _opened(self, setup: SetupRequest) -> SimulatorSession:

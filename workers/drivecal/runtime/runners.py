@@ -1,6 +1,7 @@
 """Runners of scenarios that drivecal's own closed loop drives in this process, with installed plug-ins of the coordinator's versions."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from drivecal.bundles.fingerprints import model_of
@@ -73,9 +74,11 @@ def _find(
 def scenario_of(request: SetupRequest, folder: Path) -> Scenario:
     """Returns the scenario of a request: of an installed catalogue, or of the problem's own data and files."""
     if "catalogue" in request.data:
-        return registry.catalogue(request.data["catalogue"]).scenarios[request.scenario]
-    declared = TaskScenario.model_validate(request.data)
-    return declared.on(request.scenario, (folder / declared.network).read_bytes())
+        scenario = registry.catalogue(request.data["catalogue"]).scenarios[request.scenario]
+    else:
+        declared = TaskScenario.model_validate(request.data)
+        scenario = declared.on(request.scenario, (folder / declared.network).read_bytes())
+    return replace(scenario, seed=request.seed) if request.seed else scenario
 
 
 def refuse_other_evaluators(request: SetupRequest, installed: Evaluator) -> None:

@@ -30,6 +30,7 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets, runs
 
 LARGEST_WEIGHT = 1e6
+_UNCERTAINTY = ("replicates", "failures", "standard_error", "lower", "upper", "probability_best", "runs_to_tell")
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class CampaignRanking:
                 constraints={} if self.goals is None else self.goals.named_bounds(solution.judgement),
                 iteration=solution.iteration,
                 individual=solution.individual,
+                **{name: getattr(solution, name) for name in _UNCERTAINTY},
             )
             for rank, solution in enumerate(listed, start + 1)
         ]
@@ -82,7 +84,7 @@ def ranking(
     goals = resolved.goals
     if goals is not None and (weights is not None or score is not None):
         goals = _constrained(goals, used, scale, other)
-    standing = Ranking(used, scale.sign, goals, scale.span)
+    standing = Ranking(used, scale.sign, goals, scale.span, resolved.replicates)
     with database.read() as connection:
         if other is None:
             stage, corrected_by = StageName.CALIBRATION, resolved.evaluator

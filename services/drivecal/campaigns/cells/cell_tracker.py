@@ -153,15 +153,15 @@ class CellTracker:
         did not see that run when it planned. Without it, every cell is simulated for this campaign alone. `benches` lists the cells'
         benches besides the campaign's own.
         """
-        self._requests = {
-            setup_id: bench.requests[scenario]
-            for bench in (self._view.bench, *benches)
-            for scenario, setup_id in ensure_setups(connection, bench).items()
-        }
+        requests = dict(self._requests)
+        for bench in (self._view.bench, *benches):
+            requests |= {number: bench.requests[name] for name, number in ensure_setups(connection, bench).items()}
         self._exclusive = not share_runs
         earlier = self._returned & self._pending.keys()
         self._pending = {cell.id: cell for cell in results.pending(connection, self._view.campaign)}
         self._pending |= self._inspection.load(connection, self._pending)
+        waiting = {cell.setup_id for cell in self._pending.values()}
+        self._requests = {number: request for number, request in requests.items() if number in waiting}
         self._copies = {}
         for cell in self._pending.values():
             if cell.plan in COPIES and cell.reference is not None and cell.lot is None:

@@ -111,6 +111,7 @@ def plan_cells(
             setup_id=setup_ids[cell.scenario],
             parameter_set_id=set_ids[cell.parameters],
             reference_key=class_keys.get((cell.scenario, cell.parameters)),
+            seed=view.bench.seed,
         )
         for cell in wanted
     ]

@@ -63,9 +63,11 @@ def _specification(connection: Connection, number: int) -> tuple[EvaluationSpeci
     row = results.by_id(connection, number)
     spec = campaigns.by_sequence(connection, row.campaign_sequence).spec
     stored = setups.by_id(connection, row.setup_id)
-    document = {"parameters": row.parameters.floats, "scenario": row.scenario}
+    document: dict[str, Any] = {"parameters": row.parameters.floats, "scenario": row.scenario}
     document |= {name: spec[name] for name in ("problem", "evaluator", "driving_function")}
     document["vehicle"] = spec["vehicle"] | {"parameters": dict(Setup(row.scenario, stored.document).varied)}
+    if row.seed:
+        document["seed"] = row.seed
     if "catalogue" in stored.document["data"]:
         document["catalogue"] = stored.document["data"]["catalogue"]
     specification = validated(EvaluationSpecification, document)

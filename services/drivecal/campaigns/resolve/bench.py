@@ -1,7 +1,7 @@
 """The bench of a campaign: everything except the parameter set that decides its results."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite, nan
 from typing import Any
@@ -45,6 +45,8 @@ class Bench:
     """Values of the side conditions."""
     evaluator: Evaluator | None = None
     """Rates the runs; None: the score has a formula."""
+    seed: int = 0
+    """Seed of all runs; 0 if the simulator does not depend on one."""
     is_driven: bool = False
     """Whether the runs need no child process (`SetupRequest.is_driven`)."""
 
@@ -55,12 +57,25 @@ class Bench:
     @cached_property
     def setups(self) -> dict[str, Setup]:
         """Setups by scenario."""
+        return self._setups(self.seed)
+
+    def _setups(self, seed: int) -> dict[str, Setup]:
         manifest, files, tools = self.bundle.manifest, self.bundle.files, self.bundle.tools
+        settings: dict[str, Any] = {"section": self.section, "varied": self.values, "tools": tools, "seed": seed}
         documents = {
-            name: setup_document(manifest, name, files, section=self.section, data=data, varied=self.values, tools=tools)
-            for name, data in self.scenarios.items()
+            name: setup_document(manifest, name, files, data=data, **settings) for name, data in self.scenarios.items()
         }
         return {name: Setup(name, document) for name, document in documents.items()}
+
+    @property
+    def is_random(self) -> bool:
+        """True if the manifest says that runs depend on a seed."""
+        return self.bundle.manifest.simulator.random
+
+    def seeded(self, seed: int) -> "Bench":
+        """Returns the bench of another seed. Seed 1 of a simulator that claims no seed is none: its requests say 1 anyway."""
+        seed = seed if self.is_random or seed > 1 else 0
+        return self if seed == self.seed else replace(self, seed=seed)
 
     @cached_property
     def requests(self) -> dict[str, SetupRequest]:
@@ -69,6 +84,7 @@ class Bench:
         rated = self.is_driven and self.evaluator is not None
         units = {name: entry.unit for name, entry in manifest.parameters.items()}
         units |= {name: entry.unit for name, entry in manifest.varied.items()}
+        unseeded = self._setups(0) if self.seed else {}
         return {
             name: SetupRequest(
                 bundle=self.bundle.digest,
@@ -88,6 +104,8 @@ class Bench:
                 varied=self.values,
                 evaluator=self.evaluator.name if rated and self.evaluator else None,
                 evaluator_version=self.evaluator.version if rated and self.evaluator else None,
+                seed=self.seed,
+                session=unseeded[name].fingerprint if unseeded else "",
                 is_driven=self.is_driven,
                 resources=manifest.resources(name),
                 renews=manifest.simulator.renews,

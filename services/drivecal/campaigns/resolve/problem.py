@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from drivecal.analysis.goals import Goals
+from drivecal.analysis.replicates import kept_back
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
@@ -68,6 +69,19 @@ class CalibrationProblem:
     def scenarios(self) -> tuple[str, ...]:
         """The ids of the simulated scenarios, in the catalogue's order."""
         return tuple(self.weights)
+
+    @property
+    def least_replicates(self) -> int:
+        """The number of seeds under which the search runs each set."""
+        return self.specification.replicates.least if self.bench.is_random else 1
+
+    @property
+    def search_simulations(self) -> int | None:
+        """The simulations of the budget that the search may use; None without a limit."""
+        budget = None if self.optimization is None else self.optimization.budget
+        if budget is None or budget.simulations is None or not self.bench.is_random:
+            return None if budget is None else budget.simulations
+        return budget.simulations - kept_back(budget.simulations, len(self.scenarios), self.specification.replicates.most)
 
     @property
     def start_indices(self) -> Indices:
@@ -218,9 +232,10 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
         parameter_set, "parameters"
     )
     specification = specification.model_copy(update=dict(workbench.settled))
-    return EvaluationProblem(
-        specification, workbench.make(scenarios), parameter_set, notes_off_grid(values, workbench.function)
-    )
+    bench = workbench.make(scenarios)
+    if specification.seed is not None:
+        bench = bench.seeded(specification.seed)
+    return EvaluationProblem(specification, bench, parameter_set, notes_off_grid(values, workbench.function))
 
 
 def trial() -> Batch:

@@ -1,7 +1,7 @@
 """The resolved specification of a started campaign: enough to read its results, whatever is installed today."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from drivecal.analysis.goals import Goals
@@ -9,7 +9,7 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationPro
 from drivecal.campaigns.resolve.spaces import fixed_from_document, space_from_document
 from drivecal.campaigns.resolve.workbench import BundleSource, installed_bundles
 from drivecal.contracts.input_errors import validated
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, ReplicatesSpecification
 from drivecal.domain.parameters import ParameterSpace
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.storage.campaigns import StoredCampaign
@@ -28,6 +28,7 @@ class ResolvedSpec:
     scale: Scale
     goals: Goals | None = None
     """None for the weighted mean of the score."""
+    replicates: ReplicatesSpecification = field(default_factory=ReplicatesSpecification)
 
 
 def problem_of(campaign: StoredCampaign, bundles: BundleSource = installed_bundles) -> CalibrationProblem | EvaluationProblem:
@@ -51,7 +52,9 @@ def resolved_spec(campaign: StoredCampaign) -> ResolvedSpec:
     fixed = fixed_from_document(resolution.get("fixed", {}))
     space = ParameterSpace(space_from_document(resolution["space"]), fixed)
     weights, setups = resolution.get("weights", {}), resolution["setups"]
-    return ResolvedSpec(resolution["evaluator"], space, weights, setups, stored_scale(resolution), stored_goals(resolution))
+    scale, goals = stored_scale(resolution), stored_goals(resolution)
+    wanted = validated(ReplicatesSpecification, campaign.spec.get("replicates") or {})
+    return ResolvedSpec(resolution["evaluator"], space, weights, setups, scale, goals, wanted)
 
 
 def stored_goals(resolution: Mapping[str, Any] | None) -> Goals | None:

@@ -132,7 +132,7 @@ def front_of(
     score gives way to a later simulation of the very cell."""
     goals = goals_of(resolved)
     constraints = _constraints(database, campaign, resolved) if everything else None
-    ranking = Ranking(resolved.weights, resolved.scale.sign, goals, resolved.scale.span)
+    ranking = Ranking(resolved.weights, resolved.scale.sign, goals, resolved.scale.span, resolved.replicates)
     with database.read() as connection:
         stored = results.answers(
             connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=valued_by(goals)

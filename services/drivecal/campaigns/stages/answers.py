@@ -9,14 +9,14 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.aims import JudgedGoals, WeightedScore
 from drivecal.analysis.goals import valued_by
-from drivecal.analysis.solutions import Ranking
+from drivecal.analysis.solutions import Ranking, over_seeds
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.stages.asking import AskedRound, cells_of
+from drivecal.campaigns.stages.asking import AskedRound
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import Indices
 from drivecal.plugins.ports import Floats
-from drivecal.plugins.search import CellAnswer
+from drivecal.plugins.search import AskedCell, CellAnswer
 from drivecal.storage import results
 
 
@@ -26,7 +26,8 @@ class SearchAnswers(ABC):
     def __init__(self, problem: CalibrationProblem) -> None:
         self._problem, self._goals = problem, problem.goals
         self._sign = problem.bench.scale.sign
-        self.ranking = Ranking(problem.weights, self._sign, problem.goals, problem.bench.scale.span)
+        wanted = problem.specification.replicates
+        self.ranking = Ranking(problem.weights, self._sign, problem.goals, problem.bench.scale.span, wanted)
 
     def take_in(self, connection: Connection, campaign: int, iterations: Collection[int]) -> None:
         """Reads the answers of iterations."""
@@ -74,24 +75,27 @@ class CellAnswers(SearchAnswers):
         self.aim = (
             WeightedScore(problem.weights, problem.bench.scale) if problem.goals is None else JudgedGoals(problem.goals, names)
         )
-        self._rounds: dict[int, dict[tuple[int, str], CellScore]] = {}
+        self._rounds: dict[int, dict[tuple[int, str, int], CellScore]] = {}
 
     def _take(self, answer: CellScore) -> None:
-        self._rounds.setdefault(answer.iteration, {})[answer.individual, answer.scenario] = answer
+        self._rounds.setdefault(answer.iteration, {})[answer.individual, answer.scenario, answer.seed or 1] = answer
 
     def objectives(self, number: int) -> Floats:
         """See `SearchAnswers`. A set belongs to the round of its last cell."""
-        sets = {individual: cell.parameter_set for (individual, _), cell in sorted(self._rounds.get(number, {}).items())}
+        sets = {individual: cell.parameter_set for (individual, *_), cell in sorted(self._rounds.get(number, {}).items())}
         solutions = [self.ranking.get(parameter_set) for parameter_set in sets.values()]
         return np.array([np.nan if each is None else each.objective for each in solutions], dtype=np.float64)
 
     def for_search(self, number: int, asked: AskedRound) -> tuple[list[CellAnswer]]:
         """Returns the answers in the order of asking."""
-        told, names = self._rounds.pop(number), self._problem.scenarios
+        told, names, seeds = self._rounds.pop(number), self._problem.scenarios, range(1, self._problem.least_replicates + 1)
         answers = []
-        for (individual, scenario), cell in zip(asked.cells, cells_of(asked), strict=True):
-            answer = told[individual, names[scenario]]
-            answers.append(CellAnswer(cell, self.aim.of(answer), failed=self._is_failed(answer)))
+        for individual, scenario, first in asked.cells:
+            if first == 1:
+                runs = [told[individual, names[scenario], seed] for seed in seeds]
+                cell = AskedCell(tuple(asked.population[individual].tolist()), scenario)
+                failed = all(self._is_failed(run) for run in runs)
+                answers.append(CellAnswer(cell, self.aim.of(over_seeds(runs)), failed=failed))
         return (answers,)
 
     def forget(self, number: int) -> None:
@@ -109,6 +113,8 @@ class PopulationAnswers(SearchAnswers):
         super().__init__(problem)
         shape = population, len(problem.scenarios)
         self._scores, self._ratings = np.full(shape, np.nan), np.full(shape, np.nan)
+        self._runs: dict[tuple[int, str], dict[int, CellScore]] = {}
+        """Answers of the newest round by individual, scenario and seed."""
         self._cells: list[dict[str, CellScore]] = [{} for _ in range(population)]
         """By individual and scenario, with goals only."""
         self._columns = {scenario: column for column, scenario in enumerate(problem.scenarios)}
@@ -119,6 +125,11 @@ class PopulationAnswers(SearchAnswers):
 
     def _take(self, answer: CellScore) -> None:
         self._requested.add(answer.individual)
+        runs = self._runs.setdefault((answer.individual, answer.scenario), {})
+        if any(run.iteration != answer.iteration for run in runs.values()):
+            runs.clear()
+        runs[answer.seed] = answer
+        answer = over_seeds([runs[seed] for seed in sorted(runs)])
         cell = answer.individual, self._columns[answer.scenario]
         self._scores[cell] = np.nan if answer.score is None else answer.score
         self._ratings[cell] = np.nan if answer.rating is None else answer.rating

@@ -41,8 +41,8 @@ class AskedRound:
     """Grid indices of its sets, shape (n, n_searched)."""
     changed: npt.NDArray[np.bool_]
     """Mask of the requested sets, shape (n,). The others were asked for before: they are unchanged, or equal after a repair."""
-    cells: Sequence[tuple[int, int]]
-    """Individual and place of the scenario, in the order of asking."""
+    cells: Sequence[tuple[int, int, int]]
+    """Individual, place of the scenario and seed, in the order of asking, with rising seeds."""
     state: dict[str, Any]
     """State of the search, JSON-ready."""
     repaired: RepairCount | None = None
@@ -62,7 +62,13 @@ class PopulationAsker:
     """A generational optimizer: a round is its population, in all scenarios, and it is told when the whole round is answered."""
 
     def __init__(
-        self, optimizer: Optimizer, name: str, shape: tuple[int, Indices], scenarios: int, populations: Sequence[Any] = ()
+        self,
+        optimizer: Optimizer,
+        name: str,
+        shape: tuple[int, Indices],
+        scenarios: int,
+        populations: Sequence[Any] = (),
+        seeds: int = 1,
     ) -> None:
         """Wraps an optimizer.
 
@@ -72,8 +78,10 @@ class PopulationAsker:
             shape: size of the population, and grid sizes.
             scenarios: number of scenarios.
             populations: grid indices of all populations so far.
+            seeds: number of seeds under which each set runs.
         """
         self._optimizer, self._name, self._shape, self._scenarios = optimizer, name, shape, scenarios
+        self._seeds = seeds
         self._evaluated = np.array(populations[-1], dtype=np.int64) if populations else None
         if isinstance(optimizer, RepairingOptimizer):
             optimizer.known.update(tuple(row) for population in populations for row in population)
@@ -85,7 +93,7 @@ class PopulationAsker:
         changed, repaired = proposal.changed.copy(), None
         if isinstance(self._optimizer, RepairingOptimizer):
             changed[self._optimizer.again], repaired = False, self._optimizer.repaired
-        return population_round(proposal.population, changed, self._optimizer.state(), self._scenarios, repaired)
+        return population_round(proposal.population, changed, self._optimizer.state(), self._scenarios, self._seeds, repaired)
 
     def tell(self, *answers: Any) -> None:
         """Passes objectives and tie breakers on."""
@@ -95,12 +103,13 @@ class PopulationAsker:
 class CellAsker:
     """A search by the cell: a round is some cells of some sets."""
 
-    def __init__(self, search: Search, room: int) -> None:
-        self._search, self._room = search, room
+    def __init__(self, search: Search, room: int, seeds: int = 1) -> None:
+        """`seeds`: number of seeds under which each cell runs; the search knows the means."""
+        self._search, self._room, self._seeds = search, room, seeds
 
     def ask(self) -> AskedRound | None:
         """Returns the next cells."""
-        cells = self._search.ask(self._room)
+        cells = self._search.ask(max(1, self._room // self._seeds))
         if not cells:
             return None
         sets = list(dict.fromkeys(cell.indices for cell in cells))
@@ -109,7 +118,7 @@ class CellAsker:
         return AskedRound(
             np.array(sets, dtype=np.int64),
             np.ones(len(sets), dtype=np.bool_),
-            [(places[cell.indices], cell.scenario) for cell in cells],
+            [(places[cell.indices], cell.scenario, seed) for seed in range(1, self._seeds + 1) for cell in cells],
             state,
         )
 
@@ -123,16 +132,19 @@ def population_round(
     changed: npt.NDArray[np.bool_],
     state: dict[str, Any],
     scenarios: int,
+    seeds: int,
     repaired: RepairCount | None = None,
 ) -> AskedRound:
     """Returns the round of a population."""
-    cells = [(individual, scenario) for individual in np.flatnonzero(changed).tolist() for scenario in range(scenarios)]
+    individuals = np.flatnonzero(changed).tolist()
+    cells = [(each, scenario, seed) for seed in range(1, seeds + 1) for each in individuals for scenario in range(scenarios)]
     return AskedRound(population, changed, cells, state, repaired)
 
 
 def cells_of(asked: AskedRound) -> list[AskedCell]:
-    """Returns the cells of a round as its search asked for them."""
-    return [AskedCell(tuple(asked.population[individual].tolist()), scenario) for individual, scenario in asked.cells]
+    """Returns the cells of a round as its search asked for them: each once, for all seeds."""
+    cells = [(individual, scenario) for individual, scenario, seed in asked.cells if seed == 1]
+    return [AskedCell(tuple(asked.population[individual].tolist()), scenario) for individual, scenario in cells]
 
 
 class Computation:

@@ -35,8 +35,9 @@ from drivecal.campaigns.stages.asking import (
     population_round,
     room_for,
 )
+from drivecal.campaigns.stages.replication import Replication, SeededBenches
 from drivecal.campaigns.stages.stage import Round, Stage
-from drivecal.campaigns.stages.task import affordable, most_cells, search_task
+from drivecal.campaigns.stages.task import affordable, asked_rounds, most_cells, search_task
 from drivecal.contracts.campaign import (
     Baseline,
     Best,
@@ -119,9 +120,12 @@ class Calibration(Stage):
         self._confirmation = campaign.confirmation
         self._limit = None if problem.optimization.budget is None else problem.optimization.budget.simulations
         if self._limit is not None:
-            most = 0 if self._by_cell is None else most_cells(self._limit, problem.bench.repeated_share)
+            within = problem.search_simulations or 0
+            most = 0 if self._by_cell is None else most_cells(within, problem.bench.repeated_share)
             self._tracker.limit(self._limit, most)
             self.budget = self._tracker.budget
+        self._benches = SeededBenches(problem.bench)
+        self._replication = Replication(problem, self._answers, self._benches)
 
     @property
     def _at_most(self) -> int:
@@ -139,7 +143,9 @@ class Calibration(Stage):
             return asked
         if self._under_way:
             return None
-        asked = self._confirm()
+        asked = None if self._problem.bench.is_random else self._confirm()
+        if asked is None:
+            asked = self._replicate()
         if asked is None:
             self._refuse_nothing()
         return asked
@@ -179,12 +185,12 @@ class Calibration(Stage):
                 self._answers.take_in(connection, self._campaign.sequence, range(self._closed))
             self._next = 0 if last is None else last.iteration + 1
             told = max(0, self._next - self._window)
-            rounds = [] if self._by_cell is None else self._asked_rounds(connection)
+            rounds = [] if self._by_cell is None else asked_rounds(connection, self._campaign.sequence, self._problem.scenarios)
         self._asked = {number: asked for number, asked in enumerate(rounds) if number >= told}
         if last is not None and self._by_cell is None:
             rows, changed = np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_)
-            state = dict(last.optimizer_state or {})
-            self._asked = {last.iteration: population_round(rows, changed, state, len(self._problem.scenarios))}
+            shape = len(self._problem.scenarios), self._problem.least_replicates
+            self._asked = {last.iteration: population_round(rows, changed, dict(last.optimizer_state or {}), *shape)}
             self._batches = [] if last.finished else self._split(last.iteration, self._asked[last.iteration])
         if self._search.ended_by is not None:
             return
@@ -193,19 +199,6 @@ class Calibration(Stage):
             self._compute(partial(self._cell_asker, [cells_of(asked) for asked in rounds], answers, last))
         else:
             self._compute(partial(self._population_asker, last, populations))
-
-    def _asked_rounds(self, connection: Connection) -> list[AskedRound]:
-        """Returns all rounds of a search by the cell."""
-        places = {name: place for place, name in enumerate(self._problem.scenarios)}
-        cells: dict[int, list[tuple[int, int]]] = {}
-        for iteration, individual, scenario in evaluations.places(connection, self._campaign.sequence, self.name):
-            cells.setdefault(iteration, []).append((individual, places[scenario]))
-        return [
-            AskedRound(
-                np.array(population, dtype=np.int64), np.ones(len(population), dtype=np.bool_), cells.get(number, []), {}
-            )
-            for number, population in enumerate(generations.populations(connection, self._campaign.sequence))
-        ]
 
     def _population_asker(self, last: StoredGeneration | None, populations: Sequence[Any]) -> PopulationAsker:
         problem, area, chosen = self._problem, self._area, self._optimization
@@ -218,7 +211,8 @@ class Calibration(Stage):
             optimizer = chosen.restore(area, problem.constraints, last.optimizer_state)
             populations = populations or [last.population]
         shape = chosen.population, area.n_values
-        return PopulationAsker(optimizer, chosen.plugin.name, shape, len(problem.scenarios), populations)
+        scenarios, seeds = len(problem.scenarios), problem.least_replicates
+        return PopulationAsker(optimizer, chosen.plugin.name, shape, scenarios, populations, seeds)
 
     def _cell_asker(
         self, rounds: Sequence[Sequence[AskedCell]], answers: Sequence[Sequence[CellAnswer]], last: StoredGeneration | None
@@ -228,9 +222,10 @@ class Calibration(Stage):
             raise RuntimeError("the search is no search by the cell")
         task = search_task(self._database, self._view, self._problem, self._area, self._answers.aim)
         if last is None:
-            return CellAsker(plugin.begin(settings, task), self._search.room)
+            return CellAsker(plugin.begin(settings, task), self._search.room, self._problem.least_replicates)
         state = (last.optimizer_state or {}).get("search", {})
-        return CellAsker(plugin.resume(settings, task, rounds, answers, state), self._search.room)
+        search = plugin.resume(settings, task, rounds, answers, state)
+        return CellAsker(search, self._search.room, self._problem.least_replicates)
 
     def _compute(self, obtain: Callable[[], Asker]) -> None:
         """Begins to obtain the search, and to ask it for the next round if that may be asked for."""
@@ -287,7 +282,9 @@ class Calibration(Stage):
                 return []
             here = connection, self._campaign.sequence, self.name, self._next - 1
             self._batches = [each for each in self._batches if not results.is_requested(*here, each[0] if each else None)]
-            work = self._tracker.load(connection, share_runs=self._policy().mode != "off")
+            seeds = {cell.seed for cell in results.pending(connection, self._campaign.sequence)}
+            benches = [self._benches.of(seed) for seed in sorted(seeds)]
+            work = self._tracker.load(connection, share_runs=self._policy().mode != "off", benches=benches)
             self._save(connection)
         for number in range(self._closed, self._next):
             self._round = Round(number, (), self._policy())
@@ -331,11 +328,10 @@ class Calibration(Stage):
         number = self._next - 1
         asked, batch, problem = self._asked[number], self._batches.pop(0), self._problem
         sets = dict(zip(batch, problem.space.parameter_sets(self._area.expand(asked.population[batch])), strict=True))
+        given = {individual: parameters in problem.start_sets for individual, parameters in sets.items()}
         wanted = [
-            RequestedCell(
-                individual, problem.scenarios[scenario], sets[individual], is_given=sets[individual] in problem.start_sets
-            )
-            for individual, scenario in asked.cells
+            RequestedCell(individual, problem.scenarios[place], sets[individual], is_given=given[individual], seed=seed)
+            for individual, place, seed in asked.cells
             if individual in sets
         ]
         if self._planner is not None:
@@ -344,7 +340,7 @@ class Calibration(Stage):
                 self._answers.take_in(connection, self._campaign.sequence, [number])
             self._planner.predict(sets)
         before = None if self._by_cell is None else number - self._window + 1
-        return Round(number, [(problem.bench, wanted)], self._policy(), before=before)
+        return Round(number, self._benches.with_cells(wanted), self._policy(), before=before)
 
     def _form_lots(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
         if asked.number >= self._next:
@@ -363,7 +359,8 @@ class Calibration(Stage):
     def _room(self) -> float:
         """Cells that the search may ask for; infinite without a budget of simulations."""
         budget = self._tracker.budget
-        return budget.left if self._by_cell is None or math.isinf(budget.left) else min(budget.left, budget.kept)
+        left = budget.left - ((self._limit or 0) - (self._problem.search_simulations or 0))
+        return left if self._by_cell is None or math.isinf(left) else min(left, budget.kept)
 
     def _within_budget(self, planned: list[RequestedCell]) -> list[RequestedCell]:
         """Returns the first cells for which the budget suffices; the search ends with them if it does not for all."""
@@ -378,10 +375,13 @@ class Calibration(Stage):
         return within
 
     def _policy(self) -> Policy:
-        """Returns how cells may be answered. A search by the cell has models of its own, so that no prediction answers its cells."""
+        """Returns how cells may be answered. A search by the cell has models of its own, so that no prediction answers its cells. A random
+        simulator's cells have runs of their own."""
         reduction = self._problem.specification.reduction
         mode = reduction.mode
-        if self._by_cell is not None:
+        if self._problem.bench.is_random:
+            mode = "off" if mode == "off" else "exact"
+        elif self._by_cell is not None:
             mode = "off" if mode == "off" else "influence" if reduction.uses_map else "exact"
         return Policy(mode, reduction.audit, self._optimization.seed)
 
@@ -434,6 +434,17 @@ class Calibration(Stage):
         wanted = [RequestedCell(0, scenario, parameters) for scenario in chosen.reused]
         tried.append(chosen.parameter_set)
         return Round(first + len(tried) - 1, [(self._problem.bench, wanted)], Policy("exact"))
+
+    def _replicate(self) -> Round | None:
+        """The runs under further seeds, after the previous answers, that decide which set is the best; None if it is decided, the budget
+        is used up, or no run is random."""
+        if not self._problem.bench.is_random and not self._tracker.counts.get("unrepeatable"):
+            return None
+        with self._database.transaction() as connection:
+            asked = self._replication.ask(connection, self._campaign.sequence, self._next, self._search.room, self._tracker)
+            self._describe_best(connection)
+            self._save(connection)
+        return asked
 
     def _end_confirmation(self, connection: Connection, confirming: Confirming) -> None:
         """Stores the outcome of the confirmation, once; its simulations may contradict others."""
@@ -498,6 +509,7 @@ class Calibration(Stage):
                 scores=dict(solution.scores),
                 alternatives=alternatives,
                 violation=solution.violation,
+                **self._ranking.uncertainty(solution),
             )
             changed = before is None or not same(solution.objective, before.objective, solution.span)
             gain = 0.0 if before is None else solution.sign * (self._best.objective - before.objective)

@@ -105,7 +105,7 @@ class OutsideSearch(Calibration):
             population = np.array([each.indices for each in self._offered], dtype=np.int64)
         wanted = [None] * len(population) if not self._offered else [each.scenarios for each in self._offered]
         cells = [
-            (individual, place)
+            (individual, place, 1)
             for individual, listed in enumerate(wanted)
             for place, name in enumerate(problem.scenarios)
             if listed is None or name in listed
@@ -115,7 +115,7 @@ class OutsideSearch(Calibration):
         self._next += 1
         requested = [
             RequestedCell(individual, problem.scenarios[place], sets[individual], is_given=not self._offered)
-            for individual, place in cells
+            for individual, place, _ in cells
         ]
         return Round(number, [(problem.bench, requested)], self._policy())
 

@@ -4,12 +4,14 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from sqlalchemy import Connection
 
 from drivecal.analysis.aims import JudgedGoals, WeightedScore
 from drivecal.analysis.goals import SCORE
 from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.stages.asking import WINDOW
+from drivecal.campaigns.stages.asking import WINDOW, AskedRound
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import CellScore, RequestedCell
 from drivecal.domain.parameters import Indices, ParameterSet
@@ -17,7 +19,7 @@ from drivecal.optimizers.population import start_population
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, AskedCell, CellAnswer, SearchTask
 from drivecal.reduction.narrowing import SearchArea
-from drivecal.storage import campaigns
+from drivecal.storage import campaigns, evaluations, generations
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import runs
 
@@ -49,7 +51,7 @@ def search_task(
             return start_population("lhs", count, area.n_values, generator, None)
         return area.contract(region.sample(count, generator))
 
-    budget = None if chosen.budget is None else chosen.budget.simulations
+    limit = problem.search_simulations
     is_cut_off = problem.specification.reduction.mode == "off"
     known = [] if is_cut_off else _known(database, view, problem, area, aim)
     start = area.contract(problem.start_indices)
@@ -63,9 +65,21 @@ def search_task(
         sample=sample,
         start=np.concatenate([start, np.array(best, dtype=np.int64).reshape(len(best), len(area.n_values))]),
         known=[answer for answer in known if answer.cell.indices not in best],
-        cells=None if budget is None else most_cells(budget, problem.bench.repeated_share),
+        cells=None if limit is None else most_cells(limit, problem.bench.repeated_share) // problem.least_replicates,
         window=WINDOW,
     )
+
+
+def asked_rounds(connection: Connection, campaign: int, scenarios: Sequence[str]) -> list[AskedRound]:
+    """Returns all rounds of a search by the cell."""
+    places, cells = {name: place for place, name in enumerate(scenarios)}, dict[int, list[tuple[int, int, int]]]()
+    for iteration, individual, scenario, seed in evaluations.places(connection, campaign, StageName.CALIBRATION):
+        cells.setdefault(iteration, []).append((individual, places[scenario], seed or 1))
+    populations = [np.array(each, dtype=np.int64) for each in generations.populations(connection, campaign)]
+    return [
+        AskedRound(rows, np.ones(len(rows), dtype=np.bool_), cells.get(number, []), {})
+        for number, rows in enumerate(populations)
+    ]
 
 
 def most_cells(runs: int, repeated_share: float | None) -> int:

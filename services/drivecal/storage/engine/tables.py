@@ -137,7 +137,7 @@ setups = Table(
     Column("id", Identity, primary_key=True),
     Column("fingerprint", Name, nullable=False, unique=True),
     Column("scenario", Name, nullable=False),
-    Column("document", Document, nullable=False),
+    Column("document", Document, nullable=False),  # with the seed, so that references are kept and found by seed
     sqlite_autoincrement=True,
 )
 
@@ -272,7 +272,8 @@ evaluations = Table(
     Column("predicted_rating", Float),
     # Of cells that an outside optimizer asked for: the place of the answer by arrival in its campaign.
     Column("answered", Integer),
-    UniqueConstraint("campaign_sequence", "stage", "iteration", "individual", "scenario"),
+    Column("seed", Integer, nullable=False, server_default="0"),  # 0: the simulator does not depend on one
+    UniqueConstraint("campaign_sequence", "stage", "iteration", "individual", "scenario", "seed"),
     _partial_index("ix_evaluations_answered", "campaign_sequence", "answered", where="answered IS NOT NULL"),
     # The plan is in the two look-up indexes, or a class that answered thousands of cells would be read in full to find its donor.
     Index(None, "campaign_sequence", "scenario", "reference_key", "plan"),

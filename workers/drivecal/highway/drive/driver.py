@@ -89,6 +89,8 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     loop.prepare()
 
     def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:
+        if simulator.random:
+            traffic.seed(request["seed"])
         recorder = DriveRecorder(simulator.step) if "series" in request else None
         outcome = loop.run(request["parameters"], watch=recorder)
         values = measures(outcome.record, parameters.mass)

@@ -171,6 +171,10 @@ class Traffic:
         """The arrays at the start of runs that all start alike."""
         self._use([], np.zeros((0, 6)), np.zeros((0, geometry.OUTLINED)))
 
+    def seed(self, number: int) -> None:
+        """Sets the seed of SUMO's random numbers in the next runs, in the place of the scenario's."""
+        self._options[self._options.index("--seed") + 1] = str(number)
+
     def _use(self, names: list[str], neighbours: Floats, outlines: Floats) -> None:
         self.names, self.neighbours, self.outlines = names, neighbours, outlines
         self._in_sumo = [name for name in names if name not in self._paths]

@@ -1,0 +1,236 @@
+"""Chooses the best of several sets whose runs are random, and the runs that decide it. Pure.
+
+All sets meet the same seeds. The objective of a set under a seed is its mean, plus the effect of the seed, plus noise: what seeds have in
+common disappears from comparisons. The last seeds are kept back: they choose no set, and so report the best one without bias.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.plugins.ports import Floats
+
+KEPT = 0.3
+"""Share of a budget that is kept for the runs after the search."""
+FRESH = 0.4
+"""Share of a set's runs that report it and do not choose it."""
+SHRINKAGE = 4
+"""Degrees of freedom of the pooled variance in the variance of a set."""
+FEWEST = 3
+"""Degrees of freedom from which on the noise is known."""
+FIRST = 4
+"""Sets that get a second run before the noise is known."""
+SWEEPS = 30
+"""Iterations of the fit of means and effects of seeds."""
+QUANTILES = 200
+"""Points of a distribution over which probabilities are integrated."""
+NEGLIGIBLE = 0.05
+"""Rivals whose probability is below this share of the permitted error get no runs."""
+LISTED = 200
+"""Most sets whose probability to be the best is computed."""
+
+
+def choosing(most: int) -> int:
+    """Returns how many of a set's `most` runs choose it: the first seeds. The others report it; none if there would be fewer than two."""
+    fresh = int(most * FRESH)
+    return most - fresh if fresh > 1 else most
+
+
+def kept_back(budget: int, scenarios: int, most: int) -> int:
+    """Returns the simulations of a budget that are kept for the runs after the search."""
+    fresh = most - choosing(most)
+    return min(budget // 2, max(int(KEPT * budget), (fresh + FIRST) * scenarios)) if most > 1 else 0
+
+
+@dataclass(frozen=True)
+class SetStatistics:
+    """Statistics of n sets. All arrays have the shape (n,)."""
+
+    counts: npt.NDArray[np.int64]
+    """Runs of each set."""
+    means: Floats
+    """Means without the effects of seeds; higher is better."""
+    variances: Floats
+    """Variance of a run without the effect of its seed; NaN if the noise is unknown."""
+    spreads: Floats
+    """Variance of a run, the effect of its seed included."""
+    freedom: Floats
+    """Degrees of freedom of the variances."""
+
+    @property
+    def errors(self) -> Floats:
+        """Standard errors of comparisons."""
+        result: Floats = np.sqrt(self.variances / self.counts)
+        return result
+
+    @property
+    def standard_errors(self) -> Floats:
+        """Standard errors of the sets' own means."""
+        result: Floats = np.sqrt(self.spreads / self.counts)
+        return result
+
+    @property
+    def is_known(self) -> bool:
+        """True if the noise is known."""
+        return bool(np.isfinite(self.variances).all())
+
+    @property
+    def is_random(self) -> bool:
+        """True if there is noise."""
+        return bool(self.is_known and self.spreads.max(initial=0.0) > 0)
+
+    def bounds(self, confidence: float) -> Floats:
+        """Returns what each set reaches at least with this confidence; its mean if the noise is unknown."""
+        if not self.is_known:
+            return self.means
+        result: Floats = self.means - NormalDist().inv_cdf(confidence) * self.errors
+        return result
+
+    def half_widths(self, confidence: float) -> Floats:
+        """Returns half the widths of two-sided intervals of the sets' own means (Student)."""
+        from scipy.special import stdtrit
+
+        result: Floats = stdtrit(self.freedom, 0.5 + confidence / 2) * self.standard_errors
+        return result
+
+    def best(self, confidence: float) -> int:
+        """Returns the set with the highest bound."""
+        return int(np.argmax(self.bounds(confidence)))
+
+    def ahead(self, leader: int) -> Floats:
+        """Returns the probability that each set is better than the leader; 0 for itself."""
+        from scipy.special import stdtr  # takes a part of a second
+
+        error = np.sqrt(self.errors**2 + self.errors[leader] ** 2)
+        distance = self.means - self.means[leader]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            result: Floats = stdtr(np.minimum(self.freedom, self.freedom[leader]), distance / error)
+        result = np.where(error > 0, result, np.where(distance > 0, 1.0, np.where(distance < 0, 0.0, 0.5)))
+        result[leader] = 0.0
+        return result
+
+    def probabilities(self) -> Floats:
+        """Returns the probability of each set to be the best. Only the LISTED most promising ones have one above 0."""
+        listed = np.argsort(-(self.means + 2 * self.errors), kind="stable")[:LISTED].tolist()
+        result = np.zeros(len(self.means))
+        for place in listed:
+            result[place] = self.probability(place, listed)
+        total = result.sum()
+        return result / total if total > 0 else result
+
+    def probability(self, place: int, rivals: Sequence[int]) -> float:
+        """Returns the probability that a set is better than all `rivals`."""
+        from scipy.special import stdtr, stdtrit
+
+        others = [rival for rival in rivals if rival != place]
+        errors = np.maximum(self.errors, 1e-12)
+        levels = (np.arange(QUANTILES) + 0.5) / QUANTILES
+        points = self.means[place] + errors[place] * stdtrit(self.freedom[place], levels)
+        below = stdtr(self.freedom[others], (points[:, np.newaxis] - self.means[others]) / errors[others])
+        return float(below.prod(axis=1).mean())
+
+
+def assess(samples: Floats) -> SetStatistics:
+    """Returns what runs say about sets.
+
+    Args:
+        samples: objective of each set under each seed, higher is better, shape (n, n_seeds); NaN without a run. Each set has a run.
+    """
+    run = np.isfinite(samples)
+    counts = run.sum(axis=1)
+    several = counts > 1
+    effects = _effects(samples[several])
+    filled = np.where(run, samples - effects, 0.0)
+    means = filled.sum(axis=1) / counts
+    residuals = np.where(run, samples - effects - means[:, np.newaxis], 0.0)
+    raw = np.where(run, samples, 0.0).sum(axis=1) / counts
+    deviations = np.where(run, samples - raw[:, np.newaxis], 0.0)
+    seeds = int(run[several].any(axis=0).sum())
+    own = counts - 1.0
+    freedom = max(own.sum() - max(seeds - 1, 0), 0.0)
+    if freedom < FEWEST:
+        unknown = np.full(len(samples), np.nan)
+        return SetStatistics(counts, means, unknown, unknown, np.full(len(samples), freedom))
+    noise, spread = (residuals**2).sum() / freedom, (deviations**2).sum() / own.sum()
+    prior = min(SHRINKAGE, freedom)
+    # residuals of a set lose a little to the effects of seeds
+    variances = (prior * noise + (residuals**2).sum(axis=1) * own.sum() / freedom) / (prior + own)
+    spreads = (prior * spread + (deviations**2).sum(axis=1)) / (prior + own)
+    return SetStatistics(counts, means, variances, np.maximum(spreads, variances), np.minimum(prior + own, freedom))
+
+
+def _effects(samples: Floats) -> Floats:
+    """Returns the effects of seeds on sets with several runs, of mean 0, shape (n_seeds,)."""
+    run = np.isfinite(samples)
+    effects = np.zeros(samples.shape[1])
+    if len(samples) < 2:
+        return effects
+    filled, rows, columns = np.where(run, samples, 0.0), run.sum(axis=1), np.maximum(run.sum(axis=0), 1)
+    used = run.any(axis=0)
+    for _ in range(SWEEPS):
+        means = (filled - run * effects).sum(axis=1) / rows
+        effects = (filled - run * means[:, np.newaxis]).sum(axis=0) / columns
+        effects = np.where(used, effects - effects[used].mean(), 0.0)
+    return effects
+
+
+def allocate(standing: SetStatistics, room: int, most: int, confidence: float) -> list[int]:
+    """Returns the sets that get the next runs, as often as each gets one; empty if the best one is known, or none may have more.
+
+    The leader and the rival that is hardest to tell from it get runs in the shares that decide soonest (Chen and Ryzhov 2019, balancing
+    optimal large deviations); means stay what they are within a round.
+
+    Args:
+        standing: what is known.
+        room: the largest number of runs.
+        most: runs of a set at most.
+        confidence: with which the best set is to be known.
+    """
+    counts = standing.counts.astype(np.float64)
+    if not standing.is_known:
+        order = np.argsort(-standing.means, kind="stable")
+        return [place for place in order.tolist() if counts[place] < most][: min(room, FIRST)]
+    if not standing.is_random:
+        return []
+    leader = int(np.argmax(standing.means))
+    ahead = standing.ahead(leader)
+    if standing.probability(leader, range(len(counts))) >= confidence:
+        return []
+    rivals = np.flatnonzero(ahead > NEGLIGIBLE * (1 - confidence))
+    variances = np.maximum(standing.variances, 1e-300)
+    distances = (standing.means[leader] - standing.means) ** 2
+    chosen: list[int] = []
+    while len(chosen) < room:
+        free = rivals[(counts[rivals] < most) | (counts[leader] < most)]
+        if not len(free):
+            break
+        errors = variances / counts
+        rival = int(free[np.argmin(distances[free] / (errors[leader] + errors[free]))])
+        others = (counts**2 / variances).sum() - counts[leader] ** 2 / variances[leader]
+        needs_leader = counts[leader] ** 2 / variances[leader] < others
+        place = leader if (needs_leader and counts[leader] < most) or counts[rival] >= most else rival
+        counts[place] += 1
+        chosen.append(place)
+    return chosen
+
+
+def to_tell(standing: SetStatistics, leader: int, rival: int, confidence: float) -> int | None:
+    """Returns how many runs of each of two sets would tell them apart; None if they are equal so far."""
+    distance = abs(standing.means[leader] - standing.means[rival])
+    if distance <= 0 or not standing.is_known:
+        return None
+    both = standing.variances[leader] + standing.variances[rival]
+    return max(1, int(np.ceil(NormalDist().inv_cdf(confidence) ** 2 * both / distance**2)))
+
+
+def mean_interval(values: Sequence[float], confidence: float) -> tuple[float, float] | None:
+    """Returns a two-sided interval of the mean of at least two independent values (Student); None of fewer."""
+    if len(values) < 2:
+        return None
+    from scipy.special import stdtrit
+
+    half = float(stdtrit(len(values) - 1, 0.5 + confidence / 2) * np.std(values, ddof=1) / np.sqrt(len(values)))
+    return float(np.mean(values)) - half, float(np.mean(values)) + half

@@ -1,0 +1,116 @@
+"""Runs of random simulators: the benches of seeds, and the runs after a search that decide which set is the best."""
+
+from collections.abc import Sequence
+
+from sqlalchemy import Connection
+
+from drivecal.analysis import replicates
+from drivecal.analysis.solutions import Ranking
+from drivecal.campaigns.cells.cell_tracker import CellTracker
+from drivecal.campaigns.resolve.bench import Bench
+from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.stages.answers import SearchAnswers
+from drivecal.campaigns.stages.stage import Round
+from drivecal.contracts.specification import ReplicatesSpecification
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.evaluations import RequestedCell
+from drivecal.reduction.assignment import Policy
+from drivecal.storage import evaluations
+from drivecal.storage.references import parameter_sets
+
+
+class SeededBenches:
+    """The benches of a problem by seed, each made once."""
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+        self._benches = {bench.seed: bench, 1: bench}
+
+    def of(self, seed: int) -> Bench:
+        """Returns the bench of a seed."""
+        if seed not in self._benches:
+            self._benches[seed] = self._bench.seeded(seed)
+        return self._benches[seed]
+
+    def with_cells(self, wanted: Sequence[RequestedCell]) -> list[tuple[Bench, list[RequestedCell]]]:
+        """Returns cells with the benches of their seeds, in the order of the seeds."""
+        by_bench: dict[int, tuple[Bench, list[RequestedCell]]] = {}
+        for cell in sorted(wanted, key=lambda cell: cell.seed):
+            bench = self.of(cell.seed)
+            by_bench.setdefault(bench.seed, (bench, []))[1].append(cell)
+        return list(by_bench.values()) or [(self._bench, [])]
+
+
+class Replication:
+    """The rounds after a search under further seeds. They belong to no generation, and each depends on the rows of those before."""
+
+    def __init__(self, problem: CalibrationProblem, answers: SearchAnswers, benches: SeededBenches) -> None:
+        self._problem, self._answers, self._benches = problem, answers, benches
+        self._taken = -1
+        """The last round whose answers are taken in."""
+
+    def ask(self, connection: Connection, campaign: int, first: int, room: int, tracker: CellTracker) -> Round | None:
+        """Takes the answers of the rounds before, and returns the next one; None if the best set is known, or the budget is used up.
+
+        Args:
+            connection: where to read.
+            campaign: number of the campaign.
+            first: the first round after the search.
+            room: cells of a round, about.
+            tracker: the cells of the stage.
+        """
+        ranking, scenarios = self._answers.ranking, self._problem.scenarios
+        last, cells_after = evaluations.cells_from(connection, campaign, StageName.CALIBRATION, first)
+        for number in range(max(first, self._taken + 1), last + 1):
+            ranking.add(self._answers.read(connection, campaign, number))
+        self._taken = last
+        left = max(0, self._left(tracker, cells_after)) // len(scenarios)
+        chosen = next_runs(ranking, self._problem.specification.replicates, room, left)
+        sets = parameter_sets.load(connection, list({number for number, _ in chosen}))
+        numbers = list(dict.fromkeys(number for number, _ in chosen))
+        cells = [
+            RequestedCell(numbers.index(number), scenario, sets[number], seed=seed)
+            for number, seed in chosen
+            for scenario in scenarios
+        ]
+        policy = Policy("off" if self._problem.specification.reduction.mode == "off" else "exact")
+        return Round(last + 1, self._benches.with_cells(cells), policy) if cells else None
+
+    def _left(self, tracker: CellTracker, after: int) -> int:
+        """Returns how many simulations the budget has left, or are adequate for what the search has asked without one. Answers from the
+        table count as in the search, so that the same campaign again asks for the same cells."""
+        chosen, requested = self._problem.optimization, tracker.counts.get("requested", 0)
+        if chosen is None or chosen.budget is None or chosen.budget.simulations is None:
+            return int((requested - after) * replicates.KEPT / (1 - replicates.KEPT)) - after
+        left = int(tracker.budget.left)
+        return left if chosen.by_cell is None else min(left, chosen.budget.simulations - requested)
+
+
+def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affordable: int) -> list[tuple[int, int]]:
+    """Returns the sets to run next, by their ids, each with a seed; empty when the best set is known and reported, or nothing is left.
+
+    The first seeds choose the best set. The last ones then report it, so that its objective does not profit from the choice.
+
+    Args:
+        ranking: all sets.
+        wanted: the campaign's settings.
+        room: the largest number of runs.
+        affordable: number of runs, each in all scenarios, that the budget has left.
+    """
+    known = ranking.standing()
+    if known is None or wanted.most < 2:
+        return []
+    numbers, standing = known
+    choosing = replicates.choosing(wanted.most)
+    fresh = range(choosing + 1, wanted.most + 1)
+    chosen: dict[int, list[int]] = {}
+    for place in replicates.allocate(standing, min(room, affordable - len(fresh)), choosing, wanted.confidence):
+        tried = {*ranking.seeds(numbers[place]), *chosen.get(numbers[place], ())}
+        seed = next((seed for seed in range(1, choosing + 1) if seed not in tried), None)
+        if seed is not None:  # a seed without a result is not tried again
+            chosen.setdefault(numbers[place], []).append(seed)
+    if chosen or not standing.is_random:
+        return [(number, seed) for number, seeds in chosen.items() for seed in seeds]
+    best = numbers[standing.best(wanted.confidence)]
+    left = [seed for seed in fresh if seed not in ranking.seeds(best)]
+    return [(best, seed) for seed in left[:affordable]]

@@ -1,0 +1,170 @@
+"""Campaigns on random simulators: seeds, replicates, and a best set that is no fluke."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from statistics import NormalDist, fmean
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
+from tests.support.deaths import Killed
+from tests.support.problems import store, submit_checked
+from tests.support.runs import dispatcher, everything, finish, get, rows_of
+
+from drivecal.campaigns.stages.replication import Replication
+from drivecal.contracts.work import Cell, CellResult, SetupRequest
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.maintenance.consistency import check_counters
+
+NOISE = 0.3
+MANIFEST: dict[str, Any] = {
+    "problem": "noisy",
+    "parameters": {"x": {"lower": 0, "upper": 1, "step": 0.005}},
+    "simulator": {"kind": "process", "command": ["mysim"], "random": True},
+    "scenarios": {"city": {}, "road": {}},
+    "measures": {"y": "1"},
+    "scores": {"cost": {"formula": "y", "direction": "minimise", "range": [0, 10]}},
+}
+SPEC: dict[str, Any] = {"problem": "noisy", "optimizer": {"kind": "surrogate", "seed": 1}, "budget": {"simulations": 200}}
+POPULATIONS = {"kind": "random", "population": 10, "seed": 1}
+
+
+def true_cost(x: float) -> float:
+    return 5 + 8 * (x - 0.6) ** 2
+
+
+def noisy(setup: SetupRequest, cell: Cell) -> CellResult:
+    """A cost with its minimum at 0.6, noise that depends on set and seed, and noise that all sets have in common."""
+    x, scenario = float(cell.parameters["x"]), sum(setup.scenario.encode())
+    own = np.random.Generator(np.random.PCG64([setup.seed, round(200 * x), scenario])).normal()
+    common = np.random.Generator(np.random.PCG64([setup.seed, scenario])).normal()
+    return CellResult(cell.id, None, None, {"y": true_cost(x) + NOISE * (own + 2 * common)}, None, 7.0)
+
+
+def opened(path: Path, **simulator: Any) -> Database:
+    database = migrated(f"sqlite:///{path}")
+    store(database, MANIFEST | {"simulator": MANIFEST["simulator"] | simulator})
+    return database
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Database]:
+    database = opened(tmp_path / "drivecal.db")
+    yield database
+    database.dispose()
+
+
+def carried_out(
+    database: Database, order: int = 0, driven: Callable[[Any, Cell], CellResult] = noisy, **changes: Any
+) -> StoredCampaign:
+    campaign = submit_checked(database, SPEC | changes)
+    return finish(database, campaign, dispatcher(database, ComputedBackend(order, driven=driven)))
+
+
+@pytest.mark.parametrize("optimizer", [SPEC["optimizer"], POPULATIONS], ids=["cells", "population"])
+def test_the_best_set_is_known_by_runs_and_reported_by_others(database: Database, optimizer: dict[str, Any]) -> None:
+    ended = carried_out(database, optimizer=optimizer)
+    assert ended.state is CampaignState.SUCCEEDED
+    assert ended.best is not None
+    assert true_cost(float(ended.best.parameters["x"])) < true_cost(0.6) + NOISE
+    rows = rows_of(database, ended)
+    assert ended.cells.runs == sum(row.outcome is Outcome.SIMULATED for row in rows) <= 200
+    best = [row for row in rows if row.parameters.floats == ended.best.parameters]
+    fresh = [row.score for row in best if row.seed > 12]
+    assert sorted({row.seed for row in best if row.seed > 12}) == list(range(13, 21))
+    assert ended.best.objective == pytest.approx(fmean(score for score in fresh if score is not None))
+    assert ended.best.lower is not None
+    assert ended.best.upper is not None
+    assert ended.best.standard_error is not None
+    assert ended.best.lower < ended.best.objective < ended.best.upper
+    with database.read() as connection:
+        assert list(check_counters(connection)) == []
+
+
+def test_all_sets_meet_the_same_seeds_and_promising_ones_meet_more(database: Database) -> None:
+    by_set: dict[float, set[int]] = {}
+    for row in rows_of(database, carried_out(database)):
+        by_set.setdefault(float(row.parameters.floats["x"]), set()).add(row.seed)
+    chosen = {x: sorted(seed for seed in seeds if seed <= 12) for x, seeds in by_set.items()}
+    assert all(seeds == list(range(1, len(seeds) + 1)) for seeds in chosen.values())
+    often = [x for x, seeds in chosen.items() if len(seeds) > 3]
+    assert 1 <= len(often) < len(chosen) / 2
+    assert fmean(map(true_cost, often)) < fmean(map(true_cost, chosen))
+
+
+def test_runs_are_repeated_by_seed(database: Database) -> None:
+    spec: dict[str, Any] = {"optimizer": POPULATIONS | {"iterations": 3}, "budget": None}
+    first, again = carried_out(database, **spec), carried_out(database, **spec)
+    assert first.cells.runs > 40
+    assert (again.cells.runs, again.best) == (0, first.best)
+    assert {row.outcome for row in rows_of(database, again)} == {Outcome.REPEATED}
+
+
+def test_a_population_runs_each_set_under_the_least_number_of_seeds(database: Database) -> None:
+    ended = carried_out(database, optimizer=POPULATIONS, replicates={"least": 3, "most": 3}, budget={"simulations": 96})
+    seeds: dict[tuple[int, int, str], list[int]] = {}
+    for row in rows_of(database, ended):
+        seeds.setdefault((row.iteration, row.individual, row.scenario), []).append(row.seed)
+    assert [found for (iteration, *_), found in seeds.items() if iteration == 0] == [[1, 2, 3]] * 20
+
+
+def test_a_simulator_that_says_random_and_is_not_gets_few_further_runs(database: Database) -> None:
+    ended = carried_out(database, driven=lambda _, cell: CellResult(cell.id, None, None, {"y": 5.0}, None, 7.0))
+    assert sum(row.seed > 1 for row in rows_of(database, ended)) <= 16
+    assert ended.best is not None
+    assert ended.best.standard_error in {None, 0.0}
+
+
+def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: Path) -> None:
+    database = opened(tmp_path / "unsaid.db", random=False)
+    runs: list[int] = []
+
+    def unsaid(setup: SetupRequest, cell: Cell) -> CellResult:
+        runs.append(setup.seed)
+        noise = NOISE * NormalDist().inv_cdf((len(runs) * 0.618) % 1 or 0.5)
+        y = true_cost(float(cell.parameters["x"])) + noise
+        return CellResult(cell.id, None, None, {"y": y}, None, 7.0, repeats=False if cell.check else None)
+
+    ended = carried_out(database, driven=unsaid, optimizer={"kind": "random", "population": 60, "iterations": 2}, budget=None)
+    database.dispose()
+    assert ended.cells.unrepeatable > 0
+    assert ended.best is not None
+    assert ended.best.replicates > 1
+    assert sum("samples" in note for note in ended.notes) == 1
+
+
+@pytest.mark.parametrize("optimizer", [SPEC["optimizer"], POPULATIONS], ids=["cells", "population"])
+def test_kills_and_the_order_of_answers_change_nothing(
+    tmp_path: Path, optimizer: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results = []
+    for deaths in (0, 3):
+        left = [deaths]
+        ask = Replication.ask
+
+        def die(replication: Replication, *arguments: Any, left: list[int] = left, ask: Any = ask) -> Any:
+            if left[0] and replication._taken > -1:
+                left[0] -= 1
+                raise Killed("between two rounds of replicates")
+            return ask(replication, *arguments)
+
+        database = opened(tmp_path / f"{deaths}.db")
+        campaign = submit_checked(database, SPEC | {"optimizer": optimizer})
+        with monkeypatch.context() as patched:
+            patched.setattr(Replication, "ask", die)
+            while not get(database, campaign).state.ended:
+                with suppress(Killed):
+                    finish(database, campaign, dispatcher(database, ComputedBackend(deaths, driven=noisy)))
+        assert left == [0]
+        seeds = [(row.iteration, row.individual, row.scenario, row.seed) for row in rows_of(database, campaign)]
+        results.append((seeds, everything(database, campaign)))
+        database.dispose()
+    assert results[0] == results[1]

@@ -1,0 +1,159 @@
+"""Which sets get further runs, and what is then known of the best one: small synthetic campaigns with fixed seeds."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from drivecal.analysis import replicates
+from drivecal.analysis.replicates import SetStatistics, allocate, assess, choosing, mean_interval, to_tell
+from drivecal.analysis.solutions import Ranking
+from drivecal.contracts.specification import ReplicatesSpecification
+from drivecal.domain.evaluations import CellScore
+from drivecal.plugins.ports import Floats
+
+SETS, CONFIDENCE, MOST = 12, 0.95, 300
+
+
+@dataclass
+class Campaign:
+    """Sets at distances of 1, noise of the sets, and as much noise that all sets have in common; set 0 is the best."""
+
+    noise: float
+    number: int
+
+    def __post_init__(self) -> None:
+        self._random = np.random.Generator(np.random.PCG64([int(10 * self.noise), self.number]))
+        self._common = self.noise * self._random.normal(size=MOST)
+        self.samples = np.full((SETS, MOST), np.nan)
+        for place in range(SETS):
+            self.run(place)
+
+    def run(self, place: int) -> None:
+        seed = int(np.isfinite(self.samples[place]).sum())
+        self.samples[place, seed] = -place + self._common[seed] + self.noise * self._random.normal()
+
+    @property
+    def standing(self) -> SetStatistics:
+        return assess(self.samples[:, : int(np.isfinite(self.samples).any(axis=0).sum())])
+
+    @property
+    def runs(self) -> int:
+        return int(np.isfinite(self.samples).sum())
+
+    def decide(self, *, equally: bool = False) -> int:
+        """Runs until the best set is known, and returns it."""
+        while True:
+            standing = self.standing
+            if not equally:
+                chosen = allocate(standing, 8, MOST, CONFIDENCE)
+            else:
+                is_open = (
+                    not standing.is_known or standing.probability(int(np.argmax(standing.means)), range(SETS)) < CONFIDENCE
+                )
+                chosen = list(range(SETS)) if is_open else []
+            if not chosen:
+                return standing.best(CONFIDENCE)
+            for place in chosen:
+                self.run(place)
+
+    def fresh(self, place: int, count: int) -> Floats:
+        """Returns objectives under seeds that did not choose."""
+        drawn: Floats = -place + self.noise * self._random.normal(size=(2, count)).sum(axis=0)
+        return drawn
+
+
+@pytest.mark.parametrize(("noise", "campaigns"), [(0.5, 60), (1.0, 60), (3.0, 40)])
+def test_the_best_set_is_found_with_fewer_runs_than_equal_ones(noise: float, campaigns: int) -> None:
+    right, runs, equal = 0, 0, 0
+    for number in range(campaigns):
+        adaptive, equally = Campaign(noise, number), Campaign(noise, number)
+        right += adaptive.decide() == 0
+        equally.decide(equally=True)
+        runs, equal = runs + adaptive.runs, equal + equally.runs
+    assert right >= 0.95 * campaigns
+    assert runs <= 0.6 * equal
+
+
+def test_intervals_of_the_chosen_set_cover_its_mean() -> None:
+    covered = 0
+    for number in range(400):
+        campaign = Campaign(1.0, number)
+        best = campaign.decide()
+        interval = mean_interval(campaign.fresh(best, 8).tolist(), CONFIDENCE)
+        assert interval is not None
+        covered += interval[0] <= -best <= interval[1]
+    assert 0.925 <= covered / 400 <= 0.975
+
+
+def test_effects_that_all_sets_share_disappear_from_comparisons() -> None:
+    effects = 100.0 * np.array([0.0, 1.0, -2.0, 4.0, 1.0])
+    noise = 0.1 * np.random.Generator(np.random.PCG64(1)).normal(size=(6, 5))
+    samples = -np.arange(6.0)[:, np.newaxis] + effects + noise
+    samples[3:, 1:] = np.nan  # one run each, under the first seed
+    standing = assess(samples)
+    assert np.allclose(standing.means - standing.means[0], -np.arange(6.0), atol=0.3)
+    assert standing.errors.max() < 0.3 < 10 < standing.standard_errors.min()
+
+
+def test_equal_runs_need_no_further_ones() -> None:
+    samples = np.tile(np.arange(5.0)[:, np.newaxis], (1, 2))
+    assert allocate(assess(samples), 8, 20, CONFIDENCE) == []
+    assert not assess(samples).is_random
+
+
+def test_the_first_further_runs_go_to_the_best_sets() -> None:
+    assert allocate(assess(np.array([[1.0], [5.0], [4.0], [2.0], [3.0]])), 8, 20, CONFIDENCE) == [1, 2, 4, 3]
+
+
+def test_no_set_gets_more_runs_than_it_may() -> None:
+    samples = np.random.Generator(np.random.PCG64(2)).normal(size=(3, 5))
+    assert allocate(assess(samples), 100, 5, 0.999) == []
+    counts = np.bincount(allocate(assess(samples), 100, 7, 0.999), minlength=3)
+    assert counts.max() <= 2
+
+
+def test_the_last_seeds_report_and_do_not_choose() -> None:
+    assert [choosing(most) for most in (1, 4, 5, 10, 20)] == [1, 4, 3, 6, 12]
+    ranking = Ranking({"S1": 1}, sign=1, wanted=ReplicatesSpecification(most=5))
+    scores = {1: [5.0, 5.2, 4.9, 1.0, 1.4], 2: [4.0, 4.1, 4.3], 3: [3.0, 3.2, 2.9]}
+    for number, listed in scores.items():
+        cells = [CellScore(number, "S1", score, score, True, 0, number, seed=seed) for seed, score in enumerate(listed, 1)]
+        ranking.add(cells)
+    best = ranking.best()
+    assert best is not None
+    assert (best[0].parameter_set, best[0].replicates) == (1, 5)
+    assert best[0].objective == pytest.approx(1.2)
+    assert best[0].lower is not None
+    assert best[0].lower < 1.2
+
+
+def test_a_set_with_one_lucky_run_stands_behind_a_set_that_is_known() -> None:
+    ranking = Ranking({"S1": 1}, sign=-1, wanted=ReplicatesSpecification(most=4))
+    known = {1: [2.0, 2.4, 1.8, 2.2], 2: [3.0, 3.5, 2.6, 3.1], 3: [1.95]}
+    for number, listed in known.items():
+        ranking.add(
+            CellScore(number, "S1", score, score, True, 0, number, seed=seed, failed=seed == 2)
+            for seed, score in enumerate(listed, 1)
+        )
+    ranked = ranking.ranking()
+    assert [solution.parameter_set for solution in ranked] == [1, 3, 2]
+    assert ranked[1].is_close
+    assert (ranked[1].runs_to_tell or 0) > 1
+    assert sum([solution.probability_best or 0.0 for solution in ranked]) == pytest.approx(1.0)
+    assert [solution.failures for solution in ranked] == [1, 0, 1]
+
+
+def test_runs_that_would_tell_grow_with_the_noise() -> None:
+    quiet, loud = (Campaign(noise, 1) for noise in (0.5, 3.0))
+    for campaign in (quiet, loud):
+        for place in range(SETS):
+            campaign.run(place)
+    needed = [to_tell(campaign.standing, 0, 1, CONFIDENCE) or 0 for campaign in (quiet, loud)]
+    assert 1 <= needed[0] < needed[1]
+
+
+def test_a_budget_keeps_runs_for_the_choice() -> None:
+    assert replicates.kept_back(600, 6, 20) == 180
+    assert replicates.kept_back(100, 6, 20) == 50
+    assert replicates.kept_back(600, 6, 1) == 0
