@@ -82,6 +82,16 @@ def test_campaigns_share_licences_and_a_higher_priority_takes_them_first() -> No
     assert abs(order[:60].count("a") - order[:60].count("b")) <= 5
 
 
+def test_a_campaign_behind_a_higher_priority_says_so() -> None:
+    one = scheduler({})
+    one.add(Work(bare(), cells(3)), "low", 0)
+    assert one.waits("low") is None
+    one.add(Work(bare("S2"), cells(3, 11)), "high", 7)
+    send(one)
+    assert "priority, up to 7" in (one.waits("low") or "")
+    assert one.waits("high") is None
+
+
 def test_an_open_program_is_closed_before_other_work_or_when_it_is_unused() -> None:
     one = scheduler({"carmaker": 1})
     one.add(Work(licensed(keeps=True), cells(1)), "a", 0)

@@ -315,7 +315,16 @@ class Scheduler:
             if (reason := self._resources.why(setup)) is not None:
                 reasons.setdefault(reason, []).append(setup.scenario)
         said = [f"{', '.join(sorted(scenarios))}: {reason}" for reason, scenarios in sorted(reasons.items())]
+        if not said and (higher := self._higher_than(tag)) is not None:
+            said.append(f"all workers are at campaigns of a higher priority, up to {higher}")
         return f"cells wait; {'; '.join(said)}" if said else None
+
+    def _higher_than(self, tag: str) -> int | None:
+        """Returns the highest priority with waiting cells if it keeps all workers from a campaign, else None."""
+        first = next(self._queue.in_turn(), None)
+        own = next(iter(self._in_flight.of(tag)), None)
+        is_kept = first is not None and own is not None and first.priority > own.priority
+        return first.priority if first and is_kept and all(sent.line.tag != tag for sent in self._sent.values()) else None
 
     def resources(self) -> list[ResourceUse]:
         """Returns the use of each resource."""
