@@ -1,13 +1,18 @@
 """Best objective by the number of simulated cells, for optimizers on several problems: `run.py economy [--problems NAME ...]`.
 
-More options: `--arms NAME ... --seeds N --cells N --cache FOLDER`. `--reach` prints instead after how many cells `surrogate` reaches what
-`genetic` finds with 200 sets x 15 iterations, at most `--cells`. Optimizers search in this process; a cell is a set in a scenario. The
+More options: `--arms NAME ... --seeds N --cells N --cache FOLDER`. Optimizers search in this process; a cell is a set in a scenario. The
 figures are the best objective that is simulated in all scenarios after 120, 300, 600 and 1,200 cells, for paired seeds, mean ranks, and
 Wilcoxon's signed-rank tests of `surrogate` against each other optimizer. Finished runs are kept in `.drivecal/bench/economy.jsonl`,
-answers in the folder of `--cache`. Ten seeds of 1,200 cells take a day of a core.
+answers in the folder of `--cache`. Ten seeds of 1,200 cells take a day of a core. Other figures in their place:
+
+- `--reach`: after how many cells, at most `--cells`, `surrogate` reaches what `genetic` finds with 200 sets x 15 iterations
+- `--outlook`: how often as many cells again improved the best objective by no more than a search expects at its end (`expected_gain`),
+  after a quarter and after half of `--cells`
+- `--busy WORKERS`: share of time in which so many pretended workers of 10 s a run are busy
 """
 
 import argparse
+import heapq
 import json
 import sys
 import time
@@ -20,6 +25,8 @@ import numpy as np
 from scipy.stats import rankdata, wilcoxon
 from tests.benchmarks._economy_problems import PROBLEMS, EconomyProblem, problem
 
+from drivecal.analysis.convergence import expected_gain
+from drivecal.campaigns.stages.asking import WINDOW, room_for
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import GENETIC, GeneticSettings
 from drivecal.optimizers.cma_es import CMA_ES, CmaSettings
@@ -164,7 +171,7 @@ ARMS: Mapping[str, Callable[[Run, int], None]] = {
     "cma_es": generations(CMA_ES, CmaSettings(population=10, iterations=10_000)),
     "tpe": tpe,
     "surrogate": surrogate(1, 1),
-    "surrogate_4x4": surrogate(4, 4),
+    "surrogate_2x5": surrogate(2, 5),
 }
 
 
@@ -205,6 +212,49 @@ def reaching(names: Sequence[str], seeds: Sequence[int], cells: int, cache: Path
         yield f"{name:16}{theirs:>18,.0f}{ours:>12,.0f}{ours / theirs:>8.1%}   {int(np.isfinite(needed).sum())} of {len(seeds)}"
 
 
+def outlooks(names: Sequence[str], arms: Sequence[str], seeds: Sequence[int], cells: int, cache: Path | None) -> Iterator[str]:
+    """Yields a line for each optimizer: how often the expectation held, and how often nothing was gained where nothing was expected."""
+    yield f"{'':16}{'searches':>10}{'held':>8}{'nothing expected':>18}{'held':>8}"
+    for arm in arms:
+        gains: list[tuple[float, float]] = []
+        for name, seed in ((name, seed) for name in names for seed in seeds):
+            run = Run(problem(name, cache), cells)
+            with suppress(Ended):
+                ARMS[arm](run, seed)
+            course = [best if np.isfinite(best) else None for best in run.course]
+            for now in (cells // 4, cells // 2):
+                before, after, expected = *course[now - 1 : 2 * now : now], expected_gain(course[:now])
+                if before is not None and after is not None and expected is not None:
+                    gains.append((expected, after - before))
+        none = [gained for expected, gained in gains if expected <= 1e-9]
+        held, still = sum(gained <= expected + 1e-9 for expected, gained in gains), sum(gained <= 1e-9 for gained in none)
+        yield f"{arm:16}{len(gains):>10}{held / max(1, len(gains)):>8.0%}{len(none):>18}{still / max(1, len(none)):>8.0%}"
+
+
+def busy(name: str, workers: int, cells: int, seconds: float = 10.0) -> tuple[float, float]:
+    """Returns the share of time in which pretended workers simulate, from the first ask to the last answer of one campaign by `surrogate`,
+    and the longest computation of a round (s). The clock is simulated; computing takes its CPU time. Runs take `seconds`, +- 10 %."""
+    chosen, room, draws = problem(name), room_for(workers), np.random.default_rng(FIRST_SEED)
+    asking = SURROGATE.begin(SurrogateSettings(seed=FIRST_SEED), chosen.task(cells, WINDOW))
+    rounds: list[Sequence[AskedCell]] = []
+    ends: list[float] = []
+    free, now, work, longest = [0.0] * workers, 0.0, 0.0, 0.0
+    while True:
+        if len(rounds) >= WINDOW:
+            now = max(now, ends[-WINDOW])
+            asking.tell([chosen.answer(cell) for cell in rounds[-WINDOW]])
+        began = time.process_time()
+        asked = asking.ask(room)
+        now, longest = now + time.process_time() - began, max(longest, time.process_time() - began)
+        if not asked:
+            return work / (workers * max(free)), longest
+        rounds.append(asked)
+        ends.append(now)
+        for length in (seconds * draws.lognormal(0.0, 0.1, len(asked))).tolist():
+            heapq.heapreplace(free, ended := max(now, free[0]) + length)
+            work, ends[-1] = work + length, max(ends[-1], ended)
+
+
 def _reached(course: Sequence[float], level: float) -> int | None:
     return next((place + 1 for place, best in enumerate(course) if best >= level - 1e-9), None)
 
@@ -243,15 +293,29 @@ def main(arguments: Sequence[str]) -> int:
     """Prints the table; 1 if an optimizer is significantly better than `surrogate`."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--problems", nargs="+", choices=list(PROBLEMS), default=list(PROBLEMS))
-    parser.add_argument("--arms", nargs="+", choices=list(ARMS), default=[arm for arm in ARMS if arm != "surrogate_4x4"])
+    parser.add_argument("--arms", nargs="+", choices=list(ARMS), default=[arm for arm in ARMS if arm != "surrogate_2x5"])
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--cells", type=int, default=BUDGETS[1])
     parser.add_argument("--cache", type=Path, help="folder of simulated answers")
     parser.add_argument("--reach", action="store_true")
+    parser.add_argument("--outlook", action="store_true")
+    parser.add_argument("--busy", type=int, metavar="WORKERS")
     chosen = parser.parse_args(arguments)
     seeds = range(FIRST_SEED, FIRST_SEED + chosen.seeds)
     if chosen.reach:
         for line in reaching(chosen.problems, seeds, chosen.cells, chosen.cache):
+            print(line, flush=True)
+        return 0
+    if chosen.busy is not None:
+        for name in chosen.problems:
+            share, longest = busy(name, chosen.busy, chosen.cells)
+            print(
+                f"{name:16}{chosen.busy:,} workers busy for {share:.1%}; a round is computed in at most {longest:.1f} s",
+                flush=True,
+            )
+        return 0
+    if chosen.outlook:
+        for line in outlooks(chosen.problems, chosen.arms, seeds, chosen.cells, chosen.cache):
             print(line, flush=True)
         return 0
     rows: list[dict[str, Any]] = []

@@ -64,6 +64,13 @@ def changes(best: Sequence[float | None], alternatives: Sequence[int]) -> list[f
     return [float(count) for count in accumulate(changed, initial=0)] if states else []
 
 
+def expected_gain(best: Sequence[float | None]) -> float | None:
+    """Returns by how much as many rounds again would probably improve the best objective, at most: its change in the second half of the
+    rounds. None without a best objective by then. The benchmark `economy --outlook` has the record."""
+    middle = None if len(best) < 2 else best[(len(best) - 1) // 2]
+    return None if middle is None or best[-1] is None else abs(best[-1] - middle)
+
+
 def improved_last(course: Course) -> bool:
     """Returns whether the last iteration improved the best objective."""
     if len(course) < 2:

@@ -18,6 +18,7 @@ from drivecal.analysis.convergence import (
     alternatives_at,
     best_at,
     changes,
+    expected_gain,
     improved_last,
     last_change,
     stood_still,
@@ -41,6 +42,8 @@ LARGEST_COUNT = 10**9
 """Sets on a grid up to which their number is written out."""
 AT_END = 0.005
 """Distance from an end of its range, as a share of it, up to which a value lies at the end."""
+RECORD = 0.9
+"""Share of searches by `surrogate` in which as many simulations again gained no more than expected (benchmark `economy --outlook`)."""
 _ORDER = ("red", "amber", "neutral", "green")
 _DEFAULT = ReductionSpecification()
 
@@ -312,8 +315,12 @@ def _course(campaign: Campaign, search: SearchCourse | None) -> Iterator[ResultV
 def _ended(campaign: Campaign, course: Course) -> Iterator[ResultVerdict]:
     """Yields what ended a search with a budget. Its rounds are no generations, so that the paper's criteria say nothing."""
     if campaign.ended_by is not None and course:
-        share = (last_change([each.best for each in course]) + 1) / len(course)
+        best = [each.best for each in course]
+        share = (last_change(best) + 1) / len(course)
         yield verdict("ended", "neutral", by=campaign.ended_by, simulations=campaign.spent.simulations, share=share)
+        is_measured = (campaign.spec.get("optimizer") or {}).get("kind") == "surrogate"
+        if is_measured and (gain := expected_gain(best)) is not None:
+            yield verdict("outlook", "neutral", gain=gain, record=RECORD)
 
 
 def _convergence(course: Course) -> Iterator[ResultVerdict]:

@@ -82,6 +82,8 @@ SEARCH = {
     "stood_still": "No iteration after the first found a better set ({tried} tried). More iterations, wider ranges or another optimizer "
     "may find one.",
     "ended": "The search ended by its {by}, after {simulations:,} simulations; the best set was found after {share:.0%} of its rounds.",
+    "outlook": "As many simulations again would probably improve the best objective by at most {gain:.3g}; of such estimates in the "
+    "benchmark {record:.0%} held.",
     "converged": "Converged by the paper's criterion for the {of}: found in iteration {iteration} of {iterations}, it then stayed as it "
     "was for at least {unchanged} iterations.",
     "not_converged": "Not converged by the paper's criterion for the {of}: it last changed in iteration {iteration} of {iterations}, and "

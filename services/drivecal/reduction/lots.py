@@ -181,12 +181,6 @@ def most_released(lots: Iterable[tuple[SamplingPlan, int]]) -> float:
     return float(brentq(excess, 0.0, float(unknown)))
 
 
-def weigh(plan: SamplingPlan) -> None:
-    """Computes what `most_released` needs to know of a plan, which takes some milliseconds."""
-    for growth in GROWTH:
-        cost_of_an_error(plan, growth)
-
-
 @lru_cache(maxsize=4096)
 def cost_of_an_error(plan: SamplingPlan, growth: float) -> float:
     """Returns the smallest h for `most_released`: the evidence against released errors that an error in the sample takes back; infinite if

@@ -233,6 +233,19 @@ def test_a_better_earlier_set_names_the_command_that_lists_it() -> None:
 
 
 @pytest.mark.parametrize(
+    ("course", "gain"),
+    [([4.0, 5.0, 5.5, 6.0], 1.0), ([4.0, 6.0, 6.0, 6.0, 6.0], 0.0), ([None, None, 5.5, 6.0], None), ([6.0], None)],
+)
+def test_a_search_with_a_budget_says_what_more_would_bring(course: list[float | None], gain: float | None) -> None:
+    subject = campaign(budget={"simulations": 100}, ended_by="budget")
+    subject = subject.model_copy(update={"spec": subject.spec | {"optimizer": {"kind": "surrogate"}}})
+    found = verdicts(subject, search=SearchCourse(stalled(*((best, None) for best in course)), {}))
+    assert "ended" in found
+    assert (None if gain is None else found["outlook"].numbers["gain"]) == gain
+    assert "outlook" not in verdicts(campaign(), search=SearchCourse(stalled((4.0, None), (6.0, None)), {}))
+
+
+@pytest.mark.parametrize(
     ("gain", "parameters", "code"),
     [
         (0.5, {"P1": 0.7}, "later_chosen"),

@@ -28,7 +28,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scales import Scale, plain
-from drivecal.reduction.lots import SamplingPlan, most_released, weigh
+from drivecal.reduction.lots import SamplingPlan, most_released
 from drivecal.reduction.prediction import (
     FEWEST_KNOWN,
     MOST_KNOWN,
@@ -116,8 +116,6 @@ class LotPlanner:
         """Cells that runs answered, and the microseconds for which these runs occupied workers, by scenario."""
         self._counted = 0
         """Id of the newest of these cells."""
-        self._unweighed: list[SamplingPlan] = []
-        """Plans of the newest lots, for `weigh`."""
         self._newest: int | None = None
         self._rows: dict[int, int] = {}
         self._forecasts: dict[str, _Forecast] = {}
@@ -201,12 +199,6 @@ class LotPlanner:
             forecasts = dict(zip(asked, pool.map(forecast, asked), strict=True))
         self._forecasts = {scenario: each for scenario, each in forecasts.items() if each is not None}
 
-    def weigh(self) -> None:
-        """Computes what the limit of `released` takes from the plan of one lot, if any is left: while the workers simulate, so that nothing
-        waits for it after the last answer."""
-        if self._unweighed:
-            weigh(self._unweighed.pop())
-
     def released(self, connection: Connection, iteration: int) -> dict[str, Released]:
         """Sums up the lots with a verdict, by scenario, after the last batch of an iteration."""
         batches = -(-self._population // self._slice) + iteration
@@ -267,7 +259,6 @@ class LotPlanner:
             accepted[scenario] = lot
             members[scenario] = [] if lot is None else [candidates[position] for position in lot.members]
         stored = lots.insert(connection, self._view.campaign, [self._new(cells[0], *pair) for pair in accepted.items()])
-        self._unweighed = [lot.plan for lot in accepted.values() if lot is not None]
         for places, number in zip(members.values(), stored, strict=True):
             for place in places:
                 planned[place] = replace(planned[place], plan=Outcome.PREDICTED, lot=number)

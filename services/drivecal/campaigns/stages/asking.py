@@ -22,15 +22,17 @@ from drivecal.plugins.search import AskedCell, Search
 
 PATIENCE_SECONDS = 0.1
 """Time for which the first check of a computation waits: most proposals take milliseconds and need no further turn of the dispatcher."""
-WINDOW = 4
+WINDOW = 5
 """Rounds of a search by the cell that are under way: one is computed while the cells of the others are simulated."""
-SMALLEST_ROOM, LARGEST_ROOM = 4, 1024
-"""Cells of a round. Up to 8 workers get the same rounds, so that what is asked does not depend on their number."""
+SMALLEST_ROOM, LARGEST_ROOM = 2, 1024
+"""Cells of a round. With few under way, a search knows more when it asks."""
+LIKE_ONE = 8
+"""Up to so many workers get the same rounds, so that what is asked does not depend on their number."""
 
 
 def room_for(workers: int) -> int:
     """Returns the number of cells in a round that keeps this many workers busy, a power of two."""
-    return min(LARGEST_ROOM, max(SMALLEST_ROOM, 1 << ((workers - 1) // 2).bit_length()))
+    return SMALLEST_ROOM if workers <= LIKE_ONE else min(LARGEST_ROOM, 1 << (-(-workers // 3) - 1).bit_length())
 
 
 @dataclass(frozen=True, slots=True)

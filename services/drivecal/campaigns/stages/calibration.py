@@ -150,10 +150,6 @@ class Calibration(Stage):
             self._refuse_nothing()
         return asked
 
-    def _prepare(self) -> None:
-        if self._planner is not None:
-            self._planner.weigh()
-
     def _tell(self, asked: Round) -> None:
         if asked.number < self._next and not self._batches:
             self._close(asked.number)

@@ -131,9 +131,6 @@ class Stage(Job):
     def _store(self, connection: Connection, asked: Round) -> None:  # a hook
         """Stores the data of a new round besides its cells."""
 
-    def _prepare(self) -> None:  # a hook
-        """Computes something for later while the workers simulate: a few milliseconds after each transaction with results."""
-
     def _conclude(self) -> None:  # a hook
         """Stores the outcome of the stage."""
 
@@ -230,7 +227,6 @@ class Stage(Job):
         with self._database.transaction() as connection:
             work = self._tracker.record(connection, completed)
             self._save(connection)
-        self._prepare()
         self._refuse_failures()
         return work
 
