@@ -8,7 +8,7 @@ answers in the folder of `--cache`. Ten seeds of 1,200 cells take a day of a cor
 - `--reach`: after how many cells, at most `--cells`, `surrogate` reaches what `genetic` finds with 200 sets x 15 iterations
 - `--outlook`: how often as many cells again improved the best objective by no more than a search expects at its end (`expected_gain`),
   after a quarter and after half of `--cells`
-- `--busy WORKERS`: share of time in which so many pretended workers of 10 s a run are busy
+- `--busy WORKERS`: how busy pretended workers are that take 10 s for a run
 """
 
 import argparse
@@ -232,7 +232,7 @@ def outlooks(names: Sequence[str], arms: Sequence[str], seeds: Sequence[int], ce
 
 
 def busy(name: str, workers: int, cells: int, seconds: float = 10.0) -> tuple[float, float]:
-    """Returns the share of time in which pretended workers simulate, from the first ask to the last answer of one campaign by `surrogate`,
+    """Returns how busy pretended workers are, as a share of the time from the first ask to the last answer of one campaign by `surrogate`,
     and the longest computation of a round (s). The clock is simulated; computing takes its CPU time. Runs take `seconds`, +- 10 %."""
     chosen, room, draws = problem(name), room_for(workers), np.random.default_rng(FIRST_SEED)
     asking = SURROGATE.begin(SurrogateSettings(seed=FIRST_SEED), chosen.task(cells, WINDOW))

@@ -109,7 +109,7 @@ def test_a_repaired_set_that_was_asked_before_is_no_requested_cell(tmp_path: Pat
     few: dict[str, Constraint] = {"few sets": lambda values: np.sum(list(values.values()), axis=0) <= 0.5}
     monkeypatch.setattr(resolvers, "Constraints", lambda space, _: Constraints(space, few))
     spec = WITH_SIX | {"optimizer": {"kind": "random", "population": 12, "iterations": 5}}
-    found, go_on = [], Calibration._go_on
+    outcomes, go_on = [], Calibration._go_on
     for deaths in (0, 4):
         left = [deaths]
 
@@ -126,14 +126,14 @@ def test_a_repaired_set_that_was_asked_before_is_no_requested_cell(tmp_path: Pat
             while not get(database, campaign).state.ended:
                 with suppress(Killed):
                     finish(database, campaign, dispatcher(database))
-        found.append(everything(database, campaign))
+        outcomes.append(everything(database, campaign))
         cells, search = get(database, campaign).cells, get(database, campaign).search
         database.dispose()
         assert search is not None
         assert search.repaired.proposed > 5
         assert (cells.simulated, cells.proposed) == (6 * 3, 12 * 5 * 3)
         assert cells.requested == (12 + search.repaired.distinct) * 3, "only the first population is requested whole"
-    assert found[0] == found[1]
+    assert outcomes[0] == outcomes[1]
 
 
 @pytest.mark.parametrize(

@@ -239,9 +239,9 @@ def test_a_better_earlier_set_names_the_command_that_lists_it() -> None:
 def test_a_search_with_a_budget_says_what_more_would_bring(course: list[float | None], gain: float | None) -> None:
     subject = campaign(budget={"simulations": 100}, ended_by="budget")
     subject = subject.model_copy(update={"spec": subject.spec | {"optimizer": {"kind": "surrogate"}}})
-    found = verdicts(subject, search=SearchCourse(stalled(*((best, None) for best in course)), {}))
-    assert "ended" in found
-    assert (None if gain is None else found["outlook"].numbers["gain"]) == gain
+    by_code = verdicts(subject, search=SearchCourse(stalled(*((best, None) for best in course)), {}))
+    assert "ended" in by_code
+    assert (None if gain is None else by_code["outlook"].numbers["gain"]) == gain
     assert "outlook" not in verdicts(campaign(), search=SearchCourse(stalled((4.0, None), (6.0, None)), {}))
 
 
