@@ -203,7 +203,7 @@ def answers(
             table.individual,
             type_coerce(believed & (table.outcome == Outcome.PREDICTED), Boolean),
             table.seed,
-            type_coerce(table.failure.is_not(None), Boolean),
+            type_coerce(table.failure.is_not(None) & table.score.is_not(None), Boolean),
             *measured,
         )
         .select_from(source)
