@@ -80,8 +80,6 @@ def improved_last(course: Course) -> bool:
 
 
 def stood_still(course: Course, best: float) -> bool:
-    """Returns whether the best set of the first iteration is still the best, by objective and rating."""
-    first, last = course[0], course[-1]
-    if first.best is None or last.best is None or (first.rating is None) is not (last.rating is None):
-        return False
-    return same(first.best, last.best) and same(first.best, best) and same(first.rating, last.rating)
+    """Returns whether the best objective is still that of the first iteration. A rating that rose among equal objectives is no gain."""
+    first, last = course[0].best, course[-1].best
+    return first is not None and same(first, last) and same(first, best)

@@ -14,16 +14,21 @@ MOST_SETS = 2_000
 HELD_OUT = 1 / 3
 TREES = 100
 REPEATS = 5
+RESAMPLED = 1_000
+"""Bootstrap samples behind an interval."""
 
 
 @dataclass(frozen=True, slots=True)
 class Importances:
     """By how much R² on held-out sets falls when a parameter's values are shuffled among them: `mean` and `deviation` over the
-    repetitions, shape (n_parameters,). `r2`: of the undisturbed forest, 1 if it predicts the held-out sets exactly, 0 if no better than
-    their mean. `sets`: that were used, `held_out` of them to judge."""
+    repetitions, shape (n_parameters,). `lower`, `upper`: the 95 % interval over the choice of held-out sets. `r2`: of the undisturbed
+    forest, 1 if it predicts the held-out sets exactly, 0 if no better than their mean. `sets`: that were used, `held_out` of them to
+    judge."""
 
     mean: Floats
     deviation: Floats
+    lower: Floats
+    upper: Floats
     r2: float
     sets: int
     held_out: int
@@ -44,14 +49,28 @@ def importances(features: Floats, values: Floats, seed: int = 0) -> Importances 
         return None
     forest = ExtraTreesRegressor(TREES, min_samples_leaf=2, random_state=seed, n_jobs=1)
     forest.fit(features[learned], values[learned])
-    undisturbed = float(_r2(forest.predict(features[judged])[np.newaxis], values[judged])[0])
-    losses = np.empty((features.shape[1], REPEATS))
+    own = forest.predict(features[judged])
+    undisturbed = float(_r2(own[np.newaxis], values[judged])[0])
+    losses, added = np.empty((features.shape[1], REPEATS)), np.empty((features.shape[1], len(judged)))
     for column in range(features.shape[1]):
         shuffled = np.tile(features[judged], (REPEATS, 1, 1))
         shuffled[:, :, column] = [generator.permutation(features[judged, column]) for _ in range(REPEATS)]
         predicted = forest.predict(shuffled.reshape(-1, features.shape[1])).reshape(REPEATS, len(judged))
         losses[column] = undisturbed - _r2(predicted, values[judged])
-    return Importances(losses.mean(axis=1), losses.std(axis=1), undisturbed, len(values), len(judged))
+        added[column] = ((predicted - values[judged]) ** 2).mean(axis=0) - (own - values[judged]) ** 2
+    lower, upper = _interval(added, values[judged], generator)
+    return Importances(losses.mean(axis=1), losses.std(axis=1), lower, upper, undisturbed, len(values), len(judged))
+
+
+def _interval(added: Floats, values: Floats, generator: np.random.Generator) -> tuple[Floats, Floats]:
+    """Returns the 95 % interval of importances, shape (n_parameters,) each, by the bootstrap over held-out sets (Efron 1979). `added`:
+    squared error that shuffling adds at each set, shape (n_parameters, n)."""
+    counts = generator.multinomial(len(values), np.full(len(values), 1 / len(values)), size=RESAMPLED).astype(np.float64)
+    means = counts @ values / len(values)
+    variation = counts @ values**2 / len(values) - means**2
+    shares = (counts @ added.T / len(values)) / np.maximum(variation, np.finfo(np.float64).tiny)[:, np.newaxis]
+    lower, upper = np.quantile(shares, [0.025, 0.975], axis=0)
+    return lower, upper
 
 
 def _shares(columns: Floats) -> Floats:

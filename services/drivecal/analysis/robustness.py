@@ -79,13 +79,15 @@ def holds(deviations: Floats, nominal: Floats, settings: RobustnessSettings) -> 
     return bool(within.all())  # a comparison with NaN is false
 
 
-def undetected_share(samples: int) -> float:
-    """Returns the share of failing vehicles that `samples` independent vehicles without a failure leave possible (95 %)."""
-    return float(1.0 - (1.0 - 0.95) ** (1.0 / samples))
+def undetected_share(samples: int, compared: int = 1) -> float:
+    """Returns the share of failing vehicles that `samples` independent vehicles without a failure leave possible (95 %), in the box of
+    whichever of `compared` sets is chosen by them."""
+    return float(1.0 - ((1.0 - 0.95) / max(1, compared)) ** (1.0 / samples))
 
 
-def vehicles_text(settings: Mapping[str, Any]) -> str:
-    """A sentence about what a box that holds says of vehicles that were not simulated."""
+def vehicles_text(settings: Mapping[str, Any], compared: int) -> str:
+    """Returns a sentence about what a box that holds says of vehicles that were not simulated. `compared`: number of examined sets, all in
+    the same directions, of which the recommended one was chosen by its boxes."""
     samples = settings["samples"]
     if settings["condition"] == "mean":
         return (
@@ -94,7 +96,8 @@ def vehicles_text(settings: Mapping[str, Any]) -> str:
         )
     return (
         f"A box holds if the condition holds in every vehicle simulated in it ({samples:,}): up to {undetected_share(samples):.1%} of all "
-        "vehicles in the box may still break it (95 % confidence)."
+        "vehicles in a box may still break it if its set was chosen beforehand, and up to "
+        f"{undetected_share(samples, compared):.1%} in a box of the recommended set, chosen from {compared:,} (95 % confidence each)."
     )
 
 

@@ -170,9 +170,17 @@ def trust(campaign: Campaign, known: Evidence | None = None) -> ResultTrust:
         *_robustness(known.studies),
     ]
     verdicts.sort(key=lambda each: _ORDER.index(each.light))
+    ended = CampaignState(campaign.state).ended
+    parts = {question: [each for each in verdicts if each.question == question] for question in ("scores", "search")}
+    lights = {question: _light(each, ended=ended) for question, each in parts.items()}
+    return ResultTrust(light=_light(verdicts, ended=ended), **lights, verdicts=verdicts)
+
+
+def _light(verdicts: Sequence[ResultVerdict], *, ended: bool) -> Light | None:
+    """Returns the light of verdicts, the gravest first."""
     lights = [each.light for each in verdicts if each.light != "neutral"]
-    ended, worst = CampaignState(campaign.state).ended, (lights or ["green"])[0] if verdicts else None
-    return ResultTrust(light=worst if ended or worst == "red" else None, verdicts=verdicts)
+    worst = (lights or ["green"])[0] if verdicts else None
+    return worst if ended or worst == "red" else None
 
 
 def _end(campaign: Campaign) -> Iterator[ResultVerdict]:

@@ -230,7 +230,8 @@ HALVINGS = 40
 
 
 def mean_interval(shares: Floats) -> tuple[float, float]:
-    """Returns the two-sided confidence interval of the mean of independent `shares` in [0, 1], shape (n,); (0, 1) for none.
+    """Returns the two-sided confidence interval of the mean of independent `shares` in [0, 1], shape (n,); (0, 1) for none. Shares of 0 and
+    1 alone are counts, whose interval is exact.
 
     Raises ValueError if a share lies outside [0, 1].
     """
@@ -238,6 +239,13 @@ def mean_interval(shares: Floats) -> tuple[float, float]:
         raise ValueError("shares must lie between 0 and 1")
     if not shares.size:
         return 0.0, 1.0
+    if np.minimum(shares, 1.0 - shares).max() <= SMALLEST:
+        from scipy.special import betaincinv  # the limits of Clopper and Pearson (1934)
+
+        hits, tail = round(float(shares.sum())), (1.0 - CONFIDENCE) / 2.0
+        misses = len(shares) - hits
+        lower = float(betaincinv(hits, misses + 1, tail)) if hits else 0.0
+        return lower, float(betaincinv(hits + 1, misses, 1.0 - tail)) if misses else 1.0
     return _lower_limit(shares), 1.0 - _lower_limit(1.0 - shares)
 
 

@@ -79,8 +79,8 @@ SEARCH = {
     "{best:objective}; `{command}` lists it, and the same rerun with --from-best searches from there.",
     "seen": "The search asked for {asked} of the {grid} sets on the grid of its space, constraints aside.",
     "still_rising": "The best set was improved in the last of {iterations} iterations: more may improve it further.",
-    "stood_still": "No iteration after the first found a better set ({tried} tried). More iterations, wider ranges or another optimizer "
-    "may find one.",
+    "stood_still": "No iteration after the first found a better objective ({tried} tried). More iterations, wider ranges or another "
+    "optimizer may find one.",
     "ended": "The search ended by its {by}, after {simulations:,} simulations; the best set was found after {share:.0%} of its rounds.",
     "outlook": "As many simulations again would probably improve the best objective by at most {gain:.3g}; of such estimates in the "
     "benchmark {record:.0%} held.",

@@ -1,6 +1,7 @@
 """Checks a problem bundle by running it here, in child processes as on a worker: one set per scenario twice, then another one, which a
 deterministic simulator gets in a new process as well."""
 
+import sys
 import tempfile
 import threading
 import time
@@ -15,6 +16,8 @@ import numpy as np
 from drivecal.adapters.command import run_probe
 from drivecal.adapters.files import remove
 from drivecal.adapters.kinds import simulator
+from drivecal.adapters.process import ProcessSession
+from drivecal.adapters.scratch import sessions
 from drivecal.bundles.archives import unpack
 from drivecal.bundles.checks import choices_of
 from drivecal.bundles.expressions import Constraint
@@ -74,7 +77,7 @@ class CheckedScenario(CheckedRun):
     """Result of a scenario's two runs, and of another set.
 
     `repeats`: both runs gave the same bits. `seconds`: wall-clock time of each run; `start_seconds`: time until the simulator was ready.
-    `other`: None if no other set was tried.
+    `other`: None if no other set was tried. `opened`: files that its process opened, as far as they are seen.
     """
 
     scenario: str
@@ -83,6 +86,7 @@ class CheckedScenario(CheckedRun):
     seconds: tuple[float, ...] = ()
     cpu_seconds: tuple[float, ...] = ()
     other: OtherRun | None = None
+    opened: frozenset[str] = frozenset()
 
 
 def trial_set(manifest: Manifest) -> dict[str, Setting]:
@@ -125,8 +129,9 @@ def run_problem(
 
 
 def ask_probe(manifest: Manifest, archive: bytes, tell: Tell = lambda _: None) -> str | None:
-    """Returns what the problem's `probe` answers here, None without a probe. Raises UnavailableError if it gives no answer."""
-    if manifest.simulator.probe is None:
+    """Returns what this machine reports of tools and inputs outside of the folder, None if none are declared. Raises UnavailableError if
+    there is no answer."""
+    if not manifest.simulator.asks_workers:
         return None
     with _unpacked(archive) as folder, _signs("the probe", f"the limit is {PROBE_SECONDS:g} s", tell):
         return run_probe(manifest.simulator.model_dump(mode="json"), folder)
@@ -176,7 +181,7 @@ def _checked(
     units = {**manifest.reported, **manifest.series}
     parameter_units = {name: entry.unit for name, entry in (manifest.parameters | manifest.varied).items()}
     declared = Declared(
-        manifest.problem, tuple(manifest.reported), manifest.failures, tuple(manifest.series), units, parameter_units
+        manifest.problem, tuple(manifest.reported), manifest.failures, tuple(manifest.series), units, parameter_units, True
     )
 
     @contextmanager
@@ -195,12 +200,14 @@ def _checked(
         return outcome, time.perf_counter() - began
 
     began, started = time.perf_counter(), 0.0
-    elsewhere, bits = None, None
+    elsewhere, bits, opened_files = None, None, frozenset[str]()
     try:
         with opened() as session:
             started = time.perf_counter() - began
             first, first_seconds = run(1, session, parameters, series=bool(manifest.series))
             second, second_seconds = run(2, session, parameters, series=bool(manifest.series))
+            if isinstance(session, ProcessSession):
+                opened_files = frozenset(each for each in session.opened() if not Path(each).is_relative_to(folder.resolve()))
             if other is not None:
                 try:
                     outcome, _ = run(3, session, other, series=False)
@@ -223,6 +230,7 @@ def _checked(
         seconds=(first_seconds, second_seconds),
         cpu_seconds=(first.cpu_seconds, second.cpu_seconds),
         other=elsewhere,
+        opened=opened_files,
         **_rated(manifest, scenario, first),
     )
 
@@ -290,6 +298,30 @@ def _rated(manifest: Manifest, scenario: str, outcome: RunOutcome) -> dict[str, 
         "undefined": {name: scored.undefined for name, scored in known.items() if scored.undefined is not None},
         "cut": {name: scored.cut for name, scored in known.items() if scored.cut is not None},
     }
+
+
+OF_THE_SYSTEM = ("/usr", "/lib", "/lib32", "/lib64", "/bin", "/sbin", "/etc", "/proc", "/sys", "/dev", "/run")
+"""Folders whose files count as the machine's own."""
+
+
+def undeclared(manifest: Manifest, checked: Sequence[CheckedScenario]) -> list[str]:
+    """Returns a warning for each file that a run opened outside of the problem's folder and that `simulator.inputs` does not cover.
+
+    Files of the system, of the installation of Python, and of runs themselves are left out.
+    """
+    own = (*OF_THE_SYSTEM, sys.prefix, sys.base_prefix, sys.exec_prefix, str(sessions()), str(Path(__file__).parents[3]))
+    covered = [Path(each) for each in (*own, *(each for each in manifest.simulator.inputs or () if isinstance(each, str)))]
+    found = sorted({Path(path) for result in checked for path in result.opened})
+    return [
+        f"a run opened {path} outside of the problem's folder: add it to `simulator.inputs` in problem.yaml, or stored runs are reused"
+        " after it changed"
+        for path in found
+        if path.is_file() and not any(path.is_relative_to(each) for each in covered)
+    ][:MOST_WARNINGS]
+
+
+MOST_WARNINGS = 20
+"""Files that are listed."""
 
 
 def cut_scores(manifest: Manifest, checked: Sequence[CheckedScenario]) -> list[str]:

@@ -29,7 +29,9 @@ DISPERSION = 50.0
 
 
 GROWTH = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
-"""Growth rates of the mixture behind `most_released`."""
+"""Growth rates that share half of the mixture behind `most_released`; the largest one that the first plan permits has the other half."""
+FASTEST = 3.0
+"""Largest growth rate that is tried."""
 MOST_PER_ERROR = 60.0
 """Largest evidence that one error in a sample may take back, as a logarithm."""
 
@@ -158,19 +160,24 @@ def most_released(lots: Iterable[tuple[SamplingPlan, int]]) -> float:
     Time-uniform: with probability 0.95 it holds after every lot at once, for every number of errors in each of them, which may depend on
     all earlier samples. Per lot, exp(g E - h(g) k) has an expectation of at most 1 over the draw without replacement, with E released
     errors (none if the lot is rejected) and k sampled ones, counted up to c + 1. The product over lots is a supermartingale, a mixture over
-    growth rates g as well (Waudby-Smith and Ramdas 2020 build theirs in this way), and Ville's inequality bounds it.
+    growth rates g as well (Waudby-Smith and Ramdas 2020 build theirs in this way), and Ville's inequality bounds it. The first plan, which
+    is known before any sample, decides the fastest rate.
     """
     from scipy.optimize import brentq
 
     inspected = list(lots)
     offsets: list[tuple[float, float]] = []
-    for growth in GROWTH:
+    shares = dict.fromkeys(GROWTH, 0.5 / len(GROWTH))
+    if inspected:
+        fastest = fastest_growth(inspected[0][0])
+        shares[fastest] = shares.get(fastest, 0.0) + 0.5
+    for growth, share in shares.items():
         costs = [cost_of_an_error(plan, growth) for plan, _ in inspected]
         if all(math.isfinite(cost) for cost in costs):
             paid = sum(cost * min(errors, plan.acceptance + 1) for cost, (plan, errors) in zip(costs, inspected, strict=True))
-            offsets.append((growth, -paid))
+            offsets.append((growth, math.log(share) - paid))
     unknown = sum(plan.size - plan.sample for plan, errors in inspected if plan.releases(errors))
-    evidence = math.log(len(GROWTH) / (1.0 - 0.95))
+    evidence = math.log(1.0 / (1.0 - 0.95))
 
     def excess(released: float) -> float:
         exponents = np.array([growth * released + offset for growth, offset in offsets])
@@ -179,6 +186,16 @@ def most_released(lots: Iterable[tuple[SamplingPlan, int]]) -> float:
     if not offsets or excess(float(unknown)) <= 0.0:
         return float(unknown)
     return float(brentq(excess, 0.0, float(unknown)))
+
+
+@lru_cache(maxsize=4096)
+def fastest_growth(plan: SamplingPlan) -> float:
+    """Returns the largest growth rate, to a hundredth of it, for which `cost_of_an_error` is finite; the smallest of GROWTH if none is."""
+    permitted, refused = GROWTH[-1], FASTEST
+    while refused > 1.01 * permitted:
+        middle = math.sqrt(permitted * refused)
+        permitted, refused = (middle, refused) if math.isfinite(cost_of_an_error(plan, middle)) else (permitted, middle)
+    return permitted
 
 
 @lru_cache(maxsize=4096)

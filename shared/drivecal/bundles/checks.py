@@ -335,6 +335,9 @@ def _simulator(simulator: Any, files: Executables | None) -> Iterator[Problem]:
             yield Problem(f"simulator.environment[{index}]", f"drivecal sets {name} to an empty folder", remedy)
     if simulator.probe is not None:
         yield from _command("simulator.probe", simulator.probe, files)
+    for index, given in enumerate(simulator.inputs or ()):
+        if isinstance(given, list):
+            yield from _command(f"simulator.inputs[{index}]", given, files)
 
 
 def _code(field: str, section: Any, files: Executables | None) -> Iterator[Problem]:

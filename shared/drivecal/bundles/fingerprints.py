@@ -26,8 +26,8 @@ def setup_document(
 ) -> dict[str, Any]:
     """Returns the document of a scenario's setup.
 
-    The probe stays beside its answer: results of unknown tools are not those of tools with a known version. So do the names of
-    variables, whose values on workers are not known here.
+    The probe stays beside its answer: results of unknown tools are not those of tools with a known version. So do variables and inputs:
+    the answer holds digests of their values and contents on the workers.
 
     Args:
         manifest: the problem.
@@ -36,7 +36,7 @@ def setup_document(
         section: the simulator's section with the plug-ins that a campaign chose, by default the manifest's.
         data: the scenario's data, by default the manifest's.
         varied: values of the problem's varied parameters.
-        tools: answer of the probe on the workers.
+        tools: answer of the workers about probe, variables and inputs.
         seed: seed of the run; 0 if the simulator does not depend on one.
     """
     section = manifest.simulator.model_dump(mode="json") if section is None else section

@@ -13,6 +13,8 @@ File = Annotated[str, StringConstraints(min_length=1, max_length=255)]
 """Path inside the bundle, with forward slashes."""
 Command = Annotated[list[Annotated[str, StringConstraints(min_length=1, max_length=4096)]], Field(min_length=1, max_length=100)]
 
+Path = Annotated[str, StringConstraints(min_length=2, max_length=255, pattern=r"^/[^\x00-\x1f]*$")]
+"""A whole path on the workers."""
 Variable = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 """Name of an environment variable."""
 
@@ -27,6 +29,7 @@ class SimulatorEntry(Model):
     `timeout` (s, wall-clock) and `memory_mb` limit each run. `deterministic`: the simulator claims equal measures for equal inputs.
     `probe`: a command whose output is the version of tools outside of the bundle.
     `environment`: names of further variables that its processes get from the worker.
+    `inputs` lists files, folders and commands outside of the bundle.
     """
 
     timeout: Annotated[float, Field(gt=0, le=86_400)] = 60.0
@@ -40,7 +43,10 @@ class SimulatorEntry(Model):
     probe: Command | None = None
     """A command that prints the version of tools outside of the folder."""
     environment: Annotated[list[Variable], Field(max_length=50)] | None = None
-    """Names of further variables that the processes get from the worker."""
+    """Names of further variables that the processes get from the worker; a digest of each value is in the key of stored runs."""
+    inputs: Annotated[list[Path | Command], Field(max_length=50)] | None = None
+    """Files and folders outside of the folder, as whole paths, and commands: a digest of each content or output is in the key of stored
+    runs."""
     resources: Resources | None = None
     """Licences and other scarce things that a run holds, by name; the server counts them (`drivecal serve --resources`)."""
 
@@ -49,6 +55,11 @@ class SimulatorEntry(Model):
         if self.random and self.deterministic:
             raise ValueError("it is random and deterministic; give one of them, or neither if you do not know")
         return self
+
+    @property
+    def asks_workers(self) -> bool:
+        """True if a run depends on what only workers know: the probe's answer, values of variables, or inputs."""
+        return bool(self.probe or self.environment or self.inputs)
 
     @property
     def renews(self) -> bool:

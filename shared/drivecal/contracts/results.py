@@ -28,19 +28,25 @@ class ResultVerdict(Answer):
 
 class ResultTrust(Answer):
     """The trust that a campaign's result deserves. `light`: that of the gravest of the `verdicts`, which comes first, green if all are
-    neutral; null before the end, unless it is red already, and without a search."""
+    neutral; null before the end, unless it is red already, and without a search. `scores` and `search`: the same of the verdicts on one
+    question, whether the scores are right, and whether the search is finished."""
 
     light: Light | None
+    scores: Light | None = None
+    search: Light | None = None
     verdicts: list[ResultVerdict]
 
 
 class ParameterImportance(Answer):
     """By how much R² on held-out sets falls when the values of a parameter are shuffled among them, with the deviation over repetitions.
-    About 0: the score does not depend on it in these sets; below 0: nothing but chance."""
+    About 0: the score does not depend on it in these sets; below 0: nothing but chance. `lower`, `upper`: 95 % interval over the choice of
+    the held-out sets, for this forest; another search visits other sets, and may weigh parameters otherwise."""
 
     parameter: str
     importance: float
     deviation: float
+    lower: float
+    upper: float
 
 
 class ImportanceAnswer(Answer):
@@ -54,6 +60,8 @@ class ImportanceAnswer(Answer):
     """Sets with values of their own; copies of references and predictions do not count."""
     held_out: int | None = None
     r2: float | None = None
+    notes: list[str] = Field(default_factory=list)
+    """A weak fit, and parameters on which importance and influence map disagree."""
     items: list[ParameterImportance] = Field(default_factory=list)
 
 

@@ -54,6 +54,7 @@ class Declared:
     """Names that a manifest declares of a simulator's answers. Without declared `failures`, a simulator may report any name.
 
     `units` has the known units of measures and series by name; they decide no result. `parameters`: units of the parameters by name.
+    `watched`: drivecal records the files that a Python function opens.
     """
 
     problem: str
@@ -62,6 +63,7 @@ class Declared:
     series: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict, compare=False)
     parameters: Mapping[str, str] = field(default_factory=dict, compare=False)
+    watched: bool = field(default=False, compare=False)
 
 
 class NoMeasuresError(DrivecalError):

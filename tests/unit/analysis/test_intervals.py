@@ -38,7 +38,7 @@ def test_the_interval_over_bases_covers_the_rate_at_least_as_often_as_it_says(ra
 def test_without_an_error_the_upper_limit_follows_from_the_number_of_bases(bases: int) -> None:
     lower, upper = mean_interval(np.zeros(bases))
     assert lower == 0.0
-    assert 1 - 0.025 ** (1 / bases) < upper <= 1 - (1 / 80) ** (1 / bases)
+    assert upper == pytest.approx(1 - 0.025 ** (1 / bases))
     assert mean_interval(np.ones(bases)) == pytest.approx((1 - upper, 1.0))
 
 

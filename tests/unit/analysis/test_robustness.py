@@ -130,3 +130,4 @@ def test_vehicles_that_hold_leave_the_share_open_that_they_would_miss_once_in_tw
     assert undetected_share(30) == pytest.approx(0.095, abs=1e-3)
     for samples in (1, 30, 1000):
         assert (1 - undetected_share(samples)) ** samples == pytest.approx(0.05)
+    assert undetected_share(30, 20) == pytest.approx(0.181, abs=1e-3), "the recommended one of 20 sets"

@@ -94,8 +94,8 @@ def test_a_set_leaves_the_front_only_for_one_better_by_more_than_the_tolerance(r
     standing = ranked([(first, first, second) for first, second in rows], 1.0, 0.0, goals(1.0, 0.0, tolerance=0.0505))
     on_front = {number for member in standing.front() for number in member.alike}
 
-    def beats(one: tuple[int, int], other: tuple[int, int]) -> bool:
-        gains = [mine - theirs for mine, theirs in zip(one, other, strict=True)]
+    def beats(better: tuple[int, int], other: tuple[int, int]) -> bool:
+        gains = [mine - theirs for mine, theirs in zip(better, other, strict=True)]
         return min(gains) >= -50 and max(gains) > 50
 
     assert on_front == {number for number, row in enumerate(rows) if not any(beats(each, row) for each in rows)}
@@ -166,8 +166,8 @@ def test_predictions_do_not_depend_on_the_unit(size: float, offset: float, kind:
         answers.append((predicted[0].scores, predicted[0].confidence, predicted[1], learner.is_wrong(scores[:-1], scores[1:])))
     (scores, *rest), (same, *same_rest) = answers
     assert (same - offset) / size == pytest.approx(scores, abs=1e-6)
-    for one, another in zip(rest, same_rest, strict=True):
-        assert another == pytest.approx(one, abs=1e-9)
+    for usual_answer, other_answer in zip(rest, same_rest, strict=True):
+        assert other_answer == pytest.approx(usual_answer, abs=1e-9)
 
 
 @pytest.mark.parametrize(("size", "offset"), LEARNED)

@@ -268,7 +268,7 @@ def test_later_simulations_that_change_the_best_set_are_amber(gain: float, param
         ([(6.0, None)] * 3, {}, True),
         ([(6.0, 6.2)] * 2, {}, False),
         ([(5.5, 6.2), (6.0, 6.2), (6.0, 6.2)], {}, False),
-        ([(6.0, 6.2), (6.0, 6.2), (6.0, 6.3)], {}, False),
+        ([(6.0, 6.2), (6.0, 6.2), (6.0, 6.3)], {}, True),
         ([(5.5, 6.2)] * 3, {}, False),
         ([(None, None)] * 3, {}, False),
         ([(6.0, 6.2)] * 3, {"state": "cancelled"}, False),

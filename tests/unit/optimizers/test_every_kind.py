@@ -1,4 +1,4 @@
-"""What every kind of optimizer survives: one parameter, two values, one feasible set, equal, missing, tiny and huge objectives."""
+"""Every kind of optimizer survives one parameter, two values, one feasible set, equal, missing, tiny and huge objectives."""
 
 from typing import Any
 

@@ -87,6 +87,11 @@ class Children:
         """Descriptor that is readable when the child has ended: then call `ended`."""
         return -1 if self._control is None else self._control.fileno()
 
+    @property
+    def family(self) -> tuple[int, ...]:
+        """The running child and its known descendants, by their ids."""
+        return self._family
+
     def start(self, stdin: int, stdout: int, stderr: int) -> None:
         """Starts the child with these descriptors.
 

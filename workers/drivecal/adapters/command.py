@@ -6,7 +6,8 @@ The `probe` of a bundle is such a command as well: its output is the version of 
 import json
 import os
 import stat
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,36 +17,56 @@ from drivecal.adapters.pipes import LONGEST_LINE, Pipes
 from drivecal.adapters.scratch import Scratch, discard
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
+from drivecal.domain.setups import digest
 from drivecal.domain.values import Setting
 from drivecal.plugins.simulators import PROBE_SECONDS, SEED, Declared, NoMeasuresError, RunOutcome
 
-LONGEST_ANSWER = 4000
-"""Largest answer in characters."""
+LONGEST_ANSWER, MOST_DIGESTS = 4000, 40_000
+"""Largest answer of a probe, and of all digests, in characters."""
+LEAST_MEMORY_MB = 500
+"""Memory of the child that makes digests."""
+DRIVER = (sys.executable, "-I", "-B", "-m")
+"""Start of a driver's command: no environment variables or user packages, no bytecode in the bundle's folder."""
 
 
 def run_probe(section: Mapping[str, Any], folder: Path) -> str:
-    """Returns what the probe of a manifest's section `simulator` prints; what it prints as messages if that is nothing.
+    """Returns what this machine reports for a manifest's section `simulator`: the probe's output, and digests of variables and inputs, a
+    line each.
 
-    `folder`: the unpacked bundle. Raises UnavailableError if it cannot be run, fails, or prints nothing or too much.
+    `folder`: the unpacked bundle. Raises UnavailableError if a command cannot be run, fails, or prints nothing or too much.
     """
-    command = section["probe"]
+    probe, given = section.get("probe"), section.get("inputs") or ()
+    lines = [] if probe is None else [_printed(probe, f"the probe `{' '.join(probe)}`", section, folder)]
+    paths = [each for each in given if isinstance(each, str)]
+    if section.get("environment") or paths:
+        settings = json.dumps({"environment": section.get("environment") or [], "paths": paths})
+        command, room = [*DRIVER, "drivecal.adapters.outside", settings], {**section, "memory_mb": LEAST_MEMORY_MB}
+        lines.append(_printed(command, "the digest of variables and inputs", room, folder, MOST_DIGESTS))
+    for each in given:
+        if not isinstance(each, str):
+            shown = f"`{' '.join(each)}`"
+            lines.append(f"{shown}: {digest(_printed(each, f'the input {shown}', section, folder, LONGEST_LINE).encode())}")
+    return "\n".join(lines)
+
+
+def _printed(command: Sequence[str], name: str, section: Mapping[str, Any], folder: Path, longest: int = LONGEST_ANSWER) -> str:
+    """Returns what a command prints; what it prints as messages if that is nothing."""
     scratch = Scratch(folder)
     children = Children(Launch.of(command, section), scratch)
     try:
         check_command(command, scratch.work)
-        return _answer(children)
+        return _answer(children, longest)
     except (UnavailableError, NoMeasuresError) as error:
-        message = f"the probe `{' '.join(command)}` gives no answer: {scratch.shown(str(error))}"
-        raise UnavailableError(message) from None
+        raise UnavailableError(f"{name} gives no answer: {scratch.shown(str(error))}") from None
     finally:
         children.close()
         scratch.remove()
 
 
-def _answer(children: Children) -> str:
+def _answer(children: Children, longest: int) -> str:
     pipes = Pipes(children)
     try:
-        output = pipes.collect(PROBE_SECONDS, LONGEST_ANSWER, "the limit of a probe")
+        output = pipes.collect(PROBE_SECONDS, longest, "the limit of a probe")
         answer = "\n".join(line.rstrip() for line in output.decode(errors="replace").strip().splitlines()) or pipes.tail()
     finally:
         pipes.stop()

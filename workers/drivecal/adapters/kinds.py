@@ -15,8 +15,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from drivecal.adapters import outside
 from drivecal.adapters.children import Launch, check_command
-from drivecal.adapters.command import CommandSession
+from drivecal.adapters.command import DRIVER, CommandSession
 from drivecal.adapters.process import ProcessSession
 from drivecal.adapters.scratch import Scratch
 from drivecal.bundles import units
@@ -33,8 +34,6 @@ MOST_HIGHWAY_RUNS = 2000
 """Runs of a child with SUMO, so that what SUMO or a controller leaks stays small."""
 EXTRAS = {"libsumo": "local", "numba": "local", "fmpy": "fmu"}
 """Extra of drivecal that installs a module."""
-_PYTHON = (sys.executable, "-I", "-B", "-m")
-"""Start of a driver's command: no environment variables or user packages, no bytecode in the bundle's folder."""
 
 Section = Mapping[str, Any]
 Open = Callable[[Section, str, Mapping[str, Any], Path, Declared], SimulatorSession]
@@ -114,8 +113,9 @@ def _open_python(
             "wheels": None if wheels is None else str(folder / wheels),
             "packages": str(scratch.folder / "packages"),
             "random": section.get("random", False),
+            "opened": str(scratch.folder / outside.NAME) if declared.watched else None,
         }
-        launch = Launch.of([*_PYTHON, "drivecal.adapters.python_driver", json.dumps(settings)], section)
+        launch = Launch.of([*DRIVER, "drivecal.adapters.python_driver", json.dumps(settings)], section)
         timeout = section["timeout"]
         return ProcessSession(launch, scratch, declared, timeout=timeout, scenario=scenario, data=data, blames_files=True)
 
@@ -138,7 +138,7 @@ def _open_fmu(section: Section, scenario: str, data: Mapping[str, Any], folder: 
             "parameters": dict(declared.parameters),
             "seed": section.get("seed"),
         }
-        launch = Launch.of([*_PYTHON, "drivecal.adapters.fmu_driver", json.dumps(settings)], section)
+        launch = Launch.of([*DRIVER, "drivecal.adapters.fmu_driver", json.dumps(settings)], section)
         return ProcessSession(
             launch,
             scratch,
@@ -186,7 +186,7 @@ def _open_highway(
         text = json.dumps(settings, allow_nan=False)
         file = scratch.keep("highway.json", text)  # may be larger than a command line
         # An earlier child can change the file; a later one refuses it then.
-        command = [*_PYTHON, "drivecal.highway.drive.driver", str(file), sha256(text.encode()).hexdigest()]
+        command = [*DRIVER, "drivecal.highway.drive.driver", str(file), sha256(text.encode()).hexdigest()]
         most_runs = MOST_FMU_RUNS if has_fmu else MOST_HIGHWAY_RUNS
         return ProcessSession(
             Launch.of(command, section, _compiled(kernels)),

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 from drivecal.adapters.driver import Evaluate, serve
+from drivecal.adapters.outside import record
 from drivecal.domain.errors import InvalidInputError, Problem
 
 MOST_BYTES = 4 << 30
@@ -20,11 +21,13 @@ MOST_BYTES = 4 << 30
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
     """Imports the function. `settings`: `file`, `function`, `wheels` (a folder or None), `packages` (where to unpack them), `random` (the
-    scenario gets an entry `seed`).
+    scenario gets an entry `seed`), `opened` (where to record opened files, or None).
 
     Its managers of shared objects listen on loopback, because Unix sockets are refused.
     """
     vars(multiprocessing.connection)["default_family"] = "AF_INET"
+    if settings.get("opened") is not None:
+        record(Path(settings["opened"]))
     if settings["wheels"] is not None:
         sys.path.insert(0, str(unpack(Path(settings["wheels"]), Path(settings["packages"]))))
     file = Path(settings["file"])

@@ -38,7 +38,7 @@ class Scratch:
     def __init__(self, bundle: Path) -> None:
         """Creates the folder in the user's private folder of sessions. Raises UnavailableError if another user could change that."""
         self._bundle = bundle.resolve()
-        self.folder = Path(tempfile.mkdtemp(prefix="drivecal-run-", dir=_sessions()))
+        self.folder = Path(tempfile.mkdtemp(prefix="drivecal-run-", dir=sessions()))
         self.work, self.home = self.folder / "work", self.folder / "home"
         self._kept: set[Path] = {self.work, self.home}
         self.is_spoilt = False
@@ -132,7 +132,7 @@ class Scratch:
         remove(self.folder)
 
 
-def _sessions() -> Path:
+def sessions() -> Path:
     """Returns the private folder of all sessions of this user; creates it in the system's temporary folder."""
     folder = Path(tempfile.gettempdir(), f"drivecal-runs-{os.geteuid()}")
     folder.mkdir(mode=0o700, exist_ok=True)

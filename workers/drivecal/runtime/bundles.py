@@ -37,6 +37,8 @@ from drivecal.runtime.cache import BundleCache
 
 ASK_AGAIN_SECONDS = 600.0
 """Age of an answer after which the probe runs again: tools may be upgraded while a worker lives."""
+INPUTS_SECONDS = 10.0
+"""The same for inputs that are read in no time."""
 _SHOWN = 150
 _REMEDIES = {"sumo": "the same version of libsumo"}
 """Package to install if a part of a setup (`fingerprints.parts_of`) differs; else the same drivecal and plug-ins."""
@@ -45,10 +47,15 @@ _REMEDIES = {"sumo": "the same version of libsumo"}
 class OtherToolsError(UnavailableError):
     """This machine has other versions of tools than the campaign began with. `answer` is the answer of the probe here."""
 
-    def __init__(self, command: str, answer: str, expected: str) -> None:
+    def __init__(self, answer: str, expected: str) -> None:
+        own, others = (set(text.splitlines()) for text in (answer, expected))
+        here, there = (
+            _shown("\n".join(line for line in text.splitlines() if line in lines))
+            for text, lines in ((answer, own - others), (expected, others - own))
+        )
         super().__init__(
-            f"the probe `{command}` answers {_shown(answer)} on {socket.gethostname()} and {_shown(expected)} in this campaign;"
-            " install the same version on all machines, or submit the campaign again"
+            f"tools or inputs outside of the problem's folder differ: {here} on {socket.gethostname()} and {there} in this campaign;"
+            " install the same on all machines, or submit the campaign again"
         )
         self.answer = answer
 
@@ -61,22 +68,28 @@ class Tools:
     ) -> None:
         self._run, self._clock = run, clock
         self._answers: dict[str, tuple[str, float]] = {}
+        """Answers and the times at which they are too old."""
 
     def ask(self, setup: SetupRequest, folder: Path) -> str:
         """Runs the probe of a bundle in `folder`. Raises UnavailableError if it gives no answer."""
+        began = self._clock()
         answer = self._run(setup.simulator, folder)
-        self._answers[setup.bundle] = answer, self._clock()
+        seconds = self._clock() - began
+        age = ASK_AGAIN_SECONDS
+        if setup.simulator.get("inputs"):  # files change sooner than tools; a look takes at most a hundredth of the time
+            age = min(age, max(INPUTS_SECONDS, 100 * seconds))
+        self._answers[setup.bundle] = answer, began + age
         return answer
 
     def check(self, setup: SetupRequest, folder: Callable[[], Path]) -> None:
         """Raises OtherToolsError if the setup has other tools. The probe runs unless its last answer is recent and agrees."""
         if setup.tools is None:
             return
-        answer, since = self._answers.get(setup.bundle, ("", 0.0))
-        if answer != setup.tools or self._clock() >= since + ASK_AGAIN_SECONDS:
+        answer, until = self._answers.get(setup.bundle, ("", 0.0))
+        if answer != setup.tools or self._clock() >= until:
             answer = self.ask(setup, folder())
         if answer != setup.tools:
-            raise OtherToolsError(" ".join(setup.simulator["probe"]), answer, setup.tools)
+            raise OtherToolsError(answer, setup.tools)
 
 
 def _shown(answer: str) -> str:

@@ -1,6 +1,6 @@
 """The rows of influence maps, for a campaign's scenarios and space or as a map has them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from typing import Any
 
@@ -19,7 +19,7 @@ from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Parameter
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.references import parameter_sets
+from drivecal.storage.references import influence_maps, parameter_sets
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
 MEASURES = ("s_rel_intervals", "mu", "sigma", "mu_star")
@@ -117,13 +117,55 @@ def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedS
     if result is None:
         return ImportanceAnswer(scenario=scenario, method=METHOD, sets=len(own))
     items = [
-        ParameterImportance(parameter=parameter.name, importance=float(mean), deviation=float(deviation))
-        for parameter, mean, deviation in zip(searched, result.mean, result.deviation, strict=True)
+        ParameterImportance(
+            parameter=parameter.name, importance=float(mean), deviation=float(deviation), lower=float(lower), upper=float(upper)
+        )
+        for parameter, mean, deviation, lower, upper in zip(
+            searched, result.mean, result.deviation, result.lower, result.upper, strict=True
+        )
     ]
     items.sort(key=lambda item: -item.importance)
     return ImportanceAnswer(
-        scenario=scenario, method=METHOD, sets=result.sets, held_out=result.held_out, r2=result.r2, items=items
+        scenario=scenario,
+        method=METHOD,
+        sets=result.sets,
+        held_out=result.held_out,
+        r2=result.r2,
+        notes=_notes(database, campaign, resolved, scenario, items, result.r2),
+        items=items,
     )
+
+
+WEAK, CLEAR = 0.5, 0.05
+"""R² below which importances mean little, and importance from which on a parameter matters among the sets of a search."""
+
+
+def _notes(
+    database: Database,
+    campaign: StoredCampaign,
+    resolved: ResolvedSpec,
+    scenario: str | None,
+    items: Sequence[ParameterImportance],
+    r2: float,
+) -> list[str]:
+    """Returns sentences about a weak fit, and about parameters on which importance and influence map disagree."""
+    notes = (
+        [f"the forest explains {max(0.0, r2):.0%} of the held-out sets' variation: importances mean little"]
+        if r2 < WEAK
+        else []
+    )
+    if campaign.influence_map_id is None:
+        return notes
+    with database.read() as connection:
+        rows = campaign_rows(influence_maps.get(connection, campaign.influence_map_id), resolved)
+    matters = {row.parameter for row in rows if row.influential and scenario in {None, row.scenario}}
+    notes += [
+        f"{item.parameter} matters among the sets of this search (importance {item.lower:.2g} or more), and the influence map calls it"
+        " non-influential"
+        for item in items
+        if item.lower >= CLEAR and item.parameter not in matters
+    ]
+    return notes
 
 
 def _position(parameter: Parameter, value: float | str) -> float:

@@ -115,8 +115,8 @@ class Bench:
 
     @property
     def to_probe(self) -> SetupRequest | None:
-        """The first scenario's request if a worker has to run the bundle's `probe` first: its answer is part of every setup."""
-        if self.bundle.manifest.simulator.probe is None or self.bundle.tools is not None:
+        """The first scenario's request if a worker has to report tools and inputs first: its answer is part of every setup."""
+        if not self.bundle.manifest.simulator.asks_workers or self.bundle.tools is not None:
             return None
         return next(iter(self.requests.values()))
 

@@ -264,12 +264,13 @@ def _check_parameters(
 
 
 def _notes(bundle: Bundle) -> tuple[str, ...]:
-    probe = bundle.manifest.simulator.probe
-    if probe is None or bundle.tools is None:
+    section = bundle.manifest.simulator
+    if not section.asks_workers or bundle.tools is None:
         return ()
     answer = " ".join(bundle.tools.split())
     shown = answer if len(answer) <= LONGEST_ANSWER else f"{answer[:LONGEST_ANSWER]}..."
-    return (f"`{' '.join(probe)}` answers {shown!r} on the workers: results under another answer are not reused",)
+    asked = "tools and inputs outside of the folder" if section.probe is None else f"`{' '.join(section.probe)}`"
+    return (f"{asked}: the answer on the workers is {shown!r}; results under another one are not reused",)
 
 
 def _refuse_driving_settings(wanted: Wanted, problem: str, diagnostics: Diagnostics) -> None:

@@ -92,6 +92,7 @@ def check(
             other_set,
             run_problem,
             trial_set,
+            undeclared,
         )  # the workers' code, for this command only
 
         report["tools"] = ask_probe(manifest, archive, tell)
@@ -104,8 +105,8 @@ def check(
         if not any(result.other for result in checked):
             report["other_parameters"] = None  # no scenario came to it
         report["warnings"] = [*doubtful_ranges(manifest, checked), *cut_scores(manifest, checked)]
-        report["warnings"] += _doubts_elsewhere(manifest, checked)
-    report["scenarios"] = [asdict(result) for result in checked]
+        report["warnings"] += [*_doubts_elsewhere(manifest, checked), *undeclared(manifest, checked)]
+    report["scenarios"] = [asdict(result) | {"opened": sorted(result.opened)} for result in checked]
     if as_json:
         print_json(report)
     else:

@@ -1,0 +1,113 @@
+"""Every printed interval holds as often as it claims, by simulation, and is hardly wider than the exact one.
+
+The figures of docs/pages/concepts/predictions.md come from `python -m tests.unit.analysis.test_coverage`.
+"""
+
+import sys
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from drivecal.analysis.importance import _interval
+from drivecal.analysis.robustness import undetected_share
+from drivecal.analysis.validation import mean_interval
+from drivecal.reduction.audit import clopper_pearson
+from drivecal.reduction.lots import SamplingPlan, most_released, smallest_plan
+
+REPEATS = 2_000
+Row = tuple[float, float, float | None]
+"""Share of the repeats in which an interval held, its mean width, and that of the exact one, if it is known."""
+
+
+def counts(share: float, size: int) -> Row:
+    """R_err of audits and of released predictions: Clopper and Pearson, which is the exact one."""
+    random = np.random.default_rng(1)
+    ends = np.array([clopper_pearson(int(wrong), size) for wrong in random.binomial(size, share, REPEATS)])
+    width = float((ends[:, 1] - ends[:, 0]).mean())
+    return float(((ends[:, 0] <= share) & (share <= ends[:, 1])).mean()), width, width
+
+
+def means(share: float, size: int, variants: int) -> Row:
+    """R_err of a validation: the mean over base sets of the share of wrong variants, which are alike or not within a base set."""
+    random = np.random.default_rng(2)
+    ends, exact = np.empty((REPEATS, 2)), np.empty((REPEATS, 2))
+    for repeat in range(REPEATS):
+        wrong = random.random(size) < share
+        shares = wrong.astype(np.float64) if variants == 1 else random.binomial(variants, share, size) / variants
+        ends[repeat] = mean_interval(shares)
+        exact[repeat] = clopper_pearson(int(wrong.sum()), size)
+    held = (ends[:, 0] <= share) & (share <= ends[:, 1])
+    known = float((exact[:, 1] - exact[:, 0]).mean()) if variants == 1 else None
+    return float(held.mean()), float((ends[:, 1] - ends[:, 0]).mean()), known
+
+
+def lots(wrong: int, number: int, plan: SamplingPlan) -> Row:
+    """Largest share of errors that lots released, after every lot; the exact limit is that of all lots as one sample."""
+    random = np.random.default_rng(3)
+    held, limits = 0, []
+    for _ in range(REPEATS):
+        drawn = random.hypergeometric(wrong, plan.size - wrong, plan.sample, number)
+        released = int(sum(wrong - errors for errors in drawn if plan.releases(int(errors))))
+        limit = most_released([(plan, int(errors)) for errors in drawn])
+        held += released <= limit + 1e-9
+        limits.append(limit / (number * plan.size))
+    return held / REPEATS, float(np.mean(limits)), None
+
+
+def boxes(failing: float, samples: int, compared: int) -> Row:
+    """Failing vehicles that a box without one may have: of the set that was chosen by its boxes, each with the same share of them."""
+    random = np.random.default_rng(4)
+    seen = random.binomial(samples, failing, (REPEATS, compared)).min(axis=1)
+    claimed = seen == 0
+    wrong = claimed & (failing > undetected_share(samples, compared))
+    return 1.0 - float(wrong.mean()), undetected_share(samples, compared), undetected_share(samples, compared)
+
+
+def importance(size: int) -> Row:
+    """Squared error that shuffling adds, over the variation of the values, on sets that are drawn anew in each repeat."""
+    random = np.random.default_rng(5)
+    held, widths = 0, []
+    for _ in range(REPEATS):
+        first, other = random.uniform(size=(2, size))
+        shuffled = random.permutation(first)
+        values = first + 0.3 * other
+        lower, upper = _interval(((shuffled - first) ** 2)[np.newaxis], values, random)
+        held += lower[0] <= (1 / 6) / ((1 + 0.09) / 12) <= upper[0]
+        widths.append(upper[0] - lower[0])
+    return held / REPEATS, float(np.mean(widths)), None
+
+
+PLAN = smallest_plan(250, 0.05, 1)
+TABLE: dict[str, Callable[[], Row]] = {
+    "wrong answers, 2 % of 200 (Clopper, Pearson)": lambda: counts(0.02, 200),
+    "wrong answers, 30 % of 50": lambda: counts(0.3, 50),
+    "R_err of a validation, 50 % of 200 base sets, one variant": lambda: means(0.5, 200, 1),
+    "R_err of a validation, 2 % of 100 base sets, one variant": lambda: means(0.02, 100, 1),
+    "R_err of a validation, 5 % of 60 base sets, 30 variants": lambda: means(0.05, 60, 30),
+    "released errors, 8 lots of 250 with 12 wrong (at most)": lambda: lots(12, 8, PLAN),
+    "released errors, 8 lots of 250 with 3 wrong (at most)": lambda: lots(3, 8, PLAN),
+    "failing vehicles, 10 % in every box, 1 set (up to)": lambda: boxes(0.1, 30, 1),
+    "failing vehicles, 10 % in every box, the best of 20 sets (up to)": lambda: boxes(0.1, 30, 20),
+    "importance, 100 held-out sets": lambda: importance(100),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TABLE)
+def test_an_interval_holds_as_often_as_it_claims(name: str) -> None:
+    held, width, exact = TABLE[name]()
+    assert held >= 0.93
+    assert exact is None or width <= 1.5 * exact
+
+
+def test_the_limit_of_lots_without_an_error_is_near_the_exact_one() -> None:
+    """Twelve lots of 90 without an error in their samples: an exact limit of all as one sample is 3.5 %."""
+    plan = smallest_plan(90, 0.05, 0)
+    assert most_released([(plan, 0)] * 12) / (12 * 90) < 1.5 * 0.035
+
+
+if __name__ == "__main__":
+    for title, compute in TABLE.items():
+        share, mean, known = compute()
+        sys.stdout.write(f"| {title} | {share:.1%} | {mean:.4f} | {'' if known is None else f'{known:.4f}'} |\n")
