@@ -17,11 +17,14 @@ QUESTIONS = {
     "why is a set the best": "Why is this set the best?",
     "add a parameter": "May I add a scenario or a parameter?",
     "curve": "How do I calibrate a curve?",
+    "random simulation": "What if my simulation is random?",
+    "licence": "Licences and other scarce things",
+    "license": "My simulator needs a licence",
     "crash": "My simulator crashes or hangs",
     "four machines": "How do I use four machines?",
     "where is what stored": "What is stored where?",
     "move the database": "How do I move or copy the database?",
-    "CI": "What do I call from CI",
+    "CI": "In CI",
     "lot": "Lot",
 }
 """Words that readers type, and the heading that the search should find first."""
