@@ -29,8 +29,8 @@ FIXED = {"home", "database_url", "database_password_file", "tokens_file", "ray_a
 
 @cache
 def document(path: Path = COMPOSE) -> dict[str, Any]:
-    found: dict[str, Any] = yaml.safe_load(path.read_text())
-    return found
+    result: dict[str, Any] = yaml.safe_load(path.read_text())
+    return result
 
 
 def services() -> list[tuple[str, dict[str, Any]]]:
@@ -87,11 +87,11 @@ def test_secrets_are_files_and_no_environment_holds_one(name: str, service: dict
 
 
 def test_nothing_starts_before_the_database_is_at_its_revision() -> None:
-    found = document()["services"]
-    assert found["migrate"]["depends_on"] == {"db": {"condition": "service_healthy"}}
-    assert found["api"]["depends_on"] == {"migrate": {"condition": "service_completed_successfully"}}
-    assert found["dispatcher"]["depends_on"] == {name: {"condition": "service_healthy"} for name in ("api", "ray-head")}
-    assert found["ray-worker"]["depends_on"] == {"ray-head": {"condition": "service_healthy"}}
+    result = document()["services"]
+    assert result["migrate"]["depends_on"] == {"db": {"condition": "service_healthy"}}
+    assert result["api"]["depends_on"] == {"migrate": {"condition": "service_completed_successfully"}}
+    assert result["dispatcher"]["depends_on"] == {name: {"condition": "service_healthy"} for name in ("api", "ray-head")}
+    assert result["ray-worker"]["depends_on"] == {"ray-head": {"condition": "service_healthy"}}
 
 
 def test_a_node_elsewhere_is_the_same_as_a_node_here() -> None:
@@ -142,7 +142,7 @@ def locked(path: Path) -> dict[str, frozenset[str]]:
     """The hashes of each requirement."""
     lines = path.read_text().replace("\\\n", " ").splitlines()
     entries = [line.split("--hash=") for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    return {entry[0].split(";")[0].strip(): frozenset(one.strip() for one in entry[1:]) for entry in entries}
+    return {entry[0].split(";")[0].strip(): frozenset(item.strip() for item in entry[1:]) for entry in entries}
 
 
 @pytest.mark.parametrize("role", [*ROLES, "build"])

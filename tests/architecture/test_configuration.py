@@ -38,7 +38,7 @@ def test_properties_try_the_same_examples_everywhere_unless_the_long_form_is_cho
 @cache
 def locked() -> dict[str, list[tuple[str, int]]]:
     """Version and number of hashes of each locked package, by name; several where platforms differ."""
-    found: dict[str, list[tuple[str, int]]] = {}
+    result: dict[str, list[tuple[str, int]]] = {}
     entries = LOCK.read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
     for entry in entries:
         if entry.strip() and not entry.lstrip().startswith("#"):
@@ -46,8 +46,8 @@ def locked() -> dict[str, list[tuple[str, int]]]:
             match = re.fullmatch(r"([A-Za-z0-9_.-]+)(?:\[[^]]*\])?==([^\s;]+)\s*(?:;.*)?", requirement.strip())
             assert match is not None
             name, version = match.groups()
-            found.setdefault(canonicalize_name(name), []).append((version, len(hashes)))
-    return found
+            result.setdefault(canonicalize_name(name), []).append((version, len(hashes)))
+    return result
 
 
 @pytest.mark.parametrize("requirement", declared(), ids=str)

@@ -37,7 +37,7 @@ EXAMPLES = sorted([*(ROOT / "deploy" / "examples").glob("*.yaml"), *(ROOT / "dep
 def shown_commands() -> Iterator[tuple[Path, list[str]]]:
     """The words of every command line in the code blocks of the pages."""
     for page in PAGES:
-        for block in (one for one in blocks(page) if one.language != "text"):
+        for block in (item for item in blocks(page) if item.language != "text"):
             for line in block.text.replace("\\\n", " ").splitlines():
                 try:
                     words = shlex.split(line.removeprefix("$ "), comments=True)
@@ -130,8 +130,8 @@ def test_the_readme_is_read_in_a_minute() -> None:
 
 def section(text: str, title: str) -> str:
     """The text below a heading of the second level."""
-    (found,) = re.findall(rf"^## {re.escape(title)}\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL)
-    return str(found)
+    (result,) = re.findall(rf"^## {re.escape(title)}\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL)
+    return str(result)
 
 
 def test_the_numbers_of_the_readme_are_those_of_the_results() -> None:

@@ -52,12 +52,12 @@ PLANTED = {
 
 def rules() -> list[dict[str, Any]]:
     with (PROJECT / "pyproject.toml").open("rb") as file:
-        found: list[dict[str, Any]] = tomllib.load(file)["tool"]["importlinter"]["contracts"]
-    return found
+        result: list[dict[str, Any]] = tomllib.load(file)["tool"]["importlinter"]["contracts"]
+    return result
 
 
 def rule(name: str) -> dict[str, Any]:
-    return next(one for one in rules() if one["name"] == name)
+    return next(item for item in rules() if item["name"] == name)
 
 
 def lint(tree: Path) -> subprocess.CompletedProcess[str]:
@@ -81,7 +81,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_rule_is_kept_and_every_rule_finds_what_is_planted(copy: Path) -> None:
     clean = lint(copy)
     assert clean.returncode == 0, clean.stdout + clean.stderr
-    assert {one["name"] for one in rules()} == set(PLANTED)
+    assert {item["name"] for item in rules()} == set(PLANTED)
     for number, (folder, statement) in enumerate(PLANTED.values()):
         (copy / folder / f"planted{number}.py").write_text(f"{statement}\n")
     broken = lint(copy)
@@ -115,7 +115,7 @@ def test_a_rule_between_roots_names_every_package(name: str, source: set[str], f
 
 
 def test_the_backends_and_drivecal_local_are_the_only_exceptions() -> None:
-    exceptions = [exception for one in rules() for exception in one.get("ignore_imports", [])]
+    exceptions = [exception for item in rules() for exception in item.get("ignore_imports", [])]
     assert {exception.split(" -> ")[0] for exception in exceptions} == {
         "drivecal.execution.processes.child",
         "drivecal.execution.ray.worker",
@@ -126,13 +126,13 @@ def test_the_backends_and_drivecal_local_are_the_only_exceptions() -> None:
 
 def imported(tree: ast.Module) -> set[str]:
     """The top-level names of all that a module imports, wherever in it."""
-    found: set[str] = set()
+    result: set[str] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            result |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            found.add("." * node.level + (node.module or ""))
-    return {name.split(".")[0] for name in found}
+            result.add("." * node.level + (node.module or ""))
+    return {name.split(".")[0] for name in result}
 
 
 def test_the_domain_imports_nothing_that_no_rule_thought_of() -> None:

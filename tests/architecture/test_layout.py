@@ -27,8 +27,8 @@ every_package = pytest.mark.parametrize("name", sorted(name for root in ROOTS fo
 
 
 def test_the_top_level_holds_what_the_floor_plan_names_and_nothing_else() -> None:
-    found = {path.name for path in PROJECT.iterdir() if not path.name.startswith(".")}
-    assert found - BUILT <= TOP_LEVEL
+    result = {path.name for path in PROJECT.iterdir() if not path.name.startswith(".")}
+    assert result - BUILT <= TOP_LEVEL
 
 
 @pytest.mark.parametrize("root", ROOTS, ids=shown)
@@ -108,14 +108,14 @@ def is_described_elsewhere(node: ast.Module | ast.ClassDef, name: str) -> bool:
 
 def undocumented(node: ast.Module | ast.ClassDef, prefix: str) -> list[str]:
     """Public classes, functions and methods without a docstring; what is inside a function or starts with _ is nobody's business."""
-    found: list[str] = []
+    result: list[str] = []
     for child in node.body:
         if isinstance(child, (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)) and not child.name.startswith("_"):
             if not ast.get_docstring(child) and not (is_described_elsewhere(node, child.name)):
-                found.append(prefix + child.name)
+                result.append(prefix + child.name)
             if isinstance(child, ast.ClassDef):
-                found += undocumented(child, f"{prefix}{child.name}.")
-    return found
+                result += undocumented(child, f"{prefix}{child.name}.")
+    return result
 
 
 def test_undocumented_things_would_be_found() -> None:

@@ -4,13 +4,13 @@ import pytest
 from tests.architecture.plain_words import NAMES, OPENER, PARAMETER, PROSE, patterns_in, phrases_in
 
 CEILINGS = {
-    "services/drivecal": 197,
+    "services/drivecal": 189,
     "services/web": 0,
-    "shared/drivecal": 100,
+    "shared/drivecal": 97,
     "workers/drivecal": 1,
     "docs": 93,
     "deploy": 2,
-    "tests": 648,
+    "tests": 258,
 }
 """Largest number of unclear phrases by folder: 0 once the folder is mended."""
 

@@ -206,9 +206,9 @@ def reaching(names: Sequence[str], seeds: Sequence[int], cells: int, cache: Path
     """Yields a line for each problem: medians over the seeds; a search that does not get there counts as longer than all others."""
     yield f"{'':16}{'genetic 200 x 15':>18}{'surrogate':>12}{'share':>8}   reached"
     for name in names:
-        found = [reach(name, seed, cells, cache) for seed in seeds]
-        needed = [np.inf if ours is None else ours for _, _, ours in found]
-        theirs, ours = float(np.median([genetic for genetic, _, _ in found])), float(np.median(needed))
+        result = [reach(name, seed, cells, cache) for seed in seeds]
+        needed = [np.inf if ours is None else ours for _, _, ours in result]
+        theirs, ours = float(np.median([genetic for genetic, _, _ in result])), float(np.median(needed))
         yield f"{name:16}{theirs:>18,.0f}{ours:>12,.0f}{ours / theirs:>8.1%}   {int(np.isfinite(needed).sum())} of {len(seeds)}"
 
 

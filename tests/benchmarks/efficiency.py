@@ -132,12 +132,12 @@ def cost_beside_others(cells: list[tuple[str, list[float]]], processes: int) -> 
     context = get_context("spawn")
     start, costs = context.Barrier(processes), context.Queue()
     started = [context.Process(target=_beside_others, args=(cells, start, costs)) for _ in range(processes)]
-    for one in started:
-        one.start()
-    found = [costs.get(timeout=300) for _ in started]
-    for one in started:
-        one.join()
-    return fmean(found)
+    for item in started:
+        item.start()
+    result = [costs.get(timeout=300) for _ in started]
+    for entry in started:
+        entry.join()
+    return fmean(result)
 
 
 def sample_of(client: Client, campaign: Campaign) -> list[tuple[str, list[float]]]:

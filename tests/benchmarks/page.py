@@ -108,8 +108,8 @@ def main(arguments: Sequence[str]) -> int:
     limits = {"seconds_to_state": 1.0, "seconds_to_evaluations": MOST_SECONDS, "server_megabytes_for_each_page": MOST_SERVER}
     limits |= {"seconds_to_overview": 1.0, "brush_longest_frame_ms": MOST_FRAME, "scroll_longest_frame_ms": MOST_FRAME}
     missed = [f"{size}: {what}" for size, found in figures.items() for what, most in limits.items() if found[what] > most]
-    for one in missed:
-        print(f"missed: {one} (at most {limits[one.partition(': ')[2]]:g})")
+    for item in missed:
+        print(f"missed: {item} (at most {limits[item.partition(': ')[2]]:g})")
     slow = [name for name, most in frames.items() if most > MOST_FRONT_FRAME]
     for name in slow:
         print(f"missed: front, {name} (at most {MOST_FRONT_FRAME:g})")
@@ -158,38 +158,38 @@ def measure(browser: Browser, api: ApiProcess, campaign: StoredCampaign) -> dict
     address = f"{api.url}/#/campaigns/{campaign.id}"
     api.http.get("/api/v1/campaigns").raise_for_status()
     before = api.megabytes
-    found: dict[str, float] = {}
+    result: dict[str, float] = {}
 
     first = browser.new_page(viewport={"width": 1280, "height": 900})
-    found["seconds_to_state"] = seconds_to(first, address, lambda: expect(first.get_by_text("Finished.")).to_be_visible())
+    result["seconds_to_state"] = seconds_to(first, address, lambda: expect(first.get_by_text("Finished.")).to_be_visible())
     first.close()
 
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     page.set_default_timeout(120_000)
     spent = api.process.cpu_times()
-    found["seconds_to_evaluations"] = seconds_to(
+    result["seconds_to_evaluations"] = seconds_to(
         page, f"{address}/evaluations", lambda: expect(page.get_by_role("grid")).to_be_visible(timeout=120_000)
     )
     began = time.perf_counter()
     expect(page.get_by_text(re.compile("Reading|drawing"))).to_have_count(0, timeout=120_000)
-    found["seconds_to_all"] = found["seconds_to_evaluations"] + time.perf_counter() - began
+    result["seconds_to_all"] = result["seconds_to_evaluations"] + time.perf_counter() - began
     now = api.process.cpu_times()
-    found["server_cpu_seconds_to_all"] = now.user + now.system - spent.user - spent.system
+    result["server_cpu_seconds_to_all"] = now.user + now.system - spent.user - spent.system
     for what, frame in (("brush", brushed), ("scroll", scrolled)):
         frames = [frame(page) for _ in range(TRIES)]
-        found[f"{what}_first_longest_frame_ms"], found[f"{what}_longest_frame_ms"] = frames[0], min(frames)
+        result[f"{what}_first_longest_frame_ms"], result[f"{what}_longest_frame_ms"] = frames[0], min(frames)
     memory: Any = page.context.new_cdp_session(page).send("Runtime.getHeapUsage")
-    found["heap_megabytes"] = (memory["usedSize"] + memory.get("backingStorageSize", 0)) / 2**20
-    found["tab_megabytes"] = largest_tab()
+    result["heap_megabytes"] = (memory["usedSize"] + memory.get("backingStorageSize", 0)) / 2**20
+    result["tab_megabytes"] = largest_tab()
 
     others = [browser.new_page() for _ in range(PAGES - 1)]
     for other in others:
         other.goto(f"{address}/evaluations")
         expect(other.get_by_role("grid")).to_be_visible(timeout=120_000)
-    found["server_megabytes_for_each_page"] = max(0.0, api.megabytes - before) / PAGES
-    for one in (page, *others):
-        one.close()
-    return found
+    result["server_megabytes_for_each_page"] = max(0.0, api.megabytes - before) / PAGES
+    for item in (page, *others):
+        item.close()
+    return result
 
 
 def seconds_to(page: Page, address: str, there: Any) -> float:

@@ -212,11 +212,11 @@ def main(arguments: list[str]) -> int:
     known = map(Outcome.read, given.file.read_text(encoding="utf-8").splitlines() if given.file.exists() else [])
     here, size = Circumstances.here(), (given.population, given.iterations)
     outcomes = {
-        (one.kind, one.seed): one
-        for one in known
-        if (one.population, one.iterations) == size
-        and (given.counts or one.measured_with.machine in {here.machine, ""})
-        and one.measured_with.commit in {here.commit, *given.commit}
+        (item.kind, item.seed): item
+        for item in known
+        if (item.population, item.iterations) == size
+        and (given.counts or item.measured_with.machine in {here.machine, ""})
+        and item.measured_with.commit in {here.commit, *given.commit}
     }
     seeds = range(1, given.seeds + 1)
     for seed in seeds:

@@ -11,10 +11,10 @@ from tests.support.faults.findings import Found
 @pytest.fixture(scope="session")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     """The cluster of `docker-compose.yml` in a project of its own, built and started as the documentation says; nothing is left of it."""
-    found = engine()
-    if found is None:
+    result = engine()
+    if result is None:
         pytest.exit("there is no Docker engine with Compose 2: start one, or name one by DOCKER_HOST", returncode=2)
-    print(f"\nDocker {found}", flush=True)
+    print(f"\nDocker {result}", flush=True)
     with cluster_on_engine(tmp_path_factory.mktemp("cluster")) as running:
         yield running
 

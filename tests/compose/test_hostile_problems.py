@@ -76,8 +76,8 @@ print(json.dumps({"commands": commands, "files": files, "used_mb": used}))
 
 def look(cluster: Cluster, node: str) -> dict[str, Any]:
     """Returns what is on a node."""
-    found: dict[str, Any] = json.loads(cluster.run("docker", "exec", node, "python", "-S", "-c", LOOK))
-    return found
+    result: dict[str, Any] = json.loads(cluster.run("docker", "exec", node, "python", "-S", "-c", LOOK))
+    return result
 
 
 def remains(cluster: Cluster, node: str) -> list[str]:
@@ -90,13 +90,13 @@ def remains(cluster: Cluster, node: str) -> list[str]:
 
 def others(cluster: Cluster) -> list[list[str | int]]:
     """Addresses that no node may reach: database and API by name and by number, and one of another network."""
-    found: list[list[str | int]] = []
+    result: list[list[str | int]] = []
     for service, port in (("db", 5432), ("api", 8000)):
-        found.append([service, port])
+        result.append([service, port])
         (container,) = cluster.containers(service)
         addresses = "{{range .NetworkSettings.Networks}}{{.IPAddress}} {{end}}"
-        found += [[address, port] for address in cluster.run("docker", "inspect", "-f", addresses, container).split()]
-    return [*found, ["192.0.2.1", 443]]
+        result += [[address, port] for address in cluster.run("docker", "inspect", "-f", addresses, container).split()]
+    return [*result, ["192.0.2.1", 443]]
 
 
 def lives(cluster: Cluster) -> set[str]:

@@ -33,9 +33,9 @@ def head(cluster: Cluster, tmp_path: Path) -> Iterator[Cluster]:
 @pytest.fixture
 def machines(head: Cluster) -> Iterator[list[Machine]]:
     """The other three; nothing of theirs runs yet."""
-    found = [Machine(head, f"machine-{number}", NETWORK) for number in (2, 3, 4)]
-    yield found
-    for machine in found:
+    result = [Machine(head, f"machine-{number}", NETWORK) for number in (2, 3, 4)]
+    yield result
+    for machine in result:
         machine.compose("down", "--timeout", "5", check=False)
 
 

@@ -24,11 +24,11 @@ def test_a_pushed_problem_finds_in_the_cluster_what_it_finds_embedded(
         ended = client.wait(client.submit({**SPEC, "problem": name}).id)
         assert (ended.state, ended.error, ended.cells.failed) == ("succeeded", None, 0)
         assert ended.spec["problem"] == pushed.digest
-        found = rows(client, ended.id)
+        result = rows(client, ended.id)
     with serving(tmp_path, workers=2) as embedded, Client(embedded.url) as client:
         assert client.push_problem(folder).digest == pushed.digest
         expected = client.wait(client.submit({**SPEC, "problem": name}).id)
-        assert rows(client, expected.id) == found
+        assert rows(client, expected.id) == result
         assert expected.best == ended.best
 
 

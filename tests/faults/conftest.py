@@ -36,8 +36,8 @@ def server_on(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callab
         return made[-1]
 
     yield make
-    for one in made:
-        one.close()
+    for item in made:
+        item.close()
 
 
 @pytest.fixture(scope="session")

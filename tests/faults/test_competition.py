@@ -39,7 +39,7 @@ def test_fifty_posts_with_one_key_make_one_campaign_though_the_api_is_killed(kin
             together.wait()
             time.sleep(0.05 * attempt)
             server.api().kill()
-            identifiers = {one.result() for one in posted}
+            identifiers = {item.result() for item in posted}
         assert len(identifiers) == 1
         with server.database.read() as connection:
             query = select(func.count()).select_from(campaigns).where(campaigns.c.idempotency_key == key)

@@ -34,13 +34,13 @@ def test_a_daemon_does_not_escape_the_cage_and_ends_with_it() -> None:
     assert caged.stdin is not None
     caged.stdin.close()
     assert caged.wait(60) == 7, "the command's own exit code"
-    assert not any(alive(one) for one in family)
+    assert not any(alive(item) for item in family)
 
 
 def test_what_others_do_costs_no_patience() -> None:
     burners = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 1)]
     try:
-        family = [psutil.Process(one.pid) for one in burners]
+        family = [psutil.Process(item.pid) for item in burners]
         begin = time.monotonic()
         ours, theirs = Patience(60.0, lambda: family), Patience(60.0, list)
         until(lambda: min(sum(process.cpu_times()[:2]) for process in family) > 0.4, "that they burn")

@@ -72,7 +72,7 @@ def test_a_segfault_a_hang_and_exhausted_memory_in_a_batch_of_sixteen_cost_their
     deadline = max(SHORTEST_DEADLINE_SECONDS, PATIENCE_FACTOR * (time.monotonic() - begin))
     monkeypatch.setattr(healed, "_limits", replace(healed._limits, deadline_seconds=deadline))
     pool.submit(Work(setup, [Cell(100 + dose, {"dose": float(dose)}) for dose in range(POISON.DOSES)]), tag="test")
-    completed = {one.result.id - 100: one for one in _drain(pool)}
+    completed = {item.result.id - 100: item for item in _drain(pool)}
     assert max(len(batch) for batch in sent) == len(completed) == POISON.DOSES
     assert {dose: one.result.breakdown for dose, one in completed.items() if one.result.breakdown} == CAUSES
     times = {dose: sum(dose in batch for batch in sent) for dose in range(1, POISON.DOSES)}
@@ -112,10 +112,10 @@ def test_poison_in_a_campaign_is_failed_with_its_cause_and_nothing_else_is(tmp_p
             details = {row.id: row.detail for row in connection.execute(select(evaluations.c.id, evaluations.c.detail))}
         server.terminate()
     assert (campaign.json()["state"], campaign.json()["cells"]["failed"]) == ("succeeded", len(CAUSES))
-    found = {int(row["dose"]): row for row in rows.json()["items"]}
-    assert len(found) == POISON.DOSES
-    assert {dose: row["failure"] for dose, row in found.items() if row["outcome"] == "failed"} == CAUSES
-    assert {row["outcome"] for dose, row in found.items() if dose not in CAUSES} <= {"simulated", "reused", "repeated"}
-    assert all(attempts[found[dose]["id"]] == ATTEMPTS for dose in CAUSES if RUNS[dose] == ATTEMPTS), attempts
-    assert all(details[found[dose]["id"]] for dose in CAUSES), details
+    result = {int(row["dose"]): row for row in rows.json()["items"]}
+    assert len(result) == POISON.DOSES
+    assert {dose: row["failure"] for dose, row in result.items() if row["outcome"] == "failed"} == CAUSES
+    assert {row["outcome"] for dose, row in result.items() if dose not in CAUSES} <= {"simulated", "reused", "repeated"}
+    assert all(attempts[result[dose]["id"]] == ATTEMPTS for dose in CAUSES if RUNS[dose] == ATTEMPTS), attempts
+    assert all(details[result[dose]["id"]] for dose in CAUSES), details
     assert max(attempts.values()) <= ATTEMPTS

@@ -42,19 +42,19 @@ def versions() -> dict[str, str]:
 
 def results() -> dict[str, dict[str, Any]]:
     """Score, failure, and floats in hexadecimal, by cell."""
-    found: dict[str, dict[str, Any]] = {}
+    outcome: dict[str, dict[str, Any]] = {}
     for name, scenario in HIGHWAY.scenarios.items():
         vehicle = SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
         runner = TaskRunner(scenario, FRENET, vehicle, REFERENCE)
         for label, parameters in SETS.items():
             result = runner.run(parameters)
             floats = {"rating": result.rating.rating} | {metric: result.metrics[metric] for metric in METRICS}
-            found[f"{name} {label}"] = {
+            outcome[f"{name} {label}"] = {
                 "score": result.rating.score,
                 "failure": result.failure,
                 "floats": {metric: value.hex() for metric, value in floats.items()},
             }
-    return found
+    return outcome
 
 
 def in_a_fresh_process() -> str:
@@ -69,10 +69,10 @@ def test_the_golden_cells_give_what_they_gave() -> None:
         if promised
         else "a version changed, so this may be on purpose: then write the file anew (python tests/golden/test_cells.py)"
     )
-    found = results()
-    assert set(found) == set(golden["cells"]), remedy
+    result = results()
+    assert set(result) == set(golden["cells"]), remedy
     for cell, was in golden["cells"].items():
-        now = found[cell]
+        now = result[cell]
         assert (now["score"], now["failure"]) == (was["score"], was["failure"]), f"{cell}: {remedy}"
         for metric, value in was["floats"].items():
             expected = pytest.approx(float.fromhex(value), rel=TOLERANCE, abs=TOLERANCE)

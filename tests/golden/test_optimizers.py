@@ -43,14 +43,14 @@ def test_the_populations_of_a_fixed_seed_are_known(
 ) -> None:
     settings = plugin.settings.model_validate({"kind": plugin.name, "population": 50, "start": start, "seed": 2024})
     optimizer = plugin.create(settings, HIGHWAY)
-    populations, found = hashlib.blake2b(digest_size=8), []
+    populations, result = hashlib.blake2b(digest_size=8), []
     for _ in range(10):
         population = optimizer.ask().population
         populations.update(population.astype("<i8").tobytes())
         objectives = np.floor(7 * np.cos(population / HIGHWAY).mean(axis=1) * 100) / 100
         optimizer.tell(objectives, population[:, 0].astype(np.float64))
-        found.append(float(objectives.max()))
-        if len(found) == 1:
+        result.append(float(objectives.max()))
+        if len(result) == 1:
             assert population[0].tolist() == first
-    assert found == best
+    assert result == best
     assert populations.hexdigest() == digest

@@ -25,12 +25,12 @@ def test_a_submitted_campaign_is_accepted_and_found_at_its_location(api: Running
     assert response.status_code == 202
     campaign = response.json()
     assert response.headers["location"] == f"/api/v1/campaigns/{campaign['id']}" == campaign["links"]["self"]
-    found = api.http.get(response.headers["location"]).json()
-    assert found == campaign
-    assert found["state"] == "queued"
-    assert found["spec"]["optimizer"]["population"] == 10
-    assert found["spec"]["reduction"]["audit"] == 0.02, "defaults are filled in"
-    assert set(found["cells"]) >= {"proposed", "carried_over", "pending", "requested", "repeated", "reused", "certified"}
+    result = api.http.get(response.headers["location"]).json()
+    assert result == campaign
+    assert result["state"] == "queued"
+    assert result["spec"]["optimizer"]["population"] == 10
+    assert result["spec"]["reduction"]["audit"] == 0.02, "defaults are filled in"
+    assert set(result["cells"]) >= {"proposed", "carried_over", "pending", "requested", "repeated", "reused", "certified"}
 
 
 def test_an_etag_spares_what_has_not_changed(api: RunningApi) -> None:
@@ -106,9 +106,9 @@ def test_solutions_are_ranked_by_any_weights(api: RunningApi) -> None:
     assert (best["rank"], best["objective"], best["scores"]) == (1, 3.5, {"S1": 4, "S4": 3})
     heavier = api.http.get(url, params={"weights": "S1=3,S4=1"}).json()["items"]
     assert heavier[0]["objective"] == pytest.approx(3.75)
-    assert [one["scores"]["S1"] for one in heavier] == [4, 3, 2, 1, 0]
+    assert [item["scores"]["S1"] for item in heavier] == [4, 3, 2, 1, 0]
     alone = api.http.get(url, params={"weights": "S1=0"}).json()["items"]
-    assert {one["objective"] for one in alone} == {3.0}, "a scenario that is not named has weight 1"
+    assert {entry["objective"] for entry in alone} == {3.0}, "a scenario that is not named has weight 1"
     lines = list(csv.DictReader(io.StringIO(api.http.get(url, params={"format": "csv", "limit": 1}).text)))
     assert [line["score_S1"] for line in lines] == ["4", "3", "2", "1", "0"], "the whole table"
     assert lines[0]["P1"] == "-13.0"
@@ -207,23 +207,23 @@ def test_a_single_evaluation_shows_its_scenario_at_the_top(api: RunningApi) -> N
     queued = response.json()
     assert (queued["state"], queued["items"], queued["outcome"]) == ("queued", [], None)
     carry_out_evaluation(api.database, queued["id"])
-    found = api.http.get(response.headers["location"]).json()
-    assert (found["state"], found["scenario"], found["outcome"], found["score"]) == ("succeeded", "S2", "simulated", 0)
-    assert found["metrics"] == METRICS
-    assert found["parameters"] == MIDDLE | {"P9": 5.05}
-    assert [note.partition(":")[0] for note in found["notes"]] == ["P9"]
-    row = api.http.get(f"/api/v1/evaluations/{found['items'][0]['id']}").json()
+    result = api.http.get(response.headers["location"]).json()
+    assert (result["state"], result["scenario"], result["outcome"], result["score"]) == ("succeeded", "S2", "simulated", 0)
+    assert result["metrics"] == METRICS
+    assert result["parameters"] == MIDDLE | {"P9": 5.05}
+    assert [note.partition(":")[0] for note in result["notes"]] == ["P9"]
+    row = api.http.get(f"/api/v1/evaluations/{result['items'][0]['id']}").json()
     assert (row["scenario"], row["P1"], row["metrics"]) == ("S2", 0, METRICS)
 
 
 def test_an_evaluation_of_all_scenarios_has_their_mean_score(api: RunningApi) -> None:
     queued = api.http.post("/api/v1/evaluations", json={"parameters": MIDDLE}).json()
     carry_out_evaluation(api.database, queued["id"])
-    found = api.http.get(f"/api/v1/evaluations/{queued['id']}").json()
-    assert [item["scenario"] for item in found["items"]] == ["S1", "S2", "S3", "S4", "S5", "S6"]
-    assert found["objective"] == pytest.approx(15 / 6)
-    assert found["outcome"] is None
-    assert queued["id"] not in {one["id"] for one in api.http.get("/api/v1/campaigns?limit=1000").json()["items"]}
+    result = api.http.get(f"/api/v1/evaluations/{queued['id']}").json()
+    assert [item["scenario"] for item in result["items"]] == ["S1", "S2", "S3", "S4", "S5", "S6"]
+    assert result["objective"] == pytest.approx(15 / 6)
+    assert result["outcome"] is None
+    assert queued["id"] not in {entry["id"] for entry in api.http.get("/api/v1/campaigns?limit=1000").json()["items"]}
 
 
 def test_the_inventory_lists_scenarios_parameters_and_references(api: RunningApi) -> None:

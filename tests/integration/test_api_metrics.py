@@ -92,18 +92,18 @@ def busy(api: RunningApi) -> Measures:
 
 def test_the_dispatchers_measures_come_through(api: RunningApi) -> None:
     busy(api)
-    found = metrics(api)
-    assert samples(found["drivecal_workers"]) == {("starting",): 1, ("idle",): 1, ("busy",): 2}
+    result = metrics(api)
+    assert samples(result["drivecal_workers"]) == {("starting",): 1, ("idle",): 1, ("busy",): 2}
     assert (
-        value(found, "drivecal_resources", resource="carmaker"),
-        value(found, "drivecal_resources_held", resource="carmaker"),
+        value(result, "drivecal_resources", resource="carmaker"),
+        value(result, "drivecal_resources_held", resource="carmaker"),
     ) == (4, 3)
-    assert (value(found, "drivecal_ready"), value(found, "drivecal_degraded")) == (1, 1)
-    assert value(found, "drivecal_dispatcher_heartbeat_age_seconds") < 5
-    assert value(found, "drivecal_breakdowns", kind="crash") == 2
-    assert value(found, "drivecal_breakdowns", kind="hang") == 0
-    assert value(found, "drivecal_late_results") == 1
-    lookup = {(sample.name, sample.labels.get("le")): sample.value for sample in found["drivecal_lookup_seconds"].samples}
+    assert (value(result, "drivecal_ready"), value(result, "drivecal_degraded")) == (1, 1)
+    assert value(result, "drivecal_dispatcher_heartbeat_age_seconds") < 5
+    assert value(result, "drivecal_breakdowns", kind="crash") == 2
+    assert value(result, "drivecal_breakdowns", kind="hang") == 0
+    assert value(result, "drivecal_late_results") == 1
+    lookup = {(sample.name, sample.labels.get("le")): sample.value for sample in result["drivecal_lookup_seconds"].samples}
     buckets = [lookup["drivecal_lookup_seconds_bucket", le] for le in (*map(str, BOUNDS), "+Inf")]
     assert buckets == sorted(buckets)
     assert lookup["drivecal_lookup_seconds_bucket", "0.005"] == 1
@@ -133,7 +133,7 @@ def test_both_formats_are_what_a_linter_wants(api: RunningApi) -> None:
         for sample in family.samples:
             assert sample.name.endswith("_total") or family.type != "counter", sample.name
             assert not sample.name.endswith("_created")
-    seen = Counter((one.name, tuple(sorted(one.labels.items()))) for family in families for one in family.samples)
+    seen = Counter((item.name, tuple(sorted(item.labels.items()))) for family in families for item in family.samples)
     assert seen.most_common(1)[0][1] == 1
     assert {name.removesuffix("_info") for name in {family.name for family in families}} == set(metrics(api))
 
@@ -152,10 +152,10 @@ def test_a_database_that_fails_is_said_to_be_down(tmp_path: Path) -> None:
         assert value(metrics(api), "drivecal_database_up") == 1
         with api.database.transaction() as connection:
             connection.execute(text("ALTER TABLE campaigns RENAME TO gone"))
-        found = metrics(api)
-        assert value(found, "drivecal_database_up") == 0
-        assert "drivecal_workers" not in found
-        assert "drivecal_http_requests" in found
+        result = metrics(api)
+        assert value(result, "drivecal_database_up") == 0
+        assert "drivecal_workers" not in result
+        assert "drivecal_http_requests" in result
 
 
 def test_the_workers_of_a_silent_dispatcher_are_none(tmp_path: Path) -> None:
@@ -163,8 +163,8 @@ def test_the_workers_of_a_silent_dispatcher_are_none(tmp_path: Path) -> None:
         busy(api)
         with api.database.transaction() as connection:
             connection.execute(update(process_table).values(heartbeat_at=now().replace(year=2020)))
-        found = metrics(api)
-        assert set(samples(found["drivecal_workers"]).values()) == {0}
-        assert value(found, "drivecal_ready") == 0
-        assert value(found, "drivecal_dispatcher_heartbeat_age_seconds") > 1e6
-        assert value(found, "drivecal_breakdowns", kind="crash") == 2
+        result = metrics(api)
+        assert set(samples(result["drivecal_workers"]).values()) == {0}
+        assert value(result, "drivecal_ready") == 0
+        assert value(result, "drivecal_dispatcher_heartbeat_age_seconds") > 1e6
+        assert value(result, "drivecal_breakdowns", kind="crash") == 2

@@ -23,16 +23,16 @@ class Ended:
     rerun: dict[str, Any]
 
     def rows(self, campaign: dict[str, Any]) -> list[dict[str, Any]]:
-        found: list[dict[str, Any]] = []
+        result: list[dict[str, Any]] = []
         cursor: str | None = None
         while True:
             page = self.api.http.get(
                 campaign["links"]["evaluations"], params={"limit": 1000} | ({"cursor": cursor} if cursor else {})
             )
-            found += page.json()["items"]
+            result += page.json()["items"]
             cursor = page.json()["next_cursor"]
             if cursor is None:
-                return found
+                return result
 
 
 def _carry_out(api: RunningApi, campaign: dict[str, Any]) -> dict[str, Any]:
@@ -60,22 +60,22 @@ def test_every_cell_can_be_explained(ended: Ended) -> None:
     for row in ended.rows(ended.first)[::7]:
         response = ended.api.http.get(f"/api/v1/evaluations/{row['id']}/explain")
         assert response.status_code == 200, response.text
-        found = Explanation.model_validate(response.json())
-        assert (found.evaluation, found.outcome, found.score) == (row["id"], row["outcome"], row["score"])
-        assert found.sentence
+        result = Explanation.model_validate(response.json())
+        assert (result.evaluation, result.outcome, result.score) == (row["id"], row["outcome"], row["score"])
+        assert result.sentence
         if row["reference"] is not None:
-            assert found.reference is not None
-            assert found.reference.evaluation == row["reference"]
-        reasons.add(found.reason)
+            assert result.reference is not None
+            assert result.reference.evaluation == row["reference"]
+        reasons.add(result.reason)
     assert reasons >= {"reused", "simulated"}
 
 
 def test_references_of_an_earlier_campaign_are_named_with_it(ended: Ended) -> None:
     copied = next(row for row in ended.rows(ended.rerun) if row["outcome"] == "repeated")
-    found = ended.api.http.get(f"/api/v1/evaluations/{copied['id']}/explain").json()
-    assert found["reason"] == "repeated"
-    assert found["reference"]["campaign"] == ended.first["id"]
-    assert ended.first["id"] in found["sentence"]
+    result = ended.api.http.get(f"/api/v1/evaluations/{copied['id']}/explain").json()
+    assert result["reason"] == "repeated"
+    assert result["reference"]["campaign"] == ended.first["id"]
+    assert ended.first["id"] in result["sentence"]
 
 
 def results_of(ended: Ended, campaign: dict[str, Any]) -> CampaignResults:
@@ -83,39 +83,39 @@ def results_of(ended: Ended, campaign: dict[str, Any]) -> CampaignResults:
 
 
 def test_the_account_adds_up(ended: Ended) -> None:
-    found = results_of(ended, ended.first).accounting
-    assert found is not None
+    result = results_of(ended, ended.first).accounting
+    assert result is not None
     cells, analysis = ended.first["cells"], ended.first["sensitivity_cells"]
-    assert (found.requested, found.simulated, found.audited) == (cells["requested"], cells["simulated"], cells["audited"])
-    assert found.answered_without_simulation == cells["repeated"] + cells["reused"]
-    assert (found.sensitivity.requested, found.sensitivity.simulated) == (analysis["requested"], analysis["simulated"])
+    assert (result.requested, result.simulated, result.audited) == (cells["requested"], cells["simulated"], cells["audited"])
+    assert result.answered_without_simulation == cells["repeated"] + cells["reused"]
+    assert (result.sensitivity.requested, result.sensitivity.simulated) == (analysis["requested"], analysis["simulated"])
     seconds = 0.007  # of every simulation
-    assert found.sensitivity.seconds == pytest.approx(analysis["simulated"] * seconds)
-    confirmed = sum(scenario.confirmed for scenario in found.scenarios)
-    assert found.saved_seconds == pytest.approx((found.answered_without_simulation - confirmed) * seconds)
-    assert found.net_seconds == pytest.approx(found.saved_seconds - found.sensitivity.seconds)
-    assert found.simulated_seconds + found.sensitivity.seconds == pytest.approx(ended.first["seconds"]["simulating"])
-    assert [scenario.scenario for scenario in found.scenarios] == ["S1", "S2"]
-    assert found.map is not None
-    assert found.map.paid_here
-    assert found.break_even is not None
-    saving = (cells["reused"] - confirmed) / found.requested
-    assert found.break_even.requested_cells == pytest.approx(analysis["simulated"] / saving, abs=1)
+    assert result.sensitivity.seconds == pytest.approx(analysis["simulated"] * seconds)
+    confirmed = sum(scenario.confirmed for scenario in result.scenarios)
+    assert result.saved_seconds == pytest.approx((result.answered_without_simulation - confirmed) * seconds)
+    assert result.net_seconds == pytest.approx(result.saved_seconds - result.sensitivity.seconds)
+    assert result.simulated_seconds + result.sensitivity.seconds == pytest.approx(ended.first["seconds"]["simulating"])
+    assert [scenario.scenario for scenario in result.scenarios] == ["S1", "S2"]
+    assert result.map is not None
+    assert result.map.paid_here
+    assert result.break_even is not None
+    saving = (cells["reused"] - confirmed) / result.requested
+    assert result.break_even.requested_cells == pytest.approx(analysis["simulated"] / saving, abs=1)
 
 
 def test_a_rerun_reports_what_it_saved_and_who_paid_for_the_map(ended: Ended) -> None:
-    found = results_of(ended, ended.rerun).accounting
-    assert found is not None
-    assert found.sensitivity.requested == 0
-    assert found.net_seconds == found.saved_seconds > 0
-    assert found.map is not None
-    assert (found.map.made_by, found.map.paid_here) == (ended.first["id"], False)
-    assert found.share_without_simulation is not None
-    assert found.share_without_simulation > 0.5
+    result = results_of(ended, ended.rerun).accounting
+    assert result is not None
+    assert result.sensitivity.requested == 0
+    assert result.net_seconds == result.saved_seconds > 0
+    assert result.map is not None
+    assert (result.map.made_by, result.map.paid_here) == (ended.first["id"], False)
+    assert result.share_without_simulation is not None
+    assert result.share_without_simulation > 0.5
 
 
 def test_the_campaign_shows_what_was_narrowed_and_what_contradicts(ended: Ended) -> None:
-    assert {one["parameter"] for one in ended.first["narrowed"]} == {"P2", "P3", "P4"}
+    assert {item["parameter"] for item in ended.first["narrowed"]} == {"P2", "P3", "P4"}
     assert {name: rate["contradictions"] for name, rate in ended.first["error_rate"].items()} == {"S1": 0, "S2": 0}
 
 
@@ -137,8 +137,8 @@ def test_before_a_campaign_the_share_from_which_the_map_pays_is_told(ended: Ende
     def expected(**changes: Any) -> dict[str, Any]:
         response = ended.api.http.post("/api/v1/campaigns?validate_only=true", json=WITH_ANALYSIS | changes)
         assert response.status_code == 200, response.text
-        found: dict[str, Any] = response.json()
-        return found
+        result: dict[str, Any] = response.json()
+        return result
 
     usual = expected()
     assert usual["break_even_share"] == usual["sensitivity"] / usual["calibration_at_most"]
@@ -154,8 +154,8 @@ def test_a_single_evaluation_is_explained_by_its_own_id(ended: Ended) -> None:
     early = ended.api.http.get(f"{alone['links']['self']}/explain")
     assert early.status_code == 409
     _carry_out(ended.api, alone)
-    found = ended.api.http.get(f"{alone['links']['self']}/explain").json()
-    assert found["reason"] in {"simulated", "repeated"}
+    result = ended.api.http.get(f"{alone['links']['self']}/explain").json()
+    assert result["reason"] in {"simulated", "repeated"}
     every = ended.api.http.post("/api/v1/evaluations", json=one).json()
     _carry_out(ended.api, every)
     several = ended.api.http.get(f"{every['links']['self']}/explain")

@@ -14,7 +14,7 @@ from drivecal.storage.engine.database import Database
 
 def told(database: Database, campaign: StoredCampaign) -> list[tuple[str, dict[str, Any]]]:
     with database.read() as connection:
-        return [(one.kind, dict(one.data)) for one in events.since(connection, campaign.sequence, 0, 1_000)]
+        return [(item.kind, dict(item.data)) for item in events.since(connection, campaign.sequence, 0, 1_000)]
 
 
 def analysed(database: Database) -> StoredCampaign:
@@ -35,18 +35,18 @@ def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(databa
     assert kinds[:3] == ["queued", "running", "stage"]
     after = kinds[len(kinds) - kinds[::-1].index("generation") :]
     assert [kind for kind in after if kind != "note"] == ["succeeded"], "the best set may have been confirmed"
-    assert [one["stage"] for one in by_kind["stage"]] == ["sensitivity", "calibration"]
+    assert [entry["stage"] for entry in by_kind["stage"]] == ["sensitivity", "calibration"]
     assert kinds.index("phase") < kinds.index("influence_map") < len(kinds) - 1 - kinds[::-1].index("stage")
-    assert [one["phase"] for one in by_kind["phase"]] == list(range(len(by_kind["phase"])))
+    assert [element["phase"] for element in by_kind["phase"]] == list(range(len(by_kind["phase"])))
     assert by_kind["phase"][-1]["requested"] == ended.counts(StageName.SENSITIVITY).requested
     assert by_kind["influence_map"][0]["id"] == ended.influence_map_id
     assert "P4" not in by_kind["influence_map"][0]["influential"]["S1"]
     with database.read() as connection:
         figures, _ = generations.page(connection, ended.sequence)
-    assert [(one["iteration"], one["best"], one["simulated"]) for one in by_kind["generation"]] == [
+    assert [(member["iteration"], member["best"], member["simulated"]) for member in by_kind["generation"]] == [
         (iteration, one.best, one.cells.simulated) for iteration, one in figures
     ]
-    objectives = [one["objective"] for one in by_kind["best"]]
+    objectives = [item["objective"] for item in by_kind["best"]]
     assert objectives == sorted(set(objectives))
     assert ended.best is not None
     assert by_kind["best"][-1]["objective"] == ended.best.objective

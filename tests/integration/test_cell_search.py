@@ -48,12 +48,12 @@ def carried_out(database: Database, seed: int = 0, **changes: Any) -> StoredCamp
 
 
 def test_what_is_asked_for_does_not_depend_on_the_order_of_answers(tmp_path: Path) -> None:
-    found = []
+    result = []
     for seed in range(3):
         database = migrated(f"sqlite:///{tmp_path / f'{seed}.db'}")
-        found.append(everything(database, carried_out(database, seed, budget={"simulations": 100}, **BY_CELL)))
+        result.append(everything(database, carried_out(database, seed, budget={"simulations": 100}, **BY_CELL)))
         database.dispose()
-    assert found[0] == found[1] == found[2]
+    assert result[0] == result[1] == result[2]
 
 
 def test_a_budget_of_simulations_is_used_up_exactly(database: Database) -> None:
@@ -142,7 +142,7 @@ def test_a_repaired_set_that_was_asked_before_is_no_requested_cell(tmp_path: Pat
 def test_a_search_resumes_between_a_closed_round_and_the_next_one(
     tmp_path: Path, optimizer: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = []
+    result = []
     for deaths in (0, 3):
         left = [deaths]
         go_on = Calibration._go_on
@@ -161,9 +161,9 @@ def test_a_search_resumes_between_a_closed_round_and_the_next_one(
                 with suppress(Killed):
                     finish(database, campaign, dispatcher(database))
         assert left == [0]
-        found.append((everything(database, campaign)[0], get(database, campaign).cells))
+        result.append((everything(database, campaign)[0], get(database, campaign).cells))
         database.dispose()
-    (whole, undisturbed), (cells, killed) = found
+    (whole, undisturbed), (cells, killed) = result
     assert cells == whole[: len(cells)]
     lost = undisturbed.requested - killed.requested  # the starts of cells at workers that died with their dispatcher
     assert (undisturbed.runs - undisturbed.requested, killed.runs - killed.requested) == (0, lost)

@@ -57,8 +57,8 @@ def ask(database: Database, confirm: int, seed: int = 3, population: int = 16) -
 
 def told(database: Database, campaign: StoredCampaign, kind: str) -> list[Any]:
     with database.read() as connection:
-        found = events.since(connection, campaign.sequence, 0, 1_000)
-    return [one.data.get("text", one.data.get("iteration")) for one in found if one.kind == kind]
+        result = events.since(connection, campaign.sequence, 0, 1_000)
+    return [item.data.get("text", item.data.get("iteration")) for item in result if item.kind == kind]
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_the_best_set_is_simulated_and_the_ranking_made_anew(
     assert told(database, campaign, "note")[-1] == confirmation_verdict(known).text
     with database.read() as connection:
         best = [event.data for event in events.since(connection, campaign.sequence, 0, 1_000) if event.kind == "best"]
-    assert plain.best.objective in {one["objective"] for one in best}
+    assert plain.best.objective in {item["objective"] for item in best}
     assert Best.model_validate(best[-1]) == campaign.best, "whoever follows the events knows it as well"
     assert (plain.notes, plain.confirmation) == ((), None)
 
@@ -112,15 +112,15 @@ def test_a_cell_that_confirmed_is_explained_and_found_in_the_place_of_the_refere
         if (row.outcome, row.parameter_set_id, row.scenario) == (Outcome.REUSED, own.parameter_set_id, own.scenario)
     )
     with database.read() as connection:
-        found = explain(connection, own.id)
+        result = explain(connection, own.id)
         ranked_by = results.number_at(connection, campaign.sequence, copy.iteration, copy.individual, copy.scenario)
         other = next(row for row in rows if row.iteration == 0)
         assert results.number_at(connection, campaign.sequence, 0, other.individual, other.scenario) == other.id
-    assert found.reason == "checked"
-    assert found.reference is not None
-    assert found.reference.evaluation == copy.reference
-    assert found.check is not None
-    assert (found.score, found.check.expected) == (own.score, by_number[copy.reference or 0].score)
+    assert result.reason == "checked"
+    assert result.reference is not None
+    assert result.reference.evaluation == copy.reference
+    assert result.check is not None
+    assert (result.score, result.check.expected) == (own.score, by_number[copy.reference or 0].score)
     assert ranked_by == own.id
 
 
@@ -151,7 +151,7 @@ def test_a_dispatcher_killed_at_any_moment_of_it_changes_nothing(tmp_path: Path)
 
     ends = ends_in_spite_of_deaths(tmp_path, begin, lambda moment: ComputedBackend(moment, answer=spoiled), find, STRIDE)
     assert len(ends) > tries(3, 10)
-    assert all(one == ends[0] for one in ends)
+    assert all(end == ends[0] for end in ends)
     assert ends[0][0][0][-1][0] > ITERATIONS, "several sets were tried"
     assert len(ends[0][1]) == 1
     assert ends[0][2] == list(range(ITERATIONS))

@@ -23,13 +23,13 @@ TRUE_MAP = {scenario: {name: {"influential": False}} for scenario, name in IGNOR
 
 def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
     with database.read() as connection:
-        found = campaigns.get(connection, campaign.id)
-    counts = found.cells
+        result = campaigns.get(connection, campaign.id)
+    counts = result.cells
     assert counts.proposed == counts.carried_over + counts.pending + counts.requested
     answered = counts.repeated + counts.reused + counts.simulated + counts.failed
     assert counts.requested == answered
     assert counts.audited <= counts.simulated
-    return found
+    return result
 
 
 def _run(database: Database, campaign: StoredCampaign, backend: ComputedBackend | None = None) -> StoredCampaign:
@@ -75,15 +75,15 @@ def test_a_campaign_runs_to_its_end_and_every_cell_has_its_answer(database: Data
 @pytest.mark.slow("0.3")
 @pytest.mark.parametrize("audit", [0.0, 0.3])
 def test_the_order_in_which_workers_answer_changes_nothing(tmp_path: Path, audit: float) -> None:
-    found = []
+    result = []
     for seed in range(3):
         opened = migrated(f"sqlite:///{tmp_path / f'{seed}.db'}")
         campaign = submit(opened, stored_map=post_map(opened, TRUE_MAP), reduction={"audit": audit})
         _run(opened, campaign, ComputedBackend(seed))
-        found.append(everything(opened, campaign))
+        result.append(everything(opened, campaign))
         opened.dispose()
-    assert found[0] == found[1] == found[2]
-    assert found[0][2].reused > 0
+    assert result[0] == result[1] == result[2]
+    assert result[0][2].reused > 0
 
 
 @pytest.mark.slow("1")
@@ -91,7 +91,7 @@ def test_the_order_in_which_workers_answer_changes_nothing(tmp_path: Path, audit
 def test_a_campaign_that_was_killed_again_and_again_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
     calm, killed = (migrated(f"sqlite:///{tmp_path / name}.db") for name in ("calm", "killed"))
     draw = random.Random(seed)
-    found = []
+    result = []
     for database in (calm, killed):
         campaign = submit(
             database,
@@ -108,9 +108,9 @@ def test_a_campaign_that_was_killed_again_and_again_ends_like_one_that_was_not(t
                     break
             kills += 1
         assert kills > (5 if database is killed else 0)
-        found.append((everything(database, campaign), _get(database, campaign).baseline))
+        result.append((everything(database, campaign), _get(database, campaign).baseline))
         database.dispose()
-    assert found[0] == found[1]
+    assert result[0] == result[1]
 
 
 def test_a_rerun_with_other_weights_and_the_same_seed_is_answered_mostly_from_the_table(database: Database) -> None:
@@ -128,7 +128,7 @@ def test_a_rerun_with_other_weights_and_the_same_seed_is_answered_mostly_from_th
 
 
 def test_pause_stops_the_work_and_resume_goes_on_to_the_same_result(tmp_path: Path) -> None:
-    found = []
+    result = []
     for pauses in (False, True):
         database = migrated(f"sqlite:///{tmp_path / str(pauses)}.db")
         campaign = submit(database)
@@ -148,9 +148,9 @@ def test_pause_stops_the_work_and_resume_goes_on_to_the_same_result(tmp_path: Pa
             request(database, campaign, "resume")
         while not _get(database, campaign).state.ended:
             working.step()
-        found.append(everything(database, campaign))
+        result.append(everything(database, campaign))
         database.dispose()
-    assert found[0] == found[1]
+    assert result[0] == result[1]
 
 
 def test_cancel_ends_the_campaign_and_keeps_what_was_finished(database: Database) -> None:

@@ -50,18 +50,18 @@ def test_every_reader_gets_every_event_once_and_in_order_wherever_it_begins_and_
 
     async def reader(hub: EventHub) -> list[int]:
         await asyncio.sleep(draw.random() * 0.3)
-        found: list[int] = []
+        result: list[int] = []
         while True:
             patience = draw.randrange(1, 20)
-            stream = hub.stream(sequence, identifier, found[-1] if found else 0)
+            stream = hub.stream(sequence, identifier, result[-1] if result else 0)
             async for messages in stream:
-                found += [message.number for message in messages if message.number is not None]
+                result += [message.number for message in messages if message.number is not None]
                 await asyncio.sleep(draw.choice([0, 0, 0.005, 0.03]))
                 patience -= 1
                 if not patience and not done.is_set():
                     break  # the connection is lost, and with it nothing
             else:
-                return found
+                return result
             await stream.aclose()
 
     async def all_of_them() -> list[list[int]]:
@@ -92,7 +92,7 @@ def test_forgetting_old_events_skips_what_is_gone_and_loses_nothing_else(databas
         async with EventHub(database).running() as hub, asyncio.timeout(20):
             return [message.number async for messages in hub.stream(stored.sequence, stored.id, 3) for message in messages]
 
-    assert [one for one in asyncio.run(read()) if one is not None] == [newest]
+    assert [item for item in asyncio.run(read()) if item is not None] == [newest]
 
 
 def test_a_database_that_does_not_answer_is_told_and_so_is_its_return(
@@ -113,18 +113,18 @@ def test_a_database_that_does_not_answer_is_told_and_so_is_its_return(
 
     async def told() -> list[str]:
         nonlocal away
-        found = list[str]()
+        result = list[str]()
         async with EventHub(database).running() as hub, asyncio.timeout(20):
             async for messages in hub.stream(stored.sequence, stored.id, 0):
-                found += [f"{message.kind} {reason in message.content}" for message in messages]
-                if found[-1:] == ["progress False"] and not away:
+                result += [f"{message.kind} {reason in message.content}" for message in messages]
+                if result[-1:] == ["progress False"] and not away:
                     away = True
-                elif found[-1:] == ["degraded True"]:
+                elif result[-1:] == ["degraded True"]:
                     away = False
                     with database.transaction() as connection:
                         campaigns.request_action(connection, stored.id, "cancel")
-        return found
+        return result
 
-    found = asyncio.run(told())
-    assert found[-2:] == ["cancelled False", "progress False"]
-    assert "degraded True" in found
+    result = asyncio.run(told())
+    assert result[-2:] == ["cancelled False", "progress False"]
+    assert "degraded True" in result

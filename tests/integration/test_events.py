@@ -52,10 +52,10 @@ def submit(database: Database, *, starts: bool = True) -> StoredCampaign:
 
 def note(database: Database, campaign: StoredCampaign, *texts: str) -> None:
     """Events, as the dispatcher writes them: together with a change of the row."""
-    for one in texts:
+    for item in texts:
         with database.transaction() as connection:
-            campaigns.set_resolution(connection, campaign.sequence, {"note": one})
-            events.add(connection, campaign.sequence, EventKind.NOTE, {"text": one})
+            campaigns.set_resolution(connection, campaign.sequence, {"note": item})
+            events.add(connection, campaign.sequence, EventKind.NOTE, {"text": item})
 
 
 def end(database: Database, campaign: StoredCampaign) -> None:
@@ -79,10 +79,10 @@ def opened(
 
 def stored_only(found: Iterator[ServerSentEvent]) -> list[str]:
     """Kind of each event with an id, and the text of notes, in the order in which they came."""
-    told = [one for one in found if one.id is not None]
-    numbers = [int(one.id or 0) for one in told]
+    told = [item for item in found if item.id is not None]
+    numbers = [int(entry.id or 0) for entry in told]
     assert numbers == sorted(set(numbers)), "out of order, or twice"
-    return [json.loads(one.data)["data"].get("text", one.event) for one in told]
+    return [json.loads(element.data)["data"].get("text", element.event) for element in told]
 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
@@ -102,7 +102,7 @@ def test_a_stream_tells_what_happened_and_what_happens_and_closes_at_the_end(
             rest = list(stream)
         assert stored_only(iter(rest)) == ["meanwhile", "succeeded"]
         assert (rest[-1].event, CampaignProgress.model_validate_json(rest[-1].data).state) == ("progress", "succeeded")
-        document = json.loads(next(one for one in rest if one.event == "succeeded").data)
+        document = json.loads(next(item for item in rest if item.event == "succeeded").data)
         assert (document["campaign"], document["data"]) == (campaign.id, {"state": "succeeded"})
 
 
@@ -195,7 +195,7 @@ def test_a_silent_dispatcher_is_told_by_answers_and_streams_and_so_is_its_return
             campaigns.degrade(connection, [campaign.sequence], None)
         assert read() == (None, read()[1])
         end(api.database, campaign)
-        kinds = [one.event for one in stream if one.event != "progress"]
+        kinds = [item.event for item in stream if item.event != "progress"]
     assert kinds[0] == "degraded"
     assert kinds[-2:] == ["recovered", "succeeded"]
 

@@ -93,17 +93,17 @@ def causes(database: Database, campaign: StoredCampaign) -> list[FailureCause]:
 def test_every_failed_cell_is_counted_under_its_cause(database: Database) -> None:
     ended = run(database, submit(database), Simulated(broken=0.2, undefined=0.6, collides=0.8))
     assert ended.state is CampaignState.SUCCEEDED
-    found = {(cause.kind, cause.cause): cause for cause in causes(database, ended)}
-    assert {kind for kind, _ in found} == {"no_result", "failed", "unscored"}
-    assert len(found) == 3
-    crash = found["no_result", "crash"]
+    result = {(cause.kind, cause.cause): cause for cause in causes(database, ended)}
+    assert {kind for kind, _ in result} == {"no_result", "failed", "unscored"}
+    assert len(result) == 3
+    crash = result["no_result", "crash"]
     assert crash.cells == ended.cells.failed > 1
     assert "no licence" in (crash.detail or "")
     assert set(crash.scenarios) == {"city", "road"}
-    [undefined] = [cause for cause in found.values() if cause.kind == "unscored"]
+    [undefined] = [cause for cause in result.values() if cause.kind == "unscored"]
     assert "division by zero" in undefined.cause
     assert undefined.cells == ended.cells.unscored > 1
-    assert sum(cause.cells for cause in found.values()) < ended.cells.requested
+    assert sum(cause.cells for cause in result.values()) < ended.cells.requested
     with database.read() as connection:
         assert list(check_counters(connection)) == []
         told = [event for event in events.since(connection, ended.sequence, 0, 1_000) if "no licence" in str(event.data)]

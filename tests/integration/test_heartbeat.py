@@ -26,9 +26,9 @@ WORKER = WorkerInfo("worker-1", "here", 7, "idle", 3)
 
 def reported(database: Database) -> StoredProcess:
     with database.read() as connection:
-        found = processes.read(connection, "dispatcher")
-    assert found is not None
-    return found
+        result = processes.read(connection, "dispatcher")
+    assert result is not None
+    return result
 
 
 def heartbeat_of(database: Database, **options: Any) -> Heartbeat:
@@ -43,10 +43,10 @@ def test_it_says_how_the_workers_are_and_running_campaigns_what_is_wrong(databas
     heartbeat = heartbeat_of(database)
     heartbeat.tell([WORKER], "waiting for Ray: it is being started")
     heartbeat.beat()
-    found = reported(database)
-    assert found.detail["workers"][0]["id"] == "worker-1"
-    assert found.detail["degraded"] == "waiting for Ray: it is being started"
-    assert found.detail["measures"] == MEASURES.snapshot()
+    result = reported(database)
+    assert result.detail["workers"][0]["id"] == "worker-1"
+    assert result.detail["degraded"] == "waiting for Ray: it is being started"
+    assert result.detail["measures"] == MEASURES.snapshot()
     assert get(database, running).degraded == "waiting for Ray: it is being started"
     assert get(database, waiting).degraded is None
     heartbeat.tell([WORKER], None)
@@ -63,9 +63,9 @@ def test_it_beats_while_the_main_thread_is_busy_and_says_since_when(database: Da
         first = reported(database).heartbeat_at
         now[0] += STUCK_AFTER_SECONDS + 1
         until(lambda: "stuck_since" in reported(database).detail, "the report of a stuck dispatcher", 30)
-    found = reported(database)
-    assert found.heartbeat_at > first
-    assert found.detail["degraded"].startswith(
+    result = reported(database)
+    assert result.heartbeat_at > first
+    assert result.detail["degraded"].startswith(
         "one of 2 workers does not start; the dispatcher has been busy with one step since "
     )
     heartbeat.tell([WORKER], None)

@@ -53,11 +53,11 @@ def test_an_analysis_gives_bounds_in_units_and_its_measures(api: RunningApi, ana
 
 def test_a_map_says_what_it_rests_on_and_gives_the_same_rows(api: RunningApi, analysed: dict[str, Any]) -> None:
     url = api.http.get(f"/api/v1/campaigns/{analysed['id']}").json()["links"]["influence_map"]
-    found = api.http.get(url).json()
-    assert found["source"] == analysed["id"]
-    assert found["basis"]["sensitivity"]["intervals"] == 5
-    assert [InfluenceRow.model_validate(row) for row in found["rows"]] == list(rows_of(api, analysed).values())
-    listed = next(item for item in api.http.get("/api/v1/influence-maps").json()["items"] if item["id"] == found["id"])
+    result = api.http.get(url).json()
+    assert result["source"] == analysed["id"]
+    assert result["basis"]["sensitivity"]["intervals"] == 5
+    assert [InfluenceRow.model_validate(row) for row in result["rows"]] == list(rows_of(api, analysed).values())
+    listed = next(item for item in api.http.get("/api/v1/influence-maps").json()["items"] if item["id"] == result["id"])
     assert (listed["rows"], listed["basis"]) == (None, None)
 
 

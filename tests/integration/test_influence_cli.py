@@ -59,8 +59,8 @@ def test_influence_shows_a_table_per_scenario_with_a_picture_of_each_range(run: 
     assert any(line.startswith("S2  unknown") for line in lines)
     assert "design lines, 5 intervals, 6 samples, threshold 0.02, seed 1" in result.stdout
     basis = api.http.get(api.http.get(f"/api/v1/campaigns/{analysed}").json()["links"]["influence_map"]).json()["basis"]
-    found = basis["smallest_s_rel"]["S1"]
-    assert lines[-2].split() == ["S1", f"{found['intervals']:.3f}", f"{found['overall']:.3f}"]
+    outcome = basis["smallest_s_rel"]["S1"]
+    assert lines[-2].split() == ["S1", f"{outcome['intervals']:.3f}", f"{outcome['overall']:.3f}"]
     assert lines[-1].split() == ["S2", *["all", "are", "0"] * 2]
     rows = json.loads(run("influence", analysed, "--json").stdout)
     assert [(row["scenario"], row["parameter"]) for row in rows] == [(s, f"P{i}") for s in ("S1", "S2") for i in (1, 2, 3)]
@@ -85,7 +85,7 @@ def test_comparing_lists_the_pairs_that_differ_and_the_share_that_agrees(run: Ru
     differing = [line.split()[:2] for line in result.stdout.splitlines() if line.startswith(("S1 ", "S2 "))]
     assert differing == [["S1", "P1"], ["S2", "P1"], ["S2", "P2"], ["S2", "P3"]]
     assert "0 .. 1 (unknown)" in result.stdout
-    found = json.loads(run("influence", analysed, "--compare", other, "--json").stdout)
-    assert (found["pairs"], found["agreeing"]) == (6, 2)
-    assert found["differences"][0]["second"]["upper"] == 1
+    outcome = json.loads(run("influence", analysed, "--compare", other, "--json").stdout)
+    assert (outcome["pairs"], outcome["agreeing"]) == (6, 2)
+    assert outcome["differences"][0]["second"]["upper"] == 1
     assert json.loads(run("influence", analysed, "--compare", analysed, "--json").stdout)["share"] == 1

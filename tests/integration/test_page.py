@@ -143,7 +143,7 @@ def test_a_page_is_told_of_a_campaign_what_its_event_stream_tells(api: RunningAp
     assert [event["kind"] for event in events][:: len(events) - 1] == ["queued", "succeeded"]
     assert [message["progress"]["state"] for message in messages if "progress" in message] == ["succeeded"]
     with line(api, campaign.id, after=events[-2]["id"]) as socket:
-        assert [one["event"]["id"] for one in told(socket) if "event" in one] == [events[-1]["id"]]
+        assert [item["event"]["id"] for item in told(socket) if "event" in item] == [events[-1]["id"]]
     streamed = api.http.get(f"/api/v1/campaigns/{campaign.id}/events").text
     assert [f"id: {event['id']}" for event in events] == [row for row in streamed.splitlines() if row.startswith("id: ")]
 

@@ -116,7 +116,7 @@ def test_a_dispatcher_killed_at_any_moment_changes_no_result_and_answers_nothing
         monkeypatch.setattr(registry, "optimizer", lambda _: CellSearchPlugin())
     search = BY_CELL if by_cell else TINY
     draw = random.Random(seed)
-    found, deaths = [], Counter[str]()
+    result, deaths = [], Counter[str]()
     for kills in (False, True):
         database = databases()
         reduction = {"audit": 0.2, "confirm": 20}
@@ -136,12 +136,12 @@ def test_a_dispatcher_killed_at_any_moment_changes_no_result_and_answers_nothing
             )
             stored = connection.scalar(select(func.count()).select_from(runs))
         assert simulated == stored == get(database, campaign).cells.simulated
-        found.append(everything(database, campaign))
-    assert found[0] == found[1]
+        result.append(everything(database, campaign))
+    assert result[0] == result[1]
     assert sum(deaths.values()) > 3
     assert len(deaths) > 1
-    assert found[0][2].reused > 0
-    assert found[0][0][-1][0] >= TINY["optimizer"]["iterations"], "the best set was confirmed"
+    assert result[0][2].reused > 0
+    assert result[0][0][-1][0] >= TINY["optimizer"]["iterations"], "the best set was confirmed"
 
 
 @pytest.mark.slow("postgresql")
@@ -313,8 +313,8 @@ def test_a_campaign_whose_rows_are_damaged_fails_alone(databases: Callable[[], D
         rows = connection.execute(
             text("SELECT state, error FROM campaigns WHERE sequence < :sequence"), {"sequence": sound.sequence}
         )
-        found = {(row.state, (row.error or "").partition(":")[0]) for row in rows}
-    assert found == {("failed", "internal error")}
+        result = {(row.state, (row.error or "").partition(":")[0]) for row in rows}
+    assert result == {("failed", "internal error")}
     assert before.sequence < sound.sequence
 
 
@@ -322,27 +322,27 @@ def _both(database: Database, **changes: Any) -> tuple[ComputedBackend, list[Sto
     both = [submit(database, **TINY, **changes) for _ in range(2)]
     backend = ComputedBackend()
     working = dispatcher(database, backend)
-    return backend, [finish(database, one, working) for one in both]
+    return backend, [finish(database, item, working) for item in both]
 
 
 def test_identical_cells_of_parallel_campaigns_are_simulated_once_and_counted_once(tmp_path: Path) -> None:
-    found: Mapping[str, Any] = {}
+    result: Mapping[str, Any] = {}
     for name in ("alone", "both"):
         database = migrated(f"sqlite:///{tmp_path / name}.db")
         if name == "alone":
             campaign = submit(database, **TINY)
             finish(database, campaign, dispatcher(database))
-            found = {"cells": everything(database, campaign)[0], "seconds": get(database, campaign).simulating_seconds}
+            result = {"cells": everything(database, campaign)[0], "seconds": get(database, campaign).simulating_seconds}
             continue
         backend, ended = _both(database)
         assert len(backend.sent) == len(set(backend.sent))
-        for one in ended:
-            assert everything(database, one)[0] == found["cells"]
-        assert sum(one.simulating_seconds for one in ended) == pytest.approx(found["seconds"])
+        for item in ended:
+            assert everything(database, item)[0] == result["cells"]
+        assert sum(entry.simulating_seconds for entry in ended) == pytest.approx(result["seconds"])
         with database.read() as connection:
             row = evaluations_table.c
             shared = select(func.count()).where(row.outcome == "simulated", row.worker.is_(None), row.milliseconds.is_(None))
-            assert connection.scalar(shared) == sum(one.cells.simulated for one in ended) - len(backend.sent)
+            assert connection.scalar(shared) == sum(element.cells.simulated for element in ended) - len(backend.sent)
         database.dispose()
 
 

@@ -38,10 +38,10 @@ def test_two_workers_share_the_cells_and_agree(pool: WorkPool) -> None:
     cells = misbehaving_cells([Behaviour.WELL] * 200)
     pool.submit(Work(misbehaving_setup(), cells), tag="test")
     completed = drain(pool)
-    assert sorted(one.result.id for one in completed) == [cell.id for cell in cells]
-    assert len({one.worker for one in completed}) == 2
-    assert len({(one.result.rating, tuple(one.result.metrics.items())) for one in completed}) == 1
-    assert all(one.result.milliseconds > 0 for one in completed)
+    assert sorted(entry.result.id for entry in completed) == [cell.id for cell in cells]
+    assert len({element.worker for element in completed}) == 2
+    assert len({(member.result.rating, tuple(member.result.metrics.items())) for member in completed}) == 1
+    assert all(item.result.milliseconds > 0 for item in completed)
 
 
 def test_workers_killed_from_outside_cost_no_cell(pool: WorkPool) -> None:

@@ -72,15 +72,15 @@ def test_a_report_that_cannot_be_made_says_why(run: Run, api: RunningApi, ended:
 
 def test_a_cell_is_explained_within_its_campaign(run: Run, api: RunningApi, ended: str) -> None:
     number = api.http.get(f"/api/v1/campaigns/{ended}/evaluations?limit=1").json()["items"][0]["id"]
-    found = json.loads(run("explain", ended[:12], str(number), "--json").stdout)
-    assert (found["evaluation"], found["campaign"], found["outcome"]) == (number, ended, "simulated")
+    outcome = json.loads(run("explain", ended[:12], str(number), "--json").stdout)
+    assert (outcome["evaluation"], outcome["campaign"], outcome["outcome"]) == (number, ended, "simulated")
     printed = run("explain", ended, str(number))
     assert printed.exit_code == 0, printed.output
     where, values, result = printed.stdout.splitlines()[:3]
     assert where == f"evaluation {number}: calibration, iteration 1, individual 0, S1"
     assert values.startswith("P1=")
     assert result == "simulated, score 0"
-    assert found["sentence"] in printed.stdout
+    assert outcome["sentence"] in printed.stdout
     assert run("explain", ended, "999999999").exit_code == 5
     assert run("explain", ended, "nonsense").exit_code == 5
     other = api.http.post("/api/v1/campaigns", json={"sensitivity": None}).raise_for_status().json()["id"]

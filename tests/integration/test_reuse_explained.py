@@ -27,12 +27,12 @@ def test_every_reused_cell_is_explained_by_its_donor_and_what_differs(database: 
     reused = [row for row in rows if row.outcome is Outcome.REUSED]
     assert reused
     for row in reused:
-        found = _explain(database, row)
-        assert (found.reason, found.campaign, found.score) == ("reused", campaign.id, row.score)
-        assert found.reference is not None
-        assert found.reference.evaluation == row.reference
-        assert [difference.parameter for difference in found.differences] == [IGNORED[row.scenario]]
-        assert {(difference.region, difference.blocks) for difference in found.differences} == {("anywhere", False)}
+        result = _explain(database, row)
+        assert (result.reason, result.campaign, result.score) == ("reused", campaign.id, row.score)
+        assert result.reference is not None
+        assert result.reference.evaluation == row.reference
+        assert [difference.parameter for difference in result.differences] == [IGNORED[row.scenario]]
+        assert {(difference.region, difference.blocks) for difference in result.differences} == {("anywhere", False)}
     repeated = next(row for row in rows if row.outcome is Outcome.REPEATED)
     again = _explain(database, repeated)
     assert (again.reason, again.differences, again.stored) == ("repeated", [], None)

@@ -37,11 +37,11 @@ def _submit(database: Database, **changes: Any) -> StoredCampaign:
 
 def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
     with database.read() as connection:
-        found = campaigns.get(connection, campaign.id)
-    counts = found.counts(StageName.SENSITIVITY)
+        result = campaigns.get(connection, campaign.id)
+    counts = result.counts(StageName.SENSITIVITY)
     assert counts.proposed == counts.pending + counts.requested
     assert counts.requested == counts.repeated + counts.simulated + counts.failed
-    return found
+    return result
 
 
 def _run(database: Database, campaign: StoredCampaign, backend: ComputedBackend | None = None) -> StoredCampaign:
@@ -59,12 +59,12 @@ def _map(database: Database, campaign: StoredCampaign) -> InfluenceMap:
 def test_the_stage_finds_where_parameters_matter_and_the_calibration_uses_it(database: Database) -> None:
     ended = _run(database, _submit(database))
     assert (ended.state, ended.error) == (CampaignState.SUCCEEDED, None)
-    found = _map(database, ended)
-    assert found.influence("S1", "P1").influential
-    assert not found.influence("S1", "P3").influential
-    assert not found.influence("S1", "P4").influential
-    assert not found.influence("S2", "P1").influential
-    p2, p3 = found.influence("S1", "P2"), found.influence("S2", "P3")
+    result = _map(database, ended)
+    assert result.influence("S1", "P1").influential
+    assert not result.influence("S1", "P3").influential
+    assert not result.influence("S1", "P4").influential
+    assert not result.influence("S2", "P1").influential
+    p2, p3 = result.influence("S1", "P2"), result.influence("S2", "P3")
     assert p2.upper is not None
     assert 0.5 <= float(p2.upper) <= 0.7
     assert p3.lower is not None
@@ -91,7 +91,7 @@ def test_the_runs_of_the_analysis_are_references_from_the_first_population_on(da
 @pytest.mark.parametrize("seed", range(tries(1, 3)))
 def test_a_campaign_killed_in_its_analysis_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
     draw = random.Random(seed)
-    found = []
+    result = []
     for name in ("calm", "killed"):
         opened = migrated(f"sqlite:///{tmp_path / name}.db")
         campaign = _submit(opened)
@@ -107,9 +107,9 @@ def test_a_campaign_killed_in_its_analysis_ends_like_one_that_was_not(tmp_path: 
                 (row.stage, row.iteration, row.individual, row.scenario, row.outcome, row.score, row.audited, row.agrees)
                 for row in results.stream(connection, campaign.sequence)
             ]
-        found.append((cells, ended.cells, ended.counts(StageName.SENSITIVITY), ended.best, _map(opened, ended)))
+        result.append((cells, ended.cells, ended.counts(StageName.SENSITIVITY), ended.best, _map(opened, ended)))
         opened.dispose()
-    assert found[0] == found[1]
+    assert result[0] == result[1]
 
 
 def test_an_analysis_of_its_own_ends_with_a_map_that_a_later_campaign_names(database: Database) -> None:

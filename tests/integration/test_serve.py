@@ -134,10 +134,10 @@ def test_the_password_of_the_database_stays_in_the_processes_of_the_server(
             "SELECT relname::text FROM pg_class WHERE relkind = 'r' AND relnamespace = 'public'::regnamespace"
         )
         for (table,) in tables.fetchall():
-            found = sql.SQL("SELECT count(*) FROM {} t WHERE position({} IN t::text) > 0").format(
+            result = sql.SQL("SELECT count(*) FROM {} t WHERE position({} IN t::text) > 0").format(
                 sql.Identifier(table), sql.Literal(MINE)
             )
-            assert connection.execute(found).fetchone() == (0,), table
+            assert connection.execute(result).fetchone() == (0,), table
 
 
 def test_a_port_in_use_is_refused(tmp_path: Path) -> None:

@@ -19,10 +19,10 @@ from drivecal.contracts.work import Cell, CellResult, SetupRequest
 
 def fragile(setup: SetupRequest, cell: Cell) -> CellResult:
     """As `influenced`, in vehicles of up to a twentieth of the mass's range more."""
-    found = influenced(setup.scenario, cell)
+    result = influenced(setup.scenario, cell)
     if setup.varied["mass"] > 2060 + 0.05 * 1400:
-        return CellResult(cell.id, 0.0, 0, found.metrics, "collision", 5.0)
-    return found
+        return CellResult(cell.id, 0.0, 0, result.metrics, "collision", 5.0)
+    return result
 
 
 @pytest.fixture(scope="module")
@@ -152,15 +152,15 @@ def test_a_calibration_file_has_the_degree_of_a_study_by_another_campaign(run: R
 
 
 def test_the_setup_tells_versions_and_the_fingerprints_of_the_reference_table(api: RunningApi, ended: str) -> None:
-    found = api.http.get(f"/api/v1/campaigns/{ended}/setup").json()
+    result = api.http.get(f"/api/v1/campaigns/{ended}/setup").json()
     known = {item["fingerprint"]: item for item in api.http.get("/api/v1/references").json()["items"]}
-    assert [scenario["scenario"] for scenario in found["scenarios"]] == ["S1", "S2"]
-    for scenario in found["scenarios"]:
+    assert [scenario["scenario"] for scenario in result["scenarios"]] == ["S1", "S2"]
+    for scenario in result["scenarios"]:
         assert (scenario["driving_function"], scenario["vehicle"], scenario["simulator"]) == tuple(
             known[scenario["fingerprint"]][name] for name in ("driving_function", "vehicle", "simulator")
         )
         assert scenario["weight"] == 0.5
         assert scenario["vehicle_parameters"]["mass"] == 2060
-    assert [parameter["name"] for parameter in found["parameters"]] == list(
+    assert [parameter["name"] for parameter in result["parameters"]] == list(
         api.http.get(f"/api/v1/campaigns/{ended}").json()["best"]["parameters"]
     )

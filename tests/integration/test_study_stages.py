@@ -46,15 +46,15 @@ def test_sets_are_ranked_by_what_vehicles_they_bear(database: Database) -> None:
     named = [{f"P{i}": (share if i == 1 else 0.5) for i in range(1, 12)} for share in (0.0, 0.5, 1.0)]
     campaign = submit(database, optimizer=None, robustness={**ROBUST, "sets": named})
     ended = run(database, campaign, ComputedBackend(driven=heavy))
-    found = study(database, ended)
-    assert found["complete"]
-    assert [row["parameters"]["P1"] for row in found["items"]] == [1.0, 0.5, 0.0]
-    assert [row["degree"] for row in found["items"]] == [4, 2, 0]
-    assert [row["rank"] for row in found["items"]] == [1, 2, 3]
-    assert [row["recommended"] for row in found["items"]] == [True, False, False]
-    assert "the largest degree of robustness (4)" in found["items"][0]["reason"]
-    assert found["items"][0]["scores"] == {"S1": 6, "S2": 6, "S3": 6}
-    failing = found["items"][0]["trials"][-1]
+    result = study(database, ended)
+    assert result["complete"]
+    assert [row["parameters"]["P1"] for row in result["items"]] == [1.0, 0.5, 0.0]
+    assert [row["degree"] for row in result["items"]] == [4, 2, 0]
+    assert [row["rank"] for row in result["items"]] == [1, 2, 3]
+    assert [row["recommended"] for row in result["items"]] == [True, False, False]
+    assert "the largest degree of robustness (4)" in result["items"][0]["reason"]
+    assert result["items"][0]["scores"] == {"S1": 6, "S2": 6, "S3": 6}
+    failing = result["items"][0]["trials"][-1]
     assert not failing["holds"]
     assert failing["deviations"] == {"S1": 2.0, "S2": 2.0, "S3": 2.0}
     # nominal runs, then 5, 3 and 1 boxes
@@ -65,11 +65,11 @@ def test_sets_are_ranked_by_what_vehicles_they_bear(database: Database) -> None:
 def test_the_best_sets_of_a_calibration_are_examined_one_of_each_region_first(database: Database) -> None:
     campaign = submit(database, robustness=ROBUST)
     ended = run(database, campaign, ComputedBackend(driven=heavy))
-    found = study(database, ended)["items"]
+    result = study(database, ended)["items"]
     assert ended.best is not None
-    assert len(found) == 5
-    assert {row["objective"] for row in found} == {ended.best.objective}
-    assert max(row["region"] for row in found) >= 1
+    assert len(result) == 5
+    assert {row["objective"] for row in result} == {ended.best.objective}
+    assert max(row["region"] for row in result) >= 1
     assert ended.stage is StageName.ROBUSTNESS
 
 
@@ -137,7 +137,7 @@ def test_a_vehicle_without_a_result_ends_the_growing_of_boxes(database: Database
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(tries(1, 2)))
 def test_a_campaign_killed_in_its_studies_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
-    draw, found = random.Random(seed), []
+    draw, result = random.Random(seed), []
     for name in ("calm", "killed"):
         opened = migrated(f"sqlite:///{tmp_path / name}.db")
         stored_map = post_map(opened, nothing_matters())
@@ -156,11 +156,11 @@ def test_a_campaign_killed_in_its_studies_ends_like_one_that_was_not(tmp_path: P
                 for row in results.stream(connection, campaign.sequence)
             ]
         both = [study(opened, ended, stage) for stage in (StageName.ROBUSTNESS, StageName.VALIDATION)]
-        found.append(
+        result.append(
             (cells, ended.cells, ended.counts(StageName.ROBUSTNESS), ended.counts(StageName.VALIDATION), ended.best, both)
         )
         opened.dispose()
-    assert found[0] == found[1]
+    assert result[0] == result[1]
 
 
 def test_validation_counts_variants_that_differ_where_the_map_says_that_they_cannot(database: Database) -> None:

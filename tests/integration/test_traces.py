@@ -75,8 +75,8 @@ def work(api: RunningApi, answer: Callable[[str, Cell], CellResult] = traced) ->
 def evaluated(api: RunningApi, **changes: Any) -> dict[str, Any]:
     answer = api.http.post("/api/v1/evaluations", json={"parameters": MIDDLE | changes, "scenario": "S1"})
     work(api)
-    found: dict[str, Any] = api.http.get(answer.headers["location"]).json()
-    return found
+    result: dict[str, Any] = api.http.get(answer.headers["location"]).json()
+    return result
 
 
 def ask(api: RunningApi, evaluation: object, **headers: str) -> httpx.Response:
@@ -97,17 +97,17 @@ def test_the_first_to_ask_has_it_driven_once_more_and_all_get_the_same(api: Runn
     while not ended.sent:
         one.step()
     assert len(work(api).sent) == 1, "both wait for one simulation, which another dispatcher takes up"
-    found = ask(api, number)
-    assert found.status_code == 200
-    assert (found.json()["score"], found.json()["rating"]) == (evaluation["score"], evaluation["rating"])
-    assert found.json()["ego"] == SERIES
-    tag = found.headers["etag"]
+    result = ask(api, number)
+    assert result.status_code == 200
+    assert (result.json()["score"], result.json()["rating"]) == (evaluation["score"], evaluation["rating"])
+    assert result.json()["ego"] == SERIES
+    tag = result.headers["etag"]
     assert ask(api, evaluation["id"], **{"If-None-Match": tag}).status_code == 304
-    assert found.headers["content-encoding"] == "gzip"
+    assert result.headers["content-encoding"] == "gzip"
     for refusing in ("identity", "br, gzip;q=0", "gzip; q=0.00"):
         plain = ask(api, number, **{"Accept-Encoding": refusing})
         assert "content-encoding" not in plain.headers
-        assert plain.content == found.content
+        assert plain.content == result.content
     assert work(api).sent == []
     again = api.http.get(f"/api/v1/evaluations/{evaluation['id']}").json()
     assert again == evaluation, "nothing of the evaluation itself has changed"
@@ -118,7 +118,7 @@ def test_a_cell_of_a_campaign_is_driven_in_the_very_vehicle_that_it_had(api: Run
     heavy = {"model": "single_track", "parameters": {mass.name: mass.maximum}}
     campaign = run(api.database, submit(api.database, vehicle=heavy), ComputedBackend())
     with api.database.read() as connection:
-        row = next(one for one in results.stream(connection, campaign.sequence) if one.scenario == "S3")
+        row = next(item for item in results.stream(connection, campaign.sequence) if item.scenario == "S3")
     assert ask(api, row.id).status_code == 202
     with api.database.read() as connection:
         wanted = traces.find(connection, row.id)

@@ -170,7 +170,10 @@ def analyse(database: Database, campaign_id: str, score: Callable[[str, Mapping[
         assert analysis is not None
         while phase := analysis.ask():
             told = {
-                scenario: np.array([score(scenario, numbers(one)) for one in problem.space.parameter_sets(points)], dtype=float)
+                scenario: np.array(
+                    [score(scenario, numbers(parameter_set)) for parameter_set in problem.space.parameter_sets(points)],
+                    dtype=float,
+                )
                 for scenario, points in phase.points.items()
             }
             analysis.tell(told)

@@ -140,10 +140,10 @@ class Cluster:
     def workers(self) -> list[dict[str, Any]]:
         """As the API shows them; none while it does not answer."""
         try:
-            found: list[dict[str, Any]] = self.get("/api/v1/workers")["items"]
+            result: list[dict[str, Any]] = self.get("/api/v1/workers")["items"]
         except httpx.HTTPError:
             return []
-        return found
+        return result
 
     def ready_nodes(self) -> set[str]:
         """The nodes whose workers have started."""
@@ -162,12 +162,12 @@ class Cluster:
 
     def published(self) -> dict[str, set[int]]:
         """The ports of this machine that lead into containers, by service."""
-        found: dict[str, set[int]] = {}
+        result: dict[str, set[int]] = {}
         for line in self.compose("ps", "--format", "json").splitlines():
             one = json.loads(line)
             ports = {int(each["PublishedPort"]) for each in one["Publishers"] or [] if each["PublishedPort"]}
-            found.setdefault(one["Service"], set()).update(ports)
-        return found
+            result.setdefault(one["Service"], set()).update(ports)
+        return result
 
     def close(self) -> None:
         """Ends everything, and forgets its data."""

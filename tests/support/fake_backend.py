@@ -108,21 +108,21 @@ class FakeBackend:
 
     def wait(self, timeout: float) -> list[Finished | Lost]:
         until = self.now + timeout
-        found, self._late = self._late, []
-        if not found and self._events and self._events[0][0] <= until:
+        result, self._late = self._late, []
+        if not result and self._events and self._events[0][0] <= until:
             self.now = self._events[0][0]
             while self._events and self._events[0][0] <= self.now:
-                found += self._end(heapq.heappop(self._events)[2])
-        elif not found:
+                result += self._end(heapq.heappop(self._events)[2])
+        elif not result:
             self.now = until
-        return found
+        return result
 
     def slots(self) -> list[Slot]:
-        found = [Slot(worker.name, not worker.queue) for worker in self._workers if self._room(worker, alone=False)]
-        return sorted(found, key=lambda slot: not slot.idle)
+        result = [Slot(worker.name, not worker.queue) for worker in self._workers if self._room(worker, alone=False)]
+        return sorted(result, key=lambda slot: not slot.idle)
 
     def workers(self) -> list[WorkerInfo]:
-        states = ["starting" if one.ready_at > self.now else "busy" if one.queue else "idle" for one in self._workers]
+        states = ["starting" if item.ready_at > self.now else "busy" if item.queue else "idle" for item in self._workers]
         return [
             WorkerInfo(worker.name, self.nodes.get(worker.place, "here"), None, state, worker.cells)
             for worker, state in zip(self._workers, states, strict=True)

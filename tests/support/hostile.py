@@ -133,12 +133,12 @@ def ended(client: Client, identifier: str) -> EvaluatedCell:
 
 def inside(folder: Path) -> list[psutil.Process]:
     """The processes that work in a folder or below, such as simulators."""
-    found = []
+    result = []
     for process in psutil.process_iter():
         with suppress(psutil.Error):
             if process.status() != psutil.STATUS_ZOMBIE and Path(process.cwd()).is_relative_to(folder):
-                found.append(process)
-    return found
+                result.append(process)
+    return result
 
 
 def assert_costs(cells: Mapping[str, EvaluatedCell], causes: Mapping[str, str]) -> dict[str, str]:

@@ -317,11 +317,11 @@ class Turmoil(RuleBasedStateMachine):
         self, sent: Dispatch, completed: list[Completed], broken: dict[int, tuple[Breakdown, str]], witness: str | None
     ) -> None:
         """Compares what is completed with what has to be, and writes it down. `witness`: the worker, where it lives."""
-        found = {one.result.id: one for one in completed}
-        assert len(found) == len(completed), "a cell is completed twice"
+        result = {item.result.id: item for item in completed}
+        assert len(result) == len(completed), "a cell is completed twice"
         for cell in sent.batch.cells:
             row = self.rows[cell.id]
-            alike = [one for one in self.rows.values() if one.identity == row.identity and one is not row]
+            alike = [element for element in self.rows.values() if element.identity == row.identity and element is not row]
             breakdown, culprit = broken.get(cell.id, (None, ""))
             attempts = self.tally[row.identity] + 1
             if breakdown is not None:
@@ -334,16 +334,16 @@ class Turmoil(RuleBasedStateMachine):
                     continue
                 self._check_failure(row)
             assert attempts <= ATTEMPTS
-            for one in (row, *alike):
-                done = found.pop(one.id)
-                assert (done.tag, done.attempts, done.worker) == (one.tag, attempts, sent.worker)
-                assert done.leader == (None if one is row else row.id)
+            for entry in (row, *alike):
+                done = result.pop(entry.id)
+                assert (done.tag, done.attempts, done.worker) == (entry.tag, attempts, sent.worker)
+                assert done.leader == (None if entry is row else row.id)
                 assert done.result.breakdown == (None if breakdown is None else breakdown.value)
-                assert done.result.rating == (float(one.value) if breakdown is None else None)
-                del self.rows[one.id]
+                assert done.result.rating == (float(entry.value) if breakdown is None else None)
+                del self.rows[entry.id]
                 self.answered += 1
             self._forget_identity(row.identity)
-        assert not found, "completed, but never sent, or not due"
+        assert not result, "completed, but never sent, or not due"
         told = self.scheduler.take_breakdowns()
         expected = {row.id: self.tally[row.identity] for row in self.rows.values()}
         for number, count in told.items():
@@ -372,7 +372,7 @@ class Turmoil(RuleBasedStateMachine):
     def _give_up(self, row: Row) -> None:
         del self.rows[row.id]
         self.given_up += 1
-        if not any(one.identity == row.identity for one in self.rows.values()):
+        if not any(item.identity == row.identity for item in self.rows.values()):
             self._forget_identity(row.identity)
 
     def _forget_identity(self, identity: Hashable) -> None:

@@ -175,8 +175,8 @@ class Pair:
     @property
     def difference(self) -> float:
         """The optimum with the reduction less the one without; 0 if they are equal but for rounding."""
-        found, base = self.run.optimum or 0.0, self.base.optimum or 0.0
-        return 0.0 if same(found, base) else found - base
+        result, base = self.run.optimum or 0.0, self.base.optimum or 0.0
+        return 0.0 if same(result, base) else result - base
 
     @property
     def saved(self) -> int:

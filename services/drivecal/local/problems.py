@@ -311,11 +311,11 @@ def undeclared(manifest: Manifest, checked: Sequence[CheckedScenario]) -> list[s
     """
     own = (*OF_THE_SYSTEM, sys.prefix, sys.base_prefix, sys.exec_prefix, str(sessions()), str(Path(__file__).parents[3]))
     covered = [Path(each) for each in (*own, *(each for each in manifest.simulator.inputs or () if isinstance(each, str)))]
-    found = sorted({Path(path) for result in checked for path in result.opened})
+    opened = sorted({Path(path) for result in checked for path in result.opened})
     return [
         f"a run opened {path} outside of the problem's folder: add it to `simulator.inputs` in problem.yaml, or stored runs are reused"
         " after it changed"
-        for path in found
+        for path in opened
         if path.is_file() and not any(path.is_relative_to(each) for each in covered)
     ][:MOST_WARNINGS]
 

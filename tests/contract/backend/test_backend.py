@@ -52,14 +52,14 @@ def room(backend: Backend) -> tuple[int, int]:
 
 
 def collect(backend: Backend, count: int) -> dict[int, Finished | Lost]:
-    found: dict[int, Finished | Lost] = {}
+    result: dict[int, Finished | Lost] = {}
     for _ in range(600):
         for event in backend.wait(0.5):
-            assert event.batch_id not in found, "a batch came back twice"
-            found[event.batch_id] = event
-        if len(found) == count:
-            return found
-    raise AssertionError(f"only {sorted(found)} came back")
+            assert event.batch_id not in result, "a batch came back twice"
+            result[event.batch_id] = event
+        if len(result) == count:
+            return result
+    raise AssertionError(f"only {sorted(result)} came back")
 
 
 def test_a_batch_comes_back_with_its_results_in_order(backend: Backend) -> None:

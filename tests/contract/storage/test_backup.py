@@ -110,10 +110,10 @@ def test_a_campaign_that_ran_when_it_was_backed_up_ends_alike_in_the_restored_da
     backup.write(used, tmp_path / "backup.db", silent)
     target = Database.open(target_url(backend))
     backup.restore(tmp_path / "backup.db", target, silent)
-    found = []
+    result = []
     for database in (used, target):
         with database.read() as connection:
-            [running] = [one for one in campaigns.page(connection)[0] if one.name == "test" and one.priority == 0][:1]
+            [running] = [item for item in campaigns.page(connection)[0] if item.name == "test" and item.priority == 0][:1]
         ended = finish(database, running, dispatcher(database, ComputedBackend(9)))
         with database.read() as connection:
             rows = [
@@ -121,9 +121,9 @@ def test_a_campaign_that_ran_when_it_was_backed_up_ends_alike_in_the_restored_da
                 for row in results.stream(connection, running.sequence)
             ]
             figures, _ = generations.page(connection, running.sequence)
-        found.append((ended.state, ended.cells, ended.best, [row[1:7] for row in rows], figures))
-    assert found[0] == found[1]
-    assert found[0][0] is CampaignState.SUCCEEDED
+        result.append((ended.state, ended.cells, ended.best, [row[1:7] for row in rows], figures))
+    assert result[0] == result[1]
+    assert result[0][0] is CampaignState.SUCCEEDED
     target.dispose()
 
 
@@ -208,8 +208,8 @@ def test_an_empty_database_is_not_backed_up(empty_url: str, tmp_path: Path) -> N
 
 def test_a_database_without_one_of_its_tables_is_not_copied(empty_url: str, tmp_path: Path) -> None:
     database, target = Database.open(empty_url), Database.open(f"sqlite:///{tmp_path / 'target.db'}")
-    for one in (database, target):
-        one.upgrade()
+    for item in (database, target):
+        item.upgrade()
     with database.transaction() as connection:
         connection.execute(text("DROP TABLE leases"))
     with pytest.raises(DatabaseError, match="leases"), database.read() as source, target.transaction() as connection:
@@ -341,7 +341,7 @@ def test_a_backup_is_one_file_that_can_be_read_where_nothing_can_be_written(used
     folder = tmp_path / "shelf"
     folder.mkdir()
     backup.write(used, folder / "backup.db", silent)
-    assert [one.name for one in folder.iterdir()] == ["backup.db"]
+    assert [item.name for item in folder.iterdir()] == ["backup.db"]
     with closing(sqlite3.connect(f"file:{folder / 'backup.db'}?mode=ro&immutable=1", uri=True)) as plain:
         assert plain.execute("PRAGMA journal_mode").fetchone() == ("delete",)
         assert plain.execute("SELECT count(*) FROM runs").fetchone()[0] > 200

@@ -41,9 +41,9 @@ def test_the_list_is_newest_first_and_pages_are_complete_whatever_comes_in_betwe
         second, cursor = campaigns.page(connection, limit=2, cursor=cursor)
         third, last = campaigns.page(connection, limit=2, cursor=cursor)
         singles, _ = campaigns.page(connection, kind="evaluation")
-    assert [[one.name for one in page] for page in (first, second, third)] == [["4", "3"], ["2", "1"], ["0"]]
+    assert [[item.name for item in page] for page in (first, second, third)] == [["4", "3"], ["2", "1"], ["0"]]
     assert last is None
-    assert [one.name for one in singles] == ["single"]
+    assert [single.name for single in singles] == ["single"]
 
 
 def test_neither_lists_nor_the_dispatchers_look_carry_long_specifications(database: Database) -> None:
@@ -52,9 +52,9 @@ def test_neither_lists_nor_the_dispatchers_look_carry_long_specifications(databa
         stored = campaigns.insert(connection, name="long", spec=long)
         short = campaigns.insert(connection, name="short", spec={"name": "short"})
         listed, _ = campaigns.page(connection)
-        assert [one.spec for one in listed] == [{"name": "short"}, {}]
+        assert [item.spec for item in listed] == [{"name": "short"}, {}]
         assert campaigns.get(connection, stored.id).spec == long
-        assert [(type(one), one.id) for one in campaigns.active(connection)] == [
+        assert [(type(entry), entry.id) for entry in campaigns.active(connection)] == [
             (CampaignHeading, stored.id),
             (CampaignHeading, short.id),
         ]
@@ -101,13 +101,13 @@ def test_progress_is_written_and_read_back_whole(database: Database) -> None:
 def test_a_campaign_that_rests_or_has_ended_waits_for_nothing_any_more(database: Database) -> None:
     with database.transaction() as connection:
         paused, ended = campaign(connection), campaign(connection)
-        for one in (paused, ended):
-            campaigns.start(connection, one.sequence)
+        for item in (paused, ended):
+            campaigns.start(connection, item.sequence)
         campaigns.degrade(connection, [paused.sequence, ended.sequence], "no workers")
         campaigns.request_action(connection, paused.id, "pause")
         assert campaigns.pause(connection, paused.sequence)
         assert campaigns.end(connection, ended.sequence, SUCCEEDED)
-        assert [campaigns.get(connection, one.id).degraded for one in (paused, ended)] == [None, None]
+        assert [campaigns.get(connection, entry.id).degraded for entry in (paused, ended)] == [None, None]
 
 
 def test_a_state_changes_only_from_what_was_expected(database: Database) -> None:

@@ -33,7 +33,7 @@ OFTEN = tries(25, 1)
 
 def problems(database: Database, *, full: bool = True) -> list[str]:
     """What is broken, each with the name of its check."""
-    return [f"{one.name}: {problem}" for one in verify(database, full=full) for problem in one.problems]
+    return [f"{item.name}: {problem}" for item in verify(database, full=full) for problem in item.problems]
 
 
 class UndoneError(Exception):
@@ -53,14 +53,14 @@ class Uncommitted:
 
 def problems_after(database: Database, statement: str) -> list[str]:
     """What would be broken if a statement were committed."""
-    found: list[str] = []
+    result: list[str] = []
     with suppress(UndoneError), database.transaction() as connection:
         _without_foreign_keys(connection)
         connection.execute(text(statement.replace(":", r"\:")))
         seen: Any = Uncommitted(connection)
-        found = problems(seen)
+        result = problems(seen)
         raise UndoneError
-    return found
+    return result
 
 
 def failing(scenario: str, cell: Cell) -> CellResult:
@@ -75,7 +75,7 @@ def test_nothing_is_broken_at_any_moment_of_campaigns(database: Database) -> Non
     listed = [submit(database, **SMALL), submit(database, **SMALL | {"weights": {"S1": 1}}), submit(database, **SMALL)]
     working = dispatcher(database, ComputedBackend(4, failing))
     steps = 0
-    while not all(get(database, one).state.ended for one in listed):
+    while not all(get(database, item).state.ended for item in listed):
         working.step()
         steps += 1
         if steps % OFTEN == 0:
@@ -158,8 +158,8 @@ def test_what_is_broken_is_found_and_named(filled: Database, backend: str, subte
                 statement = "UPDATE reference_keys SET key = CAST('0123456789abcdef' AS {}) WHERE run_id = 7".format(
                     "BLOB" if backend == "sqlite" else "BYTEA"
                 )
-            found = problems_after(filled, statement)
-            assert any(problem.startswith(f"{check}: ") for problem in found), found
+            result = problems_after(filled, statement)
+            assert any(problem.startswith(f"{check}: ") for problem in result), result
     assert problems(filled) == [], "each was undone"
 
 
@@ -188,10 +188,10 @@ def test_what_a_schema_misses_is_found(empty_url: str, statement: str, words: st
     assert problems(database) == [], "others' tables are their own business"
     with database.transaction() as connection:
         connection.execute(text(statement))
-    found = problems(database)
-    assert found
-    assert all(one.startswith("tables: ") for one in found)
-    assert any(words in one for one in found)
+    result = problems(database)
+    assert result
+    assert all(item.startswith("tables: ") for item in result)
+    assert any(words in entry for entry in result)
     database.dispose()
 
 
@@ -218,7 +218,7 @@ def test_rows_that_point_nowhere_are_found_and_not_backed_up(filled: Database, t
             connection.exec_driver_sql("PRAGMA foreign_keys = OFF")
         connection.execute(text("DELETE FROM setups WHERE id = 1"))
         connection.commit()
-    assert any("storage" in one and "setups" in one for one in problems(filled))
+    assert any("storage" in problem and "setups" in problem for problem in problems(filled))
     with pytest.raises(DatabaseError, match="setups"):
         backup.write(filled, tmp_path / "backups" / "backup.db", lambda *_: None)
     assert list((tmp_path / "backups").iterdir()) == []
@@ -238,14 +238,14 @@ def test_a_sample_leaves_out_what_a_full_check_finds(filled: Database, monkeypat
     assert problems(filled, full=False) == []
     with filled.transaction() as connection:
         connection.execute(text("UPDATE parameter_sets SET parameter_values = '{}' WHERE id IN (7, 8)"))
-    sampled = [one for one in problems(filled, full=False) if one.startswith("parameter sets")]
+    sampled = [problem for problem in problems(filled, full=False) if problem.startswith("parameter sets")]
     assert sampled == []  # it looks at every third
-    assert any(one.startswith("parameter sets: 2 ") for one in problems(filled))
+    assert any(item.startswith("parameter sets: 2 ") for item in problems(filled))
 
 
 def test_many_problems_of_a_kind_are_told_in_a_few_sentences(filled: Database) -> None:
     with filled.transaction() as connection:
         connection.execute(text('UPDATE campaign_stages SET cells = \'{"requested": 999, "simulated": 999}\''))
-    found = [one for one in problems(filled) if one.startswith("counters")]
-    assert len(found) == verification.TOLD + 1
-    assert found[-1].startswith("counters: and ")
+    result = [problem for problem in problems(filled) if problem.startswith("counters")]
+    assert len(result) == verification.TOLD + 1
+    assert result[-1].startswith("counters: and ")

@@ -22,10 +22,12 @@ def test_a_population_gets_its_ids_in_order_and_waits(database: Database) -> Non
         ids = evaluations.insert(connection, sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
     with database.read() as connection:
         waiting = results.pending(connection, sequence)
-    assert [one.id for one in waiting] == ids
-    assert [one.individual for one in waiting] == list(range(2500))
-    assert [one.parameters for one in waiting] == sample_sets(2500)
-    assert {(one.plan, one.reference, one.audited, one.attempts) for one in waiting} == {(SIMULATED, None, False, 0)}
+    assert [item.id for item in waiting] == ids
+    assert [entry.individual for entry in waiting] == list(range(2500))
+    assert [element.parameters for element in waiting] == sample_sets(2500)
+    assert {(member.plan, member.reference, member.audited, member.attempts) for member in waiting} == {
+        (SIMULATED, None, False, 0)
+    }
 
 
 def test_a_copy_of_a_stored_result_has_its_answer_at_once(database: Database) -> None:
@@ -39,12 +41,14 @@ def test_a_copy_of_a_stored_result_has_its_answer_at_once(database: Database) ->
         cells = [cell(0, setup, sets[0], plan=REPEATED, donor=donor), cell(1, setup, sets[1], plan=REUSED, donor=donor)]
         audited = cell(2, setup, sets[2], donor=donor, inspected=True)
         ids = evaluations.insert(connection, second, [*cells, audited])
-        copies = [results.by_id(connection, one) for one in ids[:2]]
+        copies = [results.by_id(connection, item) for item in ids[:2]]
         waiting = results.pending(connection, second)
-    assert [one.outcome for one in copies] == [REPEATED, REUSED]
-    found = {(copy.score, copy.rating, copy.failure, copy.run_id, copy.reference) for copy in copies}
-    assert found == {(6, 5.75, "collision", run, simulated)}
-    assert [(one.id, one.plan, one.reference, one.audited) for one in waiting] == [(ids[2], SIMULATED, simulated, True)]
+    assert [entry.outcome for entry in copies] == [REPEATED, REUSED]
+    result = {(copy.score, copy.rating, copy.failure, copy.run_id, copy.reference) for copy in copies}
+    assert result == {(6, 5.75, "collision", run, simulated)}
+    assert [(element.id, element.plan, element.reference, element.audited) for element in waiting] == [
+        (ids[2], SIMULATED, simulated, True)
+    ]
 
 
 def test_a_cell_that_waits_for_another_of_its_population_names_it(database: Database) -> None:
@@ -58,7 +62,7 @@ def test_a_cell_that_waits_for_another_of_its_population_names_it(database: Data
         ]
         ids = evaluations.insert(connection, sequence, cells)
         waiting = results.pending(connection, sequence)
-    assert [(one.plan, one.reference, one.audited) for one in waiting] == [
+    assert [(item.plan, item.reference, item.audited) for item in waiting] == [
         (SIMULATED, None, False),
         (REPEATED, ids[0], False),
         (SIMULATED, ids[0], True),
@@ -73,10 +77,10 @@ def test_an_answer_is_stored_once_and_a_late_one_changes_nothing(database: Datab
         )
         broken = AnsweredCell(ids[0], FAILED, None, None, None, failure="hang", worker="w", attempts=3)
         evaluations.answer(connection, [broken])
-        late = [replace(broken, id=one, outcome=SIMULATED, score=1, rating=1.0, failure=None) for one in ids[:2]]
+        late = [replace(broken, id=item, outcome=SIMULATED, score=1, rating=1.0, failure=None) for item in ids[:2]]
         evaluations.answer(connection, late)
-        first, second = (results.by_id(connection, one) for one in ids[:2])
-        assert [one.id for one in results.pending(connection, sequence)] == [ids[2]]
+        first, second = (results.by_id(connection, entry) for entry in ids[:2])
+        assert [element.id for element in results.pending(connection, sequence)] == [ids[2]]
     assert (first.outcome, first.score, first.failure, first.attempts) == (FAILED, None, "hang", 3)
     assert (second.outcome, second.score) == (SIMULATED, 1)
 
@@ -94,8 +98,8 @@ def test_numpy_numbers_are_stored_as_numbers(database: Database) -> None:
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         (one,) = sample_set_ids(connection, 1)
         (stored,) = evaluations.insert(connection, sequence, [cell(np.int64(4), setup, one, iteration=np.int64(2))])
-        found = results.by_id(connection, stored)
-        assert (found.iteration, found.individual) == (2, 4)
+        result = results.by_id(connection, stored)
+        assert (result.iteration, result.individual) == (2, 4)
 
 
 def test_own_references_are_the_first_simulated_answers_in_the_order_of_the_campaign(database: Database) -> None:
@@ -117,9 +121,9 @@ def test_own_references_are_the_first_simulated_answers_in_the_order_of_the_camp
         simulate(connection, sequence, [cell(9, setup, sets[5], scenario="S2", reference_key=other)])
         simulate(connection, campaign(connection).sequence, [cell(0, setup, sets[5], reference_key=other)])
 
-        found = evaluations.own_references(connection, sequence, "S1", setup, [key, other, b"x" * 16])
-        assert {name: one.evaluation for name, one in found.items()} == {key: ids[1]}
-        assert (found[key].score, found[key].rating, found[key].failure) == (4, 4.5, None)
+        result = evaluations.own_references(connection, sequence, "S1", setup, [key, other, b"x" * 16])
+        assert {name: one.evaluation for name, one in result.items()} == {key: ids[1]}
+        assert (result[key].score, result[key].rating, result[key].failure) == (4, 4.5, None)
         exact = evaluations.own_exact(connection, sequence, "S1", setup, sets)
         assert {one: donor.evaluation for one, donor in exact.items()} == {sets[0]: ids[0], sets[1]: ids[1]}
 
@@ -133,7 +137,7 @@ def test_the_sensitivity_stage_comes_before_calibration(database: Database) -> N
         sensitivity = cell(5, setup, sets[1], iteration=7, stage=StageName.SENSITIVITY, reference_key=key)
         ids = simulate(connection, sequence, [calibration, sensitivity])
         assert evaluations.own_references(connection, sequence, "S1", setup, [key])[key].evaluation == ids[1]
-        assert [one.id for one in results.stream(connection, sequence)] == ids[::-1]
+        assert [item.id for item in results.stream(connection, sequence)] == ids[::-1]
 
 
 def test_copies_of_a_cell_without_a_result_are_simulated_instead(database: Database) -> None:
@@ -142,9 +146,11 @@ def test_copies_of_a_cell_without_a_result_are_simulated_instead(database: Datab
         sets = sample_set_ids(connection, 3)
         cells = [cell(0, setup, sets[0]), *(cell(n, setup, sets[n], plan=REUSED, leader=0) for n in (1, 2))]
         leader, copy, answered = evaluations.insert(connection, sequence, cells)
-        broken = [AnsweredCell(one, FAILED, None, None, None, failure="hang") for one in (leader, answered)]
+        broken = [AnsweredCell(item, FAILED, None, None, None, failure="hang") for item in (leader, answered)]
         evaluations.answer(connection, broken)
         evaluations.simulate_instead(connection, [copy, answered])
         evaluations.simulate_instead(connection, [])
-        assert [(one.id, one.plan, one.reference) for one in results.pending(connection, sequence)] == [(copy, SIMULATED, None)]
+        assert [(entry.id, entry.plan, entry.reference) for entry in results.pending(connection, sequence)] == [
+            (copy, SIMULATED, None)
+        ]
         assert results.by_id(connection, answered).reference == leader

@@ -19,7 +19,7 @@ MANY = 100
 
 def told(connection: Connection, sequence: int) -> list[tuple[str, Any]]:
     """Kinds and states, in order."""
-    return [(one.kind, one.data.get("state")) for one in events.since(connection, sequence, 0, MANY)]
+    return [(item.kind, item.data.get("state")) for item in events.since(connection, sequence, 0, MANY)]
 
 
 def test_a_reader_gets_what_came_after_the_event_that_it_saw_last(database: Database) -> None:
@@ -146,9 +146,9 @@ def test_a_reader_cannot_overtake_a_writer_that_has_not_committed_yet(database: 
             seen_in_between = events.since(reading, sequence, seen, MANY)
     thread.join(10)
     with database.read() as connection:
-        found = events.since(connection, sequence, seen, MANY)
+        result = events.since(connection, sequence, seen, MANY)
     assert seen_in_between == []
-    assert [one.data["text"] for one in found] == ["first", "second"]
+    assert [item.data["text"] for item in result] == ["first", "second"]
 
 
 def test_writers_of_different_campaigns_do_not_wait_for_each_other_on_postgresql(database: Database) -> None:

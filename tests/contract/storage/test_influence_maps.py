@@ -14,12 +14,12 @@ def test_maps_are_listed_newest_first(database: Database) -> None:
             influence_maps.insert(
                 connection, name=str(number), source="expert", driving_function="frenet", parameters="highway", scenarios={}
             )
-    found: list[StoredInfluenceMap] = []
+    result: list[StoredInfluenceMap] = []
     cursor = None
     with database.read() as connection:
         while True:
             page, cursor = influence_maps.page(connection, limit=2, cursor=cursor)
-            found.extend(page)
+            result.extend(page)
             if cursor is None:
                 break
-    assert [one.name for one in found] == ["2", "1", "0"]
+    assert [item.name for item in result] == ["2", "1", "0"]

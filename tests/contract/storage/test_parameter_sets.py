@@ -43,8 +43,10 @@ def test_setups_are_stored_once_with_all_that_decides_their_runs(database: Datab
         assert setups.ensure(connection, [other]) == [ids[1]]
         counts = setups.counts(connection)
     assert ids[0] == ids[2] != ids[1]
-    assert {one.fingerprint: one.document for one in counts} == {one.fingerprint: one.document for one in (SETUP, other)}
-    assert [one.runs for one in counts] == [0, 0]
+    assert {count.fingerprint: count.document for count in counts} == {
+        item.fingerprint: item.document for item in (SETUP, other)
+    }
+    assert [entry.runs for entry in counts] == [0, 0]
 
 
 @pytest.mark.parametrize(

@@ -78,12 +78,12 @@ def fill(database: Database) -> None:
     with database.transaction() as connection:
         sequence, other, setup = campaign(connection).sequence, campaign(connection).sequence, setup_id(connection)
         sets = sample_set_ids(connection, ROWS)
-        for one in (sequence, other):
+        for item in (sequence, other):
             cells = [
                 new_evaluation(StageName.CALIBRATION, n % 40, n, "S1", setup, set_id, Outcome.SIMULATED, reference_key=KEYS[n])
                 for n, set_id in enumerate(sets)
             ]
-            ids = evaluations.insert(connection, one, cells)
+            ids = evaluations.insert(connection, item, cells)
             stored = runs.insert_results(
                 connection, [new_run(setup, cell.parameter_set_id, evaluation=n) for n, cell in zip(ids, cells, strict=True)]
             )

@@ -58,9 +58,9 @@ def test_every_watermark_sees_the_first_run_in_the_order_of_campaigns_whenever_t
         set_ids = parameter_sets.ensure(connection, sets)
         stored = random_runs(chance, len(sets), setup, set_ids)
         ids = []
-        for one in stored:  # other setups' runs lie in between
-            runs.insert_results(connection, [new_run(other, one.parameter_set_id)])
-            ids.append(runs.insert_results(connection, [one])[0].id)
+        for item in stored:  # other setups' runs lie in between
+            runs.insert_results(connection, [new_run(other, item.parameter_set_id)])
+            ids.append(runs.insert_results(connection, [item])[0].id)
     keys = keys_of_sets(sets)
     newest = ids[-1]
     upto = sorted(chance.sample(range(newest + 1), min(3, newest)))
@@ -94,12 +94,12 @@ def test_a_run_that_an_evaluator_cannot_rate_hides_no_reference_from_it(database
     with database.transaction() as connection:
         setup = setup_id(connection)
         stored = random_runs(chance, len(sets), setup, parameter_sets.ensure(connection, sets))
-        stored = [replace(one, evaluator=chance.choice([EVALUATOR, "learned 1"])) for one in stored]
-        ids = [runs.insert_results(connection, [one])[0].id for one in stored]
+        stored = [replace(item, evaluator=chance.choice([EVALUATOR, "learned 1"])) for item in stored]
+        ids = [runs.insert_results(connection, [entry])[0].id for entry in stored]
     evaluators = [EVALUATOR, "learned 1"]
     chance.shuffle(evaluators)
     for evaluator in evaluators:
-        rated = sum(one.evaluator == evaluator for one in stored)
+        rated = sum(element.evaluator == evaluator for element in stored)
         assert reference_keys.sync(database, 1, setup, evaluator, ids[-1], keys_of, chunk=chance.choice([1, 2, 100])) == rated
     [key] = set(keys_of_sets(sets))
     with database.read() as connection:
@@ -110,8 +110,8 @@ def test_a_run_that_an_evaluator_cannot_rate_hides_no_reference_from_it(database
                     for one, run in zip(ids, stored, strict=True)
                     if one <= watermark and run.evaluator == evaluator
                 ]
-                found = reference_keys.look_up(connection, 1, setup, [key], evaluator, watermark)
-                assert [donor.run for donor in found.values()] == [one for _, one in sorted(seen)[:1]]
+                result = reference_keys.look_up(connection, 1, setup, [key], evaluator, watermark)
+                assert [donor.run for donor in result.values()] == [one for _, one in sorted(seen)[:1]]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -123,12 +123,12 @@ def test_a_rating_that_is_younger_than_its_run_is_seen_from_its_own_number_on(da
         setup = setup_id(connection)
         stored = random_runs(chance, len(sets), setup, parameter_sets.ensure(connection, sets))
         runs.insert_results(connection, stored[:7])
-        learned = [replace(one, evaluator="learned 1", from_series=True) for one in stored]
+        learned = [replace(element, evaluator="learned 1", from_series=True) for element in stored]
         chance.shuffle(learned)
         numbers: list[tuple[int, NewRun, int]] = []
-        for one in learned:
-            [run] = runs.insert_results(connection, [replace(one, evaluation_id=1, campaign_sequence=9)])
-            numbers.append((runs.largest_id(connection), one, run.id))
+        for item in learned:
+            [run] = runs.insert_results(connection, [replace(item, evaluation_id=1, campaign_sequence=9)])
+            numbers.append((runs.largest_id(connection), item, run.id))
         last = runs.largest_id(connection)
     assert len({number for number, _, _ in numbers}) == len(sets)
     chunk = chance.choice([1, 2, 3, 100])
@@ -138,7 +138,7 @@ def test_a_rating_that_is_younger_than_its_run_is_seen_from_its_own_number_on(da
     assert sum(counts) == len(sets)
     assert counts[-1] == 0
     [key] = set(keys_of_sets(sets))
-    again = {one.parameter_set_id for one in stored[:7]}
+    again = {entry.parameter_set_id for entry in stored[:7]}
     with database.read() as connection:
         [index] = reference_keys.indexes(connection)
         assert reference_keys.wrong_keys(connection, index, keys_of, every=1, chunk=chunk) == 0
@@ -148,9 +148,11 @@ def test_a_rating_that_is_younger_than_its_run_is_seen_from_its_own_number_on(da
                 for number, one, run in numbers
                 if number <= watermark
             ]
-            found = reference_keys.look_up(connection, 1, setup, [key], "learned 1", watermark)
-            assert [donor.run for donor in found.values()] == [one for _, one in sorted(seen)[:1]]
-            exact = runs.look_up_exact(connection, setup, [one.parameter_set_id for one in stored], "learned 1", watermark)
+            result = reference_keys.look_up(connection, 1, setup, [key], "learned 1", watermark)
+            assert [donor.run for donor in result.values()] == [one for _, one in sorted(seen)[:1]]
+            exact = runs.look_up_exact(
+                connection, setup, [member.parameter_set_id for member in stored], "learned 1", watermark
+            )
             assert sorted(donor.run for donor in exact.values()) == sorted(run for _, run in seen)
 
 
@@ -176,8 +178,8 @@ def test_an_interrupted_sync_goes_on_where_it_was(database: Database) -> None:
         reference_keys.sync(database, 1, setup, EVALUATOR, last, crash_in_the_third_chunk, chunk=3)
     assert reference_keys.sync(database, 1, setup, EVALUATOR, last, keys_of, chunk=3) == 4
     with database.read() as connection:
-        found = reference_keys.look_up(connection, 1, setup, keys_of_sets(sets[:1]), EVALUATOR, last)
-    assert [donor.run for donor in found.values()] == [1]
+        result = reference_keys.look_up(connection, 1, setup, keys_of_sets(sets[:1]), EVALUATOR, last)
+    assert [donor.run for donor in result.values()] == [1]
 
 
 def test_sets_with_their_parameters_in_other_orders_share_their_keys(database: Database) -> None:
@@ -189,8 +191,8 @@ def test_sets_with_their_parameters_in_other_orders_share_their_keys(database: D
         runs.insert_results(connection, [new_run(setup, set_id, evaluation=n) for n, set_id in enumerate(ids, start=1)])
     reference_keys.sync(database, 1, setup, EVALUATOR, 10, keys_of)
     with database.read() as connection:
-        found = reference_keys.look_up(connection, 1, setup, keys_of_sets([one]), EVALUATOR, 10)
-    assert [donor.evaluation for donor in found.values()] == [1]
+        result = reference_keys.look_up(connection, 1, setup, keys_of_sets([one]), EVALUATOR, 10)
+    assert [donor.evaluation for donor in result.values()] == [1]
 
 
 @pytest.mark.slow("postgresql")
@@ -202,15 +204,15 @@ def test_many_keys_are_looked_up_at_once(database: Database) -> None:
         stored = runs.insert_results(connection, [new_run(setup, one, individual=n) for n, one in enumerate(set_ids)])
     assert reference_keys.sync(database, 1, setup, EVALUATOR, stored[-1].id, keys_of) == 12_000
     with database.read() as connection:
-        found = reference_keys.look_up(connection, 1, setup, keys_of_sets(sets), EVALUATOR, stored[-1].id)
-    assert [found[key].run for key in keys_of_sets(sets)] == [run.id for run in stored]
+        result = reference_keys.look_up(connection, 1, setup, keys_of_sets(sets), EVALUATOR, stored[-1].id)
+    assert [result[key].run for key in keys_of_sets(sets)] == [run.id for run in stored]
 
 
 def test_values_are_read_back_exactly_however_large_or_fine() -> None:
     chance = random.Random(0)
     numbers = [0, 1, -1, 10**15, -(10**15), 10**15 - 1, *(chance.randint(-(10**15), 10**15) for _ in range(5000))]
     sets = [ParameterSet(("P1", "P2"), pair) for pair in pairwise(numbers)]
-    ((names, positions, values),) = parameter_sets.parse([one.to_json() for one in sets])
+    ((names, positions, values),) = parameter_sets.parse([item.to_json() for item in sets])
     assert (names, positions) == (("P1", "P2"), list(range(len(sets))))
-    assert values.tolist() == [list(one.billionths) for one in sets]
+    assert values.tolist() == [list(entry.billionths) for entry in sets]
     assert billionths(decimal("-0.000000001")) == -1

@@ -28,18 +28,18 @@ def test_pages_and_stream_give_every_row_once_in_order(database: Database) -> No
         cells = [new_evaluation(CALIBRATION, i, n, scenario, setup, one, Outcome.SIMULATED) for i, n, scenario in places]
         evaluations.insert(connection, sequence, cells)
         evaluations.insert(connection, campaign(connection).sequence, cells)
-    found: list[StoredEvaluation] = []
+    result: list[StoredEvaluation] = []
     cursor = None
     with database.read() as connection:
         while True:
             page, cursor = results.page(connection, sequence, limit=5, cursor=cursor)
-            found.extend(page)
+            result.extend(page)
             if cursor is None:
                 break
-        assert list(results.stream(connection, sequence)) == found
-    assert [place(one) for one in found] == sorted(places)
-    assert found[0].parameters.floats == {"P1": 0.0, "P2": 5.0}
-    assert {type(value) for value in found[0].parameters.floats.values()} == {float}
+        assert list(results.stream(connection, sequence)) == result
+    assert [place(item) for item in result] == sorted(places)
+    assert result[0].parameters.floats == {"P1": 0.0, "P2": 5.0}
+    assert {type(value) for value in result[0].parameters.floats.values()} == {float}
 
 
 @pytest.mark.parametrize("cursor", ["", "x", "W10", "WzEsMl0", encode_cursor(2, 0, 2**40, "S1"), encode_cursor(2, 0, 0, "S\0")])
@@ -79,7 +79,7 @@ def test_answers_say_whether_they_are_the_sets_own(database: Database) -> None:
             CellScore(sets[0], "S1", 5, 5.25, own=True, iteration=1, individual=0),
             CellScore(sets[0], "S2", None, None, own=True, iteration=1, individual=0),
         ]
-        assert {type(one.own) for one in everything} == {bool}
+        assert {type(item.own) for item in everything} == {bool}
         assert list(results.answers(connection, sequence, CALIBRATION, iteration=1)) == everything[2:]
         assert list(results.answers(connection, sequence, StageName.SENSITIVITY)) == []
 

@@ -20,15 +20,15 @@ def test_results_are_found_by_setup_parameter_set_and_evaluator(database: Databa
         stored = runs.insert_results(connection, [new_run(s1, one, evaluation=100 + number) for number, one in enumerate(sets)])
         runs.insert_results(connection, [new_run(s2, sets[0], score=0, rating=0.0, failure="collision")])
     with database.read() as connection:
-        found = runs.look_up_exact(connection, s1, sets, EVALUATOR, 10**9)
-        assert found == {
+        result = runs.look_up_exact(connection, s1, sets, EVALUATOR, 10**9)
+        assert result == {
             one: Donor(evaluation=100 + number, run=stored[number].id, score=5, rating=5.25, failure=None)
             for number, one in enumerate(sets)
         }
         failed = runs.look_up_exact(connection, s2, sets, EVALUATOR, 10**9)
-        assert [(one.score, one.failure) for one in failed.values()] == [(0, "collision")]
+        assert [(item.score, item.failure) for item in failed.values()] == [(0, "collision")]
         assert runs.look_up_exact(connection, s1, sets, "learned 1", 10**9) == {}
-        assert [(one.scenario, one.runs) for one in setups.counts(connection)] == [("S1", 6000), ("S2", 1)]
+        assert [(count.scenario, count.runs) for count in setups.counts(connection)] == [("S1", 6000), ("S2", 1)]
 
 
 def test_the_first_result_of_a_cell_stays_and_an_equal_one_agrees(database: Database) -> None:
@@ -77,8 +77,8 @@ def test_a_later_simulation_adds_no_rating_to_a_run_that_campaigns_may_see_alrea
         assert runs.insert_results(connection, [again]) == [stored]
         assert runs.look_up_exact(connection, one.setup_id, [one.parameter_set_id], "learned 1", stored.id) == {}
         ratings.insert(connection, "learned 1", [(stored.id, Rating(3.0, 3))])
-        found = runs.look_up_exact(connection, one.setup_id, [one.parameter_set_id], "learned 1", stored.id)
-        assert found == {one.parameter_set_id: Donor(1, stored.id, 3, 3.0, None)}
+        result = runs.look_up_exact(connection, one.setup_id, [one.parameter_set_id], "learned 1", stored.id)
+        assert result == {one.parameter_set_id: Donor(1, stored.id, 3, 3.0, None)}
         assert runs.insert_results(connection, [again]) == [stored]
         assert runs.insert_results(connection, [replace(again, score=4)]) == [replace(stored, agrees=False)]
 
@@ -88,19 +88,19 @@ def test_what_was_seen_in_the_series_of_a_run_simulated_again_is_kept_for_campai
 ) -> None:
     with database.transaction() as connection:
         setup, sets = setup_id(connection), sample_set_ids(connection, 5)
-        stored = runs.insert_results(connection, [new_run(setup, one) for one in sets[:4]])
+        stored = runs.insert_results(connection, [new_run(setup, element) for element in sets[:4]])
         before = runs.largest_id(connection)
         seen = [
-            new_run(setup, one, evaluator="learned 1", score=3, rating=3.0, campaign_sequence=2, evaluation=2)
-            for one in sets[:4]
+            new_run(setup, item, evaluator="learned 1", score=3, rating=3.0, campaign_sequence=2, evaluation=2)
+            for item in sets[:4]
         ]
-        seen = [replace(one, from_series=True) for one in seen]
+        seen = [replace(entry, from_series=True) for entry in seen]
         seen[1] = replace(seen[1], metrics={"offset_m": 1.0})  # another run than the one that is stored
         seen[2] = replace(seen[2], failure="collision")
-        found = runs.insert_results(connection, [*seen, replace(seen[0], score=4)])
-        assert found == [
+        result = runs.insert_results(connection, [*seen, replace(seen[0], score=4)])
+        assert result == [
             stored[0],
-            *(replace(one, agrees=False) for one in stored[1:3]),
+            *(replace(member, agrees=False) for member in stored[1:3]),
             stored[3],
             replace(stored[0], agrees=False),
         ]

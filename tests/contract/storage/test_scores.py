@@ -30,7 +30,7 @@ def test_scores_of_runs_and_of_their_keys(database: Database) -> None:
     reference_keys.sync(database, 1, setup, EVALUATOR, watermark, lambda _, values: keys[: len(values)])
     with database.read() as connection:
         by_set = runs.look_up_exact(connection, setup, sets, EVALUATOR, watermark)
-        assert [repr(by_set[one].score) for one in sets] == SHOWN
+        assert [repr(by_set[item].score) for item in sets] == SHOWN
         by_key = reference_keys.look_up(connection, 1, setup, keys, EVALUATOR, watermark)
         assert [repr(by_key[key].score) for key in keys] == SHOWN
         scores = runs.scores(connection, [run.id for run in stored], "other 1")

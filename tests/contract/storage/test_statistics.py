@@ -50,14 +50,14 @@ def test_sums_are_right_from_the_beginning_and_from_look_to_look(database: Datab
             ended(connection, sequence, simulated)
         count(connection, sequences[5], calibration={"simulated": 3, "pending": 4, "reused": 1}, sensitivity={"pending": 2})
         count(connection, sequences[6], robustness={"repeated": 8}, validation={"failed": 1, "pending": 6})
-    found, tally = look(database, tally)
-    assert found.sums.campaigns == {CampaignKey("calibration", "succeeded"): 5, CampaignKey("calibration", "queued"): 3}
-    assert found.sums.cells[CellKey("calibration", "simulated")] == 10 + 3
-    assert found.sums.cells[CellKey("calibration", "reused")] == 1
-    assert found.sums.cells[CellKey("robustness", "repeated")] == 8
-    assert found.sums.cells[CellKey("validation", "failed")] == 1
-    assert found.sums.pending == Counter(calibration=4, sensitivity=2, validation=6)
-    assert found.sums.simulating_seconds == 5.0
+    result, tally = look(database, tally)
+    assert result.sums.campaigns == {CampaignKey("calibration", "succeeded"): 5, CampaignKey("calibration", "queued"): 3}
+    assert result.sums.cells[CellKey("calibration", "simulated")] == 10 + 3
+    assert result.sums.cells[CellKey("calibration", "reused")] == 1
+    assert result.sums.cells[CellKey("robustness", "repeated")] == 8
+    assert result.sums.cells[CellKey("validation", "failed")] == 1
+    assert result.sums.pending == Counter(calibration=4, sensitivity=2, validation=6)
+    assert result.sums.simulating_seconds == 5.0
     assert tally.settled == sequences[4]
     with database.transaction() as connection:
         for sequence in sequences[5:7]:
@@ -65,16 +65,16 @@ def test_sums_are_right_from_the_beginning_and_from_look_to_look(database: Datab
         change(connection, sequences[7], created_at=now() - OLD)
         late = campaign(connection).sequence
     for _ in range(3):
-        found, tally = look(database, tally)
-        assert found.sums.cells[CellKey("calibration", "simulated")] == 10 + 200
-        assert found.sums.campaigns[CampaignKey("calibration", "succeeded")] == 7
+        result, tally = look(database, tally)
+        assert result.sums.cells[CellKey("calibration", "simulated")] == 10 + 200
+        assert result.sums.campaigns[CampaignKey("calibration", "succeeded")] == 7
         assert (tally.settled, tally.open) == (sequences[7], (sequences[7],))
-    assert found.sums == look(database, Tally())[0].sums
+    assert result.sums == look(database, Tally())[0].sums
     with database.transaction() as connection:
         ended(connection, sequences[7], 1)
         ended(connection, late, 1)
-    found, tally = look(database, tally)
-    assert found.sums == look(database, Tally())[0].sums
+    result, tally = look(database, tally)
+    assert result.sums == look(database, Tally())[0].sums
     assert (tally.settled, tally.open) == (late, ())
 
 
@@ -95,10 +95,10 @@ def test_single_evaluations_are_counted_apart(database: Database) -> None:
     with database.transaction() as connection:
         stored = campaigns.insert(connection, name="one", spec={}, kind="evaluation")
         count(connection, stored.sequence, calibration={"repeated": 2, "pending": 1})
-    found, _ = look(database, Tally())
-    assert found.sums.campaigns == {CampaignKey("evaluation", "queued"): 1}
-    assert found.sums.cells[CellKey("evaluation", "repeated")] == 2
-    assert found.sums.pending["evaluation"] == 1
+    result, _ = look(database, Tally())
+    assert result.sums.campaigns == {CampaignKey("evaluation", "queued"): 1}
+    assert result.sums.cells[CellKey("evaluation", "repeated")] == 2
+    assert result.sums.pending["evaluation"] == 1
 
 
 def test_leases_of_the_current_term_are_those_at_workers(database: Database) -> None:
@@ -114,9 +114,9 @@ def test_leases_of_the_current_term_are_those_at_workers(database: Database) -> 
         leases.take(connection, dict.fromkeys(ids[:2], 0), 60.0)
         leases.take(connection, dict.fromkeys(ids[2:], 0), -60.0)  # a slow cell outlasts its lease
         leases.give_back(connection, {ids[0]: 1})
-    found, _ = look(database, Tally())
-    assert found.leases == 3
-    assert found.dispatcher is not None
+    result, _ = look(database, Tally())
+    assert result.leases == 3
+    assert result.dispatcher is not None
     with database.transaction() as connection:
         processes.elect(connection, processes.DISPATCHER, 2, now())
     assert look(database, Tally())[0].leases == 0
@@ -139,6 +139,6 @@ def test_a_look_reads_only_what_is_open_or_new(database: Database) -> None:
 
     with database.read() as connection:
         event.listen(connection, "before_cursor_execute", count)
-        found, _ = statistics.read(connection, tally)
-    assert found.sums.campaigns.total() == 500
+        result, _ = statistics.read(connection, tally)
+    assert result.sums.campaigns.total() == 500
     assert sum(read) == 10

@@ -29,14 +29,14 @@ def test_the_studies_about_a_campaign_are_found_whoever_made_them(database: Data
         make("of no map", None, StageName.VALIDATION)
     with database.read() as connection:
         one = campaigns.get(connection, first)
-        found = studies.about(connection, one.id, one.sequence, one.influence_map_id)
+        result = studies.about(connection, one.id, one.sequence, one.influence_map_id)
         without_map = studies.about(connection, one.id, one.sequence, None)
-    assert [(each.name, each.stage) for each in found] == [
+    assert [(each.name, each.stage) for each in result] == [
         ("of the map", StageName.VALIDATION),
         ("of the sets again", StageName.ROBUSTNESS),
         ("of its sets", StageName.ROBUSTNESS),
         ("first", StageName.ROBUSTNESS),
         ("first", StageName.VALIDATION),
     ]
-    assert found[2].spec == {"robustness": {"of": first, "eta": 1}}
+    assert result[2].spec == {"robustness": {"of": first, "eta": 1}}
     assert [each.name for each in without_map] == ["of the sets again", "of its sets", "first", "first"]

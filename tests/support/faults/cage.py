@@ -28,12 +28,12 @@ def descendants(process: int) -> list[int]:
         except OSError:
             continue
         parents.setdefault(parent, []).append(int(entry.parent.name))
-    found, left = [], [process]
+    result, left = [], [process]
     while left:
         children = parents.get(left.pop(), [])
-        found += children
+        result += children
         left += children
-    return found
+    return result
 
 
 def main(command: list[str]) -> int:

@@ -107,9 +107,11 @@ class Coordinator:
 
     def ray_part(self, name: str) -> psutil.Process:
         """`raylet` or `gcs_server` of the local Ray."""
-        found = [process for process in self.dispatcher().children(recursive=True) if alive(process) and process.name() == name]
-        assert found, f"no {name} runs"
-        return found[0]
+        result = [
+            process for process in self.dispatcher().children(recursive=True) if alive(process) and process.name() == name
+        ]
+        assert result, f"no {name} runs"
+        return result[0]
 
     def workers(self) -> list[psutil.Process]:
         """The workers' processes that the dispatcher knows, as far as they run, by its last heartbeat; on this machine only."""
@@ -152,15 +154,15 @@ class Coordinator:
 
     def awaited(self, find: Callable[[], psutil.Process]) -> psutil.Process:
         """A process of the server, waited for if it is only being started."""
-        found: list[psutil.Process] = []
+        result: list[psutil.Process] = []
 
         def is_there() -> bool:
             with suppress(AssertionError, psutil.NoSuchProcess):
-                found[:] = [find()]
-            return bool(found)
+                result[:] = [find()]
+            return bool(result)
 
         self.until(is_there, "a process that is looked for", READY_SECONDS)
-        return found[0]
+        return result[0]
 
     def wait_ready(self) -> str:
         """Waits until the server can work; gives the time that it took, in words."""

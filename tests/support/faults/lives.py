@@ -68,7 +68,7 @@ def _kill_child(coordinator: Coordinator, find: Callable[[], psutil.Process]) ->
     with suppress(psutil.NoSuchProcess):  # it may end by itself just now
         before += victim.children(recursive=True)
         victim.kill()
-    coordinator.until(lambda: not any(alive(one) for one in before), f"the end of {before}", ORPHAN_SECONDS)
+    coordinator.until(lambda: not any(alive(item) for item in before), f"the end of {before}", ORPHAN_SECONDS)
 
 
 def kill_supervisor(coordinator: Coordinator) -> None:
@@ -233,7 +233,7 @@ def live(
 ) -> Life:
     """Gives a server its work, the `documents` or the suite's campaigns, and does all of the plan to it; then the campaigns have to end as
     they do without faults, and the server has to leave nothing behind."""
-    life = Life(coordinator, sum(len(one.tables["evaluations"]) for one in expected.values()))
+    life = Life(coordinator, sum(len(item.tables["evaluations"]) for item in expected.values()))
     coordinator.start_ready()
     life.tell("ready")
     accepted = submit(coordinator.url, documents)

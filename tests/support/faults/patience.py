@@ -47,12 +47,12 @@ class Patience:
 
     def _work(self) -> dict[tuple[int, float], float]:
         """Seconds that each process of the family has worked."""
-        found = {}
+        result = {}
         for process in self._family():
             with suppress(psutil.NoSuchProcess):
                 times = process.cpu_times()
-                found[process.pid, process.create_time()] = times.user + times.system
-        return found
+                result[process.pid, process.create_time()] = times.user + times.system
+        return result
 
 
 def _busy_seconds() -> float:

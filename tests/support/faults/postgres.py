@@ -54,9 +54,9 @@ class KillablePostgres:
         try:
             yield
         finally:
-            for one in family:
+            for item in family:
                 with suppress(psutil.NoSuchProcess):
-                    one.resume()
+                    item.resume()
 
     def _family(self) -> list[psutil.Process]:
         postmaster = psutil.Process(self._server.get_pid())

@@ -25,7 +25,7 @@ def course(
         f"{optimizer}-{seed}-{reduction}",
         Conditions(optimizer, 50, seed, reduction),
         best=best,
-        ratings=[None if one is None else one + 0.25 for one in best],
+        ratings=[None if item is None else item + 0.25 for item in best],
         alternatives=list(range(1, len(best) + 1)),
         means=best,
         simulations=[simulations] * len(best),
@@ -57,7 +57,7 @@ def test_success_is_judged_over_all_optimizers_with_rounding_errors_forgiven() -
     runs = [course([6.0]), course([6.0 - 1e-15], "swarm"), course([5.9], "random")]
     best = best_of_all(runs)
     assert best == 6.0
-    assert [succeeds(one, best) for one in runs] == [True, True, False]
+    assert [succeeds(run, best) for run in runs] == [True, True, False]
     assert best_of_all([course([])]) is None
     assert not succeeds(runs[0], None)
 
@@ -104,9 +104,9 @@ def test_searches_that_all_end_alike_bound_how_many_may_not() -> None:
 
 
 def test_several_conditions_are_summed_up_over_all_of_them() -> None:
-    found = effects(pairs([*paired([0.5, 0.5]), *paired([-0.5, -0.5], "swarm")]))
-    assert [(one.optimizer, one.mean_difference) for one in found] == [("genetic", 0.5), ("swarm", -0.5), (None, 0.0)]
-    assert (found[2].population, found[2].pairs, found[2].sign_test) == (None, 4, 1.0)
+    result = effects(pairs([*paired([0.5, 0.5]), *paired([-0.5, -0.5], "swarm")]))
+    assert [(item.optimizer, item.mean_difference) for item in result] == [("genetic", 0.5), ("swarm", -0.5), (None, 0.0)]
+    assert (result[2].population, result[2].pairs, result[2].sign_test) == (None, 4, 1.0)
 
 
 @given(st.lists(st.sampled_from([-0.5, 0.0, 0.25]), min_size=1, max_size=12))
@@ -140,7 +140,7 @@ def test_the_lowest_optimum_is_the_best_on_a_scale_that_is_minimised() -> None:
     runs = [course([5.0, 4.0], seed=1), course([5.0, 4.0 + 1e-15], seed=2), course([9.0, 8.5], seed=3)]
     best = best_of_all(runs, sign=-1)
     assert best == 4.0
-    assert [succeeds(one, best, sign=-1) for one in runs] == [True, True, False]
+    assert [succeeds(run, best, sign=-1) for run in runs] == [True, True, False]
     (group,) = groups(runs, sign=-1)
     assert (group.best, group.successes) == (4.0, 2)
     (effect,) = effects(pairs(paired([0.5, -0.25, 0.5, 0.0, 0.5])), sign=-1)

@@ -86,7 +86,7 @@ def test_the_confirmed_best_is_the_best_of_those_that_have_scores_of_their_own(
     best, *others = ranking.ranking()
     assert not best.reused
     assert len(set(confirmation.tried)) == len(confirmation.tried)
-    assert best.objective == max(one.objective for one in [best, *others] if not one.reused)
-    assert not any(one.reused and ranking.order(one) < ranking.order(best) for one in others), (
+    assert best.objective == max(item.objective for item in [best, *others] if not item.reused)
+    assert not any(other.reused and ranking.order(other) < ranking.order(best) for other in others), (
         "nothing that only seems better is left"
     )

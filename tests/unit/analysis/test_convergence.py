@@ -24,11 +24,11 @@ def test_an_iteration_without_any_result_is_no_best() -> None:
 
 @given(st.lists(st.integers(0, 3), max_size=30), st.integers(1, 8))
 def test_from_there_on_nothing_changes_and_right_before_it_did(values: list[int], unchanged: int) -> None:
-    found = converged_at([float(one) for one in values], unchanged)
-    if found is not None:
-        assert len(set(values[found - 1 :])) == 1
-        assert len(values) - found >= unchanged
-        assert found == 1 or values[found - 2] != values[found - 1]
+    result = converged_at([float(value) for value in values], unchanged)
+    if result is not None:
+        assert len(set(values[result - 1 :])) == 1
+        assert len(values) - result >= unchanged
+        assert result == 1 or values[result - 2] != values[result - 1]
     elif values:
         assert len(set(values[-unchanged - 1 :])) > 1 or len(values) <= unchanged
 

@@ -25,7 +25,7 @@ TABLE_8 = (
     VehicleParameter("front", "N/rad", 75000.0, 55000.0, 90000.0),
     VehicleParameter("distance", "m", 1.66, 1.0, 2.0),
 )
-NOMINAL = {one.name: one.nominal for one in TABLE_8}
+NOMINAL = {item.name: item.nominal for item in TABLE_8}
 EDGE = NOMINAL | {"mass": 1200.0}
 
 
@@ -34,9 +34,9 @@ EDGE = NOMINAL | {"mass": 1200.0}
 def test_every_vehicle_lies_in_the_box_and_within_the_bounds(radius: float, seed: int, box: int, at_edge: bool) -> None:
     nominal = EDGE if at_edge else NOMINAL
     for vehicle in vehicles(TABLE_8, nominal, radius, directions(3, 30, seed, box)):
-        for one in TABLE_8:
-            assert one.minimum <= vehicle[one.name] <= one.maximum
-            away = abs(vehicle[one.name] - nominal[one.name]) / (one.maximum - one.minimum)
+        for item in TABLE_8:
+            assert item.minimum <= vehicle[item.name] <= item.maximum
+            away = abs(vehicle[item.name] - nominal[item.name]) / (item.maximum - item.minimum)
             assert away <= radius * (1 + 1e-9)
 
 
@@ -94,10 +94,10 @@ def run(limits: list[float], chosen: RobustnessSettings) -> tuple[RobustnessStud
 
 def test_the_degree_is_the_largest_multiple_up_to_which_the_condition_holds() -> None:
     study, driven = run([0.005, 0.035, 0.0999, 5.0], RobustnessSettings(samples=4))
-    found = study.result()
-    assert [one.degree for one in found] == [0, 3, 9, 10]
-    assert [one.at_least for one in found] == [False, False, False, True]
-    assert [one.radius for one in found] == pytest.approx([0.0, 0.03, 0.09, 0.1])
+    result = study.result()
+    assert [item.degree for item in result] == [0, 3, 9, 10]
+    assert [entry.at_least for entry in result] == [False, False, False, True]
+    assert [element.radius for element in result] == pytest.approx([0.0, 0.03, 0.09, 0.1])
     assert driven == 4 * (1 + 4 + 10 + 10)  # nobody is driven on after its condition failed
 
 

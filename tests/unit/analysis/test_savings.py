@@ -45,15 +45,15 @@ CALIBRATION = [
 
 
 def test_the_account_of_a_campaign_with_its_own_map() -> None:
-    found = account("c", "succeeded", ["S1", "S2"], ANALYSIS + CALIBRATION, MapOrigin("m", "c", ANALYSIS + CALIBRATION))
-    assert {name: value for name, value in found.sensitivity.model_dump().items() if value} == {
+    result = account("c", "succeeded", ["S1", "S2"], ANALYSIS + CALIBRATION, MapOrigin("m", "c", ANALYSIS + CALIBRATION))
+    assert {name: value for name, value in result.sensitivity.model_dump().items() if value} == {
         "requested": 622,
         "repeated": 20,
         "simulated": 600,
         "failed": 2,
         "seconds": 10.0,
     }
-    first, second = found.scenarios
+    first, second = result.scenarios
     assert (first.requested, first.simulated, first.audited) == (500, 100, 10)
     assert first.mean_seconds == pytest.approx(0.01)
     assert first.saved["repeated"] == pytest.approx(0.4)
@@ -61,18 +61,18 @@ def test_the_account_of_a_campaign_with_its_own_map() -> None:
     assert (second.requested, second.failed) == (500, 5)
     assert second.mean_seconds == pytest.approx(0.02)
     assert second.saved["reused"] == pytest.approx(0.9)
-    assert (found.requested, found.answered_without_simulation, found.simulated, found.audited) == (1000, 445, 550, 10)
-    assert (found.share_without_simulation, found.share_reused) == (0.445, 0.405)
-    assert found.simulated_seconds == pytest.approx(10.0)
-    assert found.audited_seconds == pytest.approx(0.1)
-    assert found.saved_seconds == pytest.approx(0.4 + 3.6 + 0.9)
-    assert found.net_seconds == pytest.approx(4.9 - 10.0)
-    assert found.map_net_seconds == pytest.approx(4.5 - 10.0)
-    assert found.map is not None
-    assert (found.map.made_by, found.map.paid_here, found.map.runs, found.map.seconds) == ("c", True, 600, 10.0)
-    assert found.break_even == BreakEven(requested_cells=2223, campaigns=3, reruns=2)
-    assert "44.5 % of 1,000" in found.sentence.replace("%", " %")
-    assert "net loss of 5.1 s" in found.sentence
+    assert (result.requested, result.answered_without_simulation, result.simulated, result.audited) == (1000, 445, 550, 10)
+    assert (result.share_without_simulation, result.share_reused) == (0.445, 0.405)
+    assert result.simulated_seconds == pytest.approx(10.0)
+    assert result.audited_seconds == pytest.approx(0.1)
+    assert result.saved_seconds == pytest.approx(0.4 + 3.6 + 0.9)
+    assert result.net_seconds == pytest.approx(4.9 - 10.0)
+    assert result.map_net_seconds == pytest.approx(4.5 - 10.0)
+    assert result.map is not None
+    assert (result.map.made_by, result.map.paid_here, result.map.runs, result.map.seconds) == ("c", True, 600, 10.0)
+    assert result.break_even == BreakEven(requested_cells=2223, campaigns=3, reruns=2)
+    assert "44.5 % of 1,000" in result.sentence.replace("%", " %")
+    assert "net loss of 5.1 s" in result.sentence
 
 
 def test_predictions_save_and_their_predictor_costs() -> None:
@@ -81,14 +81,14 @@ def test_predictions_save_and_their_predictor_costs() -> None:
         _costs("S1", Outcome.PREDICTED, 40, 0.0, runs=0, run_seconds=0.0),
         _costs("S2", Outcome.SIMULATED, 100, 1.0),
     ]
-    found = account("c", "running", ["S1", "S2"], costs, None, predictors={"S1": 0.5, "S2": 0.25})
-    first, second = found.scenarios
+    result = account("c", "running", ["S1", "S2"], costs, None, predictors={"S1": 0.5, "S2": 0.25})
+    first, second = result.scenarios
     assert (first.predicted, first.predictor_seconds, second.predicted, second.predictor_seconds) == (40, 0.5, 0, 0.25)
     assert first.saved["predicted"] == pytest.approx(0.8)
-    assert (found.answered_without_simulation, found.share_without_simulation, found.share_reused) == (40, 0.2, 0.0)
-    assert found.saved_seconds == pytest.approx(0.8)
-    assert {item.name: item.seconds for item in found.balance} == {"predicted": found.saved_seconds, "predictor": -0.75}
-    assert found.net_seconds == pytest.approx(0.05)
+    assert (result.answered_without_simulation, result.share_without_simulation, result.share_reused) == (40, 0.2, 0.0)
+    assert result.saved_seconds == pytest.approx(0.8)
+    assert {item.name: item.seconds for item in result.balance} == {"predicted": result.saved_seconds, "predictor": -0.75}
+    assert result.net_seconds == pytest.approx(0.05)
 
 
 def test_confirmed_answers_are_taken_off_those_that_they_replace() -> None:
@@ -106,27 +106,32 @@ def test_confirmed_answers_are_taken_off_those_that_they_replace() -> None:
 
 def test_a_rerun_pays_nothing_for_the_map_and_counts_what_answered_it() -> None:
     rows = [_costs("S1", Outcome.REPEATED, 300, 0.0, run_seconds=6.0), _costs("S1", Outcome.REUSED, 100, 0.0, run_seconds=2.0)]
-    found = account("rerun", "succeeded", ["S1"], rows, MapOrigin("m", "first", ANALYSIS))
-    assert found.scenarios[0].mean_seconds == pytest.approx(0.02)
-    assert found.saved_seconds == found.net_seconds == pytest.approx(8.0)
-    assert found.share_without_simulation == 1.0
-    assert found.map is not None
-    assert (found.map.paid_here, found.map.seconds) == (False, 10.0)
-    assert found.break_even == BreakEven(requested_cells=2000, campaigns=5, reruns=4)
+    result = account("rerun", "succeeded", ["S1"], rows, MapOrigin("m", "first", ANALYSIS))
+    assert result.scenarios[0].mean_seconds == pytest.approx(0.02)
+    assert result.saved_seconds == result.net_seconds == pytest.approx(8.0)
+    assert result.share_without_simulation == 1.0
+    assert result.map is not None
+    assert (result.map.paid_here, result.map.seconds) == (False, 10.0)
+    assert result.break_even == BreakEven(requested_cells=2000, campaigns=5, reruns=4)
 
 
 def test_a_map_of_a_user_costs_nothing_and_has_no_break_even() -> None:
-    found = account("c", "running", ["S1", "S2"], CALIBRATION, MapOrigin("m", None))
-    assert found.map is not None
-    assert (found.map.made_by, found.map.seconds, found.break_even) == (None, 0.0, None)
-    assert found.map_net_seconds == sum(scenario.saved["reused"] for scenario in found.scenarios)
+    result = account("c", "running", ["S1", "S2"], CALIBRATION, MapOrigin("m", None))
+    assert result.map is not None
+    assert (result.map.made_by, result.map.seconds, result.break_even) == (None, 0.0, None)
+    assert result.map_net_seconds == sum(scenario.saved["reused"] for scenario in result.scenarios)
 
 
 def test_a_campaign_without_answers_saves_nothing_yet() -> None:
-    found = account("c", "running", ["S1"], ANALYSIS, None)
-    assert (found.requested, found.share_without_simulation, found.share_reused, found.map_net_seconds) == (0, None, None, None)
-    assert found.scenarios[0].mean_seconds is None
-    assert found.net_seconds == -10.0
+    result = account("c", "running", ["S1"], ANALYSIS, None)
+    assert (result.requested, result.share_without_simulation, result.share_reused, result.map_net_seconds) == (
+        0,
+        None,
+        None,
+        None,
+    )
+    assert result.scenarios[0].mean_seconds is None
+    assert result.net_seconds == -10.0
 
 
 def test_a_map_that_saves_nothing_never_pays() -> None:
@@ -135,15 +140,15 @@ def test_a_map_that_saves_nothing_never_pays() -> None:
 
 @given(st.floats(0.01, 1e6), st.floats(0.01, 1e6), st.integers(1, 10**6))
 def test_from_the_break_even_on_the_map_has_paid_and_not_before(cost: float, saved: float, requested: int) -> None:
-    found = break_even(cost, saved, requested)
-    assert found is not None
-    assert found.requested_cells is not None
-    assert found.campaigns is not None
-    assert found.campaigns * saved >= cost * (1 - 1e-6)
-    assert (found.campaigns - 1) * saved < cost
+    result = break_even(cost, saved, requested)
+    assert result is not None
+    assert result.requested_cells is not None
+    assert result.campaigns is not None
+    assert result.campaigns * saved >= cost * (1 - 1e-6)
+    assert (result.campaigns - 1) * saved < cost
     rate = saved / requested
-    assert found.requested_cells * rate >= cost * (1 - 1e-6)
-    assert (found.requested_cells - 1) * rate < cost * (1 + 1e-6)
+    assert result.requested_cells * rate >= cost * (1 - 1e-6)
+    assert (result.requested_cells - 1) * rate < cost * (1 + 1e-6)
 
 
 def _waiting(stage: StageName, outcome: Outcome, cells: int, each: float) -> OutcomeCosts:
@@ -159,16 +164,16 @@ def test_a_simulator_that_waits_is_accounted_by_the_wall_clock() -> None:
         _waiting(StageName.CALIBRATION, Outcome.SIMULATED, 4, 90.0),
         _waiting(StageName.CALIBRATION, Outcome.REPEATED, 6, 90.0),
     ]
-    found = account("c", "succeeded", ["S1"], costs, MapOrigin("m", "other", analysis))
-    assert found.clock == "wall"
-    assert found.scenarios[0].mean_seconds == pytest.approx(90.0)
-    assert found.simulated_seconds == pytest.approx(360.0)
-    assert {item.name: item.seconds for item in found.balance} == pytest.approx({"repeated": 540.0, "sensitivity": -180.0})
-    assert found.map is not None
-    assert found.map.seconds == pytest.approx(180.0)
-    assert found.net_seconds == pytest.approx(360.0)
-    assert (found.cpu_seconds, found.wall_seconds) == pytest.approx((0.12, 1080.0))
-    assert "waits, or shares its processors" in found.sentence
+    result = account("c", "succeeded", ["S1"], costs, MapOrigin("m", "other", analysis))
+    assert result.clock == "wall"
+    assert result.scenarios[0].mean_seconds == pytest.approx(90.0)
+    assert result.simulated_seconds == pytest.approx(360.0)
+    assert {item.name: item.seconds for item in result.balance} == pytest.approx({"repeated": 540.0, "sensitivity": -180.0})
+    assert result.map is not None
+    assert result.map.seconds == pytest.approx(180.0)
+    assert result.net_seconds == pytest.approx(360.0)
+    assert (result.cpu_seconds, result.wall_seconds) == pytest.approx((0.12, 1080.0))
+    assert "waits, or shares its processors" in result.sentence
 
 
 @pytest.mark.parametrize("each", [0.015, 0.05])
@@ -178,7 +183,7 @@ def test_a_simulator_that_computes_is_accounted_by_cpu_time(each: float) -> None
         _waiting(StageName.CALIBRATION, Outcome.SIMULATED, 4, each),
         _waiting(StageName.CALIBRATION, Outcome.REPEATED, 6, each),
     ]
-    found = account("c", "succeeded", ["S1"], costs, None)
-    assert found.clock == "cpu"
-    assert found.scenarios[0].mean_seconds == pytest.approx(0.01)
-    assert "mostly waits" not in found.sentence
+    result = account("c", "succeeded", ["S1"], costs, None)
+    assert result.clock == "cpu"
+    assert result.scenarios[0].mean_seconds == pytest.approx(0.01)
+    assert "mostly waits" not in result.sentence

@@ -27,8 +27,8 @@ def _ranking(cells: list[CellScore], weights: dict[str, float]) -> list[Evaluate
 
 def test_a_set_without_a_result_in_a_weighted_scenario_is_not_ranked() -> None:
     cells = _cells({1: {"S1": 7, "S2": None}, 2: {"S1": 1, "S2": 1}})
-    assert [one.parameter_set for one in _ranking(cells, {"S1": 1, "S2": 1})] == [2]
-    assert [one.parameter_set for one in _ranking(cells, {"S1": 1, "S2": 0})] == [1, 2]
+    assert [item.parameter_set for item in _ranking(cells, {"S1": 1, "S2": 1})] == [2]
+    assert [entry.parameter_set for entry in _ranking(cells, {"S1": 1, "S2": 0})] == [1, 2]
 
 
 def test_equal_objectives_are_ordered_by_rating_then_by_discovery() -> None:
@@ -40,10 +40,10 @@ def test_equal_objectives_are_ordered_by_rating_then_by_discovery() -> None:
     ]
     ranking = Ranking({"S1": 1})
     ranking.add(cells)
-    assert [one.parameter_set for one in ranking.ranking()] == [2, 3, 1, 4]
-    found = ranking.best()
-    assert found is not None
-    assert (found[0].parameter_set, found[1]) == (2, 3)
+    assert [item.parameter_set for item in ranking.ranking()] == [2, 3, 1, 4]
+    result = ranking.best()
+    assert result is not None
+    assert (result[0].parameter_set, result[1]) == (2, 3)
 
 
 def test_a_set_met_again_keeps_the_place_of_its_discovery() -> None:
@@ -56,9 +56,9 @@ def test_the_sets_own_result_counts_more_than_a_copy() -> None:
     copy = CellScore(1, "S1", 7, 6.8, own=False, iteration=0, individual=0)
     own = CellScore(1, "S1", 5, 5.1, own=True, iteration=3, individual=0)
     failed = CellScore(1, "S1", None, None, own=True, iteration=0, individual=0)
-    assert [one.objective for one in _ranking([copy, own], {"S1": 1})] == [5.0]
-    assert [one.objective for one in _ranking([own, copy], {"S1": 1})] == [5.0]
-    assert [one.objective for one in _ranking([failed, copy], {"S1": 1})] == [7.0]
+    assert [item.objective for item in _ranking([copy, own], {"S1": 1})] == [5.0]
+    assert [entry.objective for entry in _ranking([own, copy], {"S1": 1})] == [5.0]
+    assert [element.objective for element in _ranking([failed, copy], {"S1": 1})] == [7.0]
 
 
 def test_a_solution_says_which_of_its_scores_are_those_of_a_reference() -> None:
@@ -82,7 +82,7 @@ def test_the_objectives_are_those_of_numpy(scores: list[list[int]], weights: lis
     cells = _cells({number: dict(zip(names, row, strict=True)) for number, row in enumerate(scores)})
     ranked = _ranking(cells, dict(zip(names, weights, strict=True)))
     expected = np.sort(np.array(scores) @ np.array(weights) / sum(weights))[::-1]
-    assert [one.objective for one in ranked] == pytest.approx(expected.tolist(), abs=1e-9)
+    assert [item.objective for item in ranked] == pytest.approx(expected.tolist(), abs=1e-9)
 
 
 @given(_scores, st.randoms(use_true_random=False))
@@ -107,7 +107,7 @@ def test_lower_objectives_are_better_on_a_scale_that_is_minimised() -> None:
     ]
     ranking = Ranking({"S1": 1}, sign=-1)
     ranking.add(cells)
-    assert [one.parameter_set for one in ranking.ranking()] == [4, 3, 2, 1], "of equal ones the better rating first"
+    assert [item.parameter_set for item in ranking.ranking()] == [4, 3, 2, 1], "of equal ones the better rating first"
     surest, doubtful = ranking.surest(), ranking.doubtful()
     assert surest is not None
     assert doubtful is not None

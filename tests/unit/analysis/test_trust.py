@@ -106,8 +106,8 @@ def test_without_a_confirmation_copies_are_amber() -> None:
 )
 def test_a_wrong_map_is_amber_behind_lots_and_red_without_them(max_error: float, rate: float, lower: float, light: str) -> None:
     subject = campaign(reduction={"max_error": max_error}, confirmation=CONFIRMED)
-    found = lights(subject, studies=[studied(validation(rate, lower))])
-    assert found["map_validated" if light == "green" else "map_wrong"] == light
+    result = lights(subject, studies=[studied(validation(rate, lower))])
+    assert result["map_validated" if light == "green" else "map_wrong"] == light
 
 
 def test_the_newest_validation_of_a_scenario_counts() -> None:
@@ -119,10 +119,10 @@ def test_the_newest_validation_of_a_scenario_counts() -> None:
 def test_scenarios_with_the_same_fault_share_a_verdict() -> None:
     rates = {**LOTS, "S5": ErrorRate(contradictions=3), "S6": ErrorRate(contradictions=12)}
     rows = [validation(0.3, 0.2, "S1"), validation(0.075, 0.0, "S2"), validation(0.0, 0.0, "S3")]
-    found = verdicts(campaign(error_rate=rates), studies=[studied(*rows)])
-    assert found["map_wrong"].numbers["rates"] == {"S1": 0.3, "S2": 0.075}
-    assert "30.0% in S1 and 7.5% in S2" in found["map_wrong"].text
-    assert found["contradictions"].numbers["groups"] == {"S5": 3, "S6": 12}
+    result = verdicts(campaign(error_rate=rates), studies=[studied(*rows)])
+    assert result["map_wrong"].numbers["rates"] == {"S1": 0.3, "S2": 0.075}
+    assert "30.0% in S1 and 7.5% in S2" in result["map_wrong"].text
+    assert result["contradictions"].numbers["groups"] == {"S5": 3, "S6": 12}
 
 
 def test_a_wrong_map_does_not_matter_to_a_campaign_without_one() -> None:
@@ -133,9 +133,9 @@ def test_a_wrong_map_does_not_matter_to_a_campaign_without_one() -> None:
 
 def test_reuse_without_lots_is_held_against_its_audits() -> None:
     rates = {"S2": ErrorRate(audited=100, wrong=1), "S3": ErrorRate(audited=100, wrong=10)}
-    found = trust(campaign(reduction={"max_error": 1}, error_rate=rates)).verdicts
-    assert {each.scenario: each.light for each in found if each.code == "audits_wrong"} == {"S2": "amber", "S3": "red"}
-    assert "map_unchecked" in {each.code for each in found}
+    result = trust(campaign(reduction={"max_error": 1}, error_rate=rates)).verdicts
+    assert {each.scenario: each.light for each in result if each.code == "audits_wrong"} == {"S2": "amber", "S3": "red"}
+    assert "map_unchecked" in {each.code for each in result}
     assert "audits_wrong" not in lights(campaign(error_rate=rates)), "lots inspect these"
 
 
@@ -147,8 +147,8 @@ def test_validated_predictions_are_held_against_their_limit(beyond: int, lower: 
 
 def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
     counts = {"failed": 5, "unscored": 1, "unrepeatable": 2, "cut": 1}
-    found = lights(campaign("predicted", cells=counts, released={"S1": NEAR}))
-    assert found == {
+    result = lights(campaign("predicted", cells=counts, released={"S1": NEAR}))
+    assert result == {
         "noise": "amber",
         "without_result": "amber",
         "scores_simulated": "green",
@@ -176,9 +176,9 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
     ],
 )
 def test_the_best_set_is_held_against_the_baseline(objective: float, given: dict[str, Any], code: str) -> None:
-    found = verdicts(campaign(baseline=before(objective), **given))
-    assert {"better_than_baseline", "not_better", "alike_baseline"} & set(found) == {code}
-    assert found[code].question == "search"
+    result = verdicts(campaign(baseline=before(objective), **given))
+    assert {"better_than_baseline", "not_better", "alike_baseline"} & set(result) == {code}
+    assert result[code].question == "search"
 
 
 def test_constraints_come_first() -> None:
@@ -225,9 +225,9 @@ def test_a_better_set_of_the_rerun_campaign_is_amber(objective: float, given: di
 
 
 def test_a_better_earlier_set_names_the_command_that_lists_it() -> None:
-    found = verdicts(campaign(), earlier=Earlier("e" * 32, 6.5, {"S1": 4.0, "S2": 1.0}, ["S2"]))["earlier_better"]
-    assert found.numbers["command"] == "drivecal solutions eeeeeeee --weights S1=4,S2=1"
-    assert "(a copied score in S2)" in found.text
+    result = verdicts(campaign(), earlier=Earlier("e" * 32, 6.5, {"S1": 4.0, "S2": 1.0}, ["S2"]))["earlier_better"]
+    assert result.numbers["command"] == "drivecal solutions eeeeeeee --weights S1=4,S2=1"
+    assert "(a copied score in S2)" in result.text
     first = FirstObjective(name="energy", unit="1", direction="maximise")
     assert "earlier_front" in lights(campaign(objective=first), earlier=Earlier("e" * 32, 6.5, {"S1": 1.0}))
 
@@ -255,8 +255,8 @@ def test_a_search_with_a_budget_says_what_more_would_bring(course: list[float | 
     ],
 )
 def test_later_simulations_that_change_the_best_set_are_amber(gain: float, parameters: Any, code: str | None) -> None:
-    found = lights(campaign(), later=Later(6.0 + gain, gain, parameters, ["f" * 32]), chosen=Chosen({"P1": 0.7}))
-    assert [(name, light) for name, light in found.items() if name.startswith("later")] == (
+    result = lights(campaign(), later=Later(6.0 + gain, gain, parameters, ["f" * 32]), chosen=Chosen({"P1": 0.7}))
+    assert [(name, light) for name, light in result.items() if name.startswith("later")] == (
         [] if code is None else [(code, "amber")]
     )
 
@@ -284,9 +284,9 @@ def test_a_search_that_its_first_iteration_decided_is_amber(course: Any, given: 
     ("requested", "grid", "is_doubted"), [(54, 54, False), (48, 54, False), (30, 54, True), (9, 10**400, True)]
 )
 def test_a_search_that_saw_nearly_all_sets_missed_little(requested: int, grid: int, is_doubted: bool) -> None:
-    found = verdicts(campaign(), search=SearchCourse(stalled(*[(6.0, 6.0)] * 5), {}, requested, grid))
-    assert ("stood_still" in found) is is_doubted
-    assert found["seen"].numbers["asked"] == str(requested)
+    result = verdicts(campaign(), search=SearchCourse(stalled(*[(6.0, 6.0)] * 5), {}, requested, grid))
+    assert ("stood_still" in result) is is_doubted
+    assert result["seen"].numbers["asked"] == str(requested)
 
 
 def test_the_highest_score_in_steps_is_not_doubted() -> None:
@@ -297,25 +297,27 @@ def test_the_highest_score_in_steps_is_not_doubted() -> None:
 
 def test_convergence_is_told_by_both_criteria_of_the_paper() -> None:
     rising = [CoursePoint(4.0, 4.0, 1), CoursePoint(6.0, 6.0, 1), *[CoursePoint(6.0, 6.0, 3)] * 8, CoursePoint(6.0, 6.0, 4)]
-    found = [
+    result = [
         each
         for each in trust(campaign(), Evidence(search=SearchCourse(rising, {}))).verdicts
         if each.code.endswith("converged")
     ]
-    assert [(each.code, each.numbers["of"], each.numbers["iteration"]) for each in found] == [
+    assert [(each.code, each.numbers["of"], each.numbers["iteration"]) for each in result] == [
         ("not_converged", "best objective", 2),
         ("not_converged", "number of alternative optima", 11),
     ]
     rested = [*rising, *[CoursePoint(6.0, 6.0, 4)] * 6]
-    found = [each for each in trust(campaign(), Evidence(search=SearchCourse(rested, {}))).verdicts if each.code == "converged"]
-    assert [(each.light, each.numbers["iteration"]) for each in found] == [("neutral", 2), ("neutral", 11)]
+    result = [
+        each for each in trust(campaign(), Evidence(search=SearchCourse(rested, {}))).verdicts if each.code == "converged"
+    ]
+    assert [(each.light, each.numbers["iteration"]) for each in result] == [("neutral", 2), ("neutral", 11)]
 
 
 def test_values_at_an_end_of_their_range_are_named() -> None:
     best = BEST.model_copy(update={"parameters": {"P1": 0.5, "P2": 3.0, "P3": 1.0, "mode": "eco"}})
     ranges = {"P1": (0.5, 2.0), "P2": (1.0, 3.0), "P3": (0.0, 2.0)}
-    found = verdicts(campaign(best=best), search=SearchCourse([], ranges))["at_ends"]
-    assert found.numbers["values"] == {"P1": 0.5, "P2": 3.0}
+    result = verdicts(campaign(best=best), search=SearchCourse([], ranges))["at_ends"]
+    assert result.numbers["values"] == {"P1": 0.5, "P2": 3.0}
     assert "at_ends" not in lights(campaign(best=best), search=SearchCourse([], {"P3": (0.0, 2.0)}))
     chosen = Chosen({"P1": 0.7, "P2": 3.0})
     assert verdicts(campaign(), search=SearchCourse([], ranges), chosen=chosen)["at_ends"].numbers["values"] == {"P2": 3.0}
@@ -336,26 +338,26 @@ def test_values_at_an_end_of_their_range_are_named() -> None:
     ],
 )
 def test_a_chosen_set_is_compared_in_each_objective(compared: list[BesideBaseline], light: str | None) -> None:
-    found = verdicts(campaign("exact", baseline=before(4.0), **EXACT), chosen=Chosen({}, compared))
-    assert (found["beside_baseline"].light if compared else None) == light
-    assert "better_than_baseline" not in found
-    assert compared or "beside_baseline" not in found
+    result = verdicts(campaign("exact", baseline=before(4.0), **EXACT), chosen=Chosen({}, compared))
+    assert (result["beside_baseline"].light if compared else None) == light
+    assert "better_than_baseline" not in result
+    assert compared or "beside_baseline" not in result
 
 
 def test_a_chosen_set_is_judged_by_its_own_scores() -> None:
     doubtful = Confirmation(state="unconfirmed", tried=1, copied=["S4"])
     assert lights(campaign(confirmation=doubtful), chosen=Chosen({}, is_best=True))["unconfirmed"] == "red"
     assert lights(campaign(confirmation=doubtful), chosen=Chosen({}))["scores_simulated"] == "green"
-    found = lights(campaign(), chosen=Chosen({}, copied=["S2"], violation=0.2))
-    assert (found["scores_copied"], found["constraints_broken"]) == ("amber", "red")
+    result = lights(campaign(), chosen=Chosen({}, copied=["S2"], violation=0.2))
+    assert (result["scores_copied"], result["constraints_broken"]) == ("amber", "red")
     assert lights(campaign(), chosen=Chosen({}, is_judged=False))["not_judged"] == "red"
     assert lights(campaign(), chosen=Chosen({}, baseline_violation=0.1))["baseline_breaks_more"] == "green"
 
 
 @pytest.mark.parametrize(("dominating", "code"), [(3, "front_beats_baseline"), (0, "front_not_better"), (None, None)])
 def test_several_objectives_count_the_sets_that_beat_the_baseline(dominating: int | None, code: str | None) -> None:
-    found = lights(campaign("exact", baseline=before(4.0)), front=Compromises(7, dominating))
-    assert {"front_beats_baseline", "front_not_better", "better_than_baseline"} & set(found) == ({code} if code else set())
+    result = lights(campaign("exact", baseline=before(4.0)), front=Compromises(7, dominating))
+    assert {"front_beats_baseline", "front_not_better", "better_than_baseline"} & set(result) == ({code} if code else set())
     assert lights(campaign("exact"), front=Compromises(7, None, 2))["front_copied"] == "amber"
 
 

@@ -22,24 +22,24 @@ FREE = np.zeros(10, dtype=np.int64)
 
 def brute_force(masks: npt.NDArray[np.bool_], orders: int) -> tuple[int, int]:
     n = masks.shape[1]
-    subsets = [one for order in range(1, orders + 1) for one in combinations(range(n), order)]
-    return len(subsets), sum(any(mask[list(one)].all() for mask in masks) for one in subsets)
+    subsets = [combination for order in range(1, orders + 1) for combination in combinations(range(n), order)]
+    return len(subsets), sum(any(mask[list(subset)].all() for mask in masks) for subset in subsets)
 
 
 @given(st.integers(1, 6).flatmap(lambda n: st.lists(st.lists(st.booleans(), min_size=n, max_size=n), max_size=12).map(
     lambda rows: np.array(rows, dtype=np.bool_).reshape(-1, n))))  # fmt: skip
 def test_coverage_counts_what_enumeration_counts(masks: npt.NDArray[np.bool_]) -> None:
-    found = coverage(masks)
-    assert (found.effects, found.covered) == brute_force(masks, masks.shape[1])
-    assert found.complete == (found.covered == 2 ** masks.shape[1] - 1)
+    result = coverage(masks)
+    assert (result.effects, result.covered) == brute_force(masks, masks.shape[1])
+    assert result.complete == (result.covered == 2 ** masks.shape[1] - 1)
 
 
 @given(seed=st.integers(0, 50))
 @settings(max_examples=examples(10))
 def test_beyond_sixteen_parameters_effects_of_up_to_three_are_counted(seed: int) -> None:
     masks = np.random.default_rng(seed).random((6, MOST_EXACT + 2)) < 0.4
-    found = coverage(masks)
-    assert (found.effects, found.covered) == brute_force(masks, 3)
+    result = coverage(masks)
+    assert (result.effects, result.covered) == brute_force(masks, 3)
 
 
 def test_a_parameter_is_reducible_where_a_region_has_more_than_one_value() -> None:
@@ -54,10 +54,10 @@ def test_where_nothing_can_be_reduced_there_is_nothing_to_validate() -> None:
 @settings(max_examples=examples(30))
 def test_variants_differ_inside_their_regions_only(seed: int, references: int) -> None:
     classes = [EVERY, LOW, BOTH, FREE]
-    found = design(classified(classes), 16, references, seed, 4096)
-    assert found is not None
-    assert found.variants.shape == (len(found.bases), references, 4)
-    for base, variants in zip(found.bases, found.variants, strict=True):
+    result = design(classified(classes), 16, references, seed, 4096)
+    assert result is not None
+    assert result.variants.shape == (len(result.bases), references, 4)
+    for base, variants in zip(result.bases, result.variants, strict=True):
         for variant in variants:
             assert (variant != base).any()
             for column, one in enumerate(classes):
@@ -65,24 +65,24 @@ def test_variants_differ_inside_their_regions_only(seed: int, references: int) -
 
 
 def test_samples_grow_until_every_effect_is_covered() -> None:
-    found = design(classified([LOW, LOW, LOW, LOW]), 4, 3, 1, 100_000)
-    assert found is not None
-    assert found.coverage.complete
-    assert found.coverage.effects == 15
-    assert found.drawn > 4
-    smaller = design(classified([LOW, LOW, LOW, LOW]), found.drawn // 2, 3, 1, found.drawn // 2)
+    result = design(classified([LOW, LOW, LOW, LOW]), 4, 3, 1, 100_000)
+    assert result is not None
+    assert result.coverage.complete
+    assert result.coverage.effects == 15
+    assert result.drawn > 4
+    smaller = design(classified([LOW, LOW, LOW, LOW]), result.drawn // 2, 3, 1, result.drawn // 2)
     assert smaller is not None
     assert not smaller.coverage.complete
 
 
 def test_a_large_hypercube_is_kept_as_far_as_it_is_needed() -> None:
     space = classified([LOW, LOW, LOW, LOW])
-    found = design(space, 4, 3, 1, 100_000)
-    assert found is not None
-    assert found.drawn > 4
-    assert len(found.bases) == 4
-    assert space.variable(found.bases).all(axis=1).sum() == 1, "one varies in all four, and covers every effect"
-    assert coverage(space.variable(found.bases)[:, space.reducible]) == found.coverage
+    result = design(space, 4, 3, 1, 100_000)
+    assert result is not None
+    assert result.drawn > 4
+    assert len(result.bases) == 4
+    assert space.variable(result.bases).all(axis=1).sum() == 1, "one varies in all four, and covers every effect"
+    assert coverage(space.variable(result.bases)[:, space.reducible]) == result.coverage
 
 
 @settings(max_examples=examples(60), deadline=None)
@@ -95,10 +95,10 @@ def test_what_is_kept_covers_what_all_did(rows: list[list[bool]]) -> None:
 
 
 def test_the_cap_is_kept_and_what_is_missing_is_told() -> None:
-    found = design(classified([LOW] * 10), 8, 1, 1, 20)
-    assert found is not None
-    assert found.drawn == 20
-    assert found.coverage.covered < found.coverage.effects == 1023
+    result = design(classified([LOW] * 10), 8, 1, 1, 20)
+    assert result is not None
+    assert result.drawn == 20
+    assert result.coverage.covered < result.coverage.effects == 1023
 
 
 def test_differences_without_a_score_count_for_no_base() -> None:

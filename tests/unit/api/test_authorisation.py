@@ -209,8 +209,8 @@ def test_without_tokens_a_host_must_be_named_and_named_once() -> None:
 def test_without_tokens_a_web_page_of_another_origin_changes_nothing(origin: bytes, status: int) -> None:
     headers = [HOST, (b"origin", origin)]
     for method in ("POST", "DELETE"):
-        found, answer, _ = ask(None, method, "/api/v1/campaigns/x/cancel", headers)
-        assert found == status
+        result, answer, _ = ask(None, method, "/api/v1/campaigns/x/cancel", headers)
+        assert result == status
         assert not [name for name in answer if name.startswith("access-control-")]
     assert ask(None, "GET", headers=headers)[0] == 200
 
@@ -241,9 +241,9 @@ OWN, FOREIGN = (b"origin", b"http://localhost:8000"), (b"origin", b"http://local
 
 def cookie(token: bytes, moment: float | None = None) -> Header:
     """The session that `token` was given; at `moment`, in seconds since 1970, where that is not now."""
-    found = Fixed().find(token)
-    assert found is not None
-    return b"cookie", f"drivecal-session-8000={sessions.begin(found, moment)}".encode()
+    result = Fixed().find(token)
+    assert result is not None
+    return b"cookie", f"drivecal-session-8000={sessions.begin(result, moment)}".encode()
 
 
 @pytest.mark.parametrize(
@@ -312,7 +312,7 @@ def test_a_session_that_was_not_given_or_is_over_is_none() -> None:
         forged("drivecal-session-8000", "x" * 5_000),
         forged("drivecal-session-8000", "--"),
     ]
-    assert [ask(Fixed(), headers=[HOST, one])[0] for one in wrong] == [401] * len(wrong)
+    assert [ask(Fixed(), headers=[HOST, item])[0] for item in wrong] == [401] * len(wrong)
     assert ask(Fixed(), headers=[HOST, forged("drivecal-session-8000", value)])[0] == 200
 
 

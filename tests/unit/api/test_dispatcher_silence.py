@@ -34,8 +34,8 @@ def campaign_revision(
     ],
 )
 def test_a_silence_is_told_in_words_that_stay_the_same_for_a_while(seconds: float, said: str | None) -> None:
-    found = silence(NOW - timedelta(seconds=seconds), NOW)
-    assert found == (None if said is None else f"the dispatcher has been silent for {said}")
+    result = silence(NOW - timedelta(seconds=seconds), NOW)
+    assert result == (None if said is None else f"the dispatcher has been silent for {said}")
 
 
 def test_a_heartbeat_from_before_a_clock_was_set_back_hides_no_dispatcher_that_is_gone() -> None:

@@ -96,8 +96,8 @@ def test_every_optimizer_begins_with_the_population_that_its_size_and_seed_give(
         plugin = registry.optimizer(name)
         assert not isinstance(plugin, SearchPlugin)
         document = {"kind": name, "population": population, "start": start, "seed": seed}
-        found: list[list[int]] = plugin.create(plugin.settings.model_validate(document), n_values).ask().population.tolist()
-        return found
+        result: list[list[int]] = plugin.create(plugin.settings.model_validate(document), n_values).ask().population.tolist()
+        return result
 
     assert first(kind, 12, 1) == first("genetic", 12, 1)
     assert (first(kind, 12, 1) == first(kind, 12, 2)) == (start == "halton")

@@ -101,15 +101,15 @@ def test_the_misses_of_the_threshold_auto_are_noted_before_an_analysis_begins() 
     ],
 )
 def test_what_does_not_fit_is_refused_by_field_with_what_would_be_right(document: Any, field: str, says: str) -> None:
-    found = _problems(**document)
-    assert field in found, found
-    assert says in found[field]
+    result = _problems(**document)
+    assert field in result, result
+    assert says in result[field]
 
 
 def test_a_list_of_parameters_needs_a_value_for_every_other_one() -> None:
-    found = _problems(parameters=[{"name": "P1", "lower": 0, "upper": 1, "step": 0.5}], fixed={"P2": 1})
-    assert set(found) == {"fixed"}
-    assert "P3, P4, P5, P6, P7, P8, P9, P10, P11; list them" in found["fixed"]
+    result = _problems(parameters=[{"name": "P1", "lower": 0, "upper": 1, "step": 0.5}], fixed={"P2": 1})
+    assert set(result) == {"fixed"}
+    assert "P3, P4, P5, P6, P7, P8, P9, P10, P11; list them" in result["fixed"]
     held = {f"P{number}": 1 for number in range(2, 11)}
     assert set(_problems(parameters=[{"name": "P1", "lower": 0, "upper": 1, "step": 0.5}], fixed=held)) >= {"fixed.P11"}
 
@@ -141,8 +141,8 @@ def _map(**scenarios: Any) -> InfluenceMapSpecification:
 
 
 def test_a_posted_map_survives_storage_exactly() -> None:
-    found = resolve_map(_map(S1={"P9": {"lower": 0.1, "upper": 9.9}, "P1": {"influential": False}}, S2={})).influence_map
-    assert map_from_document(map_to_document(found)) == found
+    result = resolve_map(_map(S1={"P9": {"lower": 0.1, "upper": 9.9}, "P1": {"influential": False}}, S2={})).influence_map
+    assert map_from_document(map_to_document(result)) == result
 
 
 @pytest.mark.parametrize(
@@ -159,6 +159,6 @@ def test_a_posted_map_survives_storage_exactly() -> None:
 def test_map_bounds_off_the_grid_are_refused_by_field(scenarios: Any, field: str, says: str) -> None:
     with pytest.raises(InvalidInputError) as caught:
         resolve_map(_map(**scenarios))
-    found = {problem.field: str(problem) for problem in caught.value.problems}
-    assert field in found, found
-    assert says in found[field]
+    result = {problem.field: str(problem) for problem in caught.value.problems}
+    assert field in result, result
+    assert says in result[field]

@@ -12,7 +12,7 @@ from drivecal.client.following import EventParser
 
 def parsed(*chunks: bytes) -> list[tuple[str, str, str | None]]:
     parser = EventParser()
-    return [(one.event, one.data, one.id) for chunk in chunks for one in parser.feed(chunk)]
+    return [(item.event, item.data, item.id) for chunk in chunks for item in parser.feed(chunk)]
 
 
 def test_what_is_incomplete_or_no_text_ends_no_stream() -> None:

@@ -52,10 +52,10 @@ def test_lines_about_a_campaign_carry_its_id_and_no_others_do() -> None:
             log.info("starts")
         log.info("ends")
     log.info("idle")
-    found = documents(stream)
-    assert [line.get("campaign") for line in found] == ["c1", "c2", "c1", None]
-    assert found[0]["campaign_name"] == "comfort"
-    assert "stage" not in found[0]
+    result = documents(stream)
+    assert [line.get("campaign") for line in result] == ["c1", "c2", "c1", None]
+    assert result[0]["campaign_name"] == "comfort"
+    assert "stage" not in result[0]
 
 
 def test_requests_at_the_same_time_do_not_see_each_others_context() -> None:
@@ -96,10 +96,10 @@ def test_what_nobody_catches_is_logged() -> None:
     thread.join()
     error = RuntimeError("the end")
     sys.excepthook(RuntimeError, error, None)
-    found = documents(stream)
-    assert [line["level"] for line in found] == ["critical", "critical"]
-    assert "ZeroDivisionError" in found[0]["exception"]
-    assert "the end" in found[1]["exception"]
+    result = documents(stream)
+    assert [line["level"] for line in result] == ["critical", "critical"]
+    assert "ZeroDivisionError" in result[0]["exception"]
+    assert "the end" in result[1]["exception"]
 
 
 def test_libraries_and_warnings_go_the_same_way() -> None:

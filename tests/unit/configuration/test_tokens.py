@@ -35,9 +35,9 @@ def test_an_author_may_write_and_push_and_no_other_may_push() -> None:
 @given(st.binary(max_size=40))
 def test_nothing_else_is_a_token(presented: bytes) -> None:
     tokens = parse(GOOD, "tokens")
-    found = TokenFile.__new__(TokenFile)
-    found.tokens, found._path, found._version = tokens, Path("/nowhere"), None
-    assert (found.find(presented) is None) == (presented not in {ANNA, PLANT})
+    result = TokenFile.__new__(TokenFile)
+    result.tokens, result._path, result._version = tokens, Path("/nowhere"), None
+    assert (result.find(presented) is None) == (presented not in {ANNA, PLANT})
 
 
 SECRET = "s3cret-s3cret-s3cret"
@@ -100,9 +100,9 @@ def test_a_token_is_exchanged_without_a_restart(tmp_path: Path) -> None:
     path.with_name("new").write_bytes(GOOD.replace(ANNA, b"another-0123456789abcdef"))
     path.with_name("new").rename(path)
     assert tokens.find(ANNA) is None
-    found = tokens.find(b"another-0123456789abcdef")
-    assert found is not None
-    assert found.name == "anna"
+    result = tokens.find(b"another-0123456789abcdef")
+    assert result is not None
+    assert result.name == "anna"
 
 
 @pytest.mark.parametrize("broken", [b"", b"# nothing\n", GOOD + b"third read x\n", None])

@@ -25,5 +25,5 @@ def test_cells_are_counted_under_the_names_of_the_interface() -> None:
 
 
 def test_a_client_reads_answers_of_a_newer_server() -> None:
-    found = Campaign.model_validate({"id": "1", "name": "n", "state": "running", "new_field": {"x": 1}})
-    assert found.state == "running"
+    result = Campaign.model_validate({"id": "1", "name": "n", "state": "running", "new_field": {"x": 1}})
+    assert result.state == "running"

@@ -36,8 +36,8 @@ validation: null
 
 
 def example() -> dict[str, Any]:
-    found: dict[str, Any] = yaml.safe_load(EXAMPLE)
-    return found
+    result: dict[str, Any] = yaml.safe_load(EXAMPLE)
+    return result
 
 
 def with_value(path: str, value: object) -> dict[str, Any]:
@@ -79,25 +79,25 @@ def refused_at(model: type[BaseModel], document: object) -> list[str]:
 
 
 def test_the_example_of_the_interface_is_accepted_as_it_stands() -> None:
-    found = CampaignSpecification.model_validate(example())
-    assert found.model_dump(mode="json") | {"sensitivity": None} == CampaignSpecification.model_validate(
+    result = CampaignSpecification.model_validate(example())
+    assert result.model_dump(mode="json") | {"sensitivity": None} == CampaignSpecification.model_validate(
         example() | {"sensitivity": None}
     ).model_dump(mode="json")
-    assert found.optimizer is not None
-    assert (found.optimizer.kind, found.optimizer.population, found.optimizer.iterations) == ("genetic", 1000, 20)
-    assert found.optimizer.model_extra == {"selection": 0.8, "recombination": 0.7, "mutation": 0.5}
-    assert found.weights == {f"S{number}": 1.0 for number in range(1, 7)}
+    assert result.optimizer is not None
+    assert (result.optimizer.kind, result.optimizer.population, result.optimizer.iterations) == ("genetic", 1000, 20)
+    assert result.optimizer.model_extra == {"selection": 0.8, "recombination": 0.7, "mutation": 0.5}
+    assert result.weights == {f"S{number}": 1.0 for number in range(1, 7)}
 
 
 def test_an_empty_file_is_the_papers_problem() -> None:
-    found = CampaignSpecification.model_validate({})
-    assert found.catalogue == found.parameters == "highway"
-    assert found.optimizer is not None
-    assert (found.optimizer.kind, found.optimizer.model_extra, found.budget) == ("surrogate", {}, None)
-    assert found.sensitivity is None
-    assert (found.reduction.mode, found.reduction.tolerance_on(COMFORT), found.reduction.limit) == ("predicted", 0, 0.05)
-    assert (found.reduction.certified, found.reduction.confirm) == (True, 20)
-    assert (found.reduction.audit, found.reduction.max_error) == (0.02, 0.02)
+    result = CampaignSpecification.model_validate({})
+    assert result.catalogue == result.parameters == "highway"
+    assert result.optimizer is not None
+    assert (result.optimizer.kind, result.optimizer.model_extra, result.budget) == ("surrogate", {}, None)
+    assert result.sensitivity is None
+    assert (result.reduction.mode, result.reduction.tolerance_on(COMFORT), result.reduction.limit) == ("predicted", 0, 0.05)
+    assert (result.reduction.certified, result.reduction.confirm) == (True, 20)
+    assert (result.reduction.audit, result.reduction.max_error) == (0.02, 0.02)
 
 
 @pytest.mark.parametrize("reduction", [{}, {"reduction": {}}, {"reduction": {"audit": 0.1}}])
@@ -128,8 +128,8 @@ def test_a_comparison_settles_reductions_without_a_mode_as_a_campaign_does() -> 
 
 
 def test_a_specification_survives_json() -> None:
-    found = CampaignSpecification.model_validate(example())
-    assert CampaignSpecification.model_validate(json.loads(found.model_dump_json())) == found
+    result = CampaignSpecification.model_validate(example())
+    assert CampaignSpecification.model_validate(json.loads(result.model_dump_json())) == result
 
 
 @pytest.mark.parametrize(
@@ -232,5 +232,5 @@ def test_the_other_bodies_are_closed_and_need_only_what_they_are_about(
 
 @pytest.mark.parametrize("wrong", [{"lower": NAN}, {"upper": "1"}, {"influential": 1}, {"below": 1}, {"lower": 1e30}])
 def test_posted_bounds_are_checked_field_by_field(wrong: dict[str, object]) -> None:
-    found = refused_at(InfluenceMapSpecification, {"scenarios": {"S1": {"P1": wrong}}})
-    assert found == [f"scenarios.S1.P1.{next(iter(wrong))}"]
+    result = refused_at(InfluenceMapSpecification, {"scenarios": {"S1": {"P1": wrong}}})
+    assert result == [f"scenarios.S1.P1.{next(iter(wrong))}"]

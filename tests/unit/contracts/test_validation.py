@@ -59,8 +59,8 @@ def test_each_finding_names_field_fault_and_remedy(document: object, said: str) 
 
 
 def test_everything_wrong_is_said_at_once() -> None:
-    found = complaints({"parameters": [{"step": "1"}], "name": "", "evaluator": None})
-    assert found == [
+    result = complaints({"parameters": [{"step": "1"}], "name": "", "evaluator": None})
+    assert result == [
         "name: '' is too short; give at least 1 characters",
         "parameters[0].name: the value is missing; give it",
         "parameters[0].step: 1 does not fit; give a number",
@@ -69,8 +69,8 @@ def test_everything_wrong_is_said_at_once() -> None:
 
 
 def test_a_slip_deep_in_an_influence_map_is_named_where_it_is() -> None:
-    found = complaints({"scenarios": {"S1": {"P1": {"lowr": 1}, "P2": 5}}}, InfluenceMapSpecification)
-    assert found == [
+    result = complaints({"scenarios": {"S1": {"P1": {"lowr": 1}, "P2": 5}}}, InfluenceMapSpecification)
+    assert result == [
         "scenarios.S1.P1.lowr: there is no such field; did you mean lower?",
         "scenarios.S1.P2: 5 does not fit; give an object",
     ]
@@ -98,7 +98,7 @@ def test_any_document_is_either_accepted_or_refused_with_reasons(document: objec
 
 
 def test_of_very_many_wrong_values_the_first_ones_are_told() -> None:
-    document = {"scenarios": {f"S{one}": {f"P{other}": 1 for other in range(100)} for one in range(100)}}
+    document = {"scenarios": {f"S{item}": {f"P{other}": 1 for other in range(100)} for item in range(100)}}
     with pytest.raises(InvalidInputError) as caught:
         validated(InfluenceMapSpecification, document)
     assert len(caught.value.problems) == 500
@@ -106,7 +106,7 @@ def test_of_very_many_wrong_values_the_first_ones_are_told() -> None:
 
 
 def test_a_large_document_that_fits_is_read_whole() -> None:
-    document: dict[str, object] = {"scenarios": {f"S{one}": {f"P{other}": {} for other in range(100)} for one in range(100)}}
+    document: dict[str, object] = {"scenarios": {f"S{item}": {f"P{other}": {} for other in range(100)} for item in range(100)}}
     assert len(validated(InfluenceMapSpecification, document).scenarios["S99"]) == 100
 
 

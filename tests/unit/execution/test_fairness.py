@@ -127,8 +127,8 @@ def test_a_setup_in_a_vehicle_that_was_never_driven_costs_what_others_of_its_kin
         replace(setup("S2"), document={"scenario": "S2"}),
     )
     vehicle = replace(known, run_fingerprint="another", varied={"mass": 2000.0})
-    for one in (known, vehicle, other):
-        costs.relate(one.key, one.kind)
+    for item in (known, vehicle, other):
+        costs.relate(item.key, item.kind)
     assert costs.seconds_per_cell(vehicle.key) is None
     costs.observe(known.key, 10, 1.0)
     assert costs.seconds_per_cell(vehicle.key) == pytest.approx(0.1)

@@ -41,11 +41,11 @@ def test_a_poison_cell_gives_its_lease_back_with_every_breakdown() -> None:
     backend = FakeBackend()
     pool = WorkPool(backend, leases)
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 20 + [Behaviour.CRASH])), tag="a")
-    completed = {one.result.id: one for one in drain(pool)}
+    completed = {item.result.id: item for item in drain(pool)}
     failed = completed[21]
     assert (failed.result.breakdown, failed.attempts, failed.lease) == ("crash", ATTEMPTS, ATTEMPTS)
     assert leases.breakdowns[21] == ATTEMPTS - 1
-    assert {one.lease for one in completed.values()} <= {1, 2, ATTEMPTS}
+    assert {entry.lease for entry in completed.values()} <= {1, 2, ATTEMPTS}
 
 
 def test_refused_cells_give_their_leases_back_without_a_breakdown() -> None:
@@ -72,10 +72,10 @@ def test_a_database_that_comes_and_goes_costs_no_result_and_no_attempt(seed: int
         except UnavailableError:
             continue
     completed = patient_drain(pool)
-    assert len({one.result.id for one in completed}) == len(completed) == 402
-    assert sum(one.result.breakdown is not None for one in completed) == 2
-    assert all(one.lease == leases.numbers[one.result.id] for one in completed)
-    assert {one.result.id for one in completed} == leases.held.keys()
+    assert len({element.result.id for element in completed}) == len(completed) == 402
+    assert sum(member.result.breakdown is not None for member in completed) == 2
+    assert all(item.lease == leases.numbers[item.result.id] for item in completed)
+    assert {entry.result.id for entry in completed} == leases.held.keys()
 
 
 def test_cells_that_are_not_granted_are_forgotten_and_the_others_sent() -> None:
@@ -83,7 +83,7 @@ def test_cells_that_are_not_granted_are_forgotten_and_the_others_sent() -> None:
     backend = FakeBackend()
     pool = WorkPool(backend, leases)
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 10)), tag="a")
-    assert sorted(one.result.id for one in drain(pool)) == [1, 2, 4, 5, 6, 8, 9, 10]
+    assert sorted(item.result.id for item in drain(pool)) == [1, 2, 4, 5, 6, 8, 9, 10]
     assert backend.attempts.keys().isdisjoint({3, 7})
 
 
@@ -95,7 +95,7 @@ def test_results_that_nobody_writes_down_give_their_leases_back() -> None:
     pool.poll(0.0)
     assert leases.held == {}
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 5)), tag="a")
-    assert {one.lease for one in drain(pool)} == {2}
+    assert {item.lease for item in drain(pool)} == {2}
 
 
 def test_a_withdrawn_cell_whose_worker_dies_is_free_again() -> None:

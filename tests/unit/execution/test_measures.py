@@ -10,19 +10,19 @@ from drivecal.execution.measures import BOUNDS, DURATIONS, KINDS, Measures
 @given(st.lists(st.floats(0.0, 1000.0)))
 def test_every_duration_is_in_the_one_bucket_that_it_belongs_to(seconds: list[float]) -> None:
     measures = Measures()
-    for one in seconds:
-        measures.observe("batch", one)
-    found = measures.snapshot()["seconds"]["batch"]
-    assert sum(found["buckets"]) == len(seconds)
-    assert found["sum"] == pytest.approx(sum(seconds))
+    for second in seconds:
+        measures.observe("batch", second)
+    result = measures.snapshot()["seconds"]["batch"]
+    assert sum(result["buckets"]) == len(seconds)
+    assert result["sum"] == pytest.approx(sum(seconds))
     for index, bound in enumerate(BOUNDS):
-        assert sum(found["buckets"][: index + 1]) == sum(one <= bound for one in seconds)
+        assert sum(result["buckets"][: index + 1]) == sum(item <= bound for item in seconds)
 
 
 def test_what_never_happened_is_shown_as_zero() -> None:
-    found = Measures().snapshot()
-    assert set(found["seconds"]) == set(DURATIONS)
-    assert found["counts"] == {name: dict.fromkeys(kinds, 0) for name, kinds in KINDS.items()}
+    result = Measures().snapshot()
+    assert set(result["seconds"]) == set(DURATIONS)
+    assert result["counts"] == {name: dict.fromkeys(kinds, 0) for name, kinds in KINDS.items()}
 
 
 def test_a_block_that_raises_is_measured_too() -> None:

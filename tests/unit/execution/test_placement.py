@@ -24,22 +24,22 @@ clusters = st.lists(
 
 @given(clusters, st.none() | st.integers(0, 20))
 def test_workers_fill_the_nodes_of_this_version_and_no_more(nodes: list[Node], most: int | None) -> None:
-    found = missing(nodes, [], most, OURS)
-    room = {one.id: one.cpus for one in nodes if one.version in {OURS, None}}
-    count = Counter(one.id for one in found)
+    result = missing(nodes, [], most, OURS)
+    room = {item.id: item.cpus for item in nodes if item.version in {OURS, None}}
+    count = Counter(entry.id for entry in result)
     assert all(number <= room.get(identifier, 0) for identifier, number in count.items())
-    assert len(found) == min(sum(room.values()), sum(room.values()) if most is None else most)
-    assert missing(nodes, [one.id for one in found], most, OURS) == []
+    assert len(result) == min(sum(room.values()), sum(room.values()) if most is None else most)
+    assert missing(nodes, [element.id for element in result], most, OURS) == []
 
 
 def test_few_workers_are_spread_over_many_nodes() -> None:
     nodes = [node("a", 4), node("b", 4), node("c", 1)]
-    assert [one.id for one in missing(nodes, [], 4, OURS)] == ["a", "b", "c", "a"]
-    assert [one.id for one in missing(nodes, ["a", "a"], 4, OURS)] == ["b", "c"]
+    assert [item.id for item in missing(nodes, [], 4, OURS)] == ["a", "b", "c", "a"]
+    assert [entry.id for entry in missing(nodes, ["a", "a"], 4, OURS)] == ["b", "c"]
 
 
 def test_workers_of_nodes_that_are_gone_count_no_more() -> None:
-    assert [one.id for one in missing([node("a", 1)], ["gone", "gone"], 2, OURS)] == ["a"]
+    assert [item.id for item in missing([node("a", 1)], ["gone", "gone"], 2, OURS)] == ["a"]
 
 
 def test_what_is_wrong_with_the_nodes_is_said() -> None:

@@ -25,9 +25,9 @@ def pool_on(backend: FakeBackend) -> WorkPool:
 
 def answer(pool: WorkPool, rounds: int = 100) -> str | None:
     for _ in range(rounds):
-        found = pool.probe(setup(), "a")
-        if found is not None:
-            return found
+        result = pool.probe(setup(), "a")
+        if result is not None:
+            return result
         pool.poll(1.0)
     return None
 

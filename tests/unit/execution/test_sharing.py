@@ -108,9 +108,9 @@ def test_every_value_is_simulated_once_and_every_cell_gets_its_value(work: list[
         values |= {first + index: float(value) for index, value in enumerate(wanted)}
         plant.add(tag, "S1", cells(len(wanted), first, [float(value) for value in wanted]))
     plant.run()
-    assert {one.result.id: one.result.rating for one in plant.completed} == values
+    assert {entry.result.id: entry.result.rating for entry in plant.completed} == values
     assert len(plant.completed) == len(values)
     assert sum(count for _, _, count in plant.order) == len(set(values.values()))
-    leaders = {one.result.id for one in plant.completed if not one.shared}
-    assert all(values[one.leader] == values[one.result.id] for one in plant.completed if one.leader is not None)
-    assert {one.leader for one in plant.completed if one.leader is not None} <= leaders
+    leaders = {item.result.id for item in plant.completed if not item.shared}
+    assert all(values[element.leader] == values[element.result.id] for element in plant.completed if element.leader is not None)
+    assert {member.leader for member in plant.completed if member.leader is not None} <= leaders

@@ -55,12 +55,12 @@ def test_patterns_mean_the_nearest_index_and_no_tie_ever_needs_a_rule(n: int) ->
 @given(sizes)
 def test_patterns_cover_the_whole_grid_in_order_and_no_index_has_more_than_two(n: int) -> None:
     encoding = BitEncoding(np.array([n]))
-    found = encoding.indices(np.arange(2 ** int(encoding.bits[0]))[:, np.newaxis])[:, 0]
-    assert found[0] == 0
-    assert found[-1] == n - 1
-    assert np.all(np.diff(found) >= 0)
-    assert np.bincount(found, minlength=n).min() >= 1
-    assert np.bincount(found, minlength=n).max() <= 2
+    result = encoding.indices(np.arange(2 ** int(encoding.bits[0]))[:, np.newaxis])[:, 0]
+    assert result[0] == 0
+    assert result[-1] == n - 1
+    assert np.all(np.diff(result) >= 0)
+    assert np.bincount(result, minlength=n).min() >= 1
+    assert np.bincount(result, minlength=n).max() <= 2
 
 
 def test_the_most_significant_bit_comes_first() -> None:

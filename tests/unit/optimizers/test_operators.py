@@ -87,25 +87,25 @@ def test_a_ranking_is_a_permutation_sorted_by_its_keys(objectives: list[float], 
 
 @given(st.integers(1, 60), seeds)
 def test_a_latin_hypercube_uses_each_value_once_where_there_are_as_many_as_points(size: int, seed: int) -> None:
-    found = start_population("lhs", size, np.array([size, size, size]), np.random.default_rng(seed))
-    assert np.array_equal(np.sort(found, axis=0), np.repeat(np.arange(size)[:, np.newaxis], 3, axis=1))
+    result = start_population("lhs", size, np.array([size, size, size]), np.random.default_rng(seed))
+    assert np.array_equal(np.sort(result, axis=0), np.repeat(np.arange(size)[:, np.newaxis], 3, axis=1))
 
 
 @pytest.mark.parametrize("design", ["lhs", "halton"])
 @given(n_values=st.lists(st.integers(2, 3000), min_size=1, max_size=11), size=st.integers(1, 80), seed=seeds)
 def test_start_populations_lie_on_the_grid(design: Design, n_values: list[int], size: int, seed: int) -> None:
-    found = start_population(design, size, np.array(n_values), np.random.default_rng(seed))
-    assert found.shape == (size, len(n_values))
-    assert found.min() >= 0
-    assert np.all(found < np.array(n_values))
+    result = start_population(design, size, np.array(n_values), np.random.default_rng(seed))
+    assert result.shape == (size, len(n_values))
+    assert result.min() >= 0
+    assert np.all(result < np.array(n_values))
 
 
 def test_halton_starts_are_the_same_for_every_seed_and_latin_hypercubes_are_not() -> None:
     n_values = np.array([50, 60, 70])
 
     def start(design: Design, seed: int) -> list[list[int]]:
-        found: list[list[int]] = start_population(design, 40, n_values, np.random.default_rng(seed)).tolist()
-        return found
+        result: list[list[int]] = start_population(design, 40, n_values, np.random.default_rng(seed)).tolist()
+        return result
 
     assert start("halton", 1) == start("halton", 2)
     assert start("lhs", 1) == start("lhs", 1)
@@ -113,8 +113,8 @@ def test_halton_starts_are_the_same_for_every_seed_and_latin_hypercubes_are_not(
 
 
 def test_halton_points_are_radical_inverses() -> None:
-    found = start_population("halton", 4, np.array([8, 9]), np.random.default_rng(1))
-    assert found.tolist() == [[4, 3], [2, 6], [6, 1], [1, 4]]  # 1/2 1/4 3/4 1/8 and 1/3 2/3 1/9 4/9 of the grid
+    result = start_population("halton", 4, np.array([8, 9]), np.random.default_rng(1))
+    assert result.tolist() == [[4, 3], [2, 6], [6, 1], [1, 4]]  # 1/2 1/4 3/4 1/8 and 1/3 2/3 1/9 4/9 of the grid
 
 
 @pytest.mark.parametrize("design", ["lhs", "halton"])
@@ -124,8 +124,8 @@ def test_the_other_points_and_the_search_are_those_without_expert_sets(design: D
     generators = [np.random.default_rng(1), np.random.default_rng(1), np.random.default_rng(1)]
     without = start_population(design, 30, n_values, generators[0])
     for count, generator in enumerate(generators[1:], start=1):
-        found = start_population(design, 30, n_values, generator, given_sets[:count])
-        assert np.array_equal(found[count:], without[: 30 - count])
+        result = start_population(design, 30, n_values, generator, given_sets[:count])
+        assert np.array_equal(result[count:], without[: 30 - count])
         assert generator.bit_generator.state == generators[0].bit_generator.state
 
 

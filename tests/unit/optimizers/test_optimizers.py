@@ -40,12 +40,12 @@ def coarse(population: Indices) -> tuple[Floats, Floats]:
 
 
 def drive(optimizer: Optimizer, iterations: int, evaluate: Callable[[Indices], tuple[Floats, Floats]] = coarse) -> Told:
-    found: Told = []
+    result: Told = []
     for _ in range(iterations):
         proposal = optimizer.ask()
-        found.append((proposal.population, proposal.changed))
+        result.append((proposal.population, proposal.changed))
         optimizer.tell(*evaluate(proposal.population))
-    return found
+    return result
 
 
 def through_json(state: Mapping[str, Any]) -> Any:

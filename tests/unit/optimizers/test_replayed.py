@@ -38,11 +38,11 @@ def patchy(population: Indices) -> tuple[Floats, Floats]:
 
 
 def drive(optimizer: Optimizer, iterations: int) -> list[Indices]:
-    found = []
+    result = []
     for _ in range(iterations):
-        found.append(optimizer.ask().population)
-        optimizer.tell(*patchy(found[-1]))
-    return found
+        result.append(optimizer.ask().population)
+        optimizer.tell(*patchy(result[-1]))
+    return result
 
 
 def create(plugin: OptimizerPlugin, chosen: dict[str, Any], **more: Any) -> Optimizer:

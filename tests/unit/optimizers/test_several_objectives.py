@@ -76,12 +76,12 @@ def test_individuals_get_feasible(plugin: DeclaringOptimizerPlugin, chosen: dict
 def test_fronts_are_larger_than_those_of_random_search(plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]) -> None:
     def volume(which: DeclaringOptimizerPlugin, seed: int, **settings: Any) -> float:
         optimizer = which.create(which.settings(**settings, seed=seed), GRID)
-        found = []
+        result = []
         for _ in range(chosen["iterations"]):
-            found.append(zdt1(optimizer.ask().population))
+            result.append(zdt1(optimizer.ask().population))
             several = which is not RANDOM
-            optimizer.tell(found[-1] if several else found[-1].sum(axis=1), np.zeros(chosen["population"]))
-        return hypervolume(np.concatenate(found), np.array([-1.0, -10.0])) or 0.0
+            optimizer.tell(result[-1] if several else result[-1].sum(axis=1), np.zeros(chosen["population"]))
+        return hypervolume(np.concatenate(result), np.array([-1.0, -10.0])) or 0.0
 
     for seed in range(tries(2, 5)):
         assert volume(plugin, seed, **chosen) > volume(RANDOM, seed, population=chosen["population"])

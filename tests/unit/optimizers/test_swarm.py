@@ -109,9 +109,9 @@ def best_of(plugin: OptimizerPlugin, objective: Callable[[Indices], Floats], see
     optimizer = plugin.create(plugin.settings(population=40, iterations=40, seed=seed, **chosen), GRID)
     best = -np.inf
     for _ in range(40):
-        found = objective(optimizer.ask().population)
-        optimizer.tell(found, found)
-        best = max(best, float(found.max()))
+        result = objective(optimizer.ask().population)
+        optimizer.tell(result, result)
+        best = max(best, float(result.max()))
     return best
 
 

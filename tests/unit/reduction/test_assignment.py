@@ -29,8 +29,8 @@ SIMULATED = (Outcome.SIMULATED, None, None, False)
 
 
 def test_a_stored_set_is_repeated_even_where_a_reference_exists_too() -> None:
-    found = assign([_cell(0, "a", "k")], Policy("influence"), {("S1", _set("a")): DONOR}, {("S1", b"k"): DONOR})
-    assert _plans(found) == [(Outcome.REPEATED, DONOR, None, False)]
+    result = assign([_cell(0, "a", "k")], Policy("influence"), {("S1", _set("a")): DONOR}, {("S1", b"k"): DONOR})
+    assert _plans(result) == [(Outcome.REPEATED, DONOR, None, False)]
 
 
 def test_cells_of_one_population_that_share_a_key_are_simulated_once() -> None:
@@ -45,8 +45,8 @@ def test_cells_of_one_population_that_share_a_key_are_simulated_once() -> None:
 
 def test_exact_mode_copies_nothing_but_equal_sets() -> None:
     cells = [_cell(0, "a", "k"), _cell(1, "b", "k"), _cell(2, "b", "k")]
-    found = assign(cells, Policy("exact"), {}, {("S1", b"k"): DONOR})
-    assert [one.plan for one in found] == [Outcome.SIMULATED, Outcome.SIMULATED, Outcome.REPEATED]
+    result = assign(cells, Policy("exact"), {}, {("S1", b"k"): DONOR})
+    assert [item.plan for item in result] == [Outcome.SIMULATED, Outcome.SIMULATED, Outcome.REPEATED]
 
 
 def test_off_simulates_everything() -> None:
@@ -57,8 +57,8 @@ def test_off_simulates_everything() -> None:
 
 def test_an_audited_cell_is_simulated_and_remembers_the_donor_that_was_not_trusted() -> None:
     cells = [_cell(0, "a", "k"), _cell(1, "a", "k")]
-    found = assign(cells, Policy("influence", audit=1.0), {}, {("S1", b"k"): DONOR})
-    assert _plans(found) == [(Outcome.SIMULATED, DONOR, None, True), (Outcome.REPEATED, None, 0, False)]
+    result = assign(cells, Policy("influence", audit=1.0), {}, {("S1", b"k"): DONOR})
+    assert _plans(result) == [(Outcome.SIMULATED, DONOR, None, True), (Outcome.REPEATED, None, 0, False)]
 
 
 @given(st.integers(0, 2**63 - 1))
@@ -79,12 +79,12 @@ def test_every_leader_stands_earlier_and_is_simulated(
     # the class of a set is a function of the set: equal sets share their reference key
     cells = [_cell(individual, key + reference, reference, scenario) for individual, key, reference, scenario in raw]
     policy = Policy(mode, audit, seed)  # type: ignore[arg-type]  # sampled from the literal's values
-    found = assign(cells, policy, {}, {})
-    for position, one in enumerate(found):
+    result = assign(cells, policy, {}, {})
+    for position, one in enumerate(result):
         assert one.donor is None
         if one.leader is not None:
             assert one.leader < position
-            assert found[one.leader].plan is Outcome.SIMULATED
+            assert result[one.leader].plan is Outcome.SIMULATED
             assert cells[one.leader].scenario == cells[position].scenario
         if one.plan in {Outcome.REPEATED, Outcome.REUSED} or one.inspected:
             assert one.leader is not None

@@ -69,12 +69,12 @@ def test_the_nearest_is_the_one_that_a_scan_by_hand_finds(
     influence_map: InfluenceMap, cell: tuple[int, ...], table: list[tuple[int, ...]]
 ) -> None:
     places = np.arange(len(table))[:, np.newaxis]
-    found = _compare(influence_map, cell).nearest(_stored(table), places, np.arange(len(table)) + 100)
+    result = _compare(influence_map, cell).nearest(_stored(table), places, np.arange(len(table)) + 100)
     if not table:
-        assert found is None
+        assert result is None
     else:
-        assert found is not None
-        assert found.evaluation == 100 + _scan(influence_map, cell, table)
+        assert result is not None
+        assert result.evaluation == 100 + _scan(influence_map, cell, table)
 
 
 @given(maps, values, tables)
@@ -97,9 +97,9 @@ def test_chunks_give_what_one_pass_gives(
     parts: list[Nearest] = []
     for start in range(0, len(table), size):
         portion = slice(start, start + size)
-        found = comparison.nearest(rows[portion], places[portion], ids[portion])
-        assert found is not None
-        parts.append(found)
+        result = comparison.nearest(rows[portion], places[portion], ids[portion])
+        assert result is not None
+        parts.append(result)
     assert min(parts, key=lambda one: one.order) == whole
 
 

@@ -72,9 +72,9 @@ def test_the_keyed_look_up_agrees_with_the_naive_scan_on_random_tables() -> None
         stored: dict[bytes, int] = {}
         for position, key in enumerate(keys.keys(billionths_matrix(table)) if table else []):
             stored.setdefault(key, position)
-        found = stored.get(keys.keys(billionths_matrix([new]))[0])
-        assert found == scan(table, new, influence_map, "S1")
-        hits += found is not None
+        result = stored.get(keys.keys(billionths_matrix([new]))[0])
+        assert result == scan(table, new, influence_map, "S1")
+        hits += result is not None
     assert 0.1 * TABLES < hits < 0.9 * TABLES, "the cases must hold both hits and misses"
 
 

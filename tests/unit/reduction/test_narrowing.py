@@ -44,7 +44,7 @@ def test_the_area_is_the_union_of_the_influential_bounds_of_all_scenarios() -> N
     )
     assert (area.first.tolist(), area.last.tolist()) == ([2, 3, 0], [7, 10, 3])
     assert area.n_values.tolist() == [6, 8, 4]
-    assert [(one.parameter, one.lower, one.upper, one.removed_values) for one in area.narrowed()] == [
+    assert [(item.parameter, item.lower, item.upper, item.removed_values) for item in area.narrowed()] == [
         ("P1", 2.0, 7.0, 5),
         ("P2", 0.3, 1.0, 3),
         ("P3", 0.0, 0.428571429, 4),

@@ -46,11 +46,11 @@ def test_bounds_may_differ_by_one_interval(first: InfluenceRow, second: Influenc
 def test_what_only_one_map_knows_is_listed_and_not_counted() -> None:
     ours = [row(), row(parameter="P2"), row(scenario="S2")]
     theirs = [row(0.5, 1), row(parameter="P2"), row(parameter="P3")]
-    found = agreement(ours, theirs)
-    assert (found.pairs, found.agreeing, found.share) == (2, 1, 0.5)
-    assert [(one.first.lower, one.second.lower) for one in found.differences] == [(0, 0.5)]
-    assert (found.only_first, found.only_second) == ((("S2", "P1"),), (("S1", "P3"),))
-    assert found.document()["differences"] == [
+    result = agreement(ours, theirs)
+    assert (result.pairs, result.agreeing, result.share) == (2, 1, 0.5)
+    assert [(difference.first.lower, difference.second.lower) for difference in result.differences] == [(0, 0.5)]
+    assert (result.only_first, result.only_second) == ((("S2", "P1"),), (("S1", "P3"),))
+    assert result.document()["differences"] == [
         {
             "scenario": "S1",
             "parameter": "P1",

@@ -82,9 +82,9 @@ def test_a_scenario_is_analysed_the_same_whatever_others_there_are() -> None:
 
 
 def test_bounds_are_exact_values_of_the_grid_and_open_ends_the_spaces_own() -> None:
-    found = SensitivityAnalysis(SPACE, list(SCORES), SETTINGS)
-    drive(found, SCORES)
-    influences = found.influence_map().scenarios
+    result = SensitivityAnalysis(SPACE, list(SCORES), SETTINGS)
+    drive(result, SCORES)
+    influences = result.influence_map().scenarios
     assert influences["S1"]["P1"] == Influence(True, Decimal("1.5"), Decimal("3.5"))
     assert influences["S1"]["P2"] == influences["S1"]["P3"] == Influence(influential=False)
     assert influences["S2"]["P2"] == Influence(True, None, Decimal(5))
@@ -102,11 +102,11 @@ def test_fixed_parameters_take_no_part() -> None:
 
 
 def test_a_score_that_never_changes_has_no_influential_parameter() -> None:
-    found = finished({"S1": constant(7)})["S1"]
-    assert not found.unknown
-    assert found.smallest_interval_s_rel is None
-    assert found.smallest_overall_s_rel is None
-    assert {one.influence for one in found.parameters.values()} == {Influence(influential=False)}
+    result = finished({"S1": constant(7)})["S1"]
+    assert not result.unknown
+    assert result.smallest_interval_s_rel is None
+    assert result.smallest_overall_s_rel is None
+    assert {parameter.influence for parameter in result.parameters.values()} == {Influence(influential=False)}
 
 
 def none_or_zero(points: Indices) -> Floats:
@@ -120,7 +120,7 @@ def test_a_scenario_without_any_score_is_unknown_which_counts_as_influential(sco
     assert all("S1" not in runs for _, runs in told[1:])
     assert analysis.result()["S1"].unknown
     assert set(analysis.influence_map().scenarios["S1"].values()) == {EVERYWHERE}
-    assert all(one.overall is None for one in analysis.result()["S1"].parameters.values())
+    assert all(parameter.overall is None for parameter in analysis.result()["S1"].parameters.values())
     assert analysis.result()["S2"] == finished(SCORES)["S2"]
 
 
@@ -128,17 +128,17 @@ def test_intervals_of_which_too_few_runs_worked_are_not_cut() -> None:
     def upper_half_fails(points: Indices) -> Floats:
         return np.where(points[:, 1] >= 50, np.nan, 3.0)
 
-    found = finished({"S1": upper_half_fails})["S1"].parameters
-    assert [isnan(one) for one in found["P2"].s_rel_intervals] == [False] * 4 + [True] * 4
-    assert [one.influential for one in found["P2"].intervals] == [False] * 4 + [True] * 4
+    result = finished({"S1": upper_half_fails})["S1"].parameters
+    assert [isnan(s_rel_interval) for s_rel_interval in result["P2"].s_rel_intervals] == [False] * 4 + [True] * 4
+    assert [interval.influential for interval in result["P2"].intervals] == [False] * 4 + [True] * 4
 
 
 @pytest.mark.parametrize("threshold", [0.02, "auto", MuSigmaThresholds(0.01, 0.02)])
 def test_every_kind_of_threshold_finds_the_same_clear_regions(threshold: Any) -> None:
-    found = finished(SCORES, replace(SETTINGS, threshold=threshold))
+    result = finished(SCORES, replace(SETTINGS, threshold=threshold))
     for scenario, one in finished(SCORES).items():
         for name, parameter in one.parameters.items():
-            assert found[scenario].parameters[name].influence == parameter.influence
+            assert result[scenario].parameters[name].influence == parameter.influence
 
 
 def test_asking_twice_gives_the_same_phase_and_its_points_cannot_be_changed() -> None:

@@ -57,9 +57,9 @@ def test_under_the_step_law_a_square_keeps_its_mean_and_has_the_spread_of_the_la
     effects, probabilities = effects_under_law(lambda x: x**2, SHORTEST)
     sigma = float(np.sqrt((probabilities * effects**2).sum() - 1))
     assert float((probabilities * effects).sum()) == pytest.approx(1)
-    (found,) = analysed(lambda x: x[:, 0] ** 2, 1, SHORTEST)
-    assert near(found.mu, 1, sigma)
-    assert found.sigma == pytest.approx(sigma, rel=0.02)
+    (result,) = analysed(lambda x: x[:, 0] ** 2, 1, SHORTEST)
+    assert near(result.mu, 1, sigma)
+    assert result.sigma == pytest.approx(sigma, rel=0.02)
     assert sigma < np.sqrt(1 / 6) - 0.01, "long steps average out curvature, so the two laws can be told apart"
 
 

@@ -13,11 +13,11 @@ flags = st.lists(st.booleans(), min_size=1, max_size=20)
 
 
 def cut_values(influential: list[bool], edges: list[int]) -> set[int]:
-    found: set[int] = set()
+    result: set[int] = set()
     for region in cut(0, influential):
         lower, upper = region.bounds(np.array(edges))
-        found |= set(range(lower, upper + 1))
-    return found
+        result |= set(range(lower, upper + 1))
+    return result
 
 
 @pytest.mark.parametrize(
@@ -34,15 +34,15 @@ def cut_values(influential: list[bool], edges: list[int]) -> set[int]:
 def test_intervals_are_cut_from_both_ends_until_the_first_influential_one(
     influential: str, regions: list[tuple[str, int]]
 ) -> None:
-    found = cut(3, [mark == "#" for mark in influential])
-    assert [(region.side, region.intervals) for region in found] == regions
-    assert all(region.column == 3 for region in found)
+    result = cut(3, [mark == "#" for mark in influential])
+    assert [(region.side, region.intervals) for region in result] == regions
+    assert all(region.column == 3 for region in result)
 
 
 @given(flags, st.data())
 def test_more_influence_never_cuts_more(influential: list[bool], data: st.DataObject) -> None:
     edges = [3 * number for number in range(len(influential) + 1)]
-    more = [one or data.draw(st.booleans()) for one in influential]
+    more = [item or data.draw(st.booleans()) for item in influential]
     assert cut_values(more, edges) <= cut_values(influential, edges)
 
 

@@ -163,10 +163,10 @@ def test_intervals_share_edges_cover_the_grid_and_are_equally_wide(steps: int, i
 def test_on_a_small_grid_every_value_that_is_far_enough_is_drawn(width: int, start: int) -> None:
     lower, upper = np.array([start]), np.array([start + width])
     base = np.repeat(np.arange(start, start + width + 1), 64)[:, np.newaxis]
-    found = auxiliary_points(SobolRows(2, start, width), 0, base, lower, upper)
+    result = auxiliary_points(SobolRows(2, start, width), 0, base, lower, upper)
     for value in range(start, start + width + 1):
-        reached = set(found[base == value].tolist())
-        assert reached == {one for one in range(start, start + width + 1) if abs(one - value) >= max(1, width / 4)}
+        reached = set(result[base == value].tolist())
+        assert reached == {item for item in range(start, start + width + 1) if abs(item - value) >= max(1, width / 4)}
 
 
 def test_a_box_without_a_step_is_refused() -> None:

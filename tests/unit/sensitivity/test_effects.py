@@ -35,11 +35,11 @@ def test_a_failed_run_costs_its_effect_and_nothing_else(effects: Floats, failed:
 
 def test_fewer_than_two_effects_say_nothing() -> None:
     for effects in (np.array([]), np.array([1.0]), np.array([np.nan, 1.0, np.nan])):
-        found = measures(effects)
-        assert isnan(found.mu)
-        assert isnan(found.sigma)
-        assert isnan(found.s_rel)
-        assert found.n_effects == int((~np.isnan(effects)).sum())
+        result = measures(effects)
+        assert isnan(result.mu)
+        assert isnan(result.sigma)
+        assert isnan(result.s_rel)
+        assert result.n_effects == int((~np.isnan(effects)).sum())
 
 
 def test_effects_are_changes_over_the_whole_scale_per_full_range() -> None:
@@ -61,6 +61,6 @@ def test_a_failed_base_point_costs_one_effect_of_each_parameter_a_failed_step_on
 
 
 def test_the_smallest_sensitivity_that_is_not_zero_is_found() -> None:
-    found = [measures(np.array(effects)) for effects in ([0.0, 0.0], [1.0, 0.0], [0.1, 0.1], [np.nan])]
-    assert smallest_nonzero(found) == pytest.approx(0.1)
-    assert smallest_nonzero(found[:1]) is None
+    result = [measures(np.array(effects)) for effects in ([0.0, 0.0], [1.0, 0.0], [0.1, 0.1], [np.nan])]
+    assert smallest_nonzero(result) == pytest.approx(0.1)
+    assert smallest_nonzero(result[:1]) is None

@@ -51,5 +51,5 @@ def test_boxes_of_eleven_parameters_in_three_scenarios_are_found(
 ) -> None:
     analysis = SensitivityAnalysis(SPACE, list(BOXES), SensitivitySettings(design, INTERVALS, 20, threshold, seed))
     drive(analysis, {scenario: staircase(SPACE, box) for scenario, box in BOXES.items()})
-    found = analysis.influence_map().scenarios
-    assert misses({scenario: dict(listed) for scenario, listed in found.items()}, SPACE) == []
+    result = analysis.influence_map().scenarios
+    assert misses({scenario: dict(listed) for scenario, listed in result.items()}, SPACE) == []

@@ -40,8 +40,8 @@ def g_function(unit: Floats) -> Floats:
 
 
 def analysed_by_salib(unit: Floats, scores: Floats) -> dict[str, Any]:
-    found: dict[str, Any] = radial_ee.analyze(PROBLEM, unit, scores, SAMPLES, seed=1)
-    return found
+    result: dict[str, Any] = radial_ee.analyze(PROBLEM, unit, scores, SAMPLES, seed=1)
+    return result
 
 
 def assert_agreement(design: Design, grid: int) -> None:
@@ -49,7 +49,7 @@ def assert_agreement(design: Design, grid: int) -> None:
     theirs = analysed_by_salib(unit, g_function(unit))
     ours = [measures(row) for row in design.effects(7 * g_function(design.points / (grid - 1)))]
     for name in ("mu", "mu_star", "sigma"):
-        assert [getattr(one, name) for one in ours] == pytest.approx(theirs[name], rel=1e-9, abs=1e-12)
+        assert [getattr(our, name) for our in ours] == pytest.approx(theirs[name], rel=1e-9, abs=1e-12)
 
 
 def test_the_design_is_salibs_but_for_its_zero_steps() -> None:

@@ -24,8 +24,8 @@ def state_after_intervals(influential: str) -> ScenarioState:
 
 def confirm(state: ScenarioState, answers: Mapping[str, Floats]) -> list[tuple[str, int, int]]:
     """Answers one round of confirmation by side; gives what was waiting."""
-    waiting = [(one.side, *state.bounds(one)) for one in state.waiting]
-    effects = np.array([answers[one.side] for one in state.waiting])
+    waiting = [(item.side, *state.bounds(item)) for item in state.waiting]
+    effects = np.array([answers[entry.side] for entry in state.waiting])
     state.take_confirmations(effects, np.broadcast_to(STEPS, effects.shape))
     return [(str(side), lower, upper) for side, lower, upper in waiting]
 
@@ -50,7 +50,7 @@ def test_a_refuted_region_gives_back_its_inner_half_and_the_rest_is_confirmed_an
     assert confirm(state, {"below": QUIET}) == [("below", 0, 9)]
     assert influence_after_global(state, LOUD) == Influence(True, Decimal(1), Decimal(6))
     confirmations = state.result().parameters["P1"].confirmations
-    assert [(one.lower, one.upper, one.verdict.influential) for one in confirmations] == [
+    assert [(confirmation.lower, confirmation.upper, confirmation.verdict.influential) for confirmation in confirmations] == [
         (0, 49, True), (61, 80, False), (0, 19, True), (0, 9, False),
     ]  # fmt: skip
 
@@ -106,4 +106,4 @@ def test_a_region_of_a_single_value_needs_no_confirmation() -> None:
     state = ScenarioState(space_of(5), [interval_edges(5, 4)], threshold=0.5)
     effects = np.array([[QUIET, LOUD, QUIET, QUIET]])
     state.take_intervals(np.ones(3), effects, np.broadcast_to(STEPS, effects.shape))
-    assert [(one.side, *state.bounds(one)) for one in state.waiting] == [("above", 3, 4)]
+    assert [(item.side, *state.bounds(item)) for item in state.waiting] == [("above", 3, 4)]

@@ -50,10 +50,10 @@ def test_separate_thresholds_look_at_the_magnitude_of_mu_and_at_sigma(effects: l
 
 def test_the_threshold_that_was_applied_is_reported() -> None:
     apart = MuSigmaThresholds(0.1, 0.2)
-    steps, found = np.full(3, 0.5), measures(np.array([0.1, 0.2, 0.3]))
-    assert verdict(found, steps, apart).threshold == apart
-    assert verdict(found, steps, 0.02).threshold == 0.02
-    assert verdict(found, steps, "auto").threshold == automatic(steps)
+    steps, result = np.full(3, 0.5), measures(np.array([0.1, 0.2, 0.3]))
+    assert verdict(result, steps, apart).threshold == apart
+    assert verdict(result, steps, 0.02).threshold == 0.02
+    assert verdict(result, steps, "auto").threshold == automatic(steps)
 
 
 @pytest.mark.parametrize("threshold", ["auto", 0.02, MuSigmaThresholds(0.1, 0.1)])

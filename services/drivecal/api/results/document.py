@@ -97,7 +97,7 @@ def setup_of(connection: Connection, campaign: StoredCampaign) -> CampaignSetup:
 def studies_of(connection: Connection, campaign: StoredCampaign) -> list[StudyResult]:
     """Returns the studies that succeeded with their rows, those in the campaign's own vehicle first, the newest first."""
     made = [study for study in about(connection, campaign) if study.state == CampaignState.SUCCEEDED]
-    found = []
+    result = []
     for study in sorted(made, key=lambda each: not studies.is_in_own_vehicle(each, campaign)):
         document = studies.get(connection, study.campaign_sequence, study.stage) or {"items": []}
         answer = study_answer(study, campaign)
@@ -105,12 +105,12 @@ def studies_of(connection: Connection, campaign: StoredCampaign) -> list[StudyRe
             continue
         if study.stage == StageName.ROBUSTNESS:
             rows = [RobustnessRow.model_validate(item) for item in document["items"]]
-            found.append(StudyResult(study=answer, robustness=rows))
+            result.append(StudyResult(study=answer, robustness=rows))
         else:
-            found.append(
+            result.append(
                 StudyResult(study=answer, validation=[ValidationRow.model_validate(item) for item in document["items"]])
             )
-    return found
+    return result
 
 
 def account_of(connection: Connection, campaign: StoredCampaign) -> Accounting:

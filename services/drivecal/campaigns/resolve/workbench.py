@@ -289,8 +289,8 @@ def _scenarios(catalogue: str | list[str], manifest: Manifest, diagnostics: Diag
     own: dict[str, Mapping[str, Any]] = {name: data for name, data in manifest.scenarios.items() if name in listed}
     others = catalogue if isinstance(catalogue, str) else [name for name in listed if name not in own]
     if manifest.is_driven and others and not (isinstance(catalogue, str) and own):
-        found = resolvers.find_scenarios(others, listed, diagnostics)
-        return {**own} | {name: {"catalogue": owner, "scenario": name} for name, (owner, _) in found.items()}
+        result = resolvers.find_scenarios(others, listed, diagnostics)
+        return {**own} | {name: {"catalogue": owner, "scenario": name} for name, (owner, _) in result.items()}
     for index, name in enumerate(listed):
         if name not in manifest.scenarios:
             remedy = f"one of {', '.join(manifest.scenarios)}"
@@ -313,13 +313,13 @@ def _score(wanted: Wanted, manifest: Manifest, diagnostics: Diagnostics) -> tupl
         named = [each.score for each in objectives or () if each.score in scores]
         name = next((score for score in named if score is not None), next(iter(scores)))
     elif rated is not None:
-        found = diagnostics.attempt(lambda: registry.evaluator(evaluator))
-        return None if found is None else (rated, found)
+        result = diagnostics.attempt(lambda: registry.evaluator(evaluator))
+        return None if result is None else (rated, result)
     else:
         diagnostics.add("evaluator", f"{manifest.problem} has no score {evaluator!r}", f"one of {', '.join(scores)}")
         return None
     chosen = scores[name].evaluator
     if chosen is None:
         return name, None
-    found = diagnostics.attempt(lambda: registry.evaluator(chosen))
-    return None if found is None else (name, found)
+    result = diagnostics.attempt(lambda: registry.evaluator(chosen))
+    return None if result is None else (name, result)

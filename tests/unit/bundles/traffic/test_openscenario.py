@@ -62,10 +62,10 @@ def test_a_place_on_a_lane_is_that_of_the_file(index: int, s: float, offset: flo
     other = start("Other", lane(index, s, offset), absolute(20))
     placed = of_file(scenario(CARS | {"Other": vehicle(centre=0.0)}, EGO + other)).scenario.traffic[0]
     assert placed.edge is not None
-    found = maps()["maps/motorway.xodr"].network.edges[placed.edge].lanes[placed.lane]
-    share = placed.s / found.length * np.sum(np.hypot(*np.diff(found.shape, axis=0).T))
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(found.shape, axis=0).T))])
-    here = np.array([np.interp(share, along, column) for column in found.shape.T])
+    result = maps()["maps/motorway.xodr"].network.edges[placed.edge].lanes[placed.lane]
+    share = placed.s / result.length * np.sum(np.hypot(*np.diff(result.shape, axis=0).T))
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(result.shape, axis=0).T))])
+    here = np.array([np.interp(share, along, column) for column in result.shape.T])
     points, _ = read_opendrive(motorway(), "x").roads["7"].centre(0, index, np.array([s]))
     assert np.hypot(*(here - points[0])) < 0.05
     assert placed.offset == pytest.approx(offset if index < 0 else -offset, abs=0.05)
@@ -108,20 +108,20 @@ def test_lanes_beside_a_vehicle_of_the_other_direction_are_counted_as_in_the_fil
     world = f'<Position><WorldPosition x="{point[0]}" y="{point[1]}"/></Position>'
     beside = '<Position><RelativeLanePosition entityRef="Other" dLane="1" ds="30" offset="0.5"/></Position>'
     cars = CARS | {"Third": vehicle()}
-    found = []
+    result = []
     for position in (world, lane(2, 500)):
         content = scenario(cars, EGO + start("Other", position, absolute(20)) + start("Third", beside, absolute(20)))
-        found.append([(entry.lane, entry.s, entry.offset) for entry in of_file(content).scenario.traffic])
-    assert [[index for index, *_ in places] for places in found] == [[1, 0], [1, 0]]
-    assert [s for _, s, _ in found[0]] == pytest.approx([s for _, s, _ in found[1]], abs=1.0)
-    assert [places[1][2] for places in found] == pytest.approx([-0.5, -0.5], abs=0.05)
+        result.append([(entry.lane, entry.s, entry.offset) for entry in of_file(content).scenario.traffic])
+    assert [[index for index, *_ in places] for places in result] == [[1, 0], [1, 0]]
+    assert [s for _, s, _ in result[0]] == pytest.approx([s for _, s, _ in result[1]], abs=1.0)
+    assert [places[1][2] for places in result] == pytest.approx([-0.5, -0.5], abs=0.05)
 
 
 def test_a_cut_in_has_the_file_s_speeds_lanes_and_conditions() -> None:
-    found = of_file(cut_in()).scenario
-    assert (found.network, found.route, found.duration) == ("maps/motorway.xodr", ["-7"], 15.0)
-    assert (found.ego.speed, found.ego.lane, found.ego.length) == (30.0, 0, 4.6)
-    (other,) = found.traffic
+    result = of_file(cut_in()).scenario
+    assert (result.network, result.route, result.duration) == ("maps/motorway.xodr", ["-7"], 15.0)
+    assert (result.ego.speed, result.ego.lane, result.ego.length) == (30.0, 0, 4.6)
+    (other,) = result.traffic
     assert (other.id, other.model, other.speed, other.lane, other.length) == ("Other", "constant", 36.0, 1, 4.2)
     change, brake = other.actions
     assert isinstance(change, CutIn)
@@ -162,11 +162,11 @@ def test_speeds_change_in_a_time_a_distance_or_at_a_rate() -> None:
     events = [
         event(f"e{index}", f"<LongitudinalAction>{content}</LongitudinalAction>") for index, content in enumerate(contents)
     ]
-    found = actions(with_events(*events))
-    assert [(action.seconds, action.metres, action.rate) for action in found if isinstance(action, Brake)] == [
+    result = actions(with_events(*events))
+    assert [(action.seconds, action.metres, action.rate) for action in result if isinstance(action, Brake)] == [
         (4.0, None, None), (None, 80.0, None), (None, None, 2.0), (0.0, None, None),
     ]  # fmt: skip
-    last = found[-1]
+    last = result[-1]
     assert isinstance(last, Brake)
     assert (last.like, last.factor, last.speed, last.continuous) == ("ego", 1.2, 0.0, True)
 
@@ -194,9 +194,9 @@ def test_conditions_on_several_vehicles_hold_at_once() -> None:
 def test_what_waits_for_several_actions_waits_for_the_last_of_them() -> None:
     """Edges of each alone would have to rise in the same step."""
     both = speed("slow", 20, when_time(1)).replace("</Event>", "").replace("</Action>", "</Action>" + ACTION)
-    found = actions(with_events(both + "</Event>", speed("then", 30, when_done("event", "slow"))))
-    assert found[-1].when is not None
-    assert [(entry.done, entry.rising) for entry in found[-1].when] == [(found[0].id, False), (found[1].id, False)]
+    result = actions(with_events(both + "</Event>", speed("then", 30, when_done("event", "slow"))))
+    assert result[-1].when is not None
+    assert [(entry.done, entry.rising) for entry in result[-1].when] == [(result[0].id, False), (result[1].id, False)]
 
 
 def test_what_waits_for_an_action_without_effect_remembers_that_it_is_done() -> None:

@@ -48,8 +48,8 @@ def test_a_distance_in_init_places_a_leader_by_its_time_gap() -> None:
         'timeGap="2" entityRef="Ego" freespace="true"/></LongitudinalAction></PrivateAction></Private>'
     )
     other = start("Other", lane(-3, 200), absolute(25)).replace("</Private>", keep)
-    found = of_file(scenario(CARS, EGO + other)).scenario
-    assert found.traffic[0].s - found.ego.s == pytest.approx(2 * 30 + 4.6, abs=1e-3)
+    result = of_file(scenario(CARS, EGO + other)).scenario
+    assert result.traffic[0].s - result.ego.s == pytest.approx(2 * 30 + 4.6, abs=1e-3)
 
 
 @pytest.mark.parametrize("is_last", [False, True])
@@ -64,8 +64,8 @@ def test_a_follower_s_time_gap_is_that_at_its_start_speed_whichever_comes_first(
         if is_last
         else other.replace("<PrivateAction>", f"{keep}<PrivateAction>", 1)
     )
-    found = of_file(scenario(CARS, EGO + other)).scenario
-    assert found.ego.s - found.traffic[0].s == pytest.approx(2 * 25 + 4.6, abs=1e-3)
+    result = of_file(scenario(CARS, EGO + other)).scenario
+    assert result.ego.s - result.traffic[0].s == pytest.approx(2 * 25 + 4.6, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -88,8 +88,8 @@ def test_a_distance_in_init_without_a_side_trails_or_keeps_the_side_of_the_place
     )
     other = start("Other", lane(-2, s), absolute(25)).replace("</Private>", keep)
     content = scenario(CARS, EGO + other).replace(b'revMinor="1"', f'revMinor="{minor}"'.encode())
-    found = of_file(content).scenario
-    assert found.traffic[0].s - found.ego.s == pytest.approx(30 if is_ahead else -30, abs=1e-3)
+    result = of_file(content).scenario
+    assert result.traffic[0].s - result.ego.s == pytest.approx(30 if is_ahead else -30, abs=1e-3)
 
 
 def test_an_entity_beside_one_at_a_distance_is_beside_the_place_that_this_has() -> None:
