@@ -30,6 +30,7 @@ from drivecal.api.routes import (
     page_live,
     page_places,
     page_session,
+    stored_results,
     tables,
     user_problems,
 )
@@ -89,7 +90,9 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
     )
     app.add_middleware(Concurrency)
     app.add_middleware(Authorisation, tokens=tokens)
-    app.add_middleware(BodyLimit, others={user_problems.PATH: settings.problem_mb * 2**20})
+    app.add_middleware(
+        BodyLimit, others={user_problems.PATH: settings.problem_mb * 2**20, stored_results.PATH: stored_results.BODY_MB * 2**20}
+    )
     app.add_middleware(RequestRecords, meters=meters)  # the last one is the first that a request meets
     problems.install(app)
     for noun in (
@@ -99,6 +102,7 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         tables,
         results,
         evaluations,
+        stored_results,
         influence_maps,
         user_problems,
         inventory,

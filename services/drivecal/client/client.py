@@ -32,6 +32,7 @@ from drivecal.contracts.inventory import (
     WorkerPage,
 )
 from drivecal.contracts.organising import Archived, Deletion
+from drivecal.contracts.outside.results import StoredCells
 from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet
 from drivecal.contracts.results import CampaignResults, FrontSummary, TradeOff
 from drivecal.contracts.setup import CampaignSetup
@@ -396,6 +397,16 @@ class Client(Transport):
     def evaluate(self, specification: Document, key: str | None = None) -> Evaluation:
         """Queues the evaluation of one parameter set."""
         return self._post(Evaluation, "evaluations", document=specification, key=key or uuid.uuid4().hex)
+
+    def look_up(self, sets: Sequence[Mapping[str, float | str]], **where: Any) -> StoredCells:
+        """Returns the stored results of up to 10,000 cells; nothing is simulated.
+
+        Args:
+            sets: Parameter sets, each wanted in all scenarios.
+            where: `problem`, `catalogue`, `driving_function`, `vehicle` and `evaluator`, as of an evaluation.
+        """
+        place = ("results", "lookup")
+        return self._answer(self._request("POST", place, document={"sets": list(sets), **where}), StoredCells, place)
 
     def evaluation(self, identifier: str) -> Evaluation:
         """Returns a single evaluation by the id that `evaluate` returned."""

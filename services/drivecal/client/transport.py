@@ -144,6 +144,7 @@ KINDS = {
     "evaluations": "evaluation",
     "influence-maps": "influence map",
     "problems": "problem",
+    "results": "results",
 }
 """Names of the collections' items in messages."""
 ATTEMPTS_TO_CONNECT = 3

@@ -15,17 +15,17 @@ from drivecal.storage.engine.tables import parameter_sets
 def ensure(connection: Connection, given: Sequence[ParameterSet]) -> list[int]:
     """The ids of parameter sets, in order; new ones are stored. Safe while others store the same sets."""
     keys = [parameter_set.key for parameter_set in given]
-    ids = _ids(connection, list(dict.fromkeys(keys)))
+    known = ids(connection, list(dict.fromkeys(keys)))
     missing: dict[bytes, str] = {}
     for key, parameter_set in zip(keys, given, strict=True):
-        if key not in ids and key not in missing:
+        if key not in known and key not in missing:
             missing[key] = parameter_set.to_json()
     if missing:
         # Sorted, so that two transactions that store the same sets wait for each other instead of deadlocking.
         rows = [{"key": key, "parameter_values": missing[key]} for key in sorted(missing)]
         connection.execute(insert(connection, parameter_sets).on_conflict_do_nothing(index_elements=["key"]), rows)
-        ids.update(_ids(connection, list(missing)))
-    return [ids[key] for key in keys]
+        known.update(ids(connection, list(missing)))
+    return [known[key] for key in keys]
 
 
 def load(connection: Connection, ids: Sequence[int]) -> dict[int, ParameterSet]:
@@ -57,6 +57,7 @@ def _column(values: Sequence[float | str]) -> npt.NDArray[np.int64]:
     return np.rint(np.array(values, dtype=np.float64) * BILLION).astype(np.int64)
 
 
-def _ids(connection: Connection, keys: Sequence[bytes]) -> dict[bytes, int]:
+def ids(connection: Connection, keys: Sequence[bytes]) -> dict[bytes, int]:
+    """Returns the ids of stored sets, by key."""
     query = select(parameter_sets.c.key, parameter_sets.c.id)
     return dict(rows_among(connection, query, parameter_sets.c.key, keys))
