@@ -15,7 +15,7 @@ MOST_CELLS = 10_000
 class ResultLookup(Model):
     """Parameter sets whose stored results are wanted, each in all scenarios of the catalogue. Nothing is simulated."""
 
-    sets: Annotated[list[Values], Field(min_length=1, max_length=MOST_CELLS)]
+    sets: Annotated[list[Annotated[Values, Field(min_length=1)]], Field(min_length=1, max_length=MOST_CELLS)]
     problem: ProblemName = DEFAULT_PROBLEM
     catalogue: Identifier = "highway"
     driving_function: Identifier = "frenet"
