@@ -79,7 +79,7 @@ def test_the_rows_of_a_campaign_come_in_pages_and_whole(api: RunningApi) -> None
     assert [(row["individual"], row["scenario"]) for row in rows] == [(i, s) for i in range(5) for s in ("S1", "S4")]
     names = ["id", "stage", "iteration", "individual", "scenario", *carried.problem.space.names]
     names += ["outcome", "score", "rating", "reference", "audited", "agrees", "failure", "milliseconds", "worker"]
-    names += ["lot", "confidence", "sampled"]
+    names += ["lot", "confidence", "sampled", "seed"]
     assert list(rows[0]) == names
     assert rows[2]["P1"] == -14.5
     assert (rows[2]["outcome"], rows[2]["score"], rows[2]["agrees"]) == ("simulated", 1, None)

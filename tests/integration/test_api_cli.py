@@ -41,7 +41,8 @@ def test_submit_says_how_to_follow_and_list_shows_it(run: Run) -> None:
     assert "drivecal watch" in result.stderr
     identifier = result.stdout.split()[1]
     lines = run("list", "--limit", "1").stdout.splitlines()
-    assert lines[0].split() == ["id", "state", "kind", "created", "requested", "simulated", "saved", "best", "tags", "name"]
+    columns = ["id", "state", "kind", "created", "requested", "simulated", "saved", "best", "owner", "tags", "name"]
+    assert lines[0].split() == columns
     assert lines[1].startswith(f"{identifier}  queued  calibration  ")
     assert lines[1].endswith("from a pipe")
 

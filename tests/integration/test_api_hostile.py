@@ -97,7 +97,7 @@ def test_a_query_that_does_not_fit_is_refused_by_name(api: RunningApi, query: st
 
 
 @pytest.mark.parametrize(
-    "address", ["scenarios?limit=5", "parameters?=null", "views?campaign=&campaign=x", "campaigns?limit=1&limit=2"]
+    "address", ["scenarios?limit=5", "parameters?=null", "problems?cursor=&cursor=x", "campaigns?limit=1&limit=2"]
 )
 def test_a_query_that_an_operation_does_not_have_or_twice_is_refused_by_name(api: RunningApi, address: str) -> None:
     assert [error["field"] for error in refused(api.http.get(f"/api/v1/{address}"))["errors"]] == [

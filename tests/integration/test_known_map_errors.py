@@ -7,6 +7,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import influenced, nothing_matters, post_map, run, submit
 
 from drivecal.api.submission import expected
+from drivecal.configuration.settings import Settings
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -24,7 +25,7 @@ def test_the_preview_of_a_campaign_warns_as_well(database: Database) -> None:
     study = validated(database, stored)
     document = {**study.spec, "optimizer": {"kind": "random"}, "validation": None}
     assert document["sensitivity"] == {"map": stored}
-    limits: Any = SimpleNamespace(settings=SimpleNamespace(largest_campaign=10**9))
+    limits: Any = SimpleNamespace(settings=Settings(largest_campaign=10**9))
     warned = [{"mode": "influence"}, {"mode": "both", "max_error": 1}, {"mode": "predicted", "narrow": True}]
     for reduction in warned:
         notes = expected(database, limits, CampaignSpecification.model_validate(document | {"reduction": reduction})).notes

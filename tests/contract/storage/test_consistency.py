@@ -109,7 +109,11 @@ BROKEN: dict[str, tuple[str, str]] = {
         "counters",
     ),
     "an answer is gone": ("UPDATE evaluations SET outcome = NULL WHERE id = 7", "ended campaigns"),
-    "a lease of an ended campaign": ("INSERT INTO leases VALUES (7, 1, 0, 1, '2026-01-01 00:00:00+00')", "ended campaigns"),
+    "a lease of an ended campaign": (
+        """INSERT INTO leases (evaluation_id, number, attempts, starts, term, expires_at)
+        VALUES (7, 1, 0, 1, 1, '2026-01-01 00:00:00+00')""",
+        "ended campaigns",
+    ),
     "an end without its moment": ("UPDATE campaigns SET ended_at = NULL WHERE sequence = 1", "ended campaigns"),
     "an answer without its run": ("UPDATE evaluations SET run_id = NULL WHERE id = 7", "answered cells"),
     "an answer with the run of another cell": ("UPDATE evaluations SET run_id = run_id + 1 WHERE id = 7", "answered cells"),
