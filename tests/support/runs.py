@@ -123,7 +123,7 @@ def everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
         for row in rows
     ]
     ended = get(database, campaign)
-    return cells, figures, ended.cells.model_copy(update={"runs": 0}), ended.best, ended.error_rate, ended.notes
+    return cells, figures, ended.cells.model_copy(update={"runs": 0, "lost": 0}), ended.best, ended.error_rate, ended.notes
 
 
 def dispatcher(database: Database, backend: Backend | None = None, **settings: Any) -> Dispatcher:

@@ -191,6 +191,9 @@ class Ranking:
         """Returns what is known of the sets by the seeds that choose, and their ids; None without a set. Sets that keep all
         constraints, or else all sets."""
         kept = [each for each in self._solutions.values() if each.violation == 0] or list(self._solutions.values())
+        kept.sort(
+            key=lambda each: each.parameter_set
+        )  # sums depend on the order, and a restart learns of the sets in another one
         by_seed = {each.parameter_set: self._chosen_by(each) for each in kept}
         numbers = [number for number, objectives in by_seed.items() if objectives]
         if not numbers:
@@ -223,7 +226,7 @@ class Ranking:
         ahead, halves = standing.ahead(leader), standing.half_widths(confidence)
         for place, number in enumerate(numbers):
             solution = self._solutions[number]
-            fresh = [objective for seed, objective in self._samples.get(number, {}).items() if seed > self._choosing]
+            fresh = [objective for seed, objective in sorted(self._samples.get(number, {}).items()) if seed > self._choosing]
             interval = replicates.mean_interval(fresh, confidence)
             half = float(halves[place])
             lower, upper = interval or (solution.objective - half, solution.objective + half)

@@ -478,7 +478,10 @@ def _forget_leases(connection: Connection, campaign: StoredCampaign) -> None:
     """Counts what was started for cells that get no answer any more."""
     started = leases.forget(connection, campaign.sequence)
     counts = {stage: campaign.counts(stage) for stage in started}
-    changed = {stage: each.model_copy(update={"runs": each.runs + started[stage]}) for stage, each in counts.items()}
+    changed = {
+        stage: each.model_copy(update={"runs": each.runs + started[stage][0], "lost": each.lost + started[stage][1]})
+        for stage, each in counts.items()
+    }
     save_counts(connection, campaign.sequence, changed)
 
 

@@ -79,13 +79,13 @@ def insert(connection: Connection, campaign_sequence: int, cells: Sequence[Reque
     return list(ids)
 
 
-def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> int:
-    """Stores answers and returns the starts of the simulator for their cells.
+def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> tuple[int, int]:
+    """Stores answers; returns the starts of the simulator for their cells, and how many of these were lost.
 
     An answered cell keeps its answer, so that late results change nothing, and loses its lease.
     """
     if not answers:
-        return 0
+        return 0, 0
     statement = (
         update(evaluations)
         .where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))

@@ -6,7 +6,8 @@ may be simulated more than once, after a crash of whatever process, but has one 
 its workers down must not get three new attempts from every dispatcher.
 
 A lease also counts the starts of the simulator: all before the cell is sent, less the starts that did not happen when it comes back. So
-no start is missing after a crash: a cell that was at a worker then counts as started.
+no start is missing after a crash: a cell that was at a worker then counts as started, and as lost. Lost starts are no part of a budget, so
+that a campaign asks for the same cells whatever was killed.
 
 A lease has no row of its own before it was taken once, and none any more when the cell has its answer.
 """
@@ -41,15 +42,15 @@ def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float, 
     common = literal(term), literal(moment + timedelta(seconds=seconds), leases.c.expires_at.type)
     granted: dict[int, int] = {}
     for (count, starts), wanted in by_count.items():
-        lease = select(evaluations.c.id, literal(1), literal(starts), literal(count), *common).where(
-            evaluations.c.outcome.is_(None)
-        )
+        numbers = literal(1), literal(0), literal(starts), literal(0), literal(count)
+        lease = select(evaluations.c.id, *numbers, *common).where(evaluations.c.outcome.is_(None))
         for condition in among(connection, evaluations.c.id, wanted):
             unanswered = lease.where(condition).with_for_update(skip_locked=True)
-            new = insert(connection, leases).from_select(["evaluation_id", "number", "starts", *_RENEWED], unanswered)
+            columns = ["evaluation_id", "number", "starts", "running", "lost", *_RENEWED]
+            new = insert(connection, leases).from_select(columns, unanswered)
             statement = new.on_conflict_do_update(
                 index_elements=["evaluation_id"],
-                set_={"number": leases.c.number + 1, "starts": leases.c.starts + starts}
+                set_={"number": leases.c.number + 1, "lost": leases.c.lost + leases.c.running, "running": starts}
                 | {name: new.excluded[name] for name in _RENEWED},
                 where=(leases.c.term != term) | (leases.c.expires_at <= moment),
             )
@@ -63,14 +64,21 @@ _RENEWED = ("attempts", "term", "expires_at")
 
 def give_back(connection: Connection, breakdowns: Mapping[int, int], unstarted: Mapping[int, int] | None = None) -> None:
     """Ends leases of this term whose cells have no answer, and notes how often each broke down so far, by id; `unstarted`: how many of
-    their starts did not happen."""
+    their starts did not happen. The others are lost if there is no breakdown that is new."""
     if not breakdowns:
         return
-    less = case((leases.c.expires_at == OVER, 0), else_=bindparam("unstarted"))  # once
+    begun = case((leases.c.running == 0, 0), else_=leases.c.running - bindparam("unstarted"))  # once
+    broke_down = leases.c.attempts < bindparam("breakdowns")
     statement = (
         update(leases)
         .where(leases.c.evaluation_id == bindparam("evaluation"), leases.c.term == term_in_office(connection))
-        .values(attempts=bindparam("breakdowns"), starts=leases.c.starts - less, expires_at=OVER)
+        .values(
+            attempts=bindparam("breakdowns"),
+            starts=leases.c.starts + case((broke_down, begun), else_=0),
+            lost=leases.c.lost + case((broke_down, 0), else_=begun),
+            running=0,
+            expires_at=OVER,
+        )
     )
     fewer = unstarted or {}
     rows = [
@@ -87,19 +95,24 @@ def current(connection: Connection, numbers: Mapping[int, int]) -> set[int]:
     return {evaluation for evaluation, number in rows if numbers[evaluation] == number}
 
 
-def end(connection: Connection, evaluation_ids: Sequence[int]) -> int:
-    """Ends the leases of answered evaluations and returns their starts; the caller stores the answers in the same transaction."""
-    return sum(
-        sum(connection.execute(delete(leases).where(condition).returning(leases.c.starts)).scalars())
+def end(connection: Connection, evaluation_ids: Sequence[int]) -> tuple[int, int]:
+    """Ends the leases of answered evaluations; returns their starts, and how many of these were lost. The caller stores the answers in the
+    same transaction."""
+    ended = [
+        row
         for condition in among(connection, leases.c.evaluation_id, list(evaluation_ids))
-    )
+        for row in connection.execute(delete(leases).where(condition).returning(_STARTS, leases.c.lost))
+    ]
+    return sum(starts for starts, _ in ended), sum(lost for _, lost in ended)
 
 
-def starts(connection: Connection, evaluation_ids: Sequence[int]) -> tuple[int, int]:
-    """Returns the starts for evaluations without an answer, and how many of the evaluations are at workers of this term."""
-    at_work = (leases.c.term == term_in_office(connection)) & (leases.c.expires_at != OVER)
-    rows = list(rows_among(connection, select(leases.c.starts, at_work), leases.c.evaluation_id, list(evaluation_ids)))
-    return sum(count for count, _ in rows), sum(bool(here) for _, here in rows)
+_STARTS = leases.c.starts + leases.c.running + leases.c.lost
+
+
+def starts(connection: Connection, evaluation_ids: Sequence[int]) -> int:
+    """Returns the starts that broke down, for evaluations without an answer, and one more for each of them."""
+    rows = rows_among(connection, select(leases.c.starts), leases.c.evaluation_id, list(evaluation_ids))
+    return sum(int(count) for (count,) in rows) + len(evaluation_ids)
 
 
 def breakdowns(connection: Connection, evaluation_ids: Sequence[int]) -> dict[int, int]:
@@ -108,10 +121,11 @@ def breakdowns(connection: Connection, evaluation_ids: Sequence[int]) -> dict[in
     return dict(rows_among(connection, query, leases.c.evaluation_id, list(evaluation_ids)))
 
 
-def forget(connection: Connection, campaign_sequence: int) -> dict[StageName, int]:
-    """Removes the leases of an ended campaign, whose other cells get no answer; returns their starts by stage."""
+def forget(connection: Connection, campaign_sequence: int) -> dict[StageName, tuple[int, int]]:
+    """Removes the leases of an ended campaign, whose other cells get no answer; returns their starts by stage, and how many were lost."""
     pending = (evaluations.c.campaign_sequence == campaign_sequence) & evaluations.c.outcome.is_(None)
-    total = select(evaluations.c.stage, func.sum(leases.c.starts)).join(leases).where(pending).group_by(evaluations.c.stage)
-    starts_by_stage = {StageName(stage): int(count) for stage, count in connection.execute(total)}
+    sums = func.sum(_STARTS), func.sum(leases.c.lost)
+    total = select(evaluations.c.stage, *sums).join(leases).where(pending).group_by(evaluations.c.stage)
+    starts_by_stage = {StageName(stage): (int(count), int(lost)) for stage, count, lost in connection.execute(total)}
     connection.execute(delete(leases).where(leases.c.evaluation_id.in_(select(evaluations.c.id).where(pending))))
     return starts_by_stage

@@ -85,6 +85,8 @@ class CellCounts(GenerationCounts):
     """Cells for whose measures the score's formula has no value, which are worth a failed run; simulated, or answered by stored runs."""
     runs: int = 0
     """Starts of the simulator for these cells, whatever for: retries and repeated runs included."""
+    lost: int = 0
+    """Starts, among `runs`, whose worker or server was killed: they take nothing from a budget."""
     discarded: int = 0
     """Cells of sets that a search gave up, because they could not be the best any more. They were not requested, and are in no sum."""
     cut: int = 0

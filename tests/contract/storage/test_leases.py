@@ -63,13 +63,24 @@ def test_a_lease_counts_starts_before_they_happen(database: Database) -> None:
         leases.take(connection, dict.fromkeys(ids, 0), HOUR, twice={ids[0]})
         for _ in range(2):  # the second has no effect
             leases.give_back(connection, {ids[0]: 1, ids[1]: 0}, {ids[0]: 1, ids[1]: 1})
-        assert leases.starts(connection, ids) == (2, 1)
+        assert leases.starts(connection, ids) == 1 + 3
     take(database, ids[:2])
     with database.transaction() as connection:
-        assert leases.starts(connection, ids) == (4, 3)
-        assert leases.end(connection, ids[:1]) == 2
+        assert leases.starts(connection, ids) == 1 + 3
+        assert leases.end(connection, ids[:1]) == (2, 0)
         sequence = connection.scalar(text("SELECT campaign_sequence FROM evaluations WHERE id = :id"), {"id": ids[0]})
-        assert leases.forget(connection, int(sequence)) == {StageName.CALIBRATION: 2}
+        assert leases.forget(connection, int(sequence)) == {StageName.CALIBRATION: (2, 0)}
+
+
+def test_starts_that_end_with_their_dispatcher_or_worker_are_lost(database: Database) -> None:
+    ids = pending(database, 2)
+    take(database, ids)
+    elect(database)
+    take(database, ids)
+    with database.transaction() as connection:
+        leases.give_back(connection, {ids[1]: 0})
+        assert leases.starts(connection, ids) == 2
+        assert leases.end(connection, ids) == (4, 3)
 
 
 def test_what_has_its_answer_is_not_leased(database: Database) -> None:

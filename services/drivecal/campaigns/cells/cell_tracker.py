@@ -18,7 +18,7 @@ from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
-from drivecal.domain.evaluations import COPIES, Breakdown, Donor, Outcome, Rating, RequestedCell
+from drivecal.domain.evaluations import COPIES, Donor, Outcome, Rating, RequestedCell
 from drivecal.domain.scales import plain
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduling.in_flight import Completed, RunBudget, Work
@@ -141,7 +141,7 @@ class CellTracker:
             cells: most cells that the search may ask for, those so far included; 0 if it does not ask by the cell.
         """
         kept = max(0, cells - self._counts["requested"] - self._counts["pending"])
-        self.budget, self._counts_starts = RunBudget(runs - self._counts["runs"], kept), True
+        self.budget, self._counts_starts = RunBudget(runs - self._counts["runs"] + self._counts["lost"], kept), True
 
     def load(self, connection: Connection, *, share_runs: bool, benches: Sequence[Bench] = ()) -> list[Work]:
         """Loads the cells that wait for an answer, draws the samples of new lots, and returns the work to simulate, without the cells that
@@ -176,27 +176,11 @@ class CellTracker:
                 self._share_runs(connection, answers, self._pending.values())
         self._breakdowns = leases.breakdowns(connection, list(self._pending))
         if self._counts_starts:
-            started, at_work = leases.starts(connection, list(self._pending))
-            self.budget.left -= started + len(self._pending) - at_work
+            self.budget.left -= leases.starts(connection, list(self._pending))
             self._counts_starts = False
-            self._fail_unaffordable(connection)
         wanted = [cell for cell in self._pending.values() if cell.plan is Outcome.SIMULATED and cell.id not in earlier]
         self._returned = earlier | {cell.id for cell in wanted}
         return self._work(wanted)
-
-    def _fail_unaffordable(self, connection: Connection) -> None:
-        """Fails the newest cells if earlier runs of theirs were lost with a dispatcher and the budget has no others."""
-        answers: list[AnsweredCell] = []
-        orphans: list[StoredEvaluation] = []
-        for cell in sorted(self._pending.values(), key=lambda cell: -cell.id):
-            if self.budget.left >= 0:
-                break
-            if cell.plan is Outcome.SIMULATED and cell.id in self._pending:
-                detail = "its run was lost with the dispatcher, and the budget has no other"
-                lost = CellResult(cell.id, None, None, {}, None, 0.0, Breakdown.CRASH.value, detail)
-                orphans += self._break_down(cell, Completed("", "", lost, 0, leader=cell.id), answers)
-        self._store(connection, answers)
-        evaluations.simulate_instead(connection, [orphan.id for orphan in orphans])
 
     def record(self, connection: Connection, completed: Sequence[Completed]) -> list[Work]:
         """Stores the results of simulated cells and of their copies; returns the work to simulate instead.
@@ -246,7 +230,9 @@ class CellTracker:
 
     def _store(self, connection: Connection, answers: Sequence[AnsweredCell]) -> None:
         """Stores answers, and counts the starts of the simulator for their cells."""
-        self._counts["runs"] += evaluations.answer(connection, answers)
+        started, lost = evaluations.answer(connection, answers)
+        self._counts["runs"] += started
+        self._counts["lost"] += lost
 
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
         """Cells whose results come from a lease that is over. A result obtained for another cell has no lease of its own."""

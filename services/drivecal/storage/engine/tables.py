@@ -317,7 +317,10 @@ leases = Table(  # cells at workers, and those that broke down there before; a c
     Column("evaluation_id", Identity, ForeignKey("evaluations.id"), primary_key=True, autoincrement=False),
     Column("number", Integer, nullable=False),
     Column("attempts", Integer, nullable=False),
-    Column("starts", Integer, nullable=False),  # of the simulator, for this cell; none is missing
+    # Starts of the simulator for this cell, none is missing: broken down, under the current lease, lost.
+    Column("starts", Integer, nullable=False),
+    Column("running", Integer, nullable=False),
+    Column("lost", Integer, nullable=False),
     Column("term", Integer, nullable=False),
     Column("expires_at", UtcDateTime, nullable=False),
 )

@@ -180,7 +180,7 @@ def check_counters(connection: Connection) -> Iterator[str]:
                     yield f"campaign {row.id} counts {count} {part} in its {stage_of}, its rows {cells.get(part, 0)}"
 
 
-_NOT_IN_ROWS = {"unrepeatable", "unscored", "cut", "runs", "discarded"}
+_NOT_IN_ROWS = {"unrepeatable", "unscored", "cut", "runs", "lost", "discarded"}
 _WHOLE = campaigns.c.deleted_at.is_(None)
 """Campaigns with all their cells: a deleted one counts its former cells."""
 
