@@ -15,7 +15,7 @@ from drivecal.api.routes.page import FILES, REASON, START
 
 Opening = Callable[..., Page]
 AXE = PROJECT / "services" / "web" / "node_modules" / "axe-core" / "axe.min.js"
-TABS = ("overview", "ranking", "evaluations", "influence", "savings", "trust")
+TABS = ("overview", "ranking", "evaluations", "influence", "savings", "trust", "review")
 """Views of a campaign."""
 expect.set_options(timeout=90_000)
 

@@ -5,7 +5,6 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
-from zipfile import ZipFile
 
 import pytest
 from playwright.sync_api import Page, Route, expect
@@ -180,18 +179,3 @@ def test_a_gain_within_the_tolerance_is_shown_as_neither_better_nor_worse(shown:
     )
     colours = [place.evaluate("place => getComputedStyle(place).color") for place in (flat, hill)]
     assert colours == [page.evaluate(probe, name) for name in ("--quiet", "--well")]
-
-
-def test_a_report_opens_as_a_page_and_is_downloaded_with_its_files(shown: Shown, opening: Opening) -> None:
-    page = opening(shown.at(shown.first, ""))
-    page.get_by_role("button", name="Report", exact=True).click()
-    assert barriers(page) == []
-    with page.expect_popup() as opened:
-        page.get_by_role("link", name="Open as a page").click()
-    expect(opened.value.get_by_role("heading", name="Best sets")).to_be_visible(timeout=60_000)
-    assert opened.value.locator("svg").count() >= 2
-    opened.value.close()
-    with page.expect_download(timeout=60_000) as report:
-        page.get_by_role("link", name="Download with figures and tables").click()
-    with ZipFile(report.value.path()) as archive:
-        assert "figures/figure-10-population.svg" in archive.namelist()
