@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 from tests.browser.conftest import Opening
 from tests.support.computed import ComputedBackend
 from tests.support.problems import store, submit_checked
@@ -145,3 +145,18 @@ def test_an_overview_shows_a_small_front_that_leads_to_its_view(shown: Shown, op
     expect(front).to_contain_text("Baseline, dominated")
     front.get_by_role("link", name="Set 1, best heave").click()
     expect(page.get_by_role("heading", name=re.compile("^Set 1 against set"))).to_be_visible()
+
+
+def test_a_comparison_that_is_left_while_it_reads_says_nothing(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at(shown.two, query="?row=1&with=2"))
+    held: list[Route] = []
+    page.route(re.compile("/cell[?]"), lambda route: held.append(route))  # noqa: PLW0108  # Playwright marks its handlers
+    with page.expect_request(re.compile("/cell[?]")):
+        page.get_by_role("button", name="Run in city").click()
+    page.goto(f"{shown.api.url}/#/nowhere")
+    expect(page.get_by_role("heading", name="There is no such view")).to_be_visible()
+    with page.expect_request_finished(lambda request: request == held[-1].request):
+        for route in held:
+            route.continue_()
+    page.unroute_all()
+    expect(page.get_by_role("heading", name="There is no such view")).to_be_visible()
