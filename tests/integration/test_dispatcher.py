@@ -1,17 +1,20 @@
 """Whole campaigns through database and dispatcher, with a formula in the place of the simulation."""
 
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from sqlalchemy import select
-from tests.support.computed import IGNORED, ComputedBackend
+from tests.support.computed import IGNORED, ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.effort import tries
 from tests.support.runs import dispatcher, everything, post_map, request, submit
 
 from drivecal.contracts.specification import EvaluationSpecification
+from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.evaluations import Breakdown
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -180,6 +183,19 @@ def test_a_single_evaluation_is_simulated_once_and_then_repeated(database: Datab
     first, second = _run(database, submit()), _run(database, submit())
     assert (first.state, first.cells.simulated) == (CampaignState.SUCCEEDED, 6)
     assert (second.cells.simulated, second.cells.repeated) == (0, 6)
+
+
+def test_a_single_evaluation_without_a_result_in_a_scenario_has_failed(database: Database) -> None:
+    def broken(scenario: str, cell: Cell) -> CellResult:
+        result = computed(scenario, cell)
+        return replace(result, breakdown=Breakdown.CRASH.value, detail="exit code 7") if scenario == "S2" else result
+
+    specification = EvaluationSpecification(parameters={f"P{i}": 0.5 for i in range(1, 12)})
+    with database.transaction() as connection:
+        campaign = campaigns.insert(connection, name="one", spec=specification.model_dump(mode="json"), kind="evaluation")
+    ended = _run(database, campaign, ComputedBackend(answer=broken))
+    assert (ended.state, ended.cells.failed, ended.cells.simulated) == (CampaignState.FAILED, 1, 5)
+    assert "exit code 7" in str(ended.error)
 
 
 def test_a_campaign_that_cannot_be_resolved_any_more_fails_and_says_why(database: Database) -> None:

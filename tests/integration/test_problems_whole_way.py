@@ -10,6 +10,7 @@ from typing import Any
 import psutil
 import pytest
 import yaml
+from tests.support.runs import without_starts
 from tests.support.serve import Server, serving, until
 from tests.support.user_problems import SPEC, problem, rows
 
@@ -101,7 +102,8 @@ def test_an_example_is_killed_resumed_and_rated_anew(name: str, calibrated: tupl
     assert (whole.state, whole.error, whole.cells.failed) == ("succeeded", None, 0)
     assert whole.best is not None
     assert set(whole.best.parameters) == set(manifest["parameters"])
-    assert (resumed.state, resumed.best, resumed.cells) == ("succeeded", whole.best, whole.cells)
+    assert (resumed.state, resumed.best) == ("succeeded", whole.best)
+    assert without_starts(resumed.cells) == without_starts(whole.cells)
     assert rows(client, resumed.id) == rows(client, whole.id)
 
     measure = next(iter(manifest["measures"]))

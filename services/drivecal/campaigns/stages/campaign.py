@@ -15,6 +15,7 @@ from drivecal.campaigns.stages.sensitivity import Sensitivity
 from drivecal.campaigns.stages.stage import Round, Stage
 from drivecal.campaigns.stages.validation import PredictionValidation, ValidationStage
 from drivecal.domain.campaigns import StageName
+from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import RequestedCell
 from drivecal.execution.scheduling.in_flight import Completed, Work
 from drivecal.reduction.assignment import Policy
@@ -55,7 +56,12 @@ class SingleEvaluation(Stage):
         return Round(0, [(bench, cells)], Policy("off" if is_new else "exact"))
 
     def _tell(self, asked: Round) -> None:
-        """Does nothing: the rows hold the answers."""
+        """Ends the evaluation. Raises NoResultError if a cell has no result; the rows hold the answers of the others."""
+        del asked
+        if failed := self._tracker.counts["failed"]:
+            raise NoResultError(
+                f"{failed:,} of the {len(self._problem.bench.scenarios):,} cells gave no result{self._causes()}"
+            )
 
 
 StageKind = (
