@@ -128,7 +128,7 @@ def everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
 
 
 def without_starts(cells: CellCounts) -> CellCounts:
-    """Returns counts of cells without the starts of the simulator, of which kills make more."""
+    """Returns counts of cells without the starts of the simulator: kills make more of them."""
     return cells.model_copy(update={"runs": 0, "lost": 0})
 
 

@@ -406,6 +406,8 @@ class Calibration(Stage):
         limit, best = self._problem.specification.reduction.confirm, self._ranking.best()
         believed = self._ranking.doubtful() if best is None else best[0]  # every set may have a predicted score
         if limit == 0 or believed is None:
+            with self._database.transaction() as connection:
+                self._save(connection)  # what is noted at the end of a search
             return None
         with self._database.transaction() as connection:
             if self._confirming is None:
