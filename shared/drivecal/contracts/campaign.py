@@ -418,9 +418,9 @@ def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def html_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Returns rows as a table with all their columns."""
+    """Returns rows as a table, without empty columns."""
     shown = [_flat(row) for row in rows[:MOST_ROWS]]
-    columns = list(dict.fromkeys(name for row in shown for name in row))
+    columns = list(dict.fromkeys(name for row in shown for name, value in row.items() if value is not None))
     lines = [_line("th", columns), *(_line("td", [row.get(name) for name in columns]) for row in shown)]
     more = f"<p>{len(rows) - len(shown):,} more rows</p>" if len(rows) > len(shown) else ""
     return f"<table>{''.join(lines)}</table>{more}"
