@@ -137,10 +137,12 @@ def test_campaigns_are_steered_and_deleted_by_their_owner_and_by_an_admin(tmp_pa
     with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tmp_path / "tokens")) as api:
 
         def ask(name: str, path: str, method: str = "POST", body: Any = None) -> httpx.Response:
-            return api.http.request(method, f"/api/v1/campaigns{path}", headers=bearer(tokens[name]), json=body)
+            headers = {**bearer(tokens[name]), **({"Idempotency-Key": "k1"} if body else {})}
+            return api.http.request(method, f"/api/v1/campaigns{path}", headers=headers, json=body)
 
         campaign = ask("bob", "", body=SMALL).json()
-        assert campaign["owner"] == "bob"
+        assert (campaign["owner"], ask("alice", "", body=SMALL).json()["owner"]) == ("bob", "alice")
+        assert ask("bob", "", body=SMALL).json()["id"] == campaign["id"]
         own = f"/{campaign['id']}"
         for action in ("pause", "resume", "cancel"):
             refused = ask("alice", f"{own}/{action}")

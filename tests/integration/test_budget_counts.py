@@ -12,7 +12,7 @@ import pytest
 from tests.support.cell_search import CellSearchPlugin
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
-from tests.support.runs import dispatcher, get, submit
+from tests.support.runs import dispatcher, get, run, submit
 
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult
@@ -106,4 +106,16 @@ def test_runs_are_what_simulators_count_and_keep_to_the_budget(
         backend.kill()
     assert ended.cells.runs == backend.started + backend.unknown
     assert budget * 0.5 < ended.cells.runs - ended.cells.lost <= budget, ended.error
+    database.dispose()
+
+
+def test_a_search_of_an_exhausted_space_ends_before_its_budget(tmp_path: Path) -> None:
+    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    space = [{"name": "P1", "lower": 0, "upper": 1, "step": 0.1}]
+    optimizer = {"kind": "genetic", "population": 8}
+    fixed = {f"P{number}": 0.5 for number in range(2, 12)}
+    spec: dict[str, Any] = {"catalogue": ["S1"], "parameters": space, "fixed": fixed, "optimizer": optimizer}
+    ended = run(database, submit(database, budget={"simulations": 100}, **spec))
+    assert ended.search is not None
+    assert (ended.search.ended_by, ended.cells.runs <= 11) == ("stagnation", True)
     database.dispose()

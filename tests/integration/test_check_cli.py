@@ -91,6 +91,16 @@ def test_a_set_is_checked_against_limits_and_baseline_in_every_scenario(checking
     assert len(checking.backend.sent) == 18
 
 
+def test_new_runs_that_differ_from_stored_ones_fail_the_check(checking: Checking) -> None:
+    chosen = checking.file("set.json", BASELINE)
+    assert checking(chosen).exit_code == 0
+    checking.backend.answer = lambda _, cell: CellResult(cell.id, 1.0, 1, {MEASURE: 9.0}, None, 7.0)
+    assert checking(chosen).exit_code == 0
+    again = checking(chosen, "--fresh", "--json")
+    assert again.exit_code == 1
+    assert [each["scenario"] for each in json.loads(again.stdout)["findings"] if each["broken"]] == ["all"]
+
+
 def test_a_calibration_file_with_labels_is_checked_like_any_set(checking: Checking) -> None:
     lines = [f'FESTWERT ACC_{name}\n  EINHEIT_W "1"\n  WERT {value}\nEND\n' for name, value in (BASELINE | {"X": 3}).items()]
     file = checking.file("set.dcm", "KONSERVIERUNG_FORMAT 2.0\n" + "\n".join(lines))

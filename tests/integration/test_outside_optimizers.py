@@ -157,8 +157,11 @@ def test_few_cells_are_asked_for_ahead_so_that_sets_can_be_cancelled(sqlite: Run
     ]
     assert len(cancelled) == 100
     problem_of(sqlite.http.delete(f"{sets_url}/other"), 404)
+    assert propose(sqlite, campaign, sets(199, 1, scenarios=["S1"]))["numbers"] == {"k199": 200}  # waits again
+    cancelled.remove("k199")
     finish(sqlite, campaign)
-    assert ended(sqlite, campaign, work)["cells"]["requested"] == 100
+    assert ended(sqlite, campaign, work)["cells"]["requested"] == 101
+    assert propose(sqlite, campaign, sets(0, 9, scenarios=["S1"]))["numbers"]["k8"] == 9  # known keys, also after the end
     page = answers(sqlite, campaign)["items"]
     assert {row["scenario"] for row in page} == {"S1"}
     assert not {row["key"] for row in page} & set(cancelled)
@@ -217,9 +220,7 @@ def begun(database: Database) -> StoredCampaign:
     campaign = submit(database, **SPEC | {"baseline": {"P1": 0.5, "P3": 1.0}})
     with database.transaction() as connection:
         proposed = [OutsideSet(f"k{number}", [number % 17, number % 5]) for number in range(24)]
-        outside_sets.add(
-            connection, campaign.sequence, [*proposed, OutsideSet("again", [1, 1]), OutsideSet("part", [20, 1], ["S2"])]
-        )
+        outside_sets.add(connection, campaign.id, [*proposed, OutsideSet("again", [1, 1]), OutsideSet("part", [20, 1], ["S2"])])
         outside_sets.finish(connection, campaign.id)
     return campaign
 

@@ -103,7 +103,7 @@ def test_all_sets_meet_the_same_seeds_and_promising_ones_meet_more(database: Dat
 def test_runs_are_repeated_by_seed(database: Database) -> None:
     spec: dict[str, Any] = {"optimizer": POPULATIONS | {"iterations": 3}, "budget": None}
     first, again = carried_out(database, **spec), carried_out(database, **spec)
-    assert first.cells.runs > 40
+    assert first.cells.runs > 32
     assert (again.cells.runs, again.best) == (0, first.best)
     assert {row.outcome for row in rows_of(database, again)} == {Outcome.REPEATED}
 

@@ -41,8 +41,12 @@ def choosing(most: int) -> int:
 
 def kept_back(budget: int, scenarios: int, most: int) -> int:
     """Returns the simulations of a budget that are kept for the runs after the search."""
-    fresh = most - choosing(most)
-    return min(budget // 2, max(int(KEPT * budget), (fresh + FIRST) * scenarios)) if most > 1 else 0
+    return min(budget // 2, max(int(KEPT * budget), fewest(scenarios, most))) if most > 1 else 0
+
+
+def fewest(scenarios: int, most: int) -> int:
+    """Returns the simulations that the choice and the report of the best set need at least."""
+    return (most - choosing(most) + FIRST) * scenarios if most > 1 else 0
 
 
 @dataclass(frozen=True)
@@ -189,7 +193,7 @@ def allocate(standing: SetStatistics, room: int, most: int, confidence: float) -
         most: runs of a set at most.
         confidence: with which the best set is to be known.
     """
-    counts = standing.counts.astype(np.float64)
+    counts, room = standing.counts.astype(np.float64), max(0, room)
     if not standing.is_known:
         order = np.argsort(-standing.means, kind="stable")
         return [place for place in order.tolist() if counts[place] < most][: min(room, FIRST)]

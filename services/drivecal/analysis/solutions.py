@@ -136,12 +136,19 @@ class Ranking:
         for number in touched:
             solution = self._over_seeds(number)
             if solution is None:
+                self._solutions.pop(number, None)
+                self._predicted.pop(number, None)
                 continue
             if any(cell.predicted for cell in self._answers[number].values()):
                 self._predicted[number] = solution
             else:
                 self._solutions[number] = solution
                 self._predicted.pop(number, None)
+
+    @property
+    def sets(self) -> int:
+        """Number of sets with an answer."""
+        return len(self._runs)
 
     def order(self, solution: EvaluatedSet) -> tuple[int, int, float, int, int]:
         """Sorts best first: feasible sets first, equal objectives by the weighted continuous rating, then by discovery."""
@@ -163,7 +170,8 @@ class Ranking:
             return self._solution(number, self._answers[number])
         by_seed = {seed: self._solution(number, cells) for seed, cells in sorted(runs.items())}
         whole = {seed: solution for seed, solution in by_seed.items() if solution is not None}
-        if not whole:
+        lost = any(cell.failed for seed in by_seed.keys() - whole.keys() for cell in runs[seed].values())
+        if lost or not whole:  # a mean of those seeds alone that did not fail would say too much
             self._answers[number] = next(iter(runs.values()))
             return None
         self._samples[number] = {seed: solution.objective for seed, solution in whole.items()}

@@ -154,5 +154,6 @@ def evaluation_answer(stored: StoredCampaign, items: list[EvaluatedCell]) -> Eva
         **{name: getattr(only, name, None) for name in ("outcome", "score", "rating", "failure", "metrics")},
         error=stored.error,
         notes=list(stored.notes),
+        unrepeatable=stored.cells.unrepeatable,
         links={"self": f"{ROOT}/evaluations/{stored.id}"},
     )

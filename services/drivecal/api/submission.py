@@ -69,6 +69,7 @@ def submit(
     Raises InvalidInputError if it cannot run, TooLargeError, and OverloadError if the queue is full.
     """
     body_digest = digest_of("campaigns", specification)
+    key = None if key is None else admission.key_of(owner, key)
     earlier = accepted_before(database, body_digest, key)
     if earlier is not None:
         return earlier
@@ -203,6 +204,7 @@ def rerun(
 ) -> StoredCampaign:
     """Queues an ended campaign again with `changes`. Raises ConflictError before its end, NotFoundError, and like `submit`."""
     body_digest = digest_of(f"campaigns/{first_id}/rerun", changes)
+    key = None if key is None else admission.key_of(owner, key)
     earlier = accepted_before(database, body_digest, key)
     if earlier is not None:
         return earlier
@@ -230,6 +232,7 @@ def compare(
 
     Raises InvalidInputError if one cannot run, TooLargeError, and OverloadError if the queue has no room for all.
     """
+    key = admission.key_of(owner, key)
     body_digest, tag = digest_of("comparisons", specification), tag_of(specification.name, key)
     keys = keys_of(specification, key)
     if accepted_before(database, body_digest, *keys) is not None:
@@ -295,6 +298,7 @@ def evaluate(
 ) -> StoredCampaign:
     """Queues a single evaluation. Raises InvalidInputError if it cannot run, OverloadError if the queue is full."""
     body_digest = digest_of("evaluations", specification)
+    key = None if key is None else admission.key_of(owner, key)
     earlier = accepted_before(database, body_digest, key)
     if earlier is not None:
         return earlier

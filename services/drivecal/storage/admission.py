@@ -1,5 +1,7 @@
 """Admission of requests: each Idempotency-Key once, limits of the queue, and of the users' influence maps and problems."""
 
+from hashlib import sha256
+
 from sqlalchemy import Connection, func, select, text
 
 from drivecal.bundles.installed import installed_problems
@@ -49,6 +51,11 @@ def add_installed(connection: Connection) -> None:
         if not is_stored(connection, problem.digest):
             document, name = problem.manifest.model_dump(mode="json"), problem.manifest.problem
             add(connection, digest=problem.digest, name=name, manifest=document, archive=problem.archive)
+
+
+def key_of(owner: str | None, key: str) -> str:
+    """Returns what is stored for an Idempotency-Key: the keys of two owners are different ones."""
+    return key if owner is None else sha256(f"{owner}\0{key}".encode()).hexdigest()
 
 
 def earlier(connection: Connection, body_digest: str | None, *keys: str | None) -> int | None:

@@ -242,6 +242,8 @@ class SearchState(Answer):
     """Their number when the last better set was found."""
     stood_still_at: int | None = None
     """First round after which the search had stood still for as long as the budget allows."""
+    stale: int = 0
+    """Closed generations without a new set, up to now."""
     repaired: Repaired = Repaired()
     spent_minutes: float | None = None
     """Minutes of the whole search; null before its end."""

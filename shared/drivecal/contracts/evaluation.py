@@ -171,6 +171,8 @@ class Evaluation(Answer):
     error: str | None = None
     notes: list[str] = Field(default_factory=list)
     """E.g. values off the grid, which are simulated as given."""
+    unrepeatable: int = 0
+    """Simulations that differ from the stored run of the same cell, whose `metrics` these are."""
     links: dict[str, str] = Field(default_factory=dict)
 
 

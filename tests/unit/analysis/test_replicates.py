@@ -106,6 +106,10 @@ def test_the_first_further_runs_go_to_the_best_sets() -> None:
     assert allocate(assess(np.array([[1.0], [5.0], [4.0], [2.0], [3.0]])), 8, 20, CONFIDENCE) == [1, 2, 4, 3]
 
 
+def test_an_exhausted_budget_gives_no_runs() -> None:
+    assert allocate(assess(np.array([[float(mean)] for mean in range(20)])), -7, 20, CONFIDENCE) == []
+
+
 def test_no_set_gets_more_runs_than_it_may() -> None:
     samples = np.random.Generator(np.random.PCG64(2)).normal(size=(3, 5))
     assert allocate(assess(samples), 100, 5, 0.999) == []

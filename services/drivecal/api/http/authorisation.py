@@ -33,6 +33,8 @@ FOREIGN = {"cross-site", "same-site"}
 """Values of Sec-Fetch-Site in requests of pages of other origins."""
 CHECKED = {f"{ROOT}/campaigns", f"{ROOT}/comparisons"}
 """Paths at which `validate_only=true` stores nothing."""
+LOOK_UP = f"{ROOT}/results/lookup"
+"""A question of many sets, which stores nothing."""
 ANYBODY = Token("anybody", may_write=True, digest=b"", is_admin=True)
 """The client of a server without tokens."""
 CHALLENGE = 'Bearer realm="drivecal"'
@@ -220,7 +222,8 @@ def _bearer(header: str) -> bytes | None:
 
 def _only_checks(request: Request) -> bool:
     """Returns whether a POST stores nothing. Compares the query to the letter, as the route reads it."""
-    checked = request.scope["path"] in CHECKED and request.scope["query_string"] == b"validate_only=true"
+    path = request.scope["path"]
+    checked = path == LOOK_UP or (path in CHECKED and request.scope["query_string"] == b"validate_only=true")
     return request.method == "POST" and checked
 
 

@@ -38,7 +38,7 @@ LOOK_SECONDS = 0.2
 def propose(campaign_id: str, proposed: ProposedSets, request: Request, database: DatabaseDependency) -> AcceptedSets:
     """Takes sets of an outside optimizer. They are stored before the answer; sending them again, with the same keys, changes nothing."""
     with database.transaction() as connection:
-        refuse_others(request, campaign_id, outside_sets.open_campaign(connection, campaign_id).owner)
+        refuse_others(request, campaign_id, outside_sets.external_campaign(connection, campaign_id).owner)
     problem = _problem(database, campaign_id)
     indices = indices_of(problem, proposed.sets)
     sets = [
@@ -48,8 +48,7 @@ def propose(campaign_id: str, proposed: ProposedSets, request: Request, database
         for each, row in zip(proposed.sets, indices.tolist(), strict=True)
     ]
     with database.transaction() as connection:
-        campaign = outside_sets.open_campaign(connection, campaign_id)
-        numbers = outside_sets.add(connection, campaign.sequence, sets)
+        numbers = outside_sets.add(connection, campaign_id, sets)
     made = problem.space.parameter_sets(indices)
     changed = {
         each.key: parameters.floats

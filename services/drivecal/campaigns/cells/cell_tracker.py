@@ -166,6 +166,9 @@ class CellTracker:
         for cell in self._pending.values():
             if cell.plan in COPIES and cell.reference is not None and cell.lot is None:
                 self._copies.setdefault(cell.reference, []).append(cell)
+        if self._counts_starts:  # before cells are answered, which gives their starts back
+            self.budget.left -= leases.starts(connection, list(self._pending))
+            self._counts_starts = False
         answers: list[AnsweredCell] = []
         if share_runs:
             self._share_runs(connection, answers, self._pending.values())
@@ -175,9 +178,6 @@ class CellTracker:
             if share_runs:
                 self._share_runs(connection, answers, self._pending.values())
         self._breakdowns = leases.breakdowns(connection, list(self._pending))
-        if self._counts_starts:
-            self.budget.left -= leases.starts(connection, list(self._pending))
-            self._counts_starts = False
         wanted = [cell for cell in self._pending.values() if cell.plan is Outcome.SIMULATED and cell.id not in earlier]
         self._returned = earlier | {cell.id for cell in wanted}
         return self._work(wanted)

@@ -3,8 +3,7 @@
 A round of a generational optimizer is an iteration, which is answered before the next one is asked. Of a search by the cell, several rounds
 are under way: round n knows the answers of the rounds up to n - WINDOW and nothing else.
 
-On request, later rounds confirm the best set (`confirmation`). Their cells belong to the stage and continue its iteration numbers, but
-belong to no generation.
+On request, later rounds confirm the best set (`confirmation`). Their cells continue the stage's iteration numbers, without a generation.
 """
 
 import math
@@ -37,7 +36,7 @@ from drivecal.campaigns.stages.asking import (
 )
 from drivecal.campaigns.stages.replication import Replication, SeededBenches
 from drivecal.campaigns.stages.stage import Round, Stage
-from drivecal.campaigns.stages.task import affordable, asked_rounds, most_cells, search_task
+from drivecal.campaigns.stages.task import STALE, affordable, asked_rounds, most_cells, search_task
 from drivecal.contracts.campaign import (
     Baseline,
     Best,
@@ -275,7 +274,7 @@ class Calibration(Stage):
                 if self._problem.specification.reduction.narrow:
                     campaigns.set_narrowed(connection, self._campaign.sequence, self._area.narrowed())
                 self._remember_baseline(connection)
-                return []
+                return self._tracker.load(connection, share_runs=self._policy().mode != "off")
             here = connection, self._campaign.sequence, self.name, self._next - 1
             self._batches = [each for each in self._batches if not results.is_requested(*here, each[0] if each else None)]
             seeds = {cell.seed for cell in results.pending(connection, self._campaign.sequence)}
@@ -467,6 +466,7 @@ class Calibration(Stage):
         """Closes a round: every cell has its answer."""
         asked = self._asked[number]
         with self._database.transaction() as connection:
+            sets = self._ranking.sets
             self._answers.take_in(connection, self._campaign.sequence, [number])
             self._answers.settle(asked.population)
             objectives = self._answers.objectives(number)
@@ -475,7 +475,7 @@ class Calibration(Stage):
                 self._released = self._planner.released(connection, number)
             is_better = self._describe_best(connection)
             figures = self._figures(connection, number, asked, objectives)
-            self._note_progress(figures.cells, is_better=is_better)
+            self._note_progress(figures.cells, is_better=is_better, is_new=self._ranking.sets > sets)
             generations.finish(connection, self._campaign.sequence, number, figures, objectives.tolist())
             self._closed = number + 1
             self._save(connection)
@@ -485,14 +485,18 @@ class Calibration(Stage):
         if self._by_cell is None and self._computation is None:
             self._asked.pop(number)
 
-    def _note_progress(self, cells: GenerationCounts, *, is_better: bool) -> None:
-        """Counts the simulations since the last better set. What a search by the cell asks for must not depend on what was stored."""
+    def _note_progress(self, cells: GenerationCounts, *, is_better: bool, is_new: bool) -> None:
+        """Counts simulations since the last better set, and generations since the last new one, which use up no budget. What a search by
+        the cell asks for must not depend on what was stored."""
         budget, search = self._optimization.budget, self._search
         simulated = search.simulated + (cells.simulated + cells.failed if self._by_cell is None else cells.requested)
         better_at = simulated if is_better else search.better_at
         stood_still = budget is not None and budget.stagnation is not None and simulated - better_at >= budget.stagnation
+        stale = 0 if is_new or budget is None or self._by_cell is not None else search.stale + 1
+        stood_still = stood_still or stale >= STALE
         at = self._closed if stood_still and search.stood_still_at is None else search.stood_still_at
-        self._search = search.model_copy(update={"simulated": simulated, "better_at": better_at, "stood_still_at": at})
+        changed = {"better_at": better_at, "stood_still_at": at, "stale": stale}
+        self._search = search.model_copy(update={"simulated": simulated} | changed)
 
     def _describe_best(self, connection: Connection) -> bool:
         """Stores the best set; returns whether it is a better one than before."""

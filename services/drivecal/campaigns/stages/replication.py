@@ -81,7 +81,8 @@ class Replication:
         table count as in the search, so that the same campaign again asks for the same cells."""
         chosen, requested = self._problem.optimization, tracker.counts.get("requested", 0)
         if chosen is None or chosen.budget is None or chosen.budget.simulations is None:
-            return int((requested - after) * replicates.KEPT / (1 - replicates.KEPT)) - after
+            fewest = replicates.fewest(len(self._problem.scenarios), self._problem.specification.replicates.most)
+            return max(fewest, int((requested - after) * replicates.KEPT / (1 - replicates.KEPT))) - after
         left = int(tracker.budget.left)
         return left if chosen.by_cell is None else min(left, chosen.budget.simulations - requested)
 

@@ -28,6 +28,9 @@ MOST_BEST = 3
 MOST_KNOWN = 2_000
 """Newest stored runs of each scenario from which a search begins."""
 
+STALE = 50
+"""Generations without a new set after which a search with a budget ends: its space is exhausted, or its population stands still."""
+
 
 def search_task(
     database: Database, view: View, problem: CalibrationProblem, area: SearchArea, aim: WeightedScore | JudgedGoals

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import typer
 from pydantic import Field, model_validator
 
-from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, tell
+from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, code_of_state, connect, tell
 from drivecal.cli.commands.evaluate import ended
 from drivecal.cli.views.output import print_columns, print_json
 from drivecal.client.client import Client
@@ -74,6 +74,8 @@ class CheckedSet:
     cells: Mapping[str, Mapping[str, EvaluatedCell]]
     baseline: Mapping[str, Mapping[str, EvaluatedCell]]
     problem: ProblemAnswer
+    differing: int = 0
+    """New runs that gave another result than the stored ones, whose measures the cells hold."""
 
     @property
     def scenarios(self) -> Mapping[str, EvaluatedCell]:
@@ -87,6 +89,11 @@ class CheckedSet:
         for limit in limits:
             for name in self.scenarios if limit.scenarios == "all" else limit.scenarios:
                 yield Finding(name, limit.text, self._broken(limit, name))
+        if self.differing and self.problem.simulator.get("deterministic") is not False:
+            counted = (
+                f"{self.differing:,} runs gave another result; what they read besides the problem's files belongs into `inputs`"
+            )
+            yield Finding("all", "new runs give the stored results", counted)
 
     def _broken(self, limit: SetLimit, scenario: str) -> str | None:
         value = self._value(self.cells, limit, scenario)
@@ -131,8 +138,9 @@ def check(
         _refuse_unknown(wanted, known, has_baseline=baseline is not None)
         first = next(iter(known.scores))
         scores = list(dict.fromkeys([first, *(limit.score for limit in wanted if limit.score is not None)]))
-        compared = {} if baseline is None else _evaluated(client, _set(client, baseline, names)[0], known, scores, timeout)
-        checked = CheckedSet(_evaluated(client, parameters, known, scores, timeout, fresh=fresh), compared, known)
+        compared = {} if baseline is None else _evaluated(client, _set(client, baseline, names)[0], known, scores, timeout)[0]
+        cells, differing = _evaluated(client, parameters, known, scores, timeout, fresh=fresh)
+    checked = CheckedSet(cells, compared, known, differing)
     findings = list(checked.findings(wanted))
     if junit is not None:
         with file_faults(junit, "written", "give another file"):
@@ -199,25 +207,28 @@ def _evaluated(
     timeout: float | None,
     *,
     fresh: bool = False,
-) -> dict[str, dict[str, EvaluatedCell]]:
-    """Returns the cells of a set by score and scenario. A file may hold other values besides those of the problem."""
+) -> tuple[dict[str, dict[str, EvaluatedCell]], int]:
+    """Returns the cells of a set by score and scenario, and how many new runs differ from stored ones. A file may hold other values
+    besides those of the problem."""
     missing = [name for name in problem.parameters if name not in parameters]
     if missing:
         remedy = "give one value per parameter; --names has the labels of a calibration file"
         raise InvalidInputError(*(Problem(f"parameters.{name}", "the value is missing", remedy) for name in missing))
     values = {name: parameters[name] for name in problem.parameters}
-    cells = {}
+    cells, differing = {}, 0
     for number, score in enumerate(scores):
         evaluator = "reference" if number == 0 else score
         wanted: dict[str, Any] = {"parameters": values, "problem": problem.digest, "evaluator": evaluator}
         evaluation = ended(client, client.evaluate(wanted | ({"fresh": True} if fresh and number == 0 else {})), timeout)
         cells[score] = _cells(evaluation)
-    return cells
+        differing += evaluation.unrepeatable
+    return cells, differing
 
 
 def _cells(evaluation: Evaluation) -> dict[str, EvaluatedCell]:
     if not evaluation.items:
-        raise InvalidInputError(Problem("parameters", evaluation.error or evaluation.state, "see `drivecal show`"))
+        tell(f"the evaluation was not carried out: {evaluation.error or evaluation.state}")
+        raise typer.Exit(code_of_state(evaluation.state))
     return {item.scenario: item for item in evaluation.items}
 
 

@@ -52,6 +52,17 @@ class OutsideAnswer:
     metrics: dict[str, float | None] | None
 
 
+def external_campaign(connection: Connection, campaign_id: str) -> StoredCampaign:
+    """Returns a campaign whose sets others propose, and keeps others from changing it until the transaction ends.
+
+    Raises NotFoundError, and ConflictError if it has an optimizer of its own.
+    """
+    campaign = campaigns.get(connection, campaign_id, lock=True)
+    if (campaign.spec.get("optimizer") or {}).get("kind") != "external":
+        raise ConflictError(f"campaign {campaign_id} proposes its sets itself; submit one with optimizer: {{kind: external}}")
+    return campaign
+
+
 def open_campaign(connection: Connection, campaign_id: str, *, closing: bool = False) -> StoredCampaign:
     """Returns a campaign that still takes sets, and keeps others from changing it until the transaction ends.
 
@@ -64,9 +75,7 @@ def open_campaign(connection: Connection, campaign_id: str, *, closing: bool = F
         NotFoundError: There is no such campaign.
         ConflictError: It has an optimizer of its own, or has ended or was asked to.
     """
-    campaign = campaigns.get(connection, campaign_id, lock=True)
-    if (campaign.spec.get("optimizer") or {}).get("kind") != "external":
-        raise ConflictError(f"campaign {campaign_id} proposes its sets itself; submit one with optimizer: {{kind: external}}")
+    campaign = external_campaign(connection, campaign_id)
     reason: str | None = campaign.search.ended_by if campaign.search is not None else None
     if campaign.state.ended or campaign.requested_action == "cancel":
         reason = campaign.state if campaign.state.ended else "cancelling"
@@ -86,14 +95,19 @@ def finish(connection: Connection, campaign_id: str) -> StoredCampaign:
     return campaigns.by_sequence(connection, campaign.sequence)
 
 
-def add(connection: Connection, campaign_sequence: int, proposed: Sequence[OutsideSet]) -> dict[str, int]:
-    """Stores proposed sets, each key once, and returns their numbers by key. The caller has called `open_campaign`.
+def add(connection: Connection, campaign_id: str, proposed: Sequence[OutsideSet]) -> dict[str, int]:
+    """Stores proposed sets, each key once, and returns their numbers by key. Cancelled ones, which no round has asked for, wait again.
 
-    Raises ConflictError if a key belongs to another set.
+    Raises ConflictError if a key belongs to another set; as `open_campaign` if there is a set to store.
     """
-    table = outside_sets.c
-    query = select(table.key, table.number, table.indices, table.scenarios).where(table.campaign_sequence == campaign_sequence)
+    campaign_sequence, table = external_campaign(connection, campaign_id).sequence, outside_sets.c
+    is_dropped = (table.cancelled & table.iteration.is_(None)).label("is_dropped")
+    query = select(table.key, table.number, table.indices, table.scenarios, is_dropped)
+    query = query.where(table.campaign_sequence == campaign_sequence)
     known = {row.key: row for row in rows_among(connection, query, table.key, [each.key for each in proposed])}
+    dropped = [row.number for row in known.values() if row.is_dropped]
+    if dropped or len(known) < len({each.key for each in proposed}):
+        open_campaign(connection, campaign_id)
     for each in proposed:
         stored = known.get(each.key)
         if stored is not None and (stored.indices, stored.scenarios) != (each.indices, each.scenarios):
@@ -109,6 +123,8 @@ def add(connection: Connection, campaign_sequence: int, proposed: Sequence[Outsi
         for each in new
     ]
     execute_rows(connection, outside_sets.insert(), rows)
+    again = update(outside_sets).where(table.campaign_sequence == campaign_sequence, table.number == bindparam("set"))
+    execute_rows(connection, again.values(cancelled=False), [{"set": number} for number in dropped])
     return {each.key: numbers[each.key] if each.key in numbers else known[each.key].number for each in proposed}
 
 
