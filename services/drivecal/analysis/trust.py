@@ -43,7 +43,7 @@ LARGEST_COUNT = 10**9
 AT_END = 0.005
 """Distance from an end of its range, as a share of it, up to which a value lies at the end."""
 RECORD = 0.9
-"""Share of searches by `surrogate` in which as many simulations again gained no more than expected (benchmark `economy --outlook`)."""
+"""Share of searches by `surrogate` in which as many simulations again gain no more than expected: rounded down from 31 of 33."""
 _ORDER = ("red", "amber", "neutral", "green")
 _DEFAULT = ReductionSpecification()
 
