@@ -82,6 +82,19 @@ def test_campaigns_share_licences_and_a_higher_priority_takes_them_first() -> No
     assert abs(order[:60].count("a") - order[:60].count("b")) <= 5
 
 
+@pytest.mark.parametrize("keeps", [False, True])
+def test_a_campaign_that_needs_two_licences_gets_its_share_beside_one_that_needs_one(keeps: bool) -> None:
+    backend = FakeBackend(4, {"S1": 0.5, "S2": 0.5})
+    pool = WorkPool(backend, clock=lambda: backend.now, resources=Resources(LICENCES))
+    pool.submit(Work(licensed(keeps=keeps), behaving([Behaviour.WELL] * 200)), tag="a")
+    pool.poll(1.0)
+    pool.submit(Work(licensed("S2", 2, keeps=keeps), behaving([Behaviour.WELL] * 20, 1001)), tag="b")
+    order = [entry.tag for entry in drain(pool)]
+    last = len(order) - order[::-1].index("b")
+    assert order[:last].count("a") < 100
+    assert max(count for _, count in backend.held) <= 2
+
+
 def test_a_campaign_behind_a_higher_priority_says_so() -> None:
     one = scheduler({})
     one.add(Work(bare(), cells(3)), "low", 0)

@@ -48,6 +48,11 @@ class Line:
         """Sort key among lines of equal priority."""
         return self.used, self.number
 
+    @property
+    def setups(self) -> tuple[SetupKey, ...]:
+        """The setups of its claims."""
+        return (*self.groups, *(setup for setup, _ in self.suspects))
+
 
 class FairQueue:
     """Waiting claims by line. The cost of a call does not depend on the number of other waiting cells."""

@@ -57,6 +57,8 @@ class Resources:
         self._holds: dict[str, dict[SetupKey, _Hold]] = {}
         self._settling: list[tuple[float, Mapping[str, int]]] = [(free_at, self.total)] if total else []
         self._pauses: dict[tuple[str, SetupKey], _Pause] = {}
+        self.kept_back: set[str] = set()
+        """Resources that an earlier campaign waits for; others may not start with them."""
 
     def meet(self, ready: Collection[str], now: float) -> None:
         """Notes which workers live, and the time (s)."""
@@ -69,8 +71,7 @@ class Resources:
 
     def may_start(self, worker: str, setup: SetupRequest) -> bool:
         """Returns whether a worker may run a setup once it has closed its others: enough is free, and the simulator's pause is over."""
-        pause = self._pauses.get((worker, setup.key))
-        if pause is not None and pause.until > self._now:
+        if self._pauses_at(worker, setup) or self.kept_back & setup.resources.keys():
             return False
         if not setup.resources or setup.key in self._holds.get(worker, ()):
             return True
@@ -80,6 +81,16 @@ class Resources:
         taken = self._taken()
         return all(taken[name] - own[name] + count <= self.total.get(name, 0) for name, count in setup.resources.items())
 
+    def _pauses_at(self, worker: str, setup: SetupRequest) -> bool:
+        pause = self._pauses.get((worker, setup.key))
+        return pause is not None and pause.until > self._now
+
+    def keep_back(self, worker: str, setup: SetupRequest) -> None:
+        """Keeps the resources that a waiting setup lacks for it, unless its simulator pauses or too few exist."""
+        wanted, taken = setup.resources, self._taken()
+        if not self._pauses_at(worker, setup) and all(count <= self.total.get(name, 0) for name, count in wanted.items()):
+            self.kept_back |= {name for name, count in wanted.items() if taken[name] + count > self.total[name]}
+
     def may_queue(self, worker: str, setup: SetupRequest) -> bool:
         """Returns whether a batch may wait behind another at a worker: it neither holds resources meanwhile nor delays their release."""
         holds = self._holds.get(worker, {})
@@ -88,10 +99,12 @@ class Resources:
         return not setup.resources or setup.key in holds
 
     def to_close(self, worker: str, chosen: SetupKey | None) -> SetupRequest | None:
-        """Returns a setup to close at an idle worker, before it runs the `chosen` one, or because it was unused for long."""
+        """Returns a setup to close at an idle worker, before it runs the `chosen` one, or because it was unused for long or another
+        campaign lacks its resources."""
         for key, hold in self._holds.get(worker, {}).items():
             unused = not hold.batches and not hold.closing
-            if unused and key != chosen and (chosen is not None or self._now >= hold.since + KEPT_SECONDS):
+            is_over = self._now >= hold.since + KEPT_SECONDS or bool(self.kept_back & hold.setup.resources.keys())
+            if unused and key != chosen and (chosen is not None or is_over):
                 return hold.setup
         return None
 

@@ -100,7 +100,7 @@ class Scheduler:
         for claim in claims:
             simulation = claim.simulation
             count = min(work.breakdowns.get(claim.cell.id, 0), ATTEMPTS - 1)
-            if count > simulation.breakdowns:  # a suspect from now on
+            if count > simulation.breakdowns:  # a suspect now
                 self._queue.withdraw(simulation)
                 simulation.breakdowns = count
                 if simulation.leader is None:
@@ -117,12 +117,15 @@ class Scheduler:
 
     def next_batch(self, worker: str, *, idle: bool) -> Dispatch | None:
         """Returns the batch for a free slot of a worker, or None. A suspect is sent alone and never behind a running batch; until then its
-        worker gets nothing. A worker to be replaced gets nothing either. A worker with resources closes their setup before another."""
+        worker gets nothing. A worker to be replaced gets nothing either. A worker with resources closes their setup before another. Resources
+        that a campaign lacks when its turn comes are kept for it: it would wait for a second licence for ever."""
         if self._worker_health.fault(worker) is not None:
             return None
         only_short = False
+        self._resources.kept_back = set()
         for line in self._queue.in_turn():
             if not self._has_startable(worker, line):
+                self._keep_back(worker, line)
                 continue
             only_short = only_short or not self._may_be_long(worker, line)
             group = self._suspects_for(worker, line, only_short=only_short)
@@ -144,6 +147,7 @@ class Scheduler:
                         return None
                     self._passed_over += 1
                 return self._dispatch(worker, group, self._size(worker, group))
+            self._keep_back(worker, line)
         return self._close(worker, None) if idle else None
 
     def take_back(self, batch_id: int) -> None:
@@ -233,7 +237,7 @@ class Scheduler:
         return completed
 
     def is_wanted(self, batch_id: int) -> bool:
-        """Whether a campaign that asked for a batch at a worker still waits for it."""
+        """Returns whether a campaign still waits for a batch at a worker."""
         return any(not leader.withdrawn for leader in self._sent[batch_id].leaders)
 
     def lost(
@@ -332,8 +336,11 @@ class Scheduler:
 
     def _has_startable(self, worker: str, line: Line) -> bool:
         """Returns whether a worker may start a cell of a line: its resources are free and its simulator is not busy."""
-        setups = (*line.groups, *(setup for setup, _ in line.suspects)) if self._is_scarce else ()
-        return not self._is_scarce or any(self._may_start(worker, setup) for setup in setups)
+        return not self._is_scarce or any(self._may_start(worker, setup) for setup in line.setups)
+
+    def _keep_back(self, worker: str, line: Line) -> None:
+        for setup in line.setups if self._is_scarce else ():
+            self._resources.keep_back(worker, self._in_flight.setup(setup))
 
     def _may_start(self, worker: str, setup: SetupKey) -> bool:
         return not self._is_scarce or self._resources.may_start(worker, self._in_flight.setup(setup))
@@ -356,8 +363,8 @@ class Scheduler:
         return setup is not None
 
     def _may_be_long(self, worker: str, line: Line) -> bool:
-        """Whether a worker may run a long batch of a line now. Lines behind a line that may not have one must not have one either."""
-        if not any(self._is_long(setup) for setup in (*line.groups, *(setup for setup, _ in line.suspects))):
+        """Returns whether a worker may run a long batch of a line now. Lines behind a line that may not have one must not have one either."""
+        if not any(self._is_long(setup) for setup in line.setups):
             return True
         waiting = [other for other in self._queue.in_turn() if self._has_startable(worker, other)]
         most = self._reservation.most(line, waiting, self._worker_health.ready)
@@ -502,7 +509,7 @@ class Scheduler:
         self._changed.pop(claim.cell.id, None)
 
     def _is_alone(self, worker: str) -> bool:
-        """Whether a cell broke down at this worker and no other can try it."""
+        """Returns whether a cell broke down at this worker and no other can try it."""
         return any(self._worker_health.no_worker_left(cell.setup, cell.avoid or ()) for cell in self._queue.avoiding(worker))
 
 
