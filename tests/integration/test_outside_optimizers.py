@@ -167,6 +167,26 @@ def test_few_cells_are_asked_for_ahead_so_that_sets_can_be_cancelled(sqlite: Run
     assert not {row["key"] for row in page} & set(cancelled)
 
 
+def test_a_set_that_is_cancelled_while_its_round_is_planned_is_not_asked_for(
+    api: RunningApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign, work = submitted(api), dispatcher(api.database, ComputedBackend())
+    propose(api, campaign, sets(0, 6))
+    late, waiting = ["k0", "k3"], outside_sets.waiting
+
+    def then_cancelled(*here: Any) -> tuple[bool, list[OutsideSet]]:
+        result = waiting(*here)
+        while late and result[1]:
+            assert api.http.delete(f"/api/v1/campaigns/{campaign}/sets/{late.pop()}").json()["cancelled"]
+        return result
+
+    monkeypatch.setattr(outside_sets, "waiting", then_cancelled)
+    steps(work)
+    finish(api, campaign)
+    assert ended(api, campaign, work)["state"] == "succeeded"
+    assert {row["key"] for row in answers(api, campaign)["items"]} == {"k1", "k2", "k4", "k5"}
+
+
 def test_values_between_grid_points_are_rounded_and_others_are_refused_by_field(sqlite: RunningApi) -> None:
     campaign = submitted(sqlite)
     near = propose(sqlite, campaign, {"sets": [{"key": "a", "parameters": {"P1": 0.5234, "P3": 0.25, "P2": 0.5}}]})

@@ -120,9 +120,12 @@ class OutsideSearch(Calibration):
         return Round(number, [(problem.bench, requested)], self._policy())
 
     def _form_lots(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
-        """Cuts the round to what room and budget allow."""
+        """Cuts the round to what room and budget allow, before a set that was cancelled a moment ago."""
         if asked.number >= self._next:  # a set to confirm
             return planned
+        if self._offered:
+            held = outside_sets.hold(connection, self._campaign.sequence, [each.number for each in self._offered])
+            planned = [cell for cell in planned if cell.individual < held]
         kept = self._cut(planned)
         sets = kept[-1].individual + 1 if kept else 0
         self._most = min(MOST_SETS, 2 * self._most) if len(kept) == len(planned) else max(self._ahead, 2 * sets)

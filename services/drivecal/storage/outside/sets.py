@@ -142,12 +142,20 @@ def waiting(connection: Connection, campaign_sequence: int, most: int) -> tuple[
     return closes, [OutsideSet(*row) for row in connection.execute(query.order_by(table.number).limit(most))]
 
 
+def hold(connection: Connection, campaign_sequence: int, numbers: Sequence[int]) -> int:
+    """Returns how many of the sets, from the first one, are not cancelled. None can be cancelled until the transaction ends."""
+    table = outside_sets.c
+    query = select(table.number, table.cancelled).where(table.campaign_sequence == campaign_sequence).with_for_update()
+    cancelled = {row.number for row in rows_among(connection, query, table.number, numbers) if row.cancelled}
+    return next((place for place, number in enumerate(numbers) if number in cancelled), len(numbers))
+
+
 def place(connection: Connection, campaign_sequence: int, iteration: int, numbers: Sequence[int]) -> None:
-    """Notes that a round asks for sets, whose individuals are numbered in this order. Sets cancelled a moment ago are included."""
+    """Notes that a round asks for sets, whose individuals are numbered in this order."""
     table = outside_sets.c
     mine = update(outside_sets).where(table.campaign_sequence == campaign_sequence, table.number == bindparam("set"))
     rows = [{"set": number, "at": individual} for individual, number in enumerate(numbers)]
-    execute_rows(connection, mine.values(iteration=iteration, individual=bindparam("at"), cancelled=False), rows)
+    execute_rows(connection, mine.values(iteration=iteration, individual=bindparam("at")), rows)
 
 
 def cancel(connection: Connection, campaign_id: str, key: str) -> tuple[int, bool]:
