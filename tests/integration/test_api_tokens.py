@@ -148,10 +148,31 @@ def test_campaigns_are_steered_and_deleted_by_their_owner_and_by_an_admin(tmp_pa
             refused = ask("alice", f"{own}/{action}")
             assert refused.status_code == 403
             assert "bob" in problem(refused)["detail"]
+        assert ask("alice", own, "PATCH", {"name": "mine"}).status_code == 403
         assert ask("bob", f"{own}/pause").status_code == 202
         assert ask("root", f"{own}/cancel").status_code == 202
         assert ask("alice", own, "DELETE").status_code == 403
         assert ask("bob", own, "DELETE").status_code == 200
+
+
+def test_sets_of_an_outside_optimizer_are_taken_from_the_owner_and_an_admin(tmp_path: Path) -> None:
+    tokens = {name: f"{name}-0123456789abcdef" for name in ("alice", "bob", "root")}
+    lines = [f"alice write {tokens['alice']}", f"bob write {tokens['bob']}", f"root admin {tokens['root']}"]
+    (tmp_path / "tokens").write_text("\n".join(lines))
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tmp_path / "tokens")) as api:
+
+        def ask(name: str, path: str, method: str = "POST", body: Any = None) -> int:
+            headers = bearer(tokens[name])
+            return api.http.request(method, f"/api/v1/campaigns/{own}{path}", headers=headers, json=body).status_code
+
+        document = SMALL | {"optimizer": {"kind": "external"}}
+        own = api.http.post("/api/v1/campaigns", headers=bearer(tokens["bob"]), json=document).json()["id"]
+        proposed = {"sets": [{"key": "a", "parameters": {f"P{number}": 0.5 for number in range(1, 12)}}]}
+        asked = [("/sets", "POST", proposed), ("/sets/a", "DELETE", None), ("/finish", "POST", None)]
+        assert [ask("alice", *each) for each in asked] == [403, 403, 403]
+        assert [ask("bob", *each) for each in asked[:2]] == [202, 200]
+        assert ask("alice", "/answers", "GET") == 200
+        assert ask("root", "/finish") == 202
 
 
 def problem(response: httpx.Response) -> dict[str, Any]:

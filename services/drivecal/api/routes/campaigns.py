@@ -79,9 +79,12 @@ def read(campaign_id: str, database: DatabaseDependency, if_none_match: IfNoneMa
 
 
 @router.patch("/{campaign_id}")
-def change(campaign_id: str, changes: CampaignChanges, response: Response, database: DatabaseDependency) -> Campaign:
+def change(
+    campaign_id: str, changes: CampaignChanges, request: Request, response: Response, database: DatabaseDependency
+) -> Campaign:
     """Changes name, tags or comment of a campaign, archives it or lists it again. Fields that are left out stay."""
     with database.transaction() as connection:
+        refuse_others(request, campaign_id, campaigns.get(connection, campaign_id).owner)
         stored = labels.change(connection, campaign_id, changes)
     return accepted(response, database, stored)
 
