@@ -4,7 +4,7 @@ import pytest
 from tests.architecture.plain_words import NAMES, OPENER, PARAMETER, PROSE, patterns_in, phrases_in
 
 CEILINGS = {
-    "services/drivecal": 189,
+    "services/drivecal": 185,
     "services/web": 0,
     "shared/drivecal": 97,
     "workers/drivecal": 1,

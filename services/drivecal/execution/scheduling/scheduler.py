@@ -117,8 +117,8 @@ class Scheduler:
 
     def next_batch(self, worker: str, *, idle: bool) -> Dispatch | None:
         """Returns the batch for a free slot of a worker, or None. A suspect is sent alone and never behind a running batch; until then its
-        worker gets nothing. A worker to be replaced gets nothing either. A worker with resources closes their setup before another. Resources
-        that a campaign lacks when its turn comes are kept for it: it would wait for a second licence for ever."""
+        worker gets nothing. A worker to be replaced gets nothing either. A worker with resources closes their setup before another.
+        Resources that a campaign lacks when its turn comes are kept for it: it would wait for a second licence for ever."""
         if self._worker_health.fault(worker) is not None:
             return None
         only_short = False
@@ -363,7 +363,7 @@ class Scheduler:
         return setup is not None
 
     def _may_be_long(self, worker: str, line: Line) -> bool:
-        """Returns whether a worker may run a long batch of a line now. Lines behind a line that may not have one must not have one either."""
+        """Returns whether a worker may run a long batch of a line now. If not, the lines behind it may not have one either."""
         if not any(self._is_long(setup) for setup in line.setups):
             return True
         waiting = [other for other in self._queue.in_turn() if self._has_startable(worker, other)]
