@@ -3,7 +3,8 @@
 #
 #     eval "$(deploy/secrets.sh)"     # afterwards `drivecal` finds the cluster and shows its token
 #
-# postgres_password  between the database and those that use it
+# postgres_password  between the database and the API, which owns it
+# dispatcher_password between the database and the dispatcher, which reads and writes rows
 # ray_token          between the nodes of the Ray cluster; nodes on other machines need the same
 # tokens             who may use the API: NAME read|write|author|admin TOKEN, a line each; add lines as you like, the server reads them again
 #
@@ -32,6 +33,7 @@ umask 077
 mkdir -p "$folder"
 chmod 700 "$folder"
 make postgres_password "$(random)"
+make dispatcher_password "$(random)"
 make ray_token "$(random)"
 make tokens "me write $(random)"
 role=write

@@ -21,6 +21,7 @@ WORKERS = PROJECT / "deploy" / "docker-compose.worker.yml"
 MACHINES = PROJECT / "deploy" / "docker-compose.machines.yml"
 PLUGINS = PROJECT / "deploy" / "docker-compose.plugins.yml"
 IMAGES = PROJECT / "deploy" / "images"
+ONE_SHOT = {"migrate", "roles"}
 ROLES = ("api", "dispatcher", "ray-head", "ray-worker")
 OF_CLIENTS = {"url", "token"}
 FIXED = {"home", "database_url", "database_password_file", "tokens_file", "ray_address", "backend"}
@@ -48,7 +49,7 @@ def test_a_service_has_limits_and_a_health_check_and_comes_back(name: str, servi
     assert {"cpus", "memory", "pids"} <= service["deploy"]["resources"]["limits"].keys()
     assert service["init"]
     assert service["logging"]["options"]["max-size"]
-    if name == "migrate":
+    if name in ONE_SHOT:
         assert (service["restart"], service["healthcheck"]) == ("no", {"disable": True})
     else:
         assert service["restart"] == "unless-stopped"
@@ -57,7 +58,9 @@ def test_a_service_has_limits_and_a_health_check_and_comes_back(name: str, servi
 
 @every_service
 def test_a_service_may_gain_nothing_and_is_in_networks_that_lead_nowhere(name: str, service: dict[str, Any]) -> None:
-    assert service["security_opt"] == ["no-new-privileges:true"]
+    gains, *filters = service["security_opt"]
+    assert gains == "no-new-privileges:true"
+    assert bool(filters) == name.startswith("ray-worker")
     assert "privileged" not in service
     assert "network_mode" not in service
     assert ("ports" in service) == (name == "api")
@@ -66,7 +69,7 @@ def test_a_service_may_gain_nothing_and_is_in_networks_that_lead_nowhere(name: s
     if name != "db":  # the official image gives its rights up by itself
         assert service["read_only"]
         assert service["cap_drop"] == ["ALL"]
-        assert "user" not in service
+        assert ("user" in service) == (name == "roles"), "its image is root's"
 
 
 def test_the_api_is_published_on_loopback_unless_somebody_says_otherwise() -> None:
@@ -83,6 +86,7 @@ def test_secrets_are_files_and_no_environment_holds_one(name: str, service: dict
     if "ray_token" in service["secrets"]:
         assert environment["RAY_AUTH_MODE"] == "token"
         assert service["shm_size"] == "128m"
+        assert "postgres_password" not in service["secrets"], "Ray's token runs code beside what this service holds"
     assert ("ray_token" in service["secrets"]) == (name.removesuffix(" elsewhere") in {"ray-head", "ray-worker", "dispatcher"})
 
 
@@ -90,13 +94,18 @@ def test_nothing_starts_before_the_database_is_at_its_revision() -> None:
     result = document()["services"]
     assert result["migrate"]["depends_on"] == {"db": {"condition": "service_healthy"}}
     assert result["api"]["depends_on"] == {"migrate": {"condition": "service_completed_successfully"}}
-    assert result["dispatcher"]["depends_on"] == {name: {"condition": "service_healthy"} for name in ("api", "ray-head")}
+    completed = {"condition": "service_completed_successfully"}
+    assert result["roles"]["depends_on"] == {"migrate": completed}
+    healthy = {name: {"condition": "service_healthy"} for name in ("api", "ray-head")}
+    assert result["dispatcher"]["depends_on"] == {"roles": completed, **healthy}
     assert result["ray-worker"]["depends_on"] == {"ray-head": {"condition": "service_healthy"}}
 
 
 def test_a_node_elsewhere_is_the_same_as_a_node_here() -> None:
     here, there = dict(document()["services"]["ray-worker"]), dict(document(WORKERS)["services"]["ray-worker"])
-    for differing in ("build", "command", "depends_on", "healthcheck"):
+    filters = [PROJECT / "deploy" / "images" / "seccomp.json"] * 2
+    assert [PROJECT / of["security_opt"][1].replace("seccomp:", at) for of, at in ((here, ""), (there, "deploy/"))] == filters
+    for differing in ("build", "command", "depends_on", "healthcheck", "security_opt"):
         here.pop(differing, None)
         there.pop(differing, None)
     assert there == here
@@ -231,12 +240,12 @@ def test_secrets_are_made_once_are_the_owners_alone_and_tell_how_to_reach_the_cl
     said = run(DRIVECAL_PORT="8123")
     folder = tmp_path / "secrets"
     made = {path.name: path.read_text() for path in folder.iterdir()}
-    assert set(made) == {"postgres_password", "ray_token", "tokens"}
+    assert set(made) == {"postgres_password", "dispatcher_password", "ray_token", "tokens"}
     assert folder.stat().st_mode & 0o777 == 0o700
     assert {path.stat().st_mode & 0o777 for path in folder.iterdir()} == {0o644}
     token = made["tokens"].split()[2]
     assert said == f"export DRIVECAL_URL='http://127.0.0.1:8123'\nexport DRIVECAL_TOKEN='{token}'\n"
-    assert len({made["postgres_password"].strip(), made["ray_token"].strip(), token}) == 3
+    assert len({*(made[name].strip() for name in ("postgres_password", "dispatcher_password", "ray_token")), token}) == 4
     assert len(token) == 64
     assert run(DRIVECAL_PORT="8123") == said
     assert {path.name: path.read_text() for path in folder.iterdir()} == made

@@ -79,6 +79,22 @@ def test_a_sample_is_compared_and_its_lot_released_or_simulated_whole(predicted:
         assert rest <= ({Outcome.PREDICTED} if lot.verdict is LotVerdict.RELEASED else {Outcome.SIMULATED, Outcome.FAILED})
 
 
+def test_sizes_of_errors_are_those_in_the_samples_of_released_lots(predicted: tuple[Database, StoredCampaign]) -> None:
+    database, campaign = predicted
+    released = {lot.id: lot for lot in lots_of(database, campaign) if lot.verdict is LotVerdict.RELEASED}
+    for scenario, summary in campaign.released.items():
+        sampled = [
+            row for row in rows_of(database, campaign) if row.sampled and row.lot in released and row.scenario == scenario
+        ]
+        sizes = [abs((row.score or 0) - (row.predicted_score or 0)) for row in sampled]
+        weights = [released[row.lot or 0].size / released[row.lot or 0].sample for row in sampled]
+        assert summary.largest_error == max(sizes, default=None)
+        if sizes:
+            mean = sum(size * weight for size, weight in zip(sizes, weights, strict=True)) / sum(weights)
+            assert summary.mean_error == pytest.approx(mean)
+    assert any(summary.largest_error is not None for summary in campaign.released.values())
+
+
 def test_the_best_set_has_no_predicted_score(predicted: tuple[Database, StoredCampaign]) -> None:
     database, campaign = predicted
     assert campaign.best is not None

@@ -131,6 +131,12 @@ class Robustness:
     trials: tuple[Trial, ...]
 
 
+def failing_at_most(known: Robustness, settings: RobustnessSettings, compared: int) -> float | None:
+    """Returns the share of vehicles in the widest box that holds which may break the condition (95 %), whichever of `compared` sets is
+    chosen. None if no box holds, or if the condition is one of means."""
+    return undetected_share(settings.samples, compared) if known.radius > 0 and settings.condition == "max" else None
+
+
 class RobustnessStudy:
     """Ask/tell: growing boxes for all solutions at once, each until its condition fails.
 

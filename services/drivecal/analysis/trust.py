@@ -487,7 +487,9 @@ def _robustness(studies: Sequence[StudyResult]) -> Iterator[ResultVerdict]:
     if recommended is not None:
         code, light = ("robust", "green") if recommended.degree else ("not_robust", "amber")
         least = "at least " if recommended.at_least else ""
-        yield verdict(code, light, least=least, radius=recommended.radius)  # type: ignore[arg-type]  # a literal
+        most = recommended.failing_at_most
+        failing = "" if most is None else f"; up to {most:.1%} of all such vehicles may still break it (95 %)"
+        yield verdict(code, light, least=least, radius=recommended.radius, failing=failing)  # type: ignore[arg-type]  # a literal
 
 
 def _newest(studies: Iterable[StudyResult], *, of_predictions: bool) -> list[tuple[str, ValidationRow]]:

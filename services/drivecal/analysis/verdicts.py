@@ -55,7 +55,7 @@ SCORES = CONFIRMED | {
     + REMEDY
     + ".",
     "robust": "The recommended set keeps its scores, within the study's limit, in the vehicles of the study that differ by up to "
-    "{least}{radius:.1%} of the ranges.",
+    "{least}{radius:.1%} of the ranges{failing}.",
     "not_robust": "The recommended set breaks the study's limit in its first box of vehicles (it holds up to {least}{radius:.1%} of the "
     "ranges).",
 }

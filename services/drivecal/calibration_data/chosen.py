@@ -156,6 +156,8 @@ def _bounds(known: CampaignResults, chosen: Solution | FrontRow) -> Iterator[tup
     row = next((row for row in own if row.parameters == chosen.parameters), None)
     if row is not None:
         yield "degree of robustness", f"{'at least ' if row.at_least else ''}{row.degree}"
+        if row.failing_at_most is not None:
+            yield "vehicles that may change more", f"at most {100 * row.failing_at_most:.3g} % (95 %)"
     for scenario, released in campaign.released.items():
         if released.upper_95 is not None and released.upper_95 < 1:
             yield f"share of wrong predictions {scenario}", f"at most {100 * released.upper_95:.3g} % (95 %)"

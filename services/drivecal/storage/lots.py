@@ -131,6 +131,21 @@ def errors_so_far(connection: Connection, campaign_sequence: int, lot_ids: Seque
     return dict(connection.execute(query).all()) if lot_ids else {}
 
 
+def error_sizes(connection: Connection, campaign_sequence: int) -> dict[str, tuple[float, float]]:
+    """Returns the mean and the largest absolute error of predictions in the samples of a campaign's released lots, by scenario. In the mean
+    a sample stands for its share of the lot."""
+    cell = evaluations.c
+    size, weight = func.abs(cell.score - cell.predicted_score), lots.c.size * 1.0 / lots.c.sample
+    query = (
+        select(cell.scenario, func.sum(size * weight) / func.sum(weight), func.max(size))
+        .join(lots, lots.c.id == cell.lot)
+        .where(cell.campaign_sequence == campaign_sequence, SAMPLED, cell.score.is_not(None), cell.predicted_score.is_not(None))
+        .where(lots.c.verdict == LotVerdict.RELEASED)
+        .group_by(cell.scenario)
+    )
+    return {name: (mean, largest) for name, mean, largest in connection.execute(query)}
+
+
 def release_predictions(connection: Connection, campaign_sequence: int, lot_ids: Sequence[int]) -> None:
     """Answers the waiting cells of a campaign's lots with their predictions. Nothing was sent to a worker, so that no cell has a lease."""
     cell = evaluations.c

@@ -41,7 +41,7 @@ class Page(Answer, Generic[RowModel]):
 
 
 class Progress(Answer):
-    """Cells of the running stage: `done` of `total`; `eta_seconds` null until it can be estimated."""
+    """Cells of the running stage: `done` of `total`; `eta_seconds`, of the wall clock, null until it can be estimated."""
 
     done: int = 0
     total: int = 0
@@ -139,7 +139,8 @@ class Released(Answer):
 
     Of the `sampled` predictions so many were `different`, i.e. off by more than the tolerance. The expected number of errors released is
     at most `limit` (AOQL) times the `inspected` predictions: all in lots, with samples and rejected lots. `upper_95`: a time-uniform
-    upper limit of the share of errors among released answers; null before the first.
+    upper limit of the share of errors among released answers; null before the first. `mean_error`, `largest_error`: how far off the
+    samples of released lots were, in the score's unit, which estimates the released answers; null before the first.
     `asked`: of all `batches`, those in which the predictor was asked. In the `early` ones before, too little was known; in the others
     afterwards, asking would have cost more than it saves. `seconds`: CPU time of the predictor.
     """
@@ -153,6 +154,8 @@ class Released(Answer):
     predicted: int = 0
     sampled: int = 0
     different: int = 0
+    mean_error: float | None = None
+    largest_error: float | None = None
     limit: float
     upper_95: float | None = None
     seconds: float = 0.0
@@ -254,7 +257,7 @@ class SearchState(Answer):
 
 
 class Spent(Answer):
-    """The used part of a budget."""
+    """The used part of a budget; minutes of the wall clock."""
 
     simulations: int = 0
     minutes: float = 0.0
@@ -377,7 +380,8 @@ class ExpectedRuns(Answer):
     """The share of requested cells that would have to be reused for all runs of the interval analysis to pay within this campaign, all
     counted alike: above 1 they cannot. Null without both stages. How many will be reused cannot be known before."""
     milliseconds: float | None = None
-    """Time for which one simulation occupies a worker; null if none of a user's own simulator was made in these setups yet."""
+    """Time for which one simulation occupies a worker: CPU time, or wall-clock time if the simulator waits. Null if none of a user's own
+    simulator was made in these setups yet."""
     measured: bool = False
     """Whether that was measured in these setups; else it is assumed."""
     workers: int | None = None

@@ -20,6 +20,7 @@ class EvaluatedCell(Answer):
     reference: int | None
     failure: str | None
     milliseconds: float | None
+    """CPU time of the cell's simulations; null without one."""
     worker: str | None
     detail: str | None = None
     """Reason of the missing result, if all attempts failed."""

@@ -155,7 +155,7 @@ class BudgetSpecification(Model):
     simulations: Annotated[int, Field(ge=1, le=LARGEST_BUDGET)] | None = None
     """Runs that the simulator starts for the search, retries, checks and repeats included."""
     minutes: Annotated[float, Field(gt=0, le=1e6)] | None = None
-    """Time since the search began."""
+    """Wall-clock time since the search began."""
     stagnation: Annotated[int, Field(ge=1, le=LARGEST_BUDGET)] | None = None
     """Simulations without a better set."""
 
@@ -184,6 +184,8 @@ class ReductionSpecification(Model):
     """Largest expected number of errors released, per prediction in lots: samples and rejected lots included."""
     audit: Annotated[float, Field(ge=0, le=1)] = 0.02
     """Share of reused cells that is simulated as a check."""
+    repeat: Annotated[float, Field(ge=0, le=1)] = 0.02
+    """Share of simulated cells that run twice, to see whether they repeat, unless the problem says `deterministic: true`; 0: none."""
     max_error: Annotated[float, Field(gt=0, le=1)] = 0.02
     """Largest expected number of wrong answers released, per answer by a reference in lots; 1 makes no lots."""
     narrow: bool = False

@@ -206,6 +206,7 @@ class EvaluationRow(Answer):
     agrees: bool | None
     failure: str | None
     milliseconds: float | None
+    """CPU time of the cell's simulations, a second run included; null without one."""
     worker: str | None
     lot: int | None = None
     confidence: float | None = None
@@ -386,6 +387,9 @@ class RobustnessRow(Answer):
     degree: int
     at_least: bool
     radius: float
+    failing_at_most: float | None = None
+    """Share of the vehicles in the box of `radius` that may break the condition (95 %), whichever of the examined sets is chosen; null if
+    no box holds, and for the condition `mean`."""
     recommended: bool
     reason: str | None
     """The reason for the recommendation."""

@@ -208,8 +208,9 @@ def test_nothing_is_worse_than_a_failed_run(measures: dict[str, float | None], f
 
 def test_simulators_that_claim_nothing_are_run_twice_now_and_then() -> None:
     simulator = {**yaml.safe_load(EXAMPLE.read_text())["simulator"], "deterministic": False}
-    assert resolved().bench.repeated_share is None
+    assert resolved().bench.repeated_share == 0
     assert resolved(bundle(simulator=simulator)).bench.repeated_share == pytest.approx(0.02)
+    assert resolved(bundle(simulator=simulator), reduction={"repeat": 0}).bench.repeated_share == 0
 
 
 def test_the_answer_of_the_probe_is_part_of_every_setup() -> None:

@@ -121,7 +121,7 @@ def test_the_first_slice_that_others_follow_is_enough_to_predict_the_next(popula
 
 def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:
     stored = [lot(116), lot(216, errors=3), lot(316, errors=None), lot(0, 0, errors=None)]
-    by_scenario = released_by_scenario(stored, ["S1", "S2"], 0.05, batches=6, number=lambda _: 1)
+    by_scenario = released_by_scenario(stored, ["S1", "S2"], 0.05, batches=6, number=lambda _: 1, sizes={"S1": (0.1, 0.5)})
     released = by_scenario["S1"]
     assert [(each.asked, each.batches) for each in by_scenario.values()] == [(4, 6), (0, 6)]
     assert [each.early for each in by_scenario.values()] == [1, 6]
@@ -137,6 +137,7 @@ def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:
     assert skipped_text({"S1": released.model_copy(update={"asked": 6, "early": 0, "lots": 6})}) is None
     assert (released.lots, released.rejected, released.predicted, released.sampled, released.different) == (2, 1, 100, 32, 3)
     assert released.seconds == 4.0
+    assert [(each.mean_error, each.largest_error) for each in by_scenario.values()] == [(0.1, 0.5), (None, None)]
     assert released.upper_95 is not None
     assert 0.0 < released.upper_95 <= 1.0
 

@@ -129,7 +129,7 @@ def test_a_command_needs_no_new_process(tmp_path: Path) -> None:
 def test_the_table_shows_scores_measures_and_times(write: Write) -> None:
     result = command("problem", "check", write())
     assert result.exit_code == 0
-    assert {"scenario", "cost", "energy", "seconds"} <= set(result.stdout.split())
+    assert {"scenario", "cost", "energy", "wall"} <= set(result.stdout.split())
 
 
 def test_offline_nothing_runs(write: Write) -> None:

@@ -265,7 +265,7 @@ class CellTracker:
 
     def _cell(self, pending: StoredEvaluation) -> Cell:
         share = self._view.bench.repeated_share
-        twice = share is not None and is_checked(pending.scenario, pending.parameters, share, self._view.campaign)
+        twice = is_checked(pending.scenario, pending.parameters, share, self._view.campaign)
         twice = twice and self.budget.take(beyond=self.budget.kept)
         return Cell(pending.id, pending.parameters.floats, check=twice, trace=self._view.traced)
 

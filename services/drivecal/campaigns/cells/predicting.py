@@ -203,7 +203,8 @@ class LotPlanner:
         """Sums up the lots with a verdict, by scenario, after the last batch of an iteration."""
         batches = -(-self._population // self._slice) + iteration
         stored = lots.of_campaign(connection, self._view.campaign, Outcome.PREDICTED)
-        return released_by_scenario(stored, self._learners, self._reduction.limit, batches, self._number)
+        sizes = lots.error_sizes(connection, self._view.campaign)
+        return released_by_scenario(stored, self._learners, self._reduction.limit, batches, self._number, sizes)
 
     def _number(self, lot: StoredLot) -> int:
         """Returns the number of a lot's batch, from 0."""
@@ -371,14 +372,29 @@ def _saved_seconds(served: Sequence[StoredLot], cell_seconds: float) -> float:
 
 
 def released_by_scenario(
-    stored: Sequence[StoredLot], scenarios: Iterable[str], limit: float, batches: int, number: Callable[[StoredLot], int]
+    stored: Sequence[StoredLot],
+    scenarios: Iterable[str],
+    limit: float,
+    batches: int,
+    number: Callable[[StoredLot], int],
+    sizes: Mapping[str, tuple[float, float]],
 ) -> dict[str, Released]:
-    """Sums up lots with a verdict, after so many batches. `number`: of a lot's batch, from 0."""
+    """Sums up lots with a verdict, after so many batches.
+
+    Args:
+        number: returns the number of a lot's batch, from 0.
+        sizes: mean and largest errors by scenario, see `lots.error_sizes`.
+    """
     of = {name: [lot for lot in stored if lot.scenario == name] for name in scenarios}
-    return {name: _released(lots, limit, batches, number(lots[0]) if lots else batches) for name, lots in of.items()}
+    return {
+        name: _released(lots, limit, batches, number(lots[0]) if lots else batches, *sizes.get(name, (None, None)))
+        for name, lots in of.items()
+    }
 
 
-def _released(stored: Sequence[StoredLot], limit: float, batches: int, early: int) -> Released:
+def _released(
+    stored: Sequence[StoredLot], limit: float, batches: int, early: int, mean_error: float | None, largest_error: float | None
+) -> Released:
     inspected = [lot for lot in stored if lot.verdict is not None]
     released = sum(lot.released for lot in inspected)
     plans = [(SamplingPlan(lot.size, lot.sample, lot.acceptance), lot.errors or 0) for lot in inspected]
@@ -392,6 +408,8 @@ def _released(stored: Sequence[StoredLot], limit: float, batches: int, early: in
         predicted=released,
         sampled=sum(lot.sample for lot in inspected),
         different=sum(lot.errors or 0 for lot in inspected),
+        mean_error=mean_error,
+        largest_error=largest_error,
         limit=limit,
         upper_95=most_released(plans) / released if released else None,
         seconds=sum(lot.seconds for lot in stored),

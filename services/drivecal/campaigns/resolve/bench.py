@@ -20,9 +20,6 @@ from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Evaluator, SeriesEvaluator
 
-REPEATED = 0.02
-"""Share of cells that run twice on a simulator that does not claim to be deterministic."""
-
 
 @dataclass(frozen=True)
 class Bench:
@@ -47,6 +44,8 @@ class Bench:
     """Rates the runs; None: the score has a formula."""
     seed: int = 0
     """Seed of all runs; 0 if the simulator does not depend on one."""
+    repeat: float = 0.0
+    """Share of simulated cells that run twice on a simulator that does not claim to be deterministic."""
     is_driven: bool = False
     """Whether the runs need no child process (`SetupRequest.is_driven`)."""
 
@@ -143,9 +142,9 @@ class Bench:
         return self.evaluator is None or not self.is_driven
 
     @property
-    def repeated_share(self) -> float | None:
-        """Share of simulated cells that run twice, because nothing says that the simulator is deterministic; None for none."""
-        return None if self.bundle.manifest.simulator.deterministic else REPEATED
+    def repeated_share(self) -> float:
+        """Share of simulated cells that run twice."""
+        return 0.0 if self.bundle.manifest.simulator.deterministic else self.repeat
 
     def rate(self, scenario: str, measures: Mapping[str, float | None], failure: str | None) -> Rating | None:
         """Rates a run by what is stored of it.

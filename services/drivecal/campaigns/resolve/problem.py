@@ -5,7 +5,7 @@ field and a remedy.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -204,7 +204,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     specification = specification.model_copy(
         update=dict(workbench.settled) | resolvers.settled_search(specification, optimization)
     )
-    bench = workbench.make(weights)
+    bench = replace(workbench.make(weights), repeat=specification.reduction.repeat)
     resolvers.check_units(specification, bench.scale, diagnostics)
     diagnostics.raise_if_any()
     notes += resolvers.note_predictions(specification, bench.scale)

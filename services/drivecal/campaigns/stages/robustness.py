@@ -10,7 +10,7 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.goals import Judged, valued_by
 from drivecal.analysis.optima import one_per_region_first, regions
-from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
+from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy, failing_at_most
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.bench import Bench
@@ -297,6 +297,7 @@ class RobustnessStage(StudyStage):
             "degree": known.degree,
             "at_least": known.at_least,
             "radius": known.radius,
+            "failing_at_most": failing_at_most(known, self._settings, len(self._examined)),
             "recommended": is_recommended,
             "reason": recommended[1] if recommended is not None and is_recommended else None,
             "trials": [

@@ -85,9 +85,9 @@ def asked_rounds(connection: Connection, campaign: int, scenarios: Sequence[str]
     ]
 
 
-def most_cells(runs: int, repeated_share: float | None) -> int:
+def most_cells(runs: int, repeated_share: float) -> int:
     """Returns the cells that a search may ask for in a budget of runs: `repeated_share` of the simulated cells run twice."""
-    return runs - math.ceil(runs * (repeated_share or 0.0) / (1.0 + (repeated_share or 0.0)))
+    return runs - math.ceil(runs * repeated_share / (1.0 + repeated_share))
 
 
 def affordable(planned: Sequence[RequestedCell], room: float, *, by_cell: bool) -> list[RequestedCell]:

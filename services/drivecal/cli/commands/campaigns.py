@@ -283,7 +283,7 @@ def _print_expected(expected: ExpectedRuns) -> None:
     if expected.seconds is not None:
         how = "measured" if expected.measured else "assumed"
         typer.echo(
-            f"about {duration(expected.seconds)} at most on {expected.workers} workers ({expected.milliseconds:.1f} ms each, {how})"
+            f"about {duration(expected.seconds)} at most on {expected.workers} workers ({expected.milliseconds:.1f} ms of one each, {how})"
             ", for the simulations alone: planning, the optimizer and predictions take further time"
         )
     if expected.break_even_share is not None:

@@ -136,7 +136,8 @@ def _print_expected(expected: ExpectedComparison) -> None:
     )
     if expected.seconds is not None:
         workers = "1 worker" if expected.workers == 1 else f"{expected.workers} workers"
-        each = f"{expected.milliseconds:.1f} ms per simulation{'' if expected.measured else ', which is assumed: none was made yet'}"
+        assumed = "" if expected.measured else ", which is assumed: none was made yet"
+        each = f"{expected.milliseconds:.1f} ms of a worker per simulation{assumed}"
         typer.echo(f"the simulations alone take at most about {duration(expected.seconds)} on {workers}, at {each}")
     else:
         typer.echo("the duration is unknown: there are no workers now")

@@ -227,7 +227,7 @@ def _print_verified(report: dict[str, Any], as_json: bool) -> None:
         rows = [
             [check["name"], "broken" if check["problems"] else "well", f"{check['seconds']:.1f}"] for check in report["checks"]
         ]
-        print_columns(["check", "result", "seconds"], rows)
+        print_columns(["check", "result", "wall s"], rows)
         typer.echo(f"{report['database']} is current and {'whole' if report['whole'] else 'broken'}")
     if not report["whole"]:
         tell("what is broken stays broken: restore a backup into an empty database")

@@ -217,7 +217,7 @@ def _print_check(report: Mapping[str, Any], checked: Sequence["CheckedScenario"]
                 if run is not None and run.error is None:
                     values = (run.scores[name] for name in scores), (run.measures.get(name) for name in measures)
                     rows.append([result.scenario, number, *values[0], *values[1], run.failure, *end])
-        print_columns(["scenario", "set", *scores, *measures, "failure", "same bits", "seconds"], rows)
+        print_columns(["scenario", "set", *scores, *measures, "failure", "same bits", "wall s"], rows)
     for warning in report["warnings"]:
         typer.echo(f"warning   {warning}")
     if ran:

@@ -121,7 +121,8 @@ def print_campaign(campaign: Campaign) -> None:
 def _search_text(campaign: Campaign) -> str:
     """Returns what the search has used of its budget, and its end."""
     limit = (campaign.budget or {}).get("simulations")
-    text = f"{campaign.spent.simulations:,}{'' if limit is None else f' of {limit:,.0f}'} simulations, {campaign.spent.minutes:.1f} min"
+    most = "" if limit is None else f" of {limit:,.0f}"
+    text = f"{campaign.spent.simulations:,}{most} simulations, {campaign.spent.minutes:.1f} min of the wall clock"
     text += f"; {campaign.cells.discarded:,} cells of given-up sets left out" if campaign.cells.discarded else ""
     return text if campaign.ended_by is None else f"{text}; ended by: {campaign.ended_by}"
 
@@ -174,7 +175,7 @@ def print_evaluation(evaluation: Evaluation) -> None:
         typer.echo(f"note: {note}")
     if evaluation.error:
         typer.echo(f"error: {evaluation.error}")
-    header = ["scenario", "outcome", "score", "rating", "failure", "worker ms"]
+    header = ["scenario", "outcome", "score", "rating", "failure", "CPU ms"]
     print_columns(
         header,
         [[item.scenario, item.outcome, item.score, item.rating, item.failure, item.milliseconds] for item in evaluation.items],

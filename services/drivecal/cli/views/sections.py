@@ -22,7 +22,8 @@ LOTS_NOTE = (
     "samples of this campaign alone prove, even if all are right: a few samples of a lot prove little about its other answers."
 )
 """Explains a bound that exceeds the limit."""
-LOTS = ("scenario", "asked", "lots", "rejected", "released", "sampled", "beyond tolerance", "limit", "at most (95 %)")
+_INSPECTED = "scenario", "asked", "lots", "rejected", "released", "sampled", "beyond tolerance"
+LOTS = (*_INSPECTED, "mean error", "largest error", "limit", "at most (95 %)")
 _CAUSES = {"no_result": "no result", "failed": "failed run", "unscored": "score without a value"}
 LONGEST_MESSAGE = 160
 
@@ -100,14 +101,15 @@ def lots_table(released: Mapping[str, Released]) -> list[Block]:
     rows = [
         [
             *(name, lots.asked, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different),
-            *(percent(lots.limit, 1), bound(lots.upper_95)),
+            *(lots.mean_error, lots.largest_error, percent(lots.limit, 1), bound(lots.upper_95)),
         ]
         for name, lots in released.items()
         if lots.lots
     ]
     caption = (
         "Predicted answers, released in lots after the simulation of a sample of each. Asked: batches in which the predictor was; beyond "
-        "tolerance: samples; limit: of the expected errors released, for each prediction in a lot"
+        "tolerance: samples; errors: how far off the samples of released lots were; limit: of the expected number of errors released, as a "
+        "share of the expected number of predictions in lots"
     )
     exceeds = any(lots.upper_95 is not None and lots.upper_95 > lots.limit for lots in released.values())
     note: list[Block] = [LOTS_NOTE] if exceeds else []
@@ -135,7 +137,8 @@ def account_blocks(account: Accounting | None) -> list[Block]:
     clock = "CPU" if account.clock == "cpu" else "wall-clock"
     items = [*((item.label, item.seconds) for item in account.balance), ("net", account.net_seconds)]
     rows = [[label, f"{round(seconds, 1) + 0.0:+,.1f}"] for label, seconds in items]
-    blocks: list[Block] = [account.sentence, Table(["", "seconds"], rows, f"Savings and costs, in {clock} time of the workers")]
+    caption = f"Savings and costs, in {clock} time of the workers"
+    blocks: list[Block] = [account.sentence, Table(["", f"{clock} s"], rows, caption)]
     return [*blocks, *(f"  {remark}" for remark in account.remarks)]
 
 

@@ -1,11 +1,14 @@
 """Damaged route and OpenSCENARIO files: whatever is in them, reading ends soon, with a scenario or a refusal that names file and cause."""
 
+import resource
+import time
 from collections.abc import Callable
+from functools import partial
 
 import pytest
 from tests.support import effort
 from tests.support.effort import tries
-from tests.support.mutations import mutated, outcome
+from tests.support.mutations import mutated, nudged, outcome
 from tests.support.scenario_files import FILES, ROUTES, STEP, maps, of_file, refused, with_routes
 
 from drivecal.bundles.highway_checks import scenario_problems
@@ -36,6 +39,20 @@ def test_damaged_files_give_a_scenario_or_a_named_refusal(subject: str) -> None:
         results.append(outcome(attempt))
     assert any(results)
     assert not all(results)
+
+
+@pytest.mark.parametrize("count", [50, pytest.param(1000, marks=pytest.mark.slow)])
+def test_mutated_scenarios_are_read_or_refused_within_a_minute_and_two_gigabytes(count: int) -> None:
+    subjects, chance = list(SUBJECTS.values()), effort.chance(f"scenarios {count}")
+    maps()
+    results = []
+    for number in range(count):
+        content, described = subjects[number % len(subjects)]
+        damaged, begin = (nudged if number % 3 else mutated)(content, chance), time.process_time()
+        results.append(outcome(partial(described, damaged)))
+        assert time.process_time() - begin < 60.0
+        assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 2 << 20, "kilobytes"
+    assert 0 < sum(results) < count
 
 
 @pytest.mark.slow
