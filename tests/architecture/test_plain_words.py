@@ -10,7 +10,7 @@ CEILINGS = {
     "workers/drivecal": 1,
     "docs": 93,
     "deploy": 2,
-    "tests": 258,
+    "tests": 256,
 }
 """Largest number of unclear phrases by folder: 0 once the folder is mended."""
 

@@ -1,4 +1,4 @@
-"""What a service of the cluster holds, and what happens to it when it hangs."""
+"""Secrets of the services of the cluster, and services that hang."""
 
 import json
 

@@ -34,7 +34,7 @@ from drivecal.storage.lots import LotVerdict, StoredLot
 
 ITERATIONS = 4
 STRIDE = tries(27, 9)
-"""Of moments to die at."""
+"""Moments between two deaths."""
 SPACE = [{**parameter, "step": 0.05} for parameter in EXPERT_SPACE]
 
 
@@ -135,7 +135,7 @@ def test_a_predictor_that_errs_has_its_lots_rejected(database: Database, monkeyp
 @pytest.mark.slow
 @pytest.mark.parametrize("milliseconds", [500.0, 0.5])
 def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples(tmp_path: Path, milliseconds: float) -> None:
-    """Of cheap simulations some scenarios are left out, because predicting would cost more."""
+    """Some scenarios of cheap simulations are left out, because predicting would cost more."""
 
     def answer(scenario: str, cell: Cell) -> CellResult:
         return replace(influenced(scenario, cell), milliseconds=milliseconds)
