@@ -1,6 +1,6 @@
 # drivecal: `make help` lists what can be made. Everything runs in .venv, which is installed on first use.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-faults test-compose test-packages check bench train page docs format lock audit sbom networks clean
+.PHONY: help demo test test-slow test-faults test-compose test-packages check bench train page docs format lock audit sbom clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 # Three processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
@@ -77,9 +77,6 @@ audit: $(INSTALLED) ## report known weaknesses of the locked packages; 1 if ther
 
 sbom: ## write the packages of each image as CycloneDX, with known weaknesses, to .drivecal/sbom (needs uv and a network)
 	@deploy/sbom.sh
-
-networks: $(INSTALLED) ## rebuild the scenarios' SUMO networks with netconvert
-	@$(BIN)/python -m drivecal.highway.scenarios.build
 
 clean: ## remove the environment, caches and the results of demo and bench; your own database stays
 	rm -rf .venv .drivecal/demo .drivecal/bench .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.frenet import project
+from tests.support.roads import CurvatureKnot, RoadDesign, line_of
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.roads import pose_on, reference_line, resampled, to_cartesian
 from drivecal.domain.scenarios import Road
-from drivecal.highway.scenarios.designs import CurvatureKnot, RoadDesign, line_of
 
 KNOTS = ((100.0, 0.0), (180.3, 1 / 250), (260.1, 1 / 250), (333.3, -1 / 180), (600.0, -1 / 180))
 CURVY = RoadDesign(600.0, 2, 3.75, tuple(CurvatureKnot(s, curvature) for s, curvature in KNOTS))

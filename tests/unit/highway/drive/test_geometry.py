@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
 from tests.support.frenet import project, to_frenet
+from tests.support.roads import CurvatureKnot, RoadDesign, line_of
 
 from drivecal.bundles import highway_catalogue as catalogue
 from drivecal.domain.roads import to_cartesian
@@ -16,7 +17,6 @@ from drivecal.highway.drive import geometry, measures
 from drivecal.highway.drive.geometry import NAMES, keeper_acceleration
 from drivecal.highway.drive.road import slopes
 from drivecal.highway.geometry import foot, hit, swept
-from drivecal.highway.scenarios.designs import CurvatureKnot, RoadDesign, line_of
 
 CURVE = RoadDesign(length=600.0, lanes=3, lane_width=3.5, knots=(CurvatureKnot(0.0, 0.0), CurvatureKnot(200.0, 0.004)))
 SIZE = np.array([2.5, 1.0])

@@ -3,13 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from tests.support.roads import road_of
+from tests.support.roads import CurvatureKnot, road_of
 
 from drivecal.domain.roads import Floats
 from drivecal.domain.scenarios import EgoStart, Scenario, SpeedKnot, Task
 from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.planner.frenet import HIGHWAY
-from drivecal.highway.scenarios.designs import CurvatureKnot
 from drivecal.plugins.ports import Observation
 
 LANE = 3.75
