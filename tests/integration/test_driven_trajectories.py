@@ -1,18 +1,14 @@
-"""Controllers that give trajectories: a user's in Python and as a program, and the built-in planner on a corridor."""
+"""Controllers that give trajectories: a user's in Python and as a program."""
 
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 from tests.support.motorways import PARAMETERS, drive, driven, motorway
 from tests.support.simulators import compiled, lost
 
-from drivecal.client.problems import read_bundle
 from drivecal.domain.evaluations import Breakdown
 
 pytestmark = pytest.mark.slow
-EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "problems" / "planner-highway"
 CODE = """
 def control(o, p):
     speed, a = o["speed"], 0.4 * (p["v0"] - o["speed"])
@@ -88,30 +84,3 @@ def test_a_faulty_trajectory_costs_its_cell(tmp_path: Path, code: str) -> None:
     folder = motorway(tmp_path / "b", f"def control(o, p):\n    {code}\n")
     with driven(folder, drive(), CONTROLLER) as session:
         assert "trajectory" in lost(session, PARAMETERS, Breakdown.ERROR)
-
-
-def sets() -> list[dict[str, Any]]:
-    manifest, _ = read_bundle(EXAMPLE)
-    assert manifest.baseline is not None
-    return [dict(manifest.baseline), dict(manifest.baseline) | {"P7": 20, "P8": 1500}]
-
-
-@pytest.mark.parametrize("scenario", ["merge", "cut_in"])
-def test_the_planner_merges_from_a_ramp_and_keeps_away_from_a_car_that_cuts_in(scenario: str) -> None:
-    manifest, _ = read_bundle(EXAMPLE)
-    controller = manifest.simulator.model_dump(mode="json")["controller"]
-    results = []
-    for order in (1, -1):  # other order, other process
-        with driven(EXAMPLE, manifest.scenarios[scenario], controller) as session:
-            outcomes = [session.evaluate(parameters, series=True) for parameters in sets()[::order]]
-            results.append([outcome.measures for outcome in outcomes][::order])
-    assert results[0] == results[1]
-    assert [outcome.failure for outcome in outcomes] == [None, None]
-    series = {name: np.array(values) for name, values in outcomes[-1].series.items()}
-    assert 0.0 < series["gap_m"].min() < 50.0
-    if scenario == "merge":
-        assert (series["lane"][0], series["lane"][-1]) == (0.0, 1.0)  # from the ramp's track into the right lane
-        assert abs(series["offset_m"][-1]) < 0.5
-    else:
-        assert results[0][0]["max_deceleration_mps2"] > 0.5
-        assert results[0][0]["lane_changes"] == 0

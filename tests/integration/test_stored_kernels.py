@@ -16,7 +16,6 @@ import drivecal.highway.drive
 import drivecal.highway.vehicle
 from drivecal.adapters import confinement
 from drivecal.bundles.highway import HighwaySimulator
-from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import setups
@@ -43,7 +42,6 @@ SESSIONS: dict[str, tuple[dict[str, Any], Any]] = {
     "steering": (PYTHON | {"output": ["steering", "acceleration"]}, "single_track"),
     "trajectory": (PYTHON | {"function": "ahead", "output": ["trajectory"], "period": 0.2}, "single_track"),
     "vehicle": (CONTROLLERS["python"], VEHICLES["python"]),
-    "planner": ({"kind": "planner", "lane": 0, "values": dict.fromkeys(PLANNER_PARAMETERS, 10.0)}, VEHICLES["python"]),
 }
 WATCHED = """
 import json, sys
@@ -126,12 +124,11 @@ def control(observation, parameters):
 """A controller whose first child leaves files for the second one."""
 
 
-@pytest.mark.faults("planner", "steering", "trajectory", "acceleration", "warm_up", "vehicle")
+@pytest.mark.faults("steering", "trajectory", "acceleration", "warm_up", "vehicle")
 @pytest.mark.parametrize(
     ("kind", "scenario"),
-    [(kind, drive(TRAFFIC, 5.0)) for kind in SESSIONS]
-    + [(kind, drive([], 5.0, **FILLED)) for kind in ("curvature", "planner")],
-    ids=[*SESSIONS, "warm_up", "warm_up-planner"],
+    [(kind, drive(TRAFFIC, 5.0)) for kind in SESSIONS] + [("curvature", drive([], 5.0, **FILLED))],
+    ids=[*SESSIONS, "warm_up"],
 )
 def test_every_kernel_is_there_before_a_users_code_is_loaded(kind: str, scenario: dict[str, Any], tmp_path: Path) -> None:
     controller, vehicle = SESSIONS[kind]

@@ -356,8 +356,7 @@ def _code(field: str, section: Any, files: Executables | None) -> Iterator[Probl
 
 def _planner(manifest: Manifest) -> Iterator[Problem]:
     if isinstance(manifest.simulator, HighwaySimulator) and isinstance(manifest.simulator.controller, PlannerController):
-        controller, driven = manifest.simulator.controller, manifest.is_driven
-        yield from planner_problems(controller, manifest.parameters, manifest.varied, driven=driven)
+        yield from planner_problems(manifest.simulator.controller, manifest.parameters, manifest.varied)
 
 
 def _highway_scenarios(manifest: Manifest, files: Executables | None) -> Iterator[Problem]:

@@ -68,7 +68,7 @@ def setup_document(
 def parts_of(section: Mapping[str, Any], data: Mapping[str, Any]) -> dict[str, str | None]:
     """Returns the versions of what this installation adds to a run, as setups name them; None for parts that it does not use.
 
-    `controller` is the planner or an installed driving function, `vehicle` an installed vehicle, `catalogue` a scenario of an installed
+    `controller` is an installed driving function, `vehicle` an installed vehicle, `catalogue` a scenario of an installed
     catalogue, and `sumo` SUMO's library.
 
     Args:
@@ -84,8 +84,6 @@ def parts_of(section: Mapping[str, Any], data: Mapping[str, Any]) -> dict[str, s
     parts["sumo"] = setups.sumo()
     if section["controller"]["kind"] != "planner":
         return parts
-    if not ("task" in data or "catalogue" in data):
-        return parts | {"controller": registry.simulator("highway").controllers["planner"]}
     function = registry.driving_function(section["controller"]["driving_function"])
     vehicle = registry.vehicle(model_of(section["vehicle"]))
     if "catalogue" in data:

@@ -94,17 +94,14 @@ class FmuController(ControllerEntry):
 
 
 class PlannerController(ControllerEntry):
-    """The planner of the built-in motorway, which wants the centre of `lane` (from the route's reference line, to the left) at the limit,
-    or at `speed` (m/s). Its parameters P1 to P11 are those of the problem, or among `values`.
+    """The planner of the built-in motorway, or another installed driving function, in scenarios with a task.
+
+    Parameters of the planner, P1 to P11, are those of the problem, or among `values`.
     """
 
     kind: Literal["planner"]
     driving_function: Identifier = "frenet"
-    """An installed driving function, in scenarios with a task."""
     output: Annotated[Outputs, Field(default_factory=lambda: ["trajectory"])]
-    period: Annotated[float, Field(gt=0, le=2)] = 0.2
-    lane: Annotated[int, Field(ge=0, le=10)] = 0
-    speed: Annotated[float, Field(gt=0, le=70)] | None = None
     values: Annotated[dict[Identifier, Number], Field(default_factory=dict)]
 
 

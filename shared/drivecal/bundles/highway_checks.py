@@ -138,27 +138,20 @@ def _signal_table(controller: FmuController) -> Iterator[Problem]:
             yield Problem("simulator.controller.signals", message, f"add `{name}: VARIABLE`, the FMU's output")
 
 
-def planner_problems(
-    controller: PlannerController, parameters: Collection[str], varied: Collection[str], *, driven: bool
-) -> Iterator[Problem]:
+def planner_problems(controller: PlannerController, parameters: Collection[str], varied: Collection[str]) -> Iterator[Problem]:
     """Yields the parameters of the built-in planner that are missing or given twice, and varied ones that its vehicle lacks.
 
     Args:
         controller: the section of the planner.
         parameters: names of the problem's parameters.
         varied: names of the problem's varied parameters.
-        driven: whether its scenarios have tasks.
     """
-    known = list(VehicleValues.model_fields) if driven else []
+    known = list(VehicleValues.model_fields)
     for name in varied:
         if name not in known:
-            remedy = nearest(name, known) if driven else "leave `varied` out, or give the scenarios tasks"
-            yield Problem(f"varied.{name}", "the planner's vehicle has no such parameter", remedy)
-    if driven and controller.driving_function != DRIVING_FUNCTION:
+            yield Problem(f"varied.{name}", "the planner's vehicle has no such parameter", nearest(name, known))
+    if controller.driving_function != DRIVING_FUNCTION:
         return  # an installed function that is not known here
-    if not driven and controller.driving_function != DRIVING_FUNCTION:
-        message = "other driving functions drive scenarios with a task"
-        yield Problem("simulator.controller.driving_function", message, "leave it out, or give the scenarios tasks")
     for name in PLANNER_PARAMETERS:
         if (name in parameters) == (name in controller.values):
             message = f"the planner's {name} is {'a parameter, too' if name in parameters else 'missing'}"
@@ -171,12 +164,14 @@ def planner_problems(
 
 
 def task_problems(controller: AnyController, scenarios: Mapping[str, Any]) -> Iterator[Problem]:
-    """Yields the tasks of scenarios for which there is no planner, or that other scenarios lack."""
+    """Yields scenarios with a task but without a planner, and those without a task for the planner."""
     planned = isinstance(controller, PlannerController)
-    tasks = [name for name, data in scenarios.items() if "task" in data]
-    for name in tasks if not planned else [name for name in tasks if len(tasks) < len(scenarios)]:
-        remedy = "leave it out" if not planned else "give every scenario a task, or none"
-        yield Problem(f"scenarios.{name}.task", "a task is for the planner alone, in all scenarios of a problem", remedy)
+    for name, data in scenarios.items():
+        if planned != ("task" in data):
+            message = "the planner drives scenarios with a task" if planned else "a task is for the planner alone"
+            yield Problem(
+                f"scenarios.{name}.task", message, "add it, or give another controller" if planned else "leave it out"
+            )
 
 
 def scenarios_problems(step: float, scenarios: Mapping[str, Any]) -> Iterator[Problem]:

@@ -259,7 +259,7 @@ class Manifest(Model):
     @property
     def is_driven(self) -> bool:
         """True if drivecal's own planner drives scenarios with tasks: such runs need no child process."""
-        return is_driven(self.simulator, self.scenarios)
+        return isinstance(self.simulator, HighwaySimulator) and isinstance(self.simulator.controller, PlannerController)
 
     @property
     def varied_parameters(self) -> tuple[VehicleParameter, ...]:
@@ -280,9 +280,3 @@ class Manifest(Model):
         for scores that are pushed later."""
         always = MEASURES if isinstance(self.simulator, HighwaySimulator) and not self.is_driven else {}
         return self.measures | {name: quantity.unit for name, quantity in always.items() if name not in self.measures}
-
-
-def is_driven(simulator: object, scenarios: Mapping[str, Mapping[str, Any]]) -> bool:
-    """Returns whether a section's controller is drivecal's planner, which has a task in each scenario."""
-    is_planned = isinstance(simulator, HighwaySimulator) and isinstance(simulator.controller, PlannerController)
-    return is_planned and all("task" in data for data in scenarios.values())

@@ -36,10 +36,6 @@ class Runner(Protocol):
 class DriveSimulator(Named, Protocol):
     """The simulator that drives a scenario with a driving function and a vehicle."""
 
-    @property
-    def controllers(self) -> Mapping[str, str]:
-        """Versions of its own controllers that problem bundles may name, by kind: digests of the code that decides what they drive."""
-
     def load(self) -> None:
         """Imports the simulator. Raises UnavailableError without it."""
 

@@ -21,7 +21,7 @@ def test_every_table_is_that_of_the_catalogue() -> None:
     given = [
         (name.strip("`"), unit, meaning)
         for name, unit, meaning, *_ in rows
-        if name.strip("`") not in {"python", "process", "fmu", "planner"}
+        if name.strip("`") not in {"python", "process", "fmu"}
     ]
     expected = [(name, entry.unit, entry.meaning) for table in TABLES for name, entry in table.items()]
     assert given == expected

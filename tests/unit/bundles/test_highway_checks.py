@@ -1,7 +1,6 @@
 """Manifests of kind `highway`: the simulator section, scenarios, and what they may declare of answers."""
 
 import copy
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,7 +13,7 @@ from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.highway import CLASSES, FlowEntry, HighwaySimulator, TrafficEntry
 from drivecal.bundles.installed import installed_problems
 from drivecal.domain.errors import InvalidInputError
-from drivecal.plugins import registry, setups
+from drivecal.plugins import setups
 
 VALID: dict[str, Any] = {
     "problem": "acc",
@@ -247,24 +246,6 @@ def test_faults_of_trajectories_are_named(controller: dict[str, Any], field: str
     assert faults(changed("simulator/controller", controller), FILES) == {f"simulator.{field}"}
 
 
-def test_the_planner_has_its_parameters_once() -> None:
-    lone = changed("parameters", {"P1": {"lower": -15, "upper": 14}}) | {"baseline": None}
-    values = dict.fromkeys(NAMES[1:], 1)
-    given = {"kind": "highway", "controller": {"kind": "planner", "values": values}}
-    assert checked(lone | {"simulator": given}, FILES)
-    for other, field in (
-        ({name: 1 for name in values if name != "P7"}, "simulator.controller.values.P7"),
-        (values | {"P1": 1}, "simulator.controller.values.P1"),
-        (values | {"P12": 1}, "simulator.controller.values.P12"),
-    ):
-        assert faults(lone | {"simulator": {"kind": "highway", "controller": {"kind": "planner", "values": other}}}, FILES) == {
-            field
-        }
-    assert "parameters.T" in faults(
-        changed("simulator/controller", {"kind": "planner", "values": dict.fromkeys(NAMES, 1)}), FILES
-    )
-
-
 CAR = {"kind": "python", "file": "acc.py"}
 FMU_CAR = {
     "kind": "fmu",
@@ -295,16 +276,6 @@ def test_vehicles_of_users_pass() -> None:
 )  # fmt: skip
 def test_faults_of_vehicles_are_named(vehicle: dict[str, Any], field: str) -> None:
     assert faults(changed("simulator/vehicle", vehicle), FILES) == {f"simulator.vehicle.{field}"}
-
-
-def test_a_setup_with_the_built_in_planner_holds_its_version(monkeypatch: pytest.MonkeyPatch) -> None:
-    controller = {"kind": "planner", "values": dict.fromkeys([name for name in NAMES if name != "P1"], 1)}
-    planner = changed("simulator/controller", controller) | {"parameters": {"P1": {"lower": 0, "upper": 10}}}
-    said = setup_document(checked(planner, FILES), "merge", "")
-    assert said["controller"] == registry.simulator("highway").controllers["planner"]
-    assert "controller" not in setup_document(checked(VALID), "merge", "")
-    monkeypatch.setattr(registry, "simulator", lambda _: SimpleNamespace(controllers={"planner": "another"}))
-    assert setup_document(checked(planner, FILES), "merge", "") == said | {"controller": "another"}
 
 
 def test_a_setup_holds_the_version_of_sumo(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -340,7 +311,7 @@ PLANNED: dict[str, Any] = yaml.safe_load((installed_problems()["highway"].folder
         ("varied/wings", {"nominal": 1, "lower": 0, "upper": 2}, "varied.wings"),
         ("varied/P1", {"nominal": 1, "lower": 0, "upper": 2}, "varied.P1"),
         ("simulator/controller", {"kind": "python", "file": "a.py", "output": ["acceleration"]}, "scenarios.S1.task"),
-        ("scenarios/S1/task", None, "scenarios.S2.task"),
+        ("scenarios/S1/task", None, "scenarios.S1.task"),
         ("scenarios/S1/task/target_lane", -1, "scenarios.S1.task.target_lane"),
         (
             "scenarios/S1/traffic",
@@ -366,3 +337,21 @@ def test_faults_of_planned_scenarios_are_named_by_field(path: str, value: object
     with pytest.raises(InvalidInputError) as refused:
         checked(document)
     assert field in {problem.field for problem in refused.value.problems}
+
+
+def test_the_planner_has_its_parameters_once_and_drives_tasks_only() -> None:
+    values = dict.fromkeys(NAMES[1:], 1)
+
+    def given(values: dict[str, int], **other: Any) -> dict[str, Any]:
+        simulator = PLANNED["simulator"] | {"controller": {"kind": "planner", "values": values}}
+        searched = {"parameters": {"P1": PLANNED["parameters"]["P1"]}, "baseline": None, "constraints": []}
+        return PLANNED | searched | {"simulator": simulator} | other
+
+    def found(values: dict[str, int], **other: Any) -> set[str]:
+        return faults(given(values, **other))
+
+    assert checked(given(values))
+    assert found({name: 1 for name in values if name != "P7"}) == {"simulator.controller.values.P7"}
+    assert found(values | {"P1": 1}) == {"simulator.controller.values.P1"}
+    assert found(values | {"P12": 1}) == {"simulator.controller.values.P12"}
+    assert "scenarios.merge.task" in found(values, scenarios={"merge": VALID["scenarios"]["merge"]})

@@ -23,7 +23,7 @@ from drivecal.contracts.evaluation import ReplayAnswer
 from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins import registry, setups
+from drivecal.plugins import setups
 from drivecal.plugins.simulators import MOST_SESSIONS, Declared, NoMeasuresError, RunOutcome, SimulatorSession
 from drivecal.runtime import bundles
 from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
@@ -110,17 +110,6 @@ def test_a_batch_without_its_files_is_refused(tmp_path: Path, request_: SetupReq
     result = worker(tmp_path, ScriptedSimulator()).run(Batch(request_, (Cell(1, {"x": 2.0}),)))
     assert request_.bundle in (result.refusal or "")
     assert result.results == ()
-
-
-def test_a_worker_with_another_planner_refuses_the_cells(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
-    section = {"kind": "highway", "controller": {"kind": "planner"}, "timeout": 10.0}
-    works = worker(tmp_path, ScriptedSimulator())
-    works.store(request_.bundle, archive)
-    for requested in ("1.another", None):
-        setup = replace(request_, simulator=section, document={"adapter": "1", "controller": requested})
-        refusal = works.run(Batch(setup, (Cell(1, {"x": 2.0}),))).refusal or ""
-        assert registry.simulator("highway").controllers["planner"] in refusal
-        assert str(requested) in refusal
 
 
 def test_a_worker_with_another_sumo_refuses_the_cells(

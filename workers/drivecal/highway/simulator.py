@@ -2,10 +2,8 @@
 
 from collections.abc import Mapping
 from importlib import import_module
-from types import MappingProxyType
 
 from drivecal.domain.scenarios import Scenario
-from drivecal.highway.planner.frenet import corridor_version
 from drivecal.plugins.ports import DrivingFunction, Evaluator, Vehicle
 from drivecal.plugins.runners import DriveSimulator, Runner
 
@@ -14,7 +12,6 @@ class Highway:
     """The closed loop of planner, vehicle and SUMO's traffic. A process can hold only one SUMO simulation."""
 
     name = "highway"
-    controllers: Mapping[str, str] = MappingProxyType({"planner": corridor_version()})
 
     def load(self) -> None:
         """Imports SUMO and the compiled kernels. Raises UnavailableError without SUMO."""

@@ -1,21 +1,15 @@
 """Trajectories of users' points: checked, joined smoothly, and laid along the track."""
 
 from functools import cache
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 from tests.support.motorways import NETWORK, ROUTE
 
-from drivecal.bundles.highway import HighwayScenario, PlannerController
-from drivecal.highway.drive.control import RunView
 from drivecal.highway.drive.controllers import ControllerError
-from drivecal.highway.drive.geometry import MOTION, OUTLINED
 from drivecal.highway.drive.road import HighwayRoad
-from drivecal.highway.drive.traffic import Traffic
-from drivecal.highway.drive.trajectories import STEP, PlannerTrajectories, checked_points, trajectory_of
-from drivecal.highway.planner.planner import FrenetPlanner
+from drivecal.highway.drive.trajectories import STEP, checked_points, trajectory_of
 from drivecal.roads.corridor import corridor
 from drivecal.roads.network import read_network
 
@@ -90,24 +84,3 @@ def test_a_trajectory_covers_what_is_needed_and_goes_straight_on_in_its_last_row
     assert len(rows) >= 2
     assert rows[-1, 0] >= needed - 1e-9
     assert np.allclose(rows[:, 5], 10)
-
-
-def test_the_planner_sees_others_where_they_are_between_two_steps_of_the_traffic(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a period that is a part of the step: they move on, and drift at their own rate."""
-    values = dict.fromkeys((f"P{number}" for number in range(1, 12)), 1.0)
-    section = PlannerController.model_validate({"kind": "planner", "period": 0.05, "values": values})
-    data = {"network": "road.net.xml", "route": ROUTE, "duration": 10, "ego": {"s": 100, "speed": 30}}
-    seen: list[np.ndarray] = []
-    monkeypatch.setattr(FrenetPlanner, "plan", lambda _, observation: seen.append(observation.neighbours.copy()))
-    source = PlannerTrajectories(section, HighwayScenario.model_validate(data), road(), (100.0, 0.0))
-    source.begin({})
-    traffic = SimpleNamespace(neighbours=np.zeros((1, 6)), outlines=np.zeros((1, OUTLINED)))
-    view = RunView(road(), cast("Traffic", traffic), np.zeros(8), np.zeros(MOTION))
-    for tick in range(5):
-        steps, view.lead, view.time = tick // 2, 0.05 * (tick % 2), 0.05 * tick
-        view.neighbours = np.array([[150.0 + 2.0 * steps, 3.5 - 0.1 * steps, 20.0, -1.0, 5.0, 2.0]])
-        source.act(view)
-    rows = np.vstack(seen)
-    assert rows[:, 0] == pytest.approx([150, 151, 152, 153, 154])
-    assert rows[:, 1] == pytest.approx([3.5, 3.45, 3.4, 3.35, 3.3])
-    assert rows[:, 3] == pytest.approx([-1.0] * 5)

@@ -14,7 +14,6 @@ from drivecal.domain.setups import digest
 from drivecal.highway.planner import frenet
 from drivecal.highway.planner.cost import TERMS, weights
 from drivecal.highway.planner.frenet import FRENET
-from drivecal.highway.simulator import HIGHWAY as HIGHWAY_SIMULATOR
 
 TABLE_6 = {
     "P1": ("-15", "14", 59),
@@ -86,24 +85,8 @@ def test_a_parameter_set_of_the_wrong_length_is_refused() -> None:
 def test_the_version_changes_with_every_file_that_decides_what_is_driven() -> None:
     package = Path(frenet.__file__).parent
     harmless = {"__init__.py", "frenet.py"}
-    on_corridors = {path.name for path in frenet.ON_CORRIDORS if path.parent == package}
-    assert {path.name for path in package.glob("*.py")} - harmless == {path.name for path in frenet.ARITHMETIC} | on_corridors
+    assert {path.name for path in package.glob("*.py")} - harmless == {path.name for path in frenet.ARITHMETIC}
     content = b"".join(path.read_bytes() for path in [*frenet.ARITHMETIC, Path(roads.__file__)])
     assert FRENET.version == frenet.version_of(content)
     edited = content.replace(b"3000.0", b"3001.0")
     assert frenet.version_of(edited) == f"1.{digest(edited)[:8]}" != FRENET.version
-
-
-@pytest.mark.parametrize("name", ["kernel.py", "terms.py", "following.py", "trajectories.py"])
-def test_a_change_of_the_planner_s_code_changes_its_version_on_corridors(
-    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    known = frenet.corridor_version()
-    assert HIGHWAY_SIMULATOR.controllers["planner"] == known != FRENET.version
-    for files in ("ARITHMETIC", "ON_CORRIDORS"):
-        paths = []
-        for path in getattr(frenet, files):
-            paths.append(tmp_path / path.name)
-            paths[-1].write_bytes(path.read_bytes() + (b"\n" if path.name == name else b""))
-        monkeypatch.setattr(frenet, files, paths)
-    assert frenet.corridor_version() != known

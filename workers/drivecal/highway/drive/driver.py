@@ -22,7 +22,6 @@ from drivecal.plugins import setups
 
 if TYPE_CHECKING:
     from drivecal.contracts.evaluation import ReplayAnswer
-    from drivecal.highway.drive.control import Control
 
 LONGEST_ID = 100
 """Bytes in an answer's line for its id."""
@@ -36,7 +35,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
             f"the library of SUMO was {settings['sumo']} when the worker opened this scenario, and is {installed} in its new process;"
             " install the former again, or restart the server and submit the campaign again"
         )
-    from drivecal.bundles.highway import HighwaySimulator, PlannerController, UserVehicleEntry, VehicleValues
+    from drivecal.bundles.highway import HighwaySimulator, UserVehicleEntry, VehicleValues
     from drivecal.bundles.traffic.description import described_in
     from drivecal.highway.drive.controllers import controller
     from drivecal.highway.drive.loop import Loop
@@ -46,7 +45,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.highway.drive.replay import DriveRecorder, neighbouring
     from drivecal.highway.drive.road import HighwayRoad
     from drivecal.highway.drive.traffic import Traffic
-    from drivecal.highway.drive.trajectories import PlannerTrajectories, control_of
+    from drivecal.highway.drive.trajectories import control_of
     from drivecal.highway.vehicle.model import SingleTrackModel
     from drivecal.highway.vehicle.parameters import TABLE_8, SingleTrackParameters
     from drivecal.roads.corridor import corridor, other_levels
@@ -67,23 +66,19 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     print(f"SUMO loads {scenario.network}", file=sys.stderr, flush=True)  # noqa: T201  # the last message
     traffic = Traffic(name, scenario, network, road, simulator.step, scratch, description.routes)
     vehicle = SingleTrackModel(parameters, parameters)
-    if not isinstance(simulator.controller, PlannerController) or isinstance(simulator.vehicle, UserVehicleEntry):
-        rehearse(simulator, traffic, vehicle)
-        if settings["changeable"] is not None:
-            hold(settings["changeable"], scratch)
-        os.chdir(settings["work"])
+    rehearse(simulator, traffic, vehicle)
+    if settings["changeable"] is not None:
+        hold(settings["changeable"], scratch)
+    os.chdir(settings["work"])
     print("the controller starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
     section = simulator.controller.model_dump(mode="json", exclude_none=True)
-    if isinstance(simulator.controller, PlannerController):
-        control: Control = PlannerTrajectories(simulator.controller, scenario, road, (traffic.start_s, traffic.start_d))
-    else:
-        work, units = Path(settings["work"]), settings["parameters"]
-        checked = controller(section, folder, work, scratch, settings["data"], simulator.step, units)
-        control = control_of(checked, simulator.controller.output, road, section.get("period", simulator.step))
+    work, units = Path(settings["work"]), settings["parameters"]
+    checked = controller(section, folder, work, scratch, settings["data"], simulator.step, units)
+    control = control_of(checked, simulator.controller.output, road, section.get("period", simulator.step))
     if isinstance(simulator.vehicle, UserVehicleEntry):
         print("the vehicle starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
         entry = simulator.vehicle.model_dump(mode="json", exclude_none=True)
-        plant = plant_of(entry, folder, Path(settings["work"]), scratch, settings["data"], settings["parameters"])
+        plant = plant_of(entry, folder, work, scratch, settings["data"], units)
         vehicle = UserVehicleModel(plant, simulator.vehicle.state, parameters)
     loop = Loop(traffic, vehicle, control)
     loop.prepare()

@@ -12,16 +12,14 @@ from typing import Any
 import numba
 
 from drivecal.adapters.confinement import confine, ruleset
-from drivecal.bundles.highway import HighwaySimulator, PlannerController, UserVehicleEntry
-from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
-from drivecal.highway.drive.control import Control
+from drivecal.bundles.highway import HighwaySimulator, UserVehicleEntry
 from drivecal.highway.drive.controllers import Checked, Controller, ControllerError
 from drivecal.highway.drive.geometry import NAMES
 from drivecal.highway.drive.loop import Loop, StartError
 from drivecal.highway.drive.measures import measures
 from drivecal.highway.drive.plants import prepare_trackers
 from drivecal.highway.drive.traffic import Traffic, TrafficError
-from drivecal.highway.drive.trajectories import PlannerTrajectories, control_of
+from drivecal.highway.drive.trajectories import control_of
 from drivecal.highway.vehicle.model import SingleTrackModel
 
 
@@ -41,23 +39,21 @@ class _Straight(Controller):
 
 
 def rehearse(simulator: HighwaySimulator, traffic: Traffic, model: SingleTrackModel) -> None:
-    """Drives the scenario once without the user's code and the warm-up: with the built-in planner, or straight on.
+    """Drives the scenario once without the user's code and the warm-up, straight on.
 
     Raises StartError and TrafficError.
     """
-    controller, road, scenario = simulator.controller, traffic.road, traffic.scenario
-    parameters = dict.fromkeys(PLANNER_PARAMETERS, 1.0)
-    if isinstance(controller, PlannerController):
-        control: Control = PlannerTrajectories(controller, scenario, road, (traffic.start_s, traffic.start_d))
-    else:
-        period = simulator.step if controller.period is None else controller.period
-        control = control_of(Checked(_Straight(controller.output, period), controller.output), controller.output, road, period)
+    controller = simulator.controller
+    period = simulator.step if controller.period is None else controller.period
+    control = control_of(
+        Checked(_Straight(controller.output, period), controller.output), controller.output, traffic.road, period
+    )
     if isinstance(simulator.vehicle, UserVehicleEntry):
         prepare_trackers(model)
     loop = Loop(traffic, model, control)
     loop.prepare()
     with suppress(ControllerError, TrafficError):  # the user's run tells of what is wrong
-        measures(loop.run(parameters, is_warm=False).record, model.parameters.mass)
+        measures(loop.run({}, is_warm=False).record, model.parameters.mass)
 
 
 def hold(writable: Sequence[str], scratch: Path) -> None:

@@ -46,8 +46,6 @@ LIMITS: Mapping[str, tuple[float | None, float | None]] = {
 
 _MODULES = ("cost", "kernel", "lanes", "planner", "plans", "terms")
 ARITHMETIC = [Path(__file__).with_name(f"{name}.py") for name in _MODULES]
-ON_CORRIDORS = [Path(__file__).with_name("following.py"), Path(__file__).parents[1] / "drive" / "trajectories.py"]
-"""Further code that decides what the planner drives on a corridor."""
 
 
 def version_of(code: bytes) -> str:
@@ -74,8 +72,3 @@ class Frenet:
 
 
 FRENET: DrivingFunction = Frenet()
-
-
-def corridor_version() -> str:
-    """Returns the version of the planner as a controller on corridors."""
-    return version_of(b"".join(path.read_bytes() for path in [*ARITHMETIC, Path(roads.__file__), *ON_CORRIDORS]))

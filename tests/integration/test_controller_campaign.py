@@ -1,5 +1,4 @@
-"""Problems of kind `highway` as campaigns on two workers without Ray: the example of the built-in planner, an ACC as an FMU, and a lane
-keeper in C++."""
+"""Problems of kind `highway` as campaigns on two workers without Ray: an ACC as an FMU, and a lane keeper in C++."""
 
 import json
 from collections.abc import Mapping
@@ -10,7 +9,6 @@ import httpx
 import pytest
 from tests.support.motorways import CONTROLLERS, compile_fmu, drive, driven, motorway
 from tests.support.serve import serving
-from tests.support.user_problems import problem
 from tests.support.vehicles import LANE_KEEPER, write_vehicles
 
 from drivecal.bundles.highway_catalogue import MEASURES
@@ -40,11 +38,11 @@ PROBLEMS: dict[str, tuple[Mapping[str, Any], dict[str, Any]]] = {
 """Controller and parameters."""
 
 
-@pytest.mark.parametrize("name", ["planner-highway", *PROBLEMS])
+@pytest.mark.parametrize("name", PROBLEMS)
 def test_a_calibrated_controller_gives_the_same_bits_in_any_worker(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = made(name, tmp_path) if name in PROBLEMS else problem(name, tmp_path)
+    folder = made(name, tmp_path)
     manifest, _ = read_bundle(folder)
     monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))
     cache = str(tmp_path / "cache")
