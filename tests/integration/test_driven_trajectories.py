@@ -23,24 +23,32 @@ def control(o, p):
     return points
 """
 PROGRAM = r"""
-#include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
 static char line[65536];
+static double number(const char *name) {
+    char key[64];
+    snprintf(key, sizeof key, "\"%s\":", name);
+    return atof(strstr(line, key) + strlen(key));
+}
 int main(void) {
-    double s[3], answer[33];
     fgets(line, sizeof line, stdin); puts("{\"ready\": true}"); fflush(stdout);
-    fgets(line, sizeof line, stdin); puts("{\"ready\": true}"); fflush(stdout);
-    for (;;) {
-        if (fread(s, sizeof s, 1, stdin) != 1) return 0;
-        if (isnan(s[0])) { if (!fgets(line, sizeof line, stdin)) return 0; puts("{\"ready\": true}"); fflush(stdout); continue; }
-        for (int i = 0; i < 11; i++) {
-            double t = 0.25 * i, rest = 1.0 - 0.5 * t;
-            answer[3 * i] = t;
-            answer[3 * i + 1] = s[1] + s[0] * t;
-            answer[3 * i + 2] = s[2] * (rest > 0.0 ? rest : 0.0);
+    while (fgets(line, sizeof line, stdin)) {
+        if (strstr(line, "\"run\":")) {
+            puts("{\"ready\": true}");
+        } else {
+            printf("{\"trajectory\": [");
+            for (int i = 0; i < 11; i++) {
+                double t = 0.25 * i, rest = 1.0 - 0.5 * t;
+                printf("%s[%.17g, %.17g, %.17g]", i ? ", " : "", t, number("position") + number("speed") * t,
+                       number("lane_offset") * (rest > 0.0 ? rest : 0.0));
+            }
+            puts("]}");
         }
-        fwrite(answer, sizeof answer, 1, stdout); fflush(stdout);
+        fflush(stdout);
     }
+    return 0;
 }
 """
 STEADY = """
@@ -65,7 +73,7 @@ def test_a_trajectory_holds_its_lane_on_a_curve_as_a_program_does(tmp_path: Path
     (folder / "steady.c").write_text(PROGRAM)
     compiled("cc", folder / "steady.c", folder / "steady", "-ffp-contract=off", "-lm")
     program = {
-        "kind": "process", "command": ["./steady"], "output": ["trajectory"], "period": 0.2, "frames": "binary", "points": 11,
+        "kind": "process", "command": ["./steady"], "output": ["trajectory"], "period": 0.2,
         "signals": ["speed", "position", "lane_offset"],
     }  # fmt: skip
     measures = []

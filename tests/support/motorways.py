@@ -68,29 +68,20 @@ static double number(const char *name) {
     snprintf(key, sizeof key, "\"%s\":", name);
     return atof(strstr(line, key) + strlen(key));
 }
-int main(int count, char **words) {
-    double s[3], p[4] = {0};
-    const int lines = count > 1;
+int main(void) {
+    double p[4] = {0};
     if (!fgets(line, sizeof line, stdin)) return 1; /* the greeting */
     puts("{\"ready\": true}"); fflush(stdout);
-    int next = 1;
-    for (;;) {
-        if ((next || lines) && !fgets(line, sizeof line, stdin)) return 0;
-        if (next || (lines && strstr(line, "\"run\":"))) {
+    while (fgets(line, sizeof line, stdin)) {
+        if (strstr(line, "\"run\":")) {
             p[0] = number("v0"); p[1] = number("T"); p[2] = number("k"); p[3] = number("c");
-            puts("{\"ready\": true}"); fflush(stdout);
-            next = 0;
-            continue;
+            puts("{\"ready\": true}");
+        } else {
+            printf("{\"acceleration\": %.17g}\n", law(number("speed"), number("gap"), number("leader_speed"), p[0], p[1], p[2], p[3]));
         }
-        if (lines) {
-            s[0] = number("speed"); s[1] = number("gap"); s[2] = number("leader_speed");
-        } else if (fread(s, sizeof s, 1, stdin) != 1) return 0;
-        next = isnan(s[0]);
-        if (next) continue;
-        double a = law(s[0], s[1], s[2], p[0], p[1], p[2], p[3]);
-        if (lines) printf("{\"acceleration\": %.17g}\n", a); else fwrite(&a, sizeof a, 1, stdout);
         fflush(stdout);
     }
+    return 0;
 }
 """
 )
@@ -147,13 +138,6 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
     "process": {
         "kind": "process",
         "command": ["./acc"],
-        "signals": ["speed", "gap", "leader_speed"],
-        "frames": "binary",
-        "output": ["acceleration"],
-    },
-    "json": {
-        "kind": "process",
-        "command": ["./acc", "--json"],
         "signals": ["speed", "gap", "leader_speed"],
         "output": ["acceleration"],
     },

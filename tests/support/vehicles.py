@@ -49,15 +49,19 @@ static void ready(double *v) {
     v[3] = atof(strstr(line, "\"start_speed\":") + 14);
     puts("{\"ready\": true}"); fflush(stdout);
 }
+static double number(const char *name) {
+    char key[64];
+    snprintf(key, sizeof key, "\"%s\":", name);
+    return atof(strstr(line, key) + strlen(key));
+}
 int main(void) {
-    double in[3], v[6];
+    double v[6];
     fgets(line, sizeof line, stdin); puts("{\"ready\": true}"); fflush(stdout); /* the greeting */
-    if (!fgets(line, sizeof line, stdin)) return 0;
-    ready(v);
-    while (fread(in, sizeof in, 1, stdin) == 1) {
-        if (isnan(in[0])) { if (!fgets(line, sizeof line, stdin)) return 0; ready(v); continue; }
-        law(v, in[0], in[1]);
-        fwrite(v, 4 * sizeof *v, 1, stdout); fflush(stdout);
+    while (fgets(line, sizeof line, stdin)) {
+        if (strstr(line, "\"run\":")) { ready(v); continue; }
+        law(v, number("steering"), number("acceleration"));
+        printf("{\"x\": %.17g, \"y\": %.17g, \"heading\": %.17g, \"speed\": %.17g}\n", v[0], v[1], v[2], v[3]);
+        fflush(stdout);
     }
     return 0;
 }
@@ -68,23 +72,28 @@ KEEPER = r"""
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <string>
 static char line[65536];
-static double begun() { // the line of a run: the parameter `gain`, if there is one
-    std::fgets(line, sizeof line, stdin);
-    const char *given = std::strstr(line, "\"gain\":");
-    std::puts("{\"ready\": true}"); std::fflush(stdout);
-    return given ? std::atof(given + 7) : 0.5;
+static double number(const char *name, double otherwise) {
+    const std::string key = std::string("\"") + name + "\":";
+    const char *given = std::strstr(line, key.c_str());
+    return given ? std::atof(given + key.size()) : otherwise;
 }
 int main() {
-    double in[5];
+    double gain = 0.5;
     std::fgets(line, sizeof line, stdin);
     std::puts("{\"ready\": true}"); std::fflush(stdout);
-    double gain = begun();
-    while (std::fread(in, sizeof in, 1, stdin) == 1) { // speed, lane_offset, heading_error, road_curvature, curvature_1s
-        if (std::isnan(in[0])) { gain = begun(); continue; }
-        const double speed = in[0] > 5.0 ? in[0] : 5.0;
-        const double curvature = 0.5 * (in[3] + in[4]) - gain * in[1] / (speed * speed) - 1.2 * in[2] / speed;
-        std::fwrite(&curvature, sizeof curvature, 1, stdout); std::fflush(stdout);
+    while (std::fgets(line, sizeof line, stdin)) {
+        if (std::strstr(line, "\"run\":")) { // the line of a run: the parameter `gain`, if there is one
+            gain = number("gain", 0.5);
+            std::puts("{\"ready\": true}");
+        } else {
+            const double speed = std::fmax(number("speed", 0.0), 5.0);
+            const double curvature = 0.5 * (number("road_curvature", 0.0) + number("curvature_1s", 0.0))
+                - gain * number("lane_offset", 0.0) / (speed * speed) - 1.2 * number("heading_error", 0.0) / speed;
+            std::printf("{\"curvature\": %.17g}\n", curvature);
+        }
+        std::fflush(stdout);
     }
 }
 """
@@ -103,7 +112,7 @@ DESCRIPTION = (
 )
 VEHICLES: dict[str, dict[str, Any]] = {
     "python": {"kind": "python", "file": "car.py"},
-    "process": {"kind": "process", "command": ["./car"], "frames": "binary"},
+    "process": {"kind": "process", "command": ["./car"]},
     "fmu": {
         "kind": "fmu",
         "file": "car.fmu",
@@ -116,7 +125,6 @@ VEHICLES: dict[str, dict[str, Any]] = {
 LANE_KEEPER: dict[str, Any] = {
     "kind": "process",
     "command": ["./keeper"],
-    "frames": "binary",
     "signals": ["speed", "lane_offset", "heading_error", "road_curvature", "curvature_1s"],
     "output": ["curvature"],
 }

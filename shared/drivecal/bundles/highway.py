@@ -67,16 +67,11 @@ class PythonController(ControllerEntry):
 
 
 class ProcessController(ControllerEntry):
-    """A program that answers a frame of commands for each frame of `signals`, started once per worker and scenario.
-
-    `frames`: `json`, a JSON object per line, or `binary`, doubles in the machine's byte order, with `points` points of a trajectory.
-    """
+    """A program that answers a line of commands for each line of `signals`, both JSON, started once per worker and scenario."""
 
     kind: Literal["process"]
     command: Command
     signals: Annotated[list[SignalName], Field(min_length=1, max_length=100)] | None = None
-    frames: Literal["json", "binary"] = "json"
-    points: Annotated[int, Field(ge=2, le=1000)] | None = None
 
 
 class FmuController(ControllerEntry):
@@ -158,11 +153,10 @@ class PythonVehicle(UserVehicleEntry):
 
 
 class ProcessVehicle(UserVehicleEntry):
-    """A program that answers a frame of states for each frame of steering angle, acceleration and time step, as controllers do."""
+    """A program that answers a line of states for each line of steering angle, acceleration and time step, as controllers do."""
 
     kind: Literal["process"]
     command: Command
-    frames: Literal["json", "binary"] = "json"
 
 
 class FmuVehicle(UserVehicleEntry):

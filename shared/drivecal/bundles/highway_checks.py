@@ -117,11 +117,6 @@ def _outputs(controller: AnyController) -> Iterator[Problem]:
         yield Problem("simulator.controller.output", "the planner gives a trajectory", "leave it out")
     if "trajectory" in output and isinstance(controller, FmuController):
         yield Problem("simulator.controller.output", "an FMU has no list of points", "give acceleration and curvature")
-    if isinstance(controller, ProcessController):
-        needs = "trajectory" in output and controller.frames == "binary"
-        if needs != (controller.points is not None):
-            remedy = "give the number of points in each frame" if needs else "leave it out"
-            yield Problem("simulator.controller.points", "it is for trajectories in binary frames", remedy)
 
 
 def _signal_table(controller: FmuController) -> Iterator[Problem]:

@@ -56,7 +56,7 @@ FMU = {
     "signals": {"gap": "u1", "speed": "u2", "acceleration": "y"},
     "output": ["acceleration"],
 }
-PROCESS = {"kind": "process", "command": ["./acc"], "signals": ["gap", "speed"], "output": ["curvature"], "frames": "binary"}
+PROCESS = {"kind": "process", "command": ["./acc"], "signals": ["gap", "speed"], "output": ["curvature"]}
 
 
 def changed(path: str, value: Any) -> dict[str, Any]:
@@ -237,9 +237,6 @@ NAMES = [f"P{number}" for number in range(1, 12)]
     [
         ({"kind": "python", "file": "acc.py", "output": ["trajectory", "acceleration"]}, "controller.output"),
         (FMU | {"output": ["trajectory"], "signals": {"gap": "u1", "trajectory": "y"}}, "controller.output"),
-        (PROCESS | {"output": ["trajectory"]}, "controller.points"),
-        (PROCESS | {"points": 10}, "controller.points"),
-        (PROCESS | {"output": ["trajectory"], "frames": "json", "points": 10}, "controller.points"),
     ],
 )
 def test_faults_of_trajectories_are_named(controller: dict[str, Any], field: str) -> None:

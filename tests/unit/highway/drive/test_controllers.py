@@ -159,32 +159,21 @@ def test_constants_give_inputs_and_parameters_of_an_fmu_in_every_run(tmp_path: P
 
 
 PROGRAM = """
-import json, struct, sys
-names = json.loads(sys.stdin.buffer.readline())["signals"]
+import json, sys
+names = json.loads(sys.stdin.readline())["signals"]
 print('{"ready": true}', flush=True)
-sys.stdin.buffer.readline()
+sys.stdin.readline()
 print('{"ready": true}', flush=True)
-if sys.argv[1] == "binary":
-    values = struct.unpack(f"={len(names)}d", sys.stdin.buffer.read(8 * len(names)))
-    sys.stdout.buffer.write(struct.pack("=2d", len(values), values[-1]))
-else:
-    values = json.loads(sys.stdin.buffer.readline())
-    print(json.dumps({"acceleration": len(values), "curvature": values["relative_speed"]}))
-sys.stdout.flush()
+values = json.loads(sys.stdin.readline())
+print(json.dumps({"acceleration": len(values), "curvature": values["relative_speed"]}), flush=True)
 """
 
 
-@pytest.mark.parametrize(
-    ("frames", "signals", "expected"),
-    [("json", None, [42, 41]), ("binary", None, [40, 39]), ("binary", ["leader_exists", "relative_speed"], [2, 41])],
-)
-def test_programs_get_new_signals_except_in_binary_frames_without_names(
-    tmp_path: Path, frames: str, signals: list[str] | None, expected: list[float]
-) -> None:
-    """A program that was compiled for the frames of earlier versions goes on."""
+@pytest.mark.parametrize(("signals", "expected"), [(None, [42, 41]), (["leader_exists", "relative_speed"], [2, 41])])
+def test_programs_get_the_signals_that_they_name(tmp_path: Path, signals: list[str] | None, expected: list[float]) -> None:
     (tmp_path / "program.py").write_text(PROGRAM)
-    section = {"command": [sys.executable, "-S", "program.py", frames], "output": ["acceleration", "curvature"]}
-    program = ProgramController(section | {"frames": frames, "signals": signals}, tmp_path, {}, 0.1)
+    section = {"command": [sys.executable, "-S", "program.py"], "output": ["acceleration", "curvature"]}
+    program = ProgramController(section | {"signals": signals}, tmp_path, {}, 0.1)
     program.begin({})
     assert list(program.step(SIGNALS)) == expected
     with pytest.raises(ProgramError):

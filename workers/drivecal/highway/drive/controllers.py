@@ -4,7 +4,6 @@ import copy
 import json
 import math
 import os
-import struct
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +15,7 @@ from drivecal.adapters.fmu_driver import FATAL, Fmu
 from drivecal.adapters.python_driver import imported, unpack
 from drivecal.bundles.highway_catalogue import COMMANDS, SIGNALS
 from drivecal.domain.errors import DrivecalError
-from drivecal.highway.drive.geometry import FRAMED, NAMES
+from drivecal.highway.drive.geometry import NAMES
 
 LONGEST_LINE = 1 << 16
 """Largest answer in bytes."""
@@ -31,9 +30,7 @@ class ProgramError(DrivecalError):
 class ProgramController:
     """A program behind pipes. A fault ends it; the next run starts another. It gets no time limit of its own: the run has one.
 
-    Greeting and begin of each run are lines of JSON, which the program answers by `{"ready": true}`. In JSON frames, signals and commands
-    are objects of a line. In binary frames, they are doubles in the machine's byte order, in the order of the greeting, and a frame of NaN
-    announces the line of the next run.
+    All messages are lines of JSON. The program answers greeting and begin of each run by `{"ready": true}`, and signals by commands.
     """
 
     def __init__(
@@ -49,12 +46,8 @@ class ProgramController:
         self._role = role
         self._command, self._work, self._scenario, self._period = section["command"], work, scenario, period
         self._output = list(section["output"])
-        self._is_binary = section.get("frames") == "binary"
-        self._signals = list(section.get("signals") or (names[:FRAMED] if self._is_binary else names))
+        self._signals = list(section.get("signals") or names)
         self._indices = [list(names).index(name) for name in self._signals]
-        self._frame = struct.Struct(f"={len(self._signals)}d")
-        self._points = section.get("points")
-        self._answer = struct.Struct(f"={len(self._output) if self._points is None else 3 * self._points}d")
         self._process: subprocess.Popen[bytes] | None = None
         self._received = b""
         self._number = 0
@@ -66,8 +59,6 @@ class ProgramController:
         try:
             if self._process is None:
                 self._start()
-            elif self._is_binary:
-                self._send(self._frame.pack(*[float("nan")] * len(self._signals)))
             self._ask({"run": self._number, "parameters": dict(parameters), "scenario": dict(self._scenario)} | start)
         except BaseException:
             self._stop()
@@ -77,10 +68,6 @@ class ProgramController:
         """Returns the program's commands, unchecked. Raises ProgramError."""
         try:
             chosen = [signals[index] for index in self._indices]
-            if self._is_binary:
-                self._send(self._frame.pack(*chosen))
-                values = self._answer.unpack(self._read(self._answer.size))
-                return values if self._points is None else [[values[row : row + 3] for row in range(0, len(values), 3)]]
             self._send(json.dumps(dict(zip(self._signals, chosen, strict=True))).encode() + b"\n")
             answer = self._line()
             if len(self._output) == 1 and isinstance(answer, (int, float)):
@@ -103,7 +90,7 @@ class ProgramController:
         assert self._process.stdout is not None  # noqa: S101  # for the type checker
         self._stdin, self._stdout, self._received = self._process.stdin.fileno(), self._process.stdout.fileno(), b""
         greeting = {"drivecal": 1, "signals": self._signals, "output": self._output, "period": self._period}
-        self._ask(greeting | {"frames": "binary" if self._is_binary else "json"})
+        self._ask(greeting)
 
     def _ask(self, message: Mapping[str, Any]) -> None:
         self._send(json.dumps(message, allow_nan=False).encode() + b"\n")
@@ -117,18 +104,6 @@ class ProgramController:
                 content = content[os.write(self._stdin, content) :]
         except OSError:
             raise self._ended() from None
-
-    def _read(self, size: int) -> bytes:
-        received = self._received
-        while len(received) < size:
-            more = os.read(self._stdout, 65536)
-            if not more:
-                raise self._ended()
-            received += more
-        if len(received) > size:
-            raise ProgramError(f"the {self._role} wrote more than one frame in answer to one")
-        self._received = b""
-        return received
 
     def _line(self) -> Any:
         received = self._received

@@ -47,8 +47,6 @@ NAMES: tuple[str, ...] = (
     "relative_speed",
 )
 """Signals that a controller observes, in the order of `observe`."""
-FRAMED = 40
-"""Number of the first signals in the binary frames of a program that names none: programs may have been compiled for that many."""
 SPEED, LIMIT_AHEAD, GAP, LEADER_SPEED = (NAMES.index(name) for name in ("speed", "limit_ahead", "gap", "leader_speed"))
 
 TIME_HEADWAY, STANDSTILL_GAP, ACCELERATION, DECELERATION = 1.5, 2.0, 1.5, 2.0
