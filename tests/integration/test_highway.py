@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.support.motorways import CONTROLLERS, PARAMETERS, compile_fmu, compile_program, drive, driven, motorway
+from tests.support.motorways import CONTROLLERS, PARAMETERS, ROUTE, compile_fmu, compile_program, drive, driven, motorway
 from tests.support.simulators import lost
 
 from drivecal.domain.errors import UnavailableError
@@ -27,7 +27,8 @@ BUSY = [
     {"s": 60, "lane": 1, "speed": 33, "model": "EIDM", "lane_change": "LC2013"},
     {"s": 220, "lane": 1, "speed": 28, "model": "Krauss", "sigma": 0.3, "lane_change": "LC2013"},
 ]
-FLOWS = [{"per_hour": 1200, "lane": 0, "model": "Krauss", "sigma": 0.5, "lane_change": "LC2013", "random": True}]
+FLOWS = """<routes><vType id="t" sigma="0.5"{}/><route id="r" edges="{}"/>
+<flow id="f" type="t" route="r" begin="0" end="100" period="exp(0.33)" departLane="0"/></routes>"""
 
 
 SUBLANES = [vehicle | {"lane_change": "SL2015"} for vehicle in BUSY]
@@ -143,13 +144,15 @@ def test_all_kinds_of_controllers_give_the_same_bits(folder: Path) -> None:
     "data",
     [
         drive([BRAKING, CUTTER], 15.0),
-        drive(BUSY, 15.0, flows=FLOWS, seed=5),
-        drive(SUBLANES, 15.0, flows=[flow | {"lane_change": "SL2015"} for flow in FLOWS], seed=5),
+        drive(BUSY, 15.0, routes="flows.rou.xml", seed=5),
+        drive(SUBLANES, 15.0, routes="flows.rou.xml", seed=5),
     ],
     ids=["exact", "random", "sublanes"],
 )
 def test_runs_repeat_in_any_order_and_process(folder: Path, kind: str, data: dict[str, Any]) -> None:
     sets = [PARAMETERS | {"v0": speed} for speed in (28.0, 31.0, 33.0)]
+    model = ' laneChangeModel="SL2015"' if data["traffic"] == SUBLANES else ""
+    (folder / "flows.rou.xml").write_text(FLOWS.format(model, " ".join(ROUTE)))
     with driven(folder, data, CONTROLLERS[kind]) as session:
         first = [session.evaluate(parameters, series=True) for parameters in sets]
         again = [session.evaluate(parameters, series=True) for parameters in reversed(sets)]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.support.motorways import CONTROLLERS, EVERYTHING, PARAMETERS, drive, driven, motorway
+from tests.support.motorways import CONTROLLERS, EVERYTHING, PARAMETERS, ROUTE, drive, driven, motorway
 from tests.support.simulators import lost
 from tests.support.vehicles import LANE_KEEPER, VEHICLES, write_vehicles
 
@@ -22,12 +22,10 @@ from drivecal.plugins import setups
 from drivecal.plugins.simulators import UnsuitableError
 
 TRAFFIC: list[dict[str, Any]] = [{"id": "leader", "s": 160, "speed": 30}, {"s": 60, "lane": 1, "speed": 33}]
-FILLED: dict[str, Any] = {
-    "flows": [{"per_hour": 1800, "speed": 30, "begin": -14, "end": -2, "lane_change": "LC2013"}],
-    "warm_up": 20,
-    "ego": {"lane": 0, "s": 300, "speed": 30},
-}
+FILLED: dict[str, Any] = {"routes": "filled.rou.xml", "begin": 100, "warm_up": 20, "ego": {"lane": 0, "s": 300, "speed": 30}}
 """Vehicles that the drive before the user's code does not meet: they enter 6 s after the begin of the warm-up."""
+ENTERING = f"""<routes><route id="r" edges="{" ".join(ROUTE)}"/>
+<flow id="f" route="r" begin="86" end="98" period="2" departSpeed="30"/></routes>"""
 STEERS = """
 def control(o, p):
     return -0.01 * o["lane_offset"], 0.0
@@ -135,6 +133,7 @@ def test_every_kernel_is_there_before_a_users_code_is_loaded(kind: str, scenario
     bundle, scratch = motorway(tmp_path / "bundle"), tmp_path / "scratch"
     write_vehicles(bundle)
     (bundle / "steers.py").write_text(STEERS)
+    (bundle / "filled.rou.xml").write_text(ENTERING)
     (scratch / "work").mkdir(parents=True)
     for path in bundle.iterdir():
         (scratch / "work" / path.name).symlink_to(path)

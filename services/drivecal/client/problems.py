@@ -60,7 +60,7 @@ def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[s
 
 def _with_notes(problem: Problem, notes: Sequence[str]) -> Problem:
     """Returns a problem of a place on a road with the first notes on the conversion, which may name its cause."""
-    if not notes or not re.search(r"\.(route|ego|traffic|flows)\b", problem.field):
+    if not notes or not re.search(r"\.(route|ego|traffic)\b", problem.field):
         return problem
     return replace(problem, remedy=f"{problem.remedy}; notes on the roads: {'; '.join(notes[:3])}")
 

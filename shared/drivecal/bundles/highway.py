@@ -23,8 +23,6 @@ Route = Annotated[list[Edge], Field(min_length=1, max_length=10_000)]
 SpeedLimit = Annotated[float, Field(ge=0.5, le=150)]
 """Metres per second."""
 Duration = Annotated[float, Field(gt=0, le=3600)]
-RunTime = Annotated[float, Field(ge=-3600, le=100_000)]
-"""Time of a run (s), below 0 in the warm-up."""
 Metres = Annotated[float, Field(gt=0, le=50)]
 Variable = Annotated[str, StringConstraints(min_length=1, max_length=255)]
 """Name of a variable of an FMU."""
@@ -223,7 +221,7 @@ class Ego(Placed):
 
 
 class Driver(Model):
-    """Driver of a vehicle or flow of the traffic; missing fields have SUMO's defaults, without randomness.
+    """Driver of a vehicle of the traffic; missing fields have SUMO's defaults, without randomness.
 
     `constant` keeps its speed whatever happens. `desired_speed` (m/s) holds whatever the limit is; without it, a vehicle wants the lane's
     limit times `speed_factor`, at most `max_speed`. `length`, `width`: by default those of a passenger car here, else SUMO's of the
@@ -275,26 +273,6 @@ class TrafficEntry(Placed, Driver):
     actions: Annotated[list[Action], Field(max_length=50, default_factory=list)]
 
 
-class FlowEntry(Driver):
-    """Vehicles that enter at the begin of `edge`, by default of the scenario's route: `per_hour`, evenly, from `begin` to `end` (s).
-
-    By default they come from the begin of the warm-up on, which is at the time -`warm_up`.
-    `random`: they come at random with this mean, as the seed decides. `number`: how many enter at most. `s`: of their centres (m) along
-    `edge`. Words for `lane`, `s` and `speed` are SUMO's, which looks for a place that is free.
-    """
-
-    id: VehicleId | None = None
-    edge: Edge | None = None
-    lane: Lane | Literal["first", "best", "allowed", "free", "random"] = 0
-    s: Position | Literal["base", "last", "free", "random", "random_free"] = "base"
-    speed: Speed | Literal["max", "desired", "avg", "last", "speedLimit", "random"] | None = None
-    per_hour: Annotated[float, Field(gt=0, le=10_000)]
-    number: Annotated[int, Field(ge=1, le=10_000)] | None = None
-    begin: RunTime | None = None
-    end: RunTime | None = None
-    random: bool = False
-
-
 class Surroundings(Model):
     """The surroundings of the controlled vehicle."""
 
@@ -305,15 +283,10 @@ class Surroundings(Model):
     begin: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """The route file's time at the run's time 0, s."""
     warm_up: Annotated[float, Field(ge=0, le=3600)] = 0.0
-    """Seconds before the run's time 0 in which the flows drive alone; each run simulates them."""
+    """Seconds before the run's time 0 in which the route file's vehicles drive alone; each run simulates them."""
     traffic: Annotated[list[TrafficEntry], Field(max_length=2000, default_factory=list)]
-    flows: Annotated[list[FlowEntry], Field(max_length=2000, default_factory=list)]
     seed: Seed = 1
     data: Annotated[dict[Identifier, Any], Field(default_factory=dict)]
-
-    def begin_of(self, flow: FlowEntry) -> float:
-        """Returns the time (s) from which a flow's vehicles come."""
-        return 0.0 - self.warm_up if flow.begin is None else flow.begin
 
 
 class HighwayScenario(Surroundings):

@@ -227,8 +227,6 @@ def scenario_problems(
     seen = {"ego"}
     traffic: Sequence[TrafficEntry | OtherVehicle] = scenario.traffic
     ids = [(f"traffic[{index}]", entry.id) for index, entry in enumerate(traffic)]
-    if not isinstance(scenario, TaskScenario):
-        ids += [(f"flows[{index}]", entry.id) for index, entry in enumerate(scenario.flows)]
     for entry, name in ids:
         if name is not None and name in seen:
             remedy = "give another id" if name != "ego" else "give another id; ego is the controlled vehicle"
@@ -238,13 +236,11 @@ def scenario_problems(
     if isinstance(scenario, TaskScenario):
         return
     drivers: list[tuple[str, Driver]] = [(f"traffic[{index}]", entry) for index, entry in enumerate(scenario.traffic)]
-    drivers += [(f"flows[{index}]", entry) for index, entry in enumerate(scenario.flows)]
     yield from _drivers(field, drivers)
     yield from _paths(field, scenario)
     is_whole = is_whole or (scenario.routes is None and isinstance(scenario, HighwayScenario))
     yield from actions_problems(field, scenario.traffic, is_whole=is_whole, others=others)
-    yield from _times(field, scenario, step, is_whole=is_whole)
-    yield from _flows(field, scenario)
+    yield from _times(field, scenario, step)
 
 
 def _paths(field: str, scenario: Described) -> Iterator[Problem]:
@@ -261,7 +257,7 @@ def _paths(field: str, scenario: Described) -> Iterator[Problem]:
             yield Problem(f"{place}.path", "all points of the path are one", "give two different points")
 
 
-def _times(field: str, scenario: Described, step: float, *, is_whole: bool) -> Iterator[Problem]:
+def _times(field: str, scenario: Described, step: float) -> Iterator[Problem]:
     """Yields the faults of `begin` and `warm_up`."""
     if scenario.begin and scenario.routes is None:
         message = "it is the time of a route file at which the run begins, but there are no `routes`"
@@ -275,30 +271,9 @@ def _times(field: str, scenario: Described, step: float, *, is_whole: bool) -> I
     if _is_multiple(step, TICK) and not _is_multiple(warm_up, step):
         message = f"{warm_up:g} s is not a multiple of the simulator's step of {step:g} s"
         yield Problem(f"{field}.warm_up", message, f"give e.g. {max(1, round(warm_up / step)) * step:g}")
-    if is_whole and scenario.routes is None and all(scenario.begin_of(flow) >= 0.0 for flow in scenario.flows):
-        message = "no vehicle and no flow enters in the warm-up, before the run's time 0"
-        yield Problem(f"{field}.warm_up", message, "leave it out, or give flows")
-
-
-def _flows(field: str, scenario: Described) -> Iterator[Problem]:
-    """Yields the faults of the times and speeds of flows."""
-    duration = scenario.duration
-    for index, flow in enumerate(scenario.flows):
-        begin = scenario.begin_of(flow)
-        if begin < -scenario.warm_up:
-            message = f"the flow begins before the warm-up of {scenario.warm_up:g} s"
-            yield Problem(f"{field}.flows[{index}].begin", message, f"give at least {0.0 - scenario.warm_up:g}")
-        if flow.end is not None and flow.end <= begin:
-            yield Problem(f"{field}.flows[{index}].end", "the flow ends before it begins", f"give more than {begin:g}")
-        if flow.random and flow.number is not None and flow.end is not None:
-            message = "random vehicles come until the end, or until the number is reached"
-            yield Problem(f"{field}.flows[{index}].number", message, "give `number` or `end`")
-        if duration is not None and begin >= duration:
-            message = f"the flow begins after the scenario's duration of {duration:g} s"
-            yield Problem(f"{field}.flows[{index}].begin", message, f"give less than {duration:g}")
-        if isinstance(flow.speed, float) and flow.desired_speed is not None and flow.speed > flow.desired_speed:
-            message = f"the vehicles would enter faster than their desired speed of {flow.desired_speed:g} m/s"
-            yield Problem(f"{field}.flows[{index}].speed", message, f"give at most {flow.desired_speed:g}")
+    if scenario.routes is None:
+        message = "the vehicles of a route file drive in the warm-up, but there are no `routes`"
+        yield Problem(f"{field}.warm_up", message, "leave it out, or give `routes`")
 
 
 def _files(field: str, scenario: Declared) -> Iterator[Problem]:

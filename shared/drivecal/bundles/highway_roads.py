@@ -14,7 +14,6 @@ from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.highway import (
     Described,
     Driver,
-    FlowEntry,
     HighwayScenario,
     HighwaySimulator,
     OpenScenario,
@@ -254,8 +253,6 @@ def _problems(roads: _Roads, field: str, scenario: HighwayScenario) -> Iterator[
         yield from _prefixed(error, f"{field}.ego")
     for index, vehicle in enumerate(scenario.traffic):
         yield from _vehicle(network, road, vehicle, f"{field}.traffic[{index}]")
-    for index, flow in enumerate(scenario.flows):
-        yield from _flow(network, scenario, flow, f"{field}.flows[{index}]")
 
 
 def _start(road: Corridor, scenario: HighwayScenario) -> float:
@@ -293,26 +290,17 @@ def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str
     yield from _on_own_route(edge, vehicle, field)
 
 
-def _flow(network: Network, scenario: HighwayScenario, flow: FlowEntry, field: str) -> Iterator[Problem]:
-    """Yields the faults of a flow's begin and route."""
-    yield from _route(network, flow, field)
-    name = flow.edge or (flow.route or scenario.route)[0]
-    edge = network.edges.get(name)
-    yield from _place(network, edge, name, flow.lane, field)
-    yield from _on_own_route(edge, flow, field)
-
-
 def _on_own_route(edge: Edge | None, driver: Driver, field: str) -> Iterator[Problem]:
     """Yields the fault of an edge of the network that is not on the driver's own route."""
     if edge is not None and driver.route is not None and edge.id not in driver.route:
         yield Problem(f"{field}.edge", f"{shown(edge.id, 80)} is not on its own route", "give an edge of `route`")
 
 
-def _place(network: Network, edge: Edge | None, name: str, lane: int | str, field: str) -> Iterator[Problem]:
+def _place(network: Network, edge: Edge | None, name: str, lane: int, field: str) -> Iterator[Problem]:
     """Yields the faults of an edge and a lane on it."""
     if edge is None or edge.function != "":
         yield _unknown(network, name, f"{field}.edge")
-    elif isinstance(lane, int) and lane >= len(edge.lanes):
+    elif lane >= len(edge.lanes):
         message = f"the edge {shown(name, 80)} has no lane {lane}"
         yield Problem(f"{field}.lane", message, f"give 0 to {len(edge.lanes) - 1}")
 

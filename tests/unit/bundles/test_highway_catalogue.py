@@ -44,4 +44,4 @@ def test_the_examples_of_the_page_are_valid() -> None:
     assert list(simulator_problems(fmu)) == []
     for block in blocks[2:4]:
         assert list(scenarios_problems(simulator.step, block["scenarios"])) == []
-    assert HighwayScenario.model_validate(blocks[2]["scenarios"]["merge"]).flows
+    assert HighwayScenario.model_validate(blocks[2]["scenarios"]["merge"]).traffic

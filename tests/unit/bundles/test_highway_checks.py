@@ -10,7 +10,7 @@ from tests.unit.bundles.test_checks import faults
 
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
-from drivecal.bundles.highway import CLASSES, FlowEntry, HighwaySimulator, TrafficEntry
+from drivecal.bundles.highway import CLASSES, HighwaySimulator, TrafficEntry
 from drivecal.bundles.installed import installed_problems
 from drivecal.domain.errors import InvalidInputError
 from drivecal.plugins import setups
@@ -41,7 +41,6 @@ VALID: dict[str, Any] = {
                 {"s": 150, "lane": 1, "speed": 25, "model": "Krauss", "actions": [{"do": "cut_in", "gap": 20, "lane": 0}]},
                 {"s": 50, "edge": "ramp", "route": ["ramp", "e2"], "speed": 20, "parameters": {"lcAssertive": 2}},
             ],
-            "flows": [{"per_hour": 600, "lane": 1}],
             "seed": 7,
         },
     },
@@ -133,16 +132,9 @@ def test_a_vehicle_may_have_other_values_than_those_of_table_8() -> None:
         ("scenarios/busy/traffic/2/parameters", {"lcAssertiv": 2}, "scenarios.busy.traffic[2].parameters.lcAssertiv"),
         ("scenarios/busy/traffic/2/parameters", {"accel": -5}, "scenarios.busy.traffic[2].parameters.accel"),
         ("scenarios/busy/traffic/2/parameters", {"tau": 0}, "scenarios.busy.traffic[2].parameters.tau"),
-        ("scenarios/busy/flows/0/parameters", {"decel": 0}, "scenarios.busy.flows[0].parameters.decel"),
-        ("scenarios/busy/flows/0/parameters", {"minGap": -1, "sigma": 0}, "scenarios.busy.flows[0].parameters.minGap"),
-        ("scenarios/busy/flows/0/begin", 20, "scenarios.busy.flows[0].begin"),
-        ("scenarios/busy/flows/0", {"per_hour": 60, "speed": 30, "desired_speed": 25}, "scenarios.busy.flows[0].speed"),
-        ("scenarios/busy/flows/0/per_hour", 0, "scenarios.busy.flows[0].per_hour"),
-        ("scenarios/busy/flows/0/end", 0, "scenarios.busy.flows[0].end"),
-        ("scenarios/busy/flows/0/begin", -1, "scenarios.busy.flows[0].begin"),
         ("scenarios/busy/begin", 25_200, "scenarios.busy.begin"),
         ("scenarios/busy/begin", -1, "scenarios.busy.begin"),
-        ("scenarios/busy/warm_up", 30.05, "scenarios.busy.warm_up"),
+        ("scenarios/busy/warm_up", 30, "scenarios.busy.warm_up"),
         ("scenarios/busy/warm_up", 3601, "scenarios.busy.warm_up"),
         ("scenarios/merge/warm_up", 30, "scenarios.merge.warm_up"),
         ("measures/min_ttc", "s", "measures.min_ttc"),
@@ -155,16 +147,6 @@ def test_a_vehicle_may_have_other_values_than_those_of_table_8() -> None:
 )
 def test_a_fault_is_named_by_its_field(path: str, value: Any, field: str) -> None:
     assert faults(changed(path, value), FILES) == {field}
-
-
-def test_flows_come_in_the_warm_up_unless_they_begin_later() -> None:
-    given = changed("scenarios/busy/warm_up", 60)
-    assert checked(given, FILES)
-    given["scenarios"]["busy"]["flows"][0]["begin"] = -60
-    assert checked(given, FILES)
-    for begin, field in ((-61, "flows[0].begin"), (0, "warm_up")):
-        given["scenarios"]["busy"]["flows"][0]["begin"] = begin
-        assert faults(given, FILES) == {f"scenarios.busy.{field}"}
 
 
 @pytest.mark.parametrize(
@@ -289,9 +271,9 @@ def test_vehicles_have_the_size_of_their_class(name: str) -> None:
     """The route files' tests compare these sizes with SUMO's."""
     size = (4.7, 1.9) if name == "passenger" else CLASSES[name][:2]
     entry = TrafficEntry.model_validate({"s": 100, "speed": 20, "vehicle_class": name})
-    flow = FlowEntry.model_validate({"per_hour": 100, "vehicle_class": name, "length": 9.0})
+    longer = TrafficEntry.model_validate({"s": 100, "speed": 20, "vehicle_class": name, "length": 9.0})
     assert (entry.length, entry.width) == size
-    assert (flow.length, flow.width) == (9.0, size[1])
+    assert (longer.length, longer.width) == (9.0, size[1])
 
 
 PLANNED: dict[str, Any] = yaml.safe_load((installed_problems()["highway"].folder / "problem.yaml").read_text()) | {
@@ -341,7 +323,7 @@ def test_the_planner_has_its_parameters_once_and_drives_tasks_only() -> None:
 
     def given(values: dict[str, int], **other: Any) -> dict[str, Any]:
         simulator = PLANNED["simulator"] | {"controller": {"kind": "planner", "values": values}}
-        searched = {"parameters": {"P1": PLANNED["parameters"]["P1"]}, "baseline": None, "constraints": []}
+        searched: dict[str, Any] = {"parameters": {"P1": PLANNED["parameters"]["P1"]}, "baseline": None, "constraints": []}
         return PLANNED | searched | {"simulator": simulator} | other
 
     def found(values: dict[str, int], **other: Any) -> set[str]:

@@ -36,7 +36,6 @@ MANIFEST: dict[str, Any] = {
                 {"s": 160, "lane": 1, "speed": 25},
                 {"edge": "ramp", "route": ["ramp", "beside", "after"], "s": 40, "speed": 20},
             ],
-            "flows": [{"edge": "ramp", "route": ["ramp", "beside"], "per_hour": 300}],
         }
     },
     "measures": {"min_ttc_s": "s"},
@@ -98,10 +97,6 @@ def test_a_scenario_that_fits_its_network_passes() -> None:
         ("traffic.1.route", ["ramp", "after"], "traffic[1].route[1]"),
         ("traffic.1.route", ["ramp", "besides"], "traffic[1].route[1]"),
         ("traffic.0", {"s": 160, "speed": 25, "route": ["ramp", "beside"]}, "traffic[0].route"),
-        ("flows.0.edge", "ramps", "flows[0].edge"),
-        ("flows.0.edge", "before", "flows[0].edge"),
-        ("flows.0.lane", 1, "flows[0].lane"),
-        ("flows.0.route", ["ramp", "before"], "flows[0].route[1]"),
     ],
 )
 def test_what_does_not_fit_is_named(path: str, value: Any, field: str) -> None:
@@ -110,14 +105,14 @@ def test_what_does_not_fit_is_named(path: str, value: Any, field: str) -> None:
 
 def test_crossings_on_the_route_are_named() -> None:
     document = changed("network", "town.net.xml")
-    document["scenarios"]["merge"] |= {"route": ["west", "east"], "traffic": [], "flows": []}
+    document["scenarios"]["merge"] |= {"route": ["west", "east"], "traffic": []}
     assert fields(document) == ["scenarios.merge.route[1]"]
 
 
 @pytest.mark.parametrize(("routes", "edges"), [(101, 1), (11, 2_000)])
 def test_more_routes_than_can_be_checked_in_a_push_are_refused_before_any(routes: int, edges: int) -> None:
     document = changed("traffic", [])
-    scenario = document["scenarios"]["merge"] | {"flows": []}
+    scenario = document["scenarios"]["merge"]
     document["scenarios"] = {
         f"s{number}": scenario | {"route": [f"e{number}_{edge}" for edge in range(edges)]} for number in range(routes)
     }
@@ -127,7 +122,7 @@ def test_more_routes_than_can_be_checked_in_a_push_are_refused_before_any(routes
 def test_a_route_of_many_scenarios_is_checked_once(monkeypatch: pytest.MonkeyPatch) -> None:
     document = copy.deepcopy(MANIFEST)
     scenario = document["scenarios"]["merge"]
-    others = changed("route", ["ramp", "beside", "after"])["scenarios"]["merge"] | {"traffic": [], "flows": []}
+    others = changed("route", ["ramp", "beside", "after"])["scenarios"]["merge"] | {"traffic": []}
     document["scenarios"] = {f"s{number}": others if number % 2 else scenario for number in range(6)}
     routes: list[list[str]] = []
 
@@ -172,12 +167,7 @@ OPEN_ROUTE = ["-1#0", "-1#1", "-1#2", "-3"]
 def folder(path: Path, road: bytes, **others: bytes) -> Path:
     """A folder with an OpenDRIVE file."""
     document = changed("network", "maps/road.xodr")
-    document["scenarios"]["merge"] |= {
-        "route": OPEN_ROUTE,
-        "ego": {"lane": 2, "s": 50, "speed": 30},
-        "traffic": [],
-        "flows": [],
-    }
+    document["scenarios"]["merge"] |= {"route": OPEN_ROUTE, "ego": {"lane": 2, "s": 50, "speed": 30}, "traffic": []}
     (path / "maps").mkdir(parents=True, exist_ok=True)
     (path / "problem.yaml").write_text(yaml.safe_dump(document))
     (path / "acc.py").write_text(CODE)

@@ -81,8 +81,8 @@ def described(scenario: Declared, files: Files, maps: Maps, step: float) -> Desc
 def _complete(scenario: OpenScenario, files: Files, maps: Maps, step: float) -> Description:
     """Returns a scenario with the entries of its OpenSCENARIO file."""
     # Vehicles of the file do as they are told, and give way to none.
-    crossings = not (scenario.flows or scenario.routes or any(entry.model != "constant" for entry in scenario.traffic))
-    names = VehicleNames([*(vehicle.id for vehicle in scenario.traffic), *(flow.id for flow in scenario.flows)])
+    crossings = not (scenario.routes or any(entry.model != "constant" for entry in scenario.traffic))
+    names = VehicleNames(vehicle.id for vehicle in scenario.traffic)
     document = scenario.model_dump(exclude_none=True, exclude={"openscenario", "parameters", "ego"})
     network, limit = network_of(scenario, files), scenario.default_limit
     roads = maps(network)
@@ -96,11 +96,11 @@ def _complete(scenario: OpenScenario, files: Files, maps: Maps, step: float) -> 
     document |= {"network": network, "crossings": crossings} | content
     origins: dict[str, Problem] = {}
     for entry in entries:
-        section = document.setdefault(entry.section, [])
+        section = document.setdefault("traffic", [])
         element = entry.element
         place = element.fault("", "").problems[0]
         message = f"{element.file}: {place.message.removesuffix(': ')}"
-        origins[f"{entry.section}[{len(section)}]"] = Problem("openscenario", message)
+        origins[f"traffic[{len(section)}]"] = Problem("openscenario", message)
         section.append({key: value for key, value in entry.document.items() if value is not None})
     try:
         complete = validated(HighwayScenario, document)

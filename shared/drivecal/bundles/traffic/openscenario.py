@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil, pi
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,9 +30,8 @@ LONGEST = 64
 
 
 class Entry(NamedTuple):
-    """An entry of a scenario's section, as a document."""
+    """An entry of a scenario's traffic, as a document."""
 
-    section: Literal["traffic", "flows"]
     document: dict[str, Any]
     element: Element
 
@@ -159,11 +158,7 @@ class ScenarioFile:
         actions = Storyboard(storyboard, ids, centres, Ways(ways, roads, paths, reader), reached, self._notes).actions
         document = {"route": route, "duration": duration, "ego": _placed(starts[ego.name], ego)}
         entries = [
-            Entry(
-                "traffic",
-                self._vehicle(entity, starts[name], ids[name], ways.get(ids[name], []), route, actions),
-                entity.element,
-            )
+            Entry(self._vehicle(entity, starts[name], ids[name], ways.get(ids[name], []), route, actions), entity.element)
             for name, entity in present.items()
             if name != ego.name
         ]

@@ -118,7 +118,6 @@ class _Reader:
         self._notes = Notes(name)
         self._types, self._routes = {"DEFAULT_VEHTYPE"}, set[str]()
         self._taken = {EGO, *(entry.id or f"vehicle{index}" for index, entry in enumerate(scenario.traffic))}
-        self._taken |= {entry.id or f"flow{index}" for index, entry in enumerate(scenario.flows)}
         self._times: list[float] = []
         self._early = 0
         self._departing: list[tuple[float, Element]] = []

@@ -27,21 +27,18 @@ def test_each_vehicle_has_a_type_and_a_route() -> None:
 
 
 def test_drivers_with_a_route_of_their_own_begin_at_their_edge_on_it() -> None:
-    own = {"route": ["c", "d", "b"]}
-    root = written(scenario(traffic=[{"s": 1, "speed": 20, "edge": "d"} | own], flows=[{"per_hour": 60, "edge": "b"} | own]))
+    own = {"route": ["c", "d", "b"], "s": 1, "speed": 20}
+    root = written(scenario(traffic=[{"edge": "d"} | own, {"edge": "b"} | own]))
     routes = {route.get("id"): route.get("edges") for route in root.iter("route")}
-    assert routes == {"route-ego": "a b", "route-vehicle0": "d b", "route-flow0": "b"}
+    assert routes == {"route-ego": "a b", "route-vehicle0": "d b", "route-vehicle1": "b"}
     with pytest.raises(InvalidInputError) as refused:
-        routes_file(scenario(flows=[{"per_hour": 60}, {"per_hour": 60, "edge": "a"} | own]))
-    assert [problem.field for problem in refused.value.problems] == ["flows[1].edge"]
+        routes_file(scenario(traffic=[{"edge": "b"} | own, {"edge": "a"} | own]))
+    assert [problem.field for problem in refused.value.problems] == ["traffic[1].edge"]
 
 
 def test_ids_are_the_user_s_or_the_next_free_one() -> None:
-    vehicles, flows = drivers(
-        scenario(traffic=[{"s": 1, "speed": 20}, {"id": "vehicle0", "s": 9, "speed": 20}], flows=[{"id": "x", "per_hour": 60}])
-    )
+    vehicles = drivers(scenario(traffic=[{"s": 1, "speed": 20}, {"id": "vehicle0", "s": 9, "speed": 20}]))
     assert list(vehicles) == ["vehicle0_", "vehicle0"]
-    assert list(flows) == ["x"]
 
 
 def test_a_type_has_the_driver_s_values_and_no_randomness_of_its_own() -> None:
@@ -69,16 +66,6 @@ def test_a_desired_speed_holds_whatever_the_limit_is() -> None:
     assert (kind.get("maxSpeed"), float(kind.get("speedFactor", 0)) * 10 > 40) == ("40.0", True)
 
 
-def test_flows_are_even_or_random_and_in_the_order_of_their_begins() -> None:
-    flows = list(
-        written(scenario(flows=[{"per_hour": 600, "begin": 5}, {"per_hour": 1800, "random": True, "end": 100}])).iter("flow")
-    )
-    assert [flow.get("id") for flow in flows] == ["flow1", "flow0"]
-    assert flows[1].get("period") == "6.0"
-    assert flows[0].get("period") == "exp(0.5)"
-    assert flows[0].get("end") == "20.0"
-
-
 @pytest.mark.parametrize(
     ("vehicle", "exact"),
     [
@@ -93,7 +80,7 @@ def test_flows_are_even_or_random_and_in_the_order_of_their_begins() -> None:
 )
 def test_vehicles_are_added_again_only_if_nothing_is_random(vehicle: dict[str, Any], exact: bool) -> None:
     assert is_exact(scenario(traffic=[{"s": 50, "speed": 20} | vehicle])) is exact
-    assert not is_exact(scenario(traffic=[{"s": 50, "speed": 20} | vehicle], flows=[{"per_hour": 60}]))
+    assert not is_exact(scenario(traffic=[{"s": 50, "speed": 20} | vehicle], routes="r.rou.xml"))
 
 
 def test_lane_changes_take_time_and_the_seed_is_the_scenario_s() -> None:
@@ -105,30 +92,3 @@ def test_lane_changes_take_time_and_the_seed_is_the_scenario_s() -> None:
     assert option("--lanechange.duration", "LC2013") == "3.0"
     assert option("--lateral-resolution", "SL2015") == "0.8"
     assert option("--lanechange.duration", "none") is None
-
-
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        ({"per_hour": 900}, {"end": "20.0", "period": "4.0", "departPos": "base", "departSpeed": "max", "departLane": "0"}),
-        ({"per_hour": 900, "number": 3}, {"number": "3", "period": "4.0"}),
-        ({"per_hour": 900, "number": 30}, {"number": "5", "period": "4.0"}),
-        ({"per_hour": 900, "number": 2, "random": True}, {"number": "2", "period": "exp(0.25)"}),
-        ({"per_hour": 900, "s": 30, "length": 5, "lane": "free", "speed": "avg"}, {"departPos": "32.5", "departLane": "free"}),
-    ],
-)
-def test_a_flow_says_how_many_enter_when_and_where(given: dict[str, Any], expected: dict[str, str]) -> None:
-    flow = next(written(scenario(flows=[given])).iter("flow"))
-    assert expected.items() <= flow.attrib.items()
-    assert len({"end", "number"} & flow.attrib.keys()) == 1
-
-
-def test_sumo_s_time_0_is_the_begin_of_the_warm_up() -> None:
-    flows = [{"per_hour": 900}, {"per_hour": 900, "begin": -10, "end": 5}, {"per_hour": 900, "begin": 2, "number": 9}]
-    first, second, third = written(scenario(warm_up=60, flows=flows)).iter("flow")
-    assert [flow.get("begin") for flow in (first, second, third)] == ["0.0", "50.0", "62.0"]
-    assert [(flow.get("end"), flow.get("number")) for flow in (first, second, third)] == [
-        ("80.0", None),
-        ("65.0", None),
-        (None, "5"),
-    ]

@@ -2,12 +2,14 @@
 
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 from tests.support.motorways import NETWORK, ROUTE
 
 from drivecal.bundles.highway import HighwayScenario
+from drivecal.bundles.traffic.route_files import RouteTraffic
 from drivecal.domain.roads import Floats
 from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
@@ -19,8 +21,10 @@ from drivecal.roads.corridor import corridor
 from drivecal.roads.network import read_network
 
 STEP, START, SPEED = 0.1, 2000.0, 25.0
-FLOW = {"per_hour": 1800, "lane": 0, "speed": 25, "model": "Krauss", "sigma": 0.5, "speed_deviation": 0.1}
-"""Enters 2 km behind the ego vehicle."""
+BEGIN = 1000.0
+KIND = {"carFollowModel": "Krauss", "sigma": "0.5", "speedDev": "0.1"}
+FLOW = {"period": "2", "departLane": "0", "departSpeed": "25"}
+"""Enters 2 km behind the ego vehicle from the begin of the warm-up on."""
 
 
 @pytest.fixture(scope="module")
@@ -28,17 +32,24 @@ def road() -> HighwayRoad:
     return HighwayRoad(corridor(read_network(NETWORK.read_bytes(), "road.net.xml"), ROUTE, "road.net.xml"), {})
 
 
-def traffic(road: HighwayRoad, folder: Path, flow: dict[str, Any] = FLOW, warm_up: float = 120.0, **data: Any) -> Traffic:
-    given = {
-        "network": "road.net.xml",
-        "route": ROUTE,
-        "duration": 20,
-        "ego": {"s": START, "speed": SPEED},
-        "flows": [flow],
-        "warm_up": warm_up,
-        "seed": 3,
-    } | data
-    return Traffic("s", HighwayScenario.model_validate(given), NETWORK, road, STEP, folder)
+def traffic(
+    road: HighwayRoad,
+    folder: Path,
+    kind: dict[str, str] = KIND,
+    flow: dict[str, str] = FLOW,
+    warm_up: float = 120.0,
+    **data: Any,
+) -> Traffic:
+    begin = BEGIN - warm_up
+    given = {"network": "road.net.xml", "route": ROUTE, "duration": 20, "ego": {"s": START, "speed": SPEED}, "seed": 3}
+    given |= {"routes": "day.rou.xml", "begin": BEGIN, "warm_up": warm_up} | data
+    root = ET.Element("routes")
+    ET.SubElement(root, "vType", kind | {"id": "t"})
+    ET.SubElement(root, "route", id="r", edges=" ".join(ROUTE))
+    ET.SubElement(root, "flow", flow | {"id": "f", "type": "t", "route": "r", "begin": repr(begin), "end": "9999"})
+    changes = frozenset([kind.get("laneChangeModel", "LC2013")])
+    routes = RouteTraffic(ET.tostring(root), (), frozenset(), changes, ())
+    return Traffic("s", HighwayScenario.model_validate(given), NETWORK, road, STEP, folder, routes)
 
 
 def said(subject: Traffic) -> Floats:
@@ -79,33 +90,33 @@ def test_a_flow_far_behind_has_reached_the_ego_vehicle_at_time_0(road: HighwayRo
 def test_a_start_may_leave_the_warm_up_out(road: HighwayRoad, tmp_path: Path) -> None:
     subject = traffic(road, tmp_path)
     subject.reset(is_warm=False)
-    assert sumo.simulation.getTime() == 0.0
-    assert {*subject.names, "ego"} == set(sumo.vehicle.getIDList()) == {"ego"}
+    assert {*subject.names, "ego"} == set(sumo.vehicle.getIDList())
+    assert len(subject.names) <= 1
     subject.reset()
-    assert sumo.simulation.getTime() == pytest.approx(120.0)
+    assert sumo.simulation.getTime() == pytest.approx(BEGIN + STEP)
+    assert len(subject.names) > 30
 
 
 @pytest.mark.parametrize(
-    "flow",
+    "kind",
     [
-        FLOW,
-        FLOW | {"random": True, "lane": "free", "lane_change": "LC2013"},
-        pytest.param(FLOW | {"model": "IDM", "lane_change": "SL2015", "lane": "free"}, marks=pytest.mark.slow),
-        pytest.param(FLOW | {"model": "EIDM", "lane_change": "LC2013"}, marks=pytest.mark.slow),
-        pytest.param(FLOW | {"model": "ACC"}, marks=pytest.mark.slow),
-        pytest.param(FLOW | {"model": "CACC"}, marks=pytest.mark.slow),
-        pytest.param(FLOW | {"model": "W99"}, marks=pytest.mark.slow),
-        pytest.param(FLOW | {"model": "constant", "speed_deviation": 0.0}, marks=pytest.mark.slow),
+        KIND,
+        pytest.param(KIND | {"laneChangeModel": "SL2015"}, marks=pytest.mark.slow),
+        pytest.param(KIND | {"carFollowModel": "EIDM"}, marks=pytest.mark.slow),
+        pytest.param(KIND | {"carFollowModel": "ACC"}, marks=pytest.mark.slow),
+        pytest.param(KIND | {"carFollowModel": "CACC"}, marks=pytest.mark.slow),
+        pytest.param(KIND | {"carFollowModel": "W99"}, marks=pytest.mark.slow),
     ],
-    ids=lambda flow: f"{flow['model']}-{flow.get('lane_change')}",
+    ids=lambda kind: f"{kind['carFollowModel']}-{kind.get('laneChangeModel')}",
 )
-def test_each_run_begins_and_goes_on_with_the_same_bits(flow: dict[str, Any], road: HighwayRoad, tmp_path: Path) -> None:
-    subject = traffic(road, tmp_path, flow)
+def test_each_run_begins_and_goes_on_with_the_same_bits(kind: dict[str, str], road: HighwayRoad, tmp_path: Path) -> None:
+    flow = FLOW | {"period": "exp(0.5)", "departLane": "free"}
+    subject = traffic(road, tmp_path, kind, flow)
     first = driven(subject, road)
     assert len(first[0][0]) > 20
     assert same(first, driven(subject, road))
     (tmp_path / "other").mkdir()
-    assert same(first, driven(traffic(road, tmp_path / "other", flow), road))
+    assert same(first, driven(traffic(road, tmp_path / "other", kind, flow), road))
 
 
 def test_times_of_actions_count_from_time_0(road: HighwayRoad, tmp_path: Path) -> None:
@@ -117,26 +128,28 @@ def test_times_of_actions_count_from_time_0(road: HighwayRoad, tmp_path: Path) -
 
 
 def test_the_ego_vehicle_and_placed_ones_have_room_at_time_0(road: HighwayRoad, tmp_path: Path) -> None:
-    dense = FLOW | {"per_hour": 3600, "speed": 20, "model": "IDM", "desired_speed": 20, "time_headway": 0.8}
+    kind = {"carFollowModel": "IDM", "maxSpeed": "20", "speedFactor": "10", "speedDev": "0", "tau": "0.8"}
+    dense = {"period": "1", "departLane": "0", "departSpeed": "20"}
     at = {"speed": SPEED, "lane": 0}
-    subject = traffic(road, tmp_path, dense, warm_up=150, traffic=[at | {"id": "lead", "s": START + 60}])
+    subject = traffic(road, tmp_path, kind, dense, warm_up=150, traffic=[at | {"id": "lead", "s": START + 60}])
     subject.reset()
     assert subject.names[0] == "lead"
     assert subject.starting == 1
     assert len(subject.names) > 30
     pose, size = np.array([*road.start(START, subject.start_d)]), np.array([2.35, 0.95])
     assert hit(subject.outlines, pose, size) < 0
-    s = subject.neighbours[1:, 0]
+    others = subject.neighbours[1:]
+    s = others[np.abs(others[:, 1] - subject.start_d) < 1.0, 0]  # in the same lane
     behind, ahead = START - s[s < START], s[s > START + 60] - START - 60
-    assert behind.min() > STANDING_GAP + HEADWAY * 20 + 4.7
+    assert behind.min() > STANDING_GAP + HEADWAY * subject.neighbours[1:, 2].min() + 4.7
     assert ahead.min() > STANDING_GAP + HEADWAY * SPEED + 5**2 / (2 * BRAKING) + 4.7
     assert not len(s[(s > START) & (s < START + 60)])
 
 
 def test_a_vehicle_that_changes_into_the_lane_of_the_ego_vehicle_leaves_it_room(road: HighwayRoad, tmp_path: Path) -> None:
-    flow = FLOW | {"lane_change": "LC2013"}
-    subject = traffic(road, tmp_path, flow, warm_up=60)
+    subject = traffic(road, tmp_path, warm_up=60)
     subject.reset(is_warm=False)
+    begin = sumo.simulation.getTime()
     changing: list[str] = []
     while not changing:
         sumo.STEP()
@@ -147,7 +160,7 @@ def test_a_vehicle_that_changes_into_the_lane_of_the_ego_vehicle_leaves_it_room(
     assert sumo.vehicle.getLateralLanePosition(name) < 0.5
     for lane, ahead, is_there in ((0, 10.0, False), (1, 10.0, False), (1, 500.0, True)):
         ego = {"s": s + ahead, "lane": lane, "speed": SPEED}
-        subject = traffic(road, tmp_path, flow, warm_up=round(time, 6), ego=ego)
+        subject = traffic(road, tmp_path, warm_up=round(time - begin, 6), ego=ego)
         subject.reset()
         assert (name in subject.names) is is_there
 

@@ -1,17 +1,16 @@
 """SUMO's route file and command line options of a scenario, and the traffic before a run.
 
-SUMO's flows drive alone until the run's time 0, and vehicles too close to a vehicle that starts then are removed. This warm-up is simulated
-before each run. A state that SUMO has written would be there in a tenth of the time, but not always with the same bits: vehicles with
-SL2015 go on otherwise each time that they are restored (SUMO 1.28).
+The vehicles of a route file drive alone until the run's time 0, and those too close to a vehicle that starts then are removed. This
+warm-up is simulated before each run. A state that SUMO has written would be there in a tenth of the time, but not always with the same
+bits: vehicles with SL2015 go on otherwise each time that they are restored (SUMO 1.28).
 """
 
-from collections.abc import Callable, Sequence
-from math import ceil
+from collections.abc import Sequence
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 
-from drivecal.bundles.highway import Driver, FlowEntry, HighwayScenario, TrafficEntry
+from drivecal.bundles.highway import Driver, HighwayScenario, TrafficEntry
 from drivecal.bundles.highway_actions import Brake, Wait
 from drivecal.bundles.traffic.route_files import SUBLANE as SUBLANE_MODEL
 from drivecal.bundles.traffic.route_files import RouteTraffic
@@ -31,34 +30,29 @@ ANY_LIMIT = 100.0
 """Factor of the limit with which a desired speed holds whatever the limit is."""
 
 
-def drivers(scenario: HighwayScenario) -> tuple[dict[str, TrafficEntry], dict[str, FlowEntry]]:
-    """Returns vehicles and flows by id; those without one are called `vehicle0`, `flow0` and so on."""
-    taken = {entry.id for entry in scenario.traffic} | {entry.id for entry in scenario.flows}
+def drivers(scenario: HighwayScenario) -> dict[str, TrafficEntry]:
+    """Returns vehicles by id; those without one are called `vehicle0` and so on."""
+    taken = {entry.id for entry in scenario.traffic}
 
-    def free(kind: str, given: str | None, index: int) -> str:
-        name = given or f"{kind}{index}"
+    def free(given: str | None, index: int) -> str:
+        name = given or f"vehicle{index}"
         while given is None and name in taken:
             name += "_"
         taken.add(name)
         return name
 
-    vehicles = {free("vehicle", vehicle.id, index): vehicle for index, vehicle in enumerate(scenario.traffic)}
-    return vehicles, {free("flow", flow.id, index): flow for index, flow in enumerate(scenario.flows)}
+    return {free(vehicle.id, index): vehicle for index, vehicle in enumerate(scenario.traffic)}
 
 
 def is_exact(scenario: HighwayScenario) -> bool:
     """Returns whether nothing in a scenario is random and no vehicle enters later, so that vehicles can be added again for each run."""
-    return (
-        not scenario.flows
-        and scenario.routes is None
-        and all(
-            vehicle.sigma == 0.0
-            and vehicle.speed_deviation == 0.0
-            and vehicle.lane_change == "none"
-            and vehicle.model not in RANDOM
-            and not vehicle.parameters
-            for vehicle in scenario.traffic
-        )
+    return scenario.routes is None and all(
+        vehicle.sigma == 0.0
+        and vehicle.speed_deviation == 0.0
+        and vehicle.lane_change == "none"
+        and vehicle.model not in RANDOM
+        and not vehicle.parameters
+        for vehicle in scenario.traffic
     )
 
 
@@ -75,23 +69,17 @@ def keeps_lanes(scenario: HighwayScenario) -> bool:
 
 
 def route_id(name: str) -> str:
-    """Returns the id of a vehicle's or flow's route."""
+    """Returns the id of a vehicle's route."""
     return f"route-{name}"
 
 
-def start_time(scenario: HighwayScenario) -> float:
-    """Returns SUMO's time (s) at the run's time 0: that of the route file; without one, SUMO's time 0 is the begin of the warm-up."""
-    return scenario.warm_up if scenario.routes is None else scenario.begin
-
-
 def routes_file(scenario: HighwayScenario, routes: RouteTraffic | None = None) -> bytes:
-    """Returns SUMO's file of the scenario's own vehicles and flows: a type and a route each, and the flows. Each run adds the vehicles.
+    """Returns SUMO's file of the scenario's own vehicles: a type and a route each. Each run adds the vehicles.
 
     `routes`: the traffic of the scenario's route file.
 
-    Raises InvalidInputError with fields `traffic[i].edge` or `flows[i].edge`.
+    Raises InvalidInputError with the field `traffic[i].edge`.
     """
-    vehicles, flows = drivers(scenario)
     unmoved = SUBLANE_MODEL if _is_sublane(scenario, routes) else "LC2013"
     root = Element("routes")
     ego = scenario.ego
@@ -99,14 +87,11 @@ def routes_file(scenario: HighwayScenario, routes: RouteTraffic | None = None) -
         root, "vType", {"id": EGO, "length": repr(ego.length), "width": repr(ego.width), **_FREE} | _model(_NOBODY, unmoved)
     )
     SubElement(root, "route", id=route_id(EGO), edges=" ".join(scenario.route))
-    fields = [f"traffic[{index}]" for index in range(len(vehicles))] + [f"flows[{index}]" for index in range(len(flows))]
-    for field, (name, entry) in zip(fields, (vehicles | flows).items(), strict=True):
-        if isinstance(entry, TrafficEntry) and entry.path is not None:
+    for index, (name, entry) in enumerate(drivers(scenario).items()):
+        if entry.path is not None:
             continue
         SubElement(root, "vType", {"id": name} | _type(entry, unmoved))
-        SubElement(root, "route", id=route_id(name), edges=" ".join(_route(scenario, entry, field)))
-    for name, flow in sorted(flows.items(), key=lambda entry: scenario.begin_of(entry[1])):
-        SubElement(root, "flow", _flow(name, flow, scenario))
+        SubElement(root, "route", id=route_id(name), edges=" ".join(_route(scenario, entry, f"traffic[{index}]")))
     return tostring(root)
 
 
@@ -115,7 +100,7 @@ _FREE = {"speedFactor": "100", "speedDev": "0", "maxSpeed": "200"}
 _NOBODY = Driver.model_validate({})
 
 
-def _route(scenario: HighwayScenario, driver: TrafficEntry | FlowEntry, field: str) -> list[str]:
+def _route(scenario: HighwayScenario, driver: TrafficEntry, field: str) -> list[str]:
     """Returns the edges that begin with the driver's `edge`: its whole route if it is off the scenario's."""
     edge, own = driver.edge, driver.route is not None
     route = scenario.route if driver.route is None else driver.route
@@ -134,7 +119,7 @@ def _is_sublane(scenario: HighwayScenario, routes: RouteTraffic | None) -> bool:
 
 
 def _lane_changes(scenario: HighwayScenario, routes: RouteTraffic | None) -> frozenset[str]:
-    own = frozenset(entry.lane_change for entry in (*scenario.traffic, *scenario.flows))
+    own = frozenset(entry.lane_change for entry in scenario.traffic)
     return own if routes is None else own | routes.lane_changes
 
 
@@ -164,26 +149,6 @@ def _type(driver: Driver, unmoved: str) -> dict[str, str]:
     return _model(driver, unmoved) | {name: repr(float(value)) for name, value in values.items() if value is not None}
 
 
-def _flow(name: str, flow: FlowEntry, scenario: HighwayScenario) -> dict[str, str]:
-    mean, begin, start = 3600.0 / flow.per_hour, scenario.begin_of(flow), start_time(scenario)
-    speed = "max" if flow.speed is None else flow.speed
-    end = min(scenario.duration, scenario.duration if flow.end is None else flow.end)
-    amount = {"end": repr(start + end)}
-    if flow.number is not None:  # SUMO takes either of them
-        fitting = max(1, ceil((end - begin) / mean - 1e-9))
-        amount = {"number": str(flow.number if flow.random else min(flow.number, fitting))}
-    return {
-        "id": name,
-        "type": name,
-        "route": route_id(name),
-        "begin": repr(start + begin),
-        "departLane": str(flow.lane),
-        "departPos": flow.s if isinstance(flow.s, str) else repr(flow.s + 0.5 * flow.length),
-        "departSpeed": speed if isinstance(speed, str) else repr(speed),
-        "period": f"exp({1.0 / mean!r})" if flow.random else repr(mean),
-    } | amount
-
-
 def options(
     scenario: HighwayScenario, network: str, route_file: str, step: float, routes: RouteTraffic | None = None
 ) -> list[str]:
@@ -200,18 +165,6 @@ def options(
 STANDING_GAP, HEADWAY, BRAKING, BESIDE = 2.0, 1.0, 3.0, 0.5
 """A vehicle that starts has room: 2 m and 1 s of driving of the vehicle behind, and its braking distance to the speed of the
 one ahead at 3 m/s². A vehicle that is less than 0.5 m from its way has to leave it."""
-
-
-def drive_alone(steps: int, instruct: Callable[[str, float], None]) -> None:
-    """Simulates the traffic, just loaded, until time 0. Raises one of `sumo.SUMO_ERRORS`.
-
-    `instruct`: tells a vehicle that enters, at a speed (m/s), what it may do.
-    """
-    for _ in range(steps):
-        sumo.STEP()
-        if sumo.DEPARTED():
-            for name in sumo.simulation.getDepartedIDList():
-                instruct(name, sumo.GET_SPEED(name))
 
 
 def too_close(

@@ -16,7 +16,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from drivecal.bundles.highway import Driver, Ego, HighwayScenario, Placed, TrafficEntry
+from drivecal.bundles.highway import Ego, HighwayScenario, Placed
 from drivecal.bundles.traffic.route_files import RouteTraffic
 from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem
 from drivecal.domain.roads import Floats
@@ -24,17 +24,7 @@ from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
 from drivecal.highway.drive.actions import Actions, Moving, PathVehicle
 from drivecal.highway.drive.road import HighwayRoad
-from drivecal.highway.drive.routes import (
-    drive_alone,
-    drivers,
-    is_exact,
-    keeps_lanes,
-    options,
-    route_id,
-    routes_file,
-    start_time,
-    too_close,
-)
+from drivecal.highway.drive.routes import drivers, is_exact, keeps_lanes, options, route_id, routes_file, too_close
 from drivecal.highway.geometry import point
 from drivecal.highway.sumo import (
     ARRIVED,
@@ -92,7 +82,7 @@ class Traffic:
 
         Args:
             name: The scenario's.
-            scenario: With its own vehicles and flows.
+            scenario: With its own vehicles.
             network: SUMO's file.
             road: The road of the drive.
             step: Seconds of a step.
@@ -105,13 +95,13 @@ class Traffic:
             InvalidInputError: A vehicle's place is not on the road.
         """
         self.name, self.scenario, self.road, self.step = name, scenario, road, step
-        vehicles, flows = drivers(scenario)
+        vehicles = drivers(scenario)
         self._paths = {name: PathVehicle(vehicle) for name, vehicle in vehicles.items() if vehicle.path is not None}
         """Vehicles that SUMO does not know; their rows are the last."""
         self._vehicles = [name for name in vehicles if name not in self._paths]
         self.starting = len(vehicles)
         """Number of the first rows, whose vehicles exist from time 0; the others have come in the warm-up."""
-        self._drivers: dict[str, Driver] = {**vehicles, **flows}
+        self._drivers = vehicles
         self._routes = routes
         field = f"scenarios.{name}"
         ego = scenario.ego
@@ -137,7 +127,7 @@ class Traffic:
         self._is_exact = is_exact(scenario)
         self.keeps_lanes = road.corridor.parallel and keeps_lanes(scenario)
         """No vehicle leaves its track: SUMO is asked for speeds only."""
-        self._steps_before = round(scenario.warm_up / step) if flows or routes is not None else 0
+        self._steps_before = round(scenario.warm_up / step) if routes is not None else 0
         """Steps of the warm-up."""
         try:
             self._load()
@@ -188,7 +178,7 @@ class Traffic:
 
         Lanes without a limit get that of the scenario, as they have it in the corridor.
         """
-        begin = start_time(self.scenario) - (self.scenario.warm_up if is_warm or self._routes is None else 0.0)
+        begin = self.scenario.begin - (self.scenario.warm_up if is_warm else 0.0)
         self._load_number = sumo.load([*self._options, "--begin", repr(begin)])
         self._is_forbidden = self._routes is None and all(driver.lane_change == "none" for driver in self._drivers.values())
         if self._is_forbidden:
@@ -201,7 +191,7 @@ class Traffic:
     def reset(self, *, is_warm: bool = True) -> None:
         """Puts all vehicles to their starts, among the warm-up's. Raises TrafficError if SUMO refuses one.
 
-        `is_warm`: false leaves the warm-up out, which most of a run's time may go to; its flows begin at time 0 then.
+        `is_warm`: false leaves the warm-up out, which most of a run's time may go to; flows begin at time 0 then.
         """
         try:
             if not self._loaded or not self._is_exact or not sumo.is_current(self._load_number):
@@ -209,7 +199,8 @@ class Traffic:
                 self._load(is_warm=is_warm)
                 steps = self._steps_before if is_warm else 0
                 # A vehicle of a route file enters in the step that begins at its time: one step more, and vehicles of time 0 are there.
-                drive_alone(steps + (self._routes is not None), self._instruct)
+                for _ in range(steps + (self._routes is not None)):
+                    STEP()
             else:
                 sumo.clear()
             present = sorted(sumo.vehicle.getIDList()) if not self._is_exact else []
@@ -225,7 +216,7 @@ class Traffic:
             else:
                 self._use([*self._vehicles, *self._paths], *(array.copy() for array in self._began))
                 for start in self._starts[:-1]:
-                    self._instruct(start.name, start.speed)
+                    self._instruct(start.name)
         except SUMO_ERRORS as error:
             self._loaded = False
             raise TrafficError(f"scenarios.{self.name}: SUMO cannot place the vehicles: {error}") from error
@@ -356,30 +347,26 @@ class Traffic:
             if name in rows:
                 neighbours[row], outlines[row] = self.neighbours[rows[name]], self.outlines[rows[name]]
                 continue
-            driver = self._driver(name)
+            driver = self._drivers.get(name)
             size = (driver.length, driver.width) if driver else (sumo.vehicle.getLength(name), sumo.vehicle.getWidth(name))
             path = self._paths.get(name)
             self._strays[name] = path is not None or not self._own.issuperset(sumo.vehicle.getRoute(name))
             s = geometry.nearest(self.road.line, *(GET_POSITION(name) if path is None else path.front()[:2])) - 0.5 * size[0]
             neighbours[row] = s, np.nan, 0.0, 0.0, *size
-            speed = GET_SPEED(name) if path is None else path.speed
-            outlines[row, :2], outlines[row, 5], outlines[row, geometry.SAID + 3] = np.nan, speed, np.nan
+            outlines[row, 5] = GET_SPEED(name) if path is None else path.speed
+            outlines[row, :2], outlines[row, geometry.SAID + 3] = np.nan, np.nan
             if path is None:
-                self._instruct(name, speed)
+                self._instruct(name)
         self._use(names, neighbours, outlines)
 
-    def _instruct(self, name: str, speed: float) -> None:
-        """Tells a vehicle that has this speed (m/s) what it may do."""
-        driver = self._driver(name)
+    def _instruct(self, name: str) -> None:
+        """Tells a vehicle of the scenario what it may do."""
+        driver = self._drivers.get(name)
         if driver is not None and driver.lane_change == "none" and not self._is_forbidden:
             sumo.vehicle.setLaneChangeMode(name, NO_LANE_CHANGES)
         if driver is not None and driver.model == "constant":
             sumo.vehicle.setSpeedMode(name, FREE)
-            sumo.vehicle.setSpeed(name, driver.speed if isinstance(driver, TrafficEntry) else speed)
-
-    def _driver(self, name: str) -> Driver | None:
-        """Returns the driver of a vehicle or of its flow, None for vehicles of a route file, which SUMO drives."""
-        return self._drivers.get(name) or self._drivers.get(name.rpartition(".")[0])
+            sumo.vehicle.setSpeed(name, driver.speed)
 
     def _read_speeds(self) -> None:
         self._speeds[: len(self._in_sumo)] = array("d", map(GET_SPEED, self._in_sumo))
