@@ -21,8 +21,8 @@ KILLED = {128 + signal.SIGKILL, -signal.SIGKILL}
 LOOK_SECONDS, ASK_SECONDS = 0.1, 1.0
 """Intervals between two looks at the children, and between two questions of what is not ready."""
 PATIENCE_SECONDS = 30.0
-FIRST_PAUSE_SECONDS, LONGEST_PAUSE_SECONDS = 0.5, 30.0
-"""Pauses before restarts."""
+FIRST_PAUSE_SECONDS, LONGEST_PAUSE_SECONDS, LONGEST_AFTER_KILL = 0.5, 30.0, 4.0
+"""Pauses before restarts; after a kill, that of a silent process included, another has its place within 20 s however often it happens."""
 HEALTHY_AFTER_SECONDS = 60.0
 KEPT_BACK = {"DRIVECAL_TOKEN"}
 """Variables that the children do not inherit: they do not need the user's own token."""
@@ -47,10 +47,11 @@ class Pauses:
 
     deaths: int = 0
 
-    def next(self, lived: float) -> float:
-        """Returns the seconds to wait after a process that lived for `lived` seconds."""
+    def next(self, lived: float, code: int) -> float:
+        """Returns the seconds to wait after a process that lived for `lived` seconds and ended with an exit code."""
         self.deaths = 1 if lived >= HEALTHY_AFTER_SECONDS else self.deaths + 1
-        return min(LONGEST_PAUSE_SECONDS, FIRST_PAUSE_SECONDS * 2.0 ** (self.deaths - 1))
+        longest = LONGEST_AFTER_KILL if code in KILLED else LONGEST_PAUSE_SECONDS
+        return min(longest, FIRST_PAUSE_SECONDS * 2.0 ** (self.deaths - 1))
 
 
 class _Child:
@@ -97,7 +98,7 @@ class _Child:
         if process.stdin:
             process.stdin.close()
         lived = time.monotonic() - self.started_at
-        self.start_at = time.monotonic() + self.pauses.next(lived)
+        self.start_at = time.monotonic() + self.pauses.next(lived, process.returncode)
         if lived >= HEALTHY_AFTER_SECONDS:
             self.gave_up = 0
         self.gave_up += process.returncode not in KILLED

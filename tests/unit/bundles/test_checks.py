@@ -199,6 +199,12 @@ def test_a_fault_is_named_by_its_field(path: str, value: Any, field: str) -> Non
     assert field in faults(changed(path, value), FILES)
 
 
+@pytest.mark.parametrize("name", ["lambda", "in", "True"])
+def test_a_name_that_cannot_stand_in_a_formula_is_refused(name: str) -> None:
+    given = document(parameters={name: {"lower": 0, "upper": 1}}, constraints=[], baseline=None, measures={name: "m"})
+    assert {f"parameters.{name}", f"measures.{name}"} <= faults(given)
+
+
 def test_parameters_that_would_share_a_column_are_refused() -> None:
     parameters = {name: {"lower": 0, "upper": 1} for name in ("score", "parameter_score")}
     assert faults(document(parameters=parameters, constraints=[], baseline=None)) == {"parameters.parameter_score"}

@@ -79,9 +79,10 @@ def server(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Server]:
 
 def test_pauses_double_up_to_a_limit_and_begin_again_after_good_health() -> None:
     pauses = Pauses()
-    assert [pauses.next(1.0) for _ in range(8)] == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
-    assert pauses.next(61.0) == 0.5
-    assert pauses.next(1.0) == 1.0
+    assert [pauses.next(1.0, 1) for _ in range(8)] == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
+    assert pauses.next(61.0, 1) == 0.5
+    assert pauses.next(1.0, 1) == 1.0
+    assert [pauses.next(1.0, 128 + signal.SIGKILL) for _ in range(4)] == [2.0, 4.0, 4.0, 4.0], "killed: not its own fault"
 
 
 def test_sigterm_ends_children_and_grandchildren(server: Server) -> None:

@@ -101,7 +101,8 @@ def lots_table(released: Mapping[str, Released]) -> list[Block]:
     rows = [
         [
             *(name, lots.asked, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different),
-            *(lots.mean_error, lots.largest_error, percent(lots.limit, 1), bound(lots.upper_95)),
+            *(None if size is None else f"{size:.3g}" for size in (lots.mean_error, lots.largest_error)),
+            *(percent(lots.limit, 1), bound(lots.upper_95)),
         ]
         for name, lots in released.items()
         if lots.lots
