@@ -91,7 +91,9 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
     app.add_middleware(Concurrency)
     app.add_middleware(Authorisation, tokens=tokens)
     app.add_middleware(
-        BodyLimit, others={user_problems.PATH: settings.problem_mb * 2**20, stored_results.PATH: stored_results.BODY_MB * 2**20}
+        BodyLimit,
+        others={user_problems.PATH: settings.problem_mb * 2**20}
+        | dict.fromkeys(stored_results.PATHS, stored_results.BODY_MB * 2**20),
     )
     app.add_middleware(RequestRecords, meters=meters)  # the last one is the first that a request meets
     problems.install(app)

@@ -67,6 +67,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "check": ("check", "Check whether a set keeps its limits in every scenario; exit status 1 if not."),
     "parameters": ("problem", "Print the parameters of calibration files as sections of problem.yaml."),
     "problem": ("problem", "Your own problems: a simulation, its parameters, measures and scores."),
+    "results": ("imported", "Results of vehicles, test benches and other tools, compared with simulations."),
     "workers": ("serve", "Show the workers with their activity and speed."),
     "db": ("db", "The database. These commands open it themselves and need no server."),
 }

@@ -14,11 +14,12 @@ from pydantic import RootModel, ValidationError
 from drivecal.client.documents import Document, completed, ids_on, is_abbreviated, plain, weights_text, with_full_ids
 from drivecal.client.following import READ_SECONDS, EventParser, Following, Sent, ServerSentEvent, Told, displayed
 from drivecal.client.frames import DownloadedTable, RankedSets, Rows
+from drivecal.client.imported import in_pieces
 from drivecal.client.outside import AskTell
 from drivecal.client.report import report_of
 from drivecal.client.transport import Answer, Transport, harmless, named, path_of, raise_for, unreachable
 from drivecal.configuration.settings import load_settings
-from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
+from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, Page, StudyPage
 from drivecal.contracts.comparison import Comparison, ExpectedComparison
 from drivecal.contracts.evaluation import CellNumber, Evaluation, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
@@ -32,6 +33,7 @@ from drivecal.contracts.inventory import (
     WorkerPage,
 )
 from drivecal.contracts.organising import Archived, Deletion
+from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedRow
 from drivecal.contracts.outside.results import StoredCells
 from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet
 from drivecal.contracts.results import CampaignResults, FrontSummary, TradeOff
@@ -407,6 +409,38 @@ class Client(Transport):
         """
         place = ("results", "lookup")
         return self._answer(self._request("POST", place, document={"sets": list(sets), **where}), StoredCells, place)
+
+    def import_results(
+        self, rows: Sequence[Mapping[str, Any]], *, problem: str, source: str, date: str, units: Mapping[str, str] | None = None
+    ) -> int:
+        """Stores results from elsewhere, which are compared with simulations and answer no cell. Returns how many cells are new.
+
+        Args:
+            rows: Mappings with `parameters`, `scenario`, and `scores` or `measures` (`client.imported.read_results` reads files).
+            problem: Name of the problem.
+            source: Name of the vehicle, test bench or tool.
+            date: Day of the results, YYYY-MM-DD.
+            units: Units of parameters and measures, refused if the problem has others.
+        """
+        head = {"problem": problem, "source": source, "date": date, "units": dict(units or {})}
+        posted = (self._post(ImportAnswer, "results", document={**head, "rows": list(piece)}) for piece in in_pieces(rows))
+        return sum(answer.stored for answer in posted)
+
+    def imported(self, problem: str, source: str | None = None) -> list[ImportedRow]:
+        """Returns a problem's results from elsewhere, all or from one source, with the stored simulations of the same sets."""
+        rows: list[ImportedRow] = []
+        cursor: str | None = None
+        while True:
+            page = self._get(Page[ImportedRow], "results", problem=problem, source=source, limit=1000, cursor=cursor)
+            rows, cursor = rows + page.items, page.next_cursor
+            if cursor is None:
+                return rows
+
+    def delete_imported(self, problem: str, source: str) -> int:
+        """Deletes the results of a source from elsewhere, and returns how many cells that were."""
+        place = ("results",)
+        response = self._request("DELETE", place, query={"problem": problem, "source": source})
+        return self._answer(response, ImportDeleted, place).deleted
 
     def evaluation(self, identifier: str) -> Evaluation:
         """Returns a single evaluation by the id that `evaluate` returned."""

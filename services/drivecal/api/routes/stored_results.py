@@ -1,23 +1,34 @@
-"""Look-ups of stored results."""
+"""Look-ups of stored results; results of vehicles, test benches and other tools."""
 
-import sys
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
-from fastapi import APIRouter
-from sqlalchemy import Connection
+from fastapi import APIRouter, Query, Response
+from pydantic import Field
 
-from drivecal.api.dependencies import DatabaseDependency, computed
+from drivecal.api.dependencies import Accept, DatabaseDependency, Owner, computed
 from drivecal.api.http.bodies import StrictRoute
+from drivecal.api.http.queries import Parameters, TableOf
+from drivecal.api.tables.paging import listed, page_or_file
+from drivecal.bundles.units import same
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
+from drivecal.campaigns.results.stored import StoredSimulation, given_sets, stored_simulations
+from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedResults, ImportedRow, Source
 from drivecal.contracts.outside.results import MOST_CELLS, ResultLookup, StoredCell, StoredCells
-from drivecal.contracts.specification import EvaluationSpecification
+from drivecal.contracts.specification import EvaluationSpecification, Values
+from drivecal.contracts.strict_json import ProblemName
+from drivecal.contracts.tables import Kind, columns_of
 from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
-from drivecal.domain.parameters import ParameterSet, decimal
-from drivecal.storage.references import parameter_sets, runs, setups
+from drivecal.domain.parameters import ParameterSet
+from drivecal.storage.engine.database import Database
+from drivecal.storage.outside import imported
+from drivecal.storage.outside.imported import ImportedValues
 
 router = APIRouter(prefix="/results", tags=["evaluations"], route_class=StrictRoute)
-PATH = "/api/v1/results/lookup"
+PATHS = "/api/v1/results", "/api/v1/results/lookup"
 BODY_MB = 8
 """Ten thousand sets of many parameters."""
 
@@ -26,57 +37,155 @@ BODY_MB = 8
 @computed
 def look_up(wanted: ResultLookup, database: DatabaseDependency) -> StoredCells:
     """Which of up to 10,000 cells are stored, with their answers. Nothing is simulated, and nothing is stored."""
-    diagnostics = Diagnostics()
     document = wanted.model_dump(exclude={"sets"}) | {"parameters": wanted.sets[0]}
-    workbench = find_workbench(EvaluationSpecification.model_validate(document), stored_bundles(database), diagnostics)
-    diagnostics.raise_if_any()
-    if workbench.make is None:
-        raise AssertionError("a part is missing without a finding")
-    bench = workbench.make(workbench.scenarios)
+    bench = _bench(database, EvaluationSpecification.model_validate(document))
     if bench.to_probe is not None:
         raise ConflictError("results of this problem depend on versions that a worker reports; ask by POST /api/v1/evaluations")
     requested = len(wanted.sets) * len(bench.scenarios)
     if requested > MOST_CELLS:
         message = f"{len(wanted.sets):,} sets in {len(bench.scenarios):,} scenarios are {requested:,} cells"
         raise InvalidInputError(Problem("sets", message, f"give at most {MOST_CELLS:,}"))
-    sets = _sets(wanted, bench)
+    sets = given_sets(bench.parameters, wanted.sets, "sets[{}]")
     with database.read() as connection:
-        return StoredCells(requested=requested, items=_stored(connection, bench, sets))
+        simulations = stored_simulations(connection, bench, sets)
+    return StoredCells(requested=requested, items=[StoredCell.of(each, set=each.place) for each in simulations])
 
 
-def _sets(wanted: ResultLookup, bench: Bench) -> list[ParameterSet]:
-    names = [parameter.name for parameter in bench.parameters]
-    diagnostics = Diagnostics()
-    for number, given in enumerate(wanted.sets):
-        for name in given.keys() - set(names):
-            diagnostics.add(f"sets[{number}].{name}", "there is no such parameter", f"one of {', '.join(names)}")
-        for name in names:
-            if name not in given:
-                diagnostics.add(f"sets[{number}].{name}", "the value is missing", "give one value per parameter")
-    diagnostics.raise_if_any()
-    values = [{name: given[name] for name in names} for given in wanted.sets]
-    return [
-        ParameterSet.of({name: value if isinstance(value, str) else decimal(value) for name, value in each.items()})
-        for each in values
+@router.post("", status_code=201)
+@computed
+def store(given: ImportedResults, database: DatabaseDependency, owner: Owner) -> ImportAnswer:
+    """Stores results from elsewhere. No campaign takes one in place of a simulation. The same again changes nothing."""
+    bench = _bench(database, _of_problem(given.problem, given.rows[0].parameters))
+    _check(given, bench)
+    sets = given_sets(bench.parameters, [row.parameters for row in given.rows], "rows[{}].parameters")
+    rows = [
+        ImportedValues(given.source, given.date.isoformat(), owner, row.scenario, own, row.scores, row.measures)
+        for row, own in zip(given.rows, sets, strict=True)
     ]
+    with database.transaction() as connection:
+        stored = imported.add(connection, bench.bundle.manifest.problem, rows)
+    return ImportAnswer(stored=stored, known=len({(row.scenario, row.parameters.key) for row in rows}) - stored)
 
 
-def _stored(connection: Connection, bench: Bench, sets: list[ParameterSet]) -> list[StoredCell]:
-    ids = parameter_sets.ids(connection, [each.key for each in sets])
-    known = setups.ids(connection, [setup.fingerprint for setup in bench.setups.values()])
-    places: dict[int, list[int]] = {}
-    for place, each in enumerate(sets):
-        if each.key in ids:
-            places.setdefault(ids[each.key], []).append(place)
-    items = []
-    for scenario, setup in bench.setups.items():
-        if setup.fingerprint not in known:
-            continue
-        donors = runs.look_up_exact(connection, known[setup.fingerprint], list(places), bench.evaluator_id, sys.maxsize)
-        measured = runs.metrics(connection, [donor.run for donor in donors.values()])
-        items += [
-            StoredCell.of(donor, set=place, scenario=scenario, metrics=measured[donor.run])
-            for number, donor in donors.items()
-            for place in places[number]
-        ]
-    return sorted(items, key=lambda item: item.set)
+class ImportedOf(TableOf):
+    """Results from elsewhere of a problem, of one source or all."""
+
+    problem: ProblemName
+    source: Source | None = None
+
+
+@router.get("", responses=page_or_file(ImportedRow))
+@computed
+def list_imported(query: Annotated[ImportedOf, Query()], database: DatabaseDependency, accept: Accept = "*/*") -> Response:
+    """Results from elsewhere: scores and measures, their values in stored simulations of the same sets, and the differences."""
+    with database.read() as connection:
+        rows = imported.listing(connection, query.problem, query.source)
+    values = {name: value for row in rows for name, value in row.parameters.floats.items()}
+    kinds: dict[str, Kind] = {name: "text" if isinstance(value, str) else "number" for name, value in values.items()}
+    columns = columns_of(ImportedRow, {"parameters": kinds})
+    return listed(f"results-{query.problem}", query, accept, columns, _beside_simulations(database, query.problem, rows))
+
+
+class SourceOf(Parameters):
+    """A source of results from elsewhere."""
+
+    problem: ProblemName
+    source: Annotated[Source, Field()]
+
+
+@router.delete("")
+def delete(query: Annotated[SourceOf, Query()], database: DatabaseDependency) -> ImportDeleted:
+    """Deletes the results of a source."""
+    with database.transaction() as connection:
+        return ImportDeleted(deleted=imported.remove(connection, query.problem, query.source))
+
+
+def _of_problem(problem: str, parameters: Values, evaluator: str = "reference") -> EvaluationSpecification:
+    return EvaluationSpecification(problem=problem, parameters=parameters, evaluator=evaluator)
+
+
+def _bench(database: Database, wanted: EvaluationSpecification) -> Bench:
+    diagnostics = Diagnostics()
+    workbench = find_workbench(wanted, stored_bundles(database), diagnostics)
+    diagnostics.raise_if_any()
+    if workbench.make is None:
+        raise AssertionError("a part is missing without a finding")
+    return workbench.make(workbench.scenarios)
+
+
+def _check(given: ImportedResults, bench: Bench) -> None:
+    """Raises InvalidInputError for names that the problem does not have, and for units that differ from its own."""
+    manifest, diagnostics = bench.bundle.manifest, Diagnostics()
+    known: Mapping[str, Collection[str]] = {
+        "scores": manifest.scores,
+        "measures": manifest.reported,
+        "scenario": bench.scenarios,
+    }
+    units = {name: entry.unit for name, entry in manifest.parameters.items()} | manifest.reported
+    for name, unit in given.units.items():
+        own = units.get(name)
+        if own is None:
+            diagnostics.add(f"units.{name}", "the problem has no such parameter or measure", f"one of {', '.join(units)}")
+        elif not same(unit, own):
+            diagnostics.add(f"units.{name}", f"the problem has it in {own}, not in {unit}", f"convert the values to {own}")
+    for number, row in enumerate(given.rows):
+        for kind, names in (("scores", row.scores), ("measures", row.measures), ("scenario", [row.scenario])):
+            for name in names:
+                if name not in known[kind]:
+                    field = f"rows[{number}].{kind}" if kind == "scenario" else f"rows[{number}].{kind}.{name}"
+                    diagnostics.add(field, f"the problem has no {name!r} there", f"one of {', '.join(known[kind])}")
+    diagnostics.raise_if_any()
+
+
+@dataclass(frozen=True, slots=True)
+class _Simulated:
+    """The stored simulations of imported sets by place and scenario, with the bench that rated them."""
+
+    bench: Bench
+    cells: Mapping[tuple[int, str], StoredSimulation]
+
+
+def _beside_simulations(database: Database, problem: str, rows: Sequence[ImportedValues]) -> list[ImportedRow]:
+    if not rows:
+        return []
+    sets = [row.parameters for row in rows]
+    first = _simulated(database, problem, sets, "reference")
+    own = next(iter(first.bench.bundle.manifest.scores))
+    names = dict.fromkeys(name for row in rows for name in row.scores)
+    scores = {own: first} | {name: _simulated(database, problem, sets, name) for name in names if name != own}
+    return [item for place, row in enumerate(rows) for item in _items(place, row, first, scores)]
+
+
+def _simulated(database: Database, problem: str, sets: Sequence[ParameterSet], evaluator: str) -> _Simulated:
+    bench = _bench(database, _of_problem(problem, sets[0].floats, evaluator))
+    with database.read() as connection:  # results that depend on what workers report are not found: a look-up asks no worker
+        simulations = stored_simulations(connection, bench, sets) if bench.to_probe is None else []
+    return _Simulated(bench, {(each.place, each.scenario): each for each in simulations})
+
+
+def _items(place: int, row: ImportedValues, first: _Simulated, scores: Mapping[str, _Simulated]) -> Iterator[ImportedRow]:
+    """Yields a row for each score, which may follow from the measures, and for each measure."""
+    cell = place, row.scenario
+    measures = first.cells[cell].metrics if cell in first.cells else {}
+    units = first.bench.bundle.manifest.reported
+    values: list[tuple[Literal["score", "measure"], str, float | None, float | None]] = []
+    for name, simulated in scores.items():
+        made = simulated.bench.rate(row.scenario, row.measures, None) if row.scenario in simulated.bench.scenarios else None
+        value = row.scores.get(name, None if made is None else made.score)
+        values.append(("score", name, value, simulated.cells[cell].score if cell in simulated.cells else None))
+    values += [("measure", name, value, measures.get(name)) for name, value in row.measures.items()]
+    for kind, name, value, simulated_value in values:
+        if value is not None:
+            yield ImportedRow(
+                source=row.source,
+                date=row.date,
+                owner=row.owner,
+                scenario=row.scenario,
+                parameters=row.parameters.floats,
+                kind=kind,
+                name=name,
+                unit=units.get(name) if kind == "measure" else None,
+                value=value,
+                simulated=simulated_value,
+                difference=None if simulated_value is None else value - simulated_value,
+            )

@@ -133,7 +133,7 @@ class Bench:
 
     @property
     def needs_series(self) -> bool:
-        """Whether stored runs lack the time series that the score needs."""
+        """True if stored runs lack the time series that the score needs."""
         return isinstance(self.evaluator, SeriesEvaluator)
 
     @property

@@ -300,6 +300,23 @@ outside_sets = Table(  # parameter sets that outside optimizers propose to campa
     _partial_index("ix_outside_sets_waiting", "campaign_sequence", "number", where="iteration IS NULL AND NOT cancelled"),
 )
 
+imported_results = Table(  # of vehicles, test benches and other tools; by the problem's name, whatever is pushed under it
+    "imported_results",
+    metadata,
+    Column("id", Identity, primary_key=True),
+    Column("problem", Name, nullable=False),
+    Column("source", Text, nullable=False),
+    Column("date", Name, nullable=False),
+    Column("owner", Name),
+    Column("parameter_set_id", Identity, ForeignKey("parameter_sets.id"), nullable=False),
+    Column("scenario", Name, nullable=False),
+    Column("scores", Document, nullable=False),
+    Column("measures", Document, nullable=False),
+    Column("created_at", UtcDateTime, nullable=False),
+    UniqueConstraint("problem", "source", "date", "parameter_set_id", "scenario"),
+    sqlite_autoincrement=True,
+)
+
 processes = Table(
     "processes",
     metadata,

@@ -157,6 +157,26 @@ def values_of(connection: Connection, evaluation_ids: Collection[int]) -> dict[i
 
 
 @dataclass(frozen=True, slots=True)
+class RunOfSet:
+    """A stored run with the `evaluation` that simulated it; a metric is None if it was not finite."""
+
+    parameter_set: int
+    evaluation: int
+    metrics: Mapping[str, float | None]
+    failure: str | None
+
+
+def of_sets(connection: Connection, setup_id: int, parameter_set_ids: Sequence[int]) -> list[RunOfSet]:
+    """Returns the runs of parameter sets in a setup."""
+    columns = select(runs.c.parameter_set_id, runs.c.evaluation_id, runs.c.metrics, runs.c.failure)
+    rows = rows_among(
+        connection, columns.where(runs.c.setup_id == setup_id), runs.c.parameter_set_id, sorted(parameter_set_ids)
+    )
+    read = metrics_reader(connection)
+    return [RunOfSet(row[0], row[1], read(row[2]), row[3]) for row in rows]
+
+
+@dataclass(frozen=True, slots=True)
 class MeasuredRun:
     """A stored run with its rating; a metric is None if it was not finite."""
 

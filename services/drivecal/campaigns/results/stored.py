@@ -1,0 +1,82 @@
+"""Stored simulations of given cells, rated by a bench. Nothing is simulated, and nothing is stored."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import Connection
+
+from drivecal.campaigns.resolve.bench import Bench
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.contracts.specification import Values
+from drivecal.domain.parameters import Parameter, ParameterSet, decimal
+from drivecal.storage.references import parameter_sets, runs, setups
+
+
+@dataclass(frozen=True, slots=True)
+class StoredSimulation:
+    """The simulation of the set at a `place` among the given ones, and the `evaluation` that made it. Metrics that were not finite are
+    None."""
+
+    place: int
+    scenario: str
+    evaluation: int
+    score: float
+    rating: float
+    failure: str | None
+    metrics: dict[str, float | None]
+
+
+def given_sets(parameters: Sequence[Parameter], given: Sequence[Values], field: str) -> list[ParameterSet]:
+    """Returns parameter sets with a value for each parameter. Raises InvalidInputError with each fault, in `field` with its number."""
+    known = {parameter.name: parameter for parameter in parameters}
+    diagnostics = Diagnostics()
+    for number, values in enumerate(given):
+        here = field.format(number)
+        for name in values.keys() - known.keys():
+            diagnostics.add(f"{here}.{name}", "there is no such parameter", f"one of {', '.join(known)}")
+        for name, parameter in known.items():
+            if name not in values:
+                diagnostics.add(f"{here}.{name}", "the value is missing", "give one value per parameter")
+            elif parameter.choices and values[name] not in parameter.choices:
+                diagnostics.add(f"{here}.{name}", f"{values[name]!r} is no choice", f"one of {', '.join(parameter.choices)}")
+            elif not parameter.choices and isinstance(values[name], str):
+                diagnostics.add(f"{here}.{name}", f"{values[name]!r} is no number", "give a number")
+    diagnostics.raise_if_any()
+    ordered = ({name: values[name] for name in known} for values in given)
+    return [
+        ParameterSet.of({name: value if isinstance(value, str) else decimal(value) for name, value in values.items()})
+        for values in ordered
+    ]
+
+
+def stored_simulations(connection: Connection, bench: Bench, sets: Sequence[ParameterSet]) -> list[StoredSimulation]:
+    """Returns the stored simulations of sets in the bench's scenarios, by place. Random simulators count under seed 1.
+
+    Runs that were rated by another score only are rated from their measures, unless the score needs their time series.
+    """
+    bench = bench.seeded(1)
+    ids = parameter_sets.ids(connection, [each.key for each in sets])
+    known = setups.ids(connection, [setup.fingerprint for setup in bench.setups.values()])
+    places: dict[int, list[int]] = {}
+    for place, each in enumerate(sets):
+        if each.key in ids:
+            places.setdefault(ids[each.key], []).append(place)
+    items = []
+    for scenario, setup in bench.setups.items():
+        if setup.fingerprint not in known:
+            continue
+        rated = runs.look_up_exact(connection, known[setup.fingerprint], list(places), bench.evaluator_id, sys.maxsize)
+        for run in runs.of_sets(connection, known[setup.fingerprint], list(places)):
+            donor = rated.get(run.parameter_set)
+            if donor is not None:
+                score, rating = donor.score, donor.rating
+            elif bench.needs_series or (made := bench.rate(scenario, run.metrics, run.failure)) is None:
+                continue
+            else:
+                score, rating = made.score, made.rating
+            items += [
+                StoredSimulation(place, scenario, run.evaluation, score, rating, run.failure, dict(run.metrics))
+                for place in places[run.parameter_set]
+            ]
+    return sorted(items, key=lambda item: item.place)

@@ -1,0 +1,80 @@
+"""`drivecal results`: results of vehicles, test benches and other tools."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drivecal.cli.application import JsonOption, UrlOption, app, connect, tell
+from drivecal.cli.views.output import parameters_text, print_columns, print_json
+
+results = typer.Typer(
+    no_args_is_help=True, help="Results of vehicles, test benches and other tools, compared with simulations."
+)
+app.add_typer(results, name="results")
+
+ProblemArgument = Annotated[str, typer.Argument(metavar="PROBLEM", help="Name of the problem.")]
+
+
+@results.command(name="import")
+def import_(
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="CSV, Parquet or JSON: scenario, parameters, scores or measures.")
+    ],
+    problem: Annotated[str, typer.Option(help="Name of the problem.")],
+    source: Annotated[str, typer.Option(help="Name of the vehicle, test bench or tool.")],
+    date: Annotated[str, typer.Option(metavar="YYYY-MM-DD", help="Day of the results.")],
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Store results from elsewhere. No campaign takes one in place of a simulation."""
+    from drivecal.client.imported import read_results
+
+    with connect(url) as client:
+        known = client.problem(problem)
+        rows, units = read_results(Path(file), known)
+        stored = client.import_results(rows, problem=known.name, source=source, date=date, units=units)
+    if as_json:
+        print_json({"stored": stored, "known": len(rows) - stored})
+    else:
+        tell(f"{stored:,} of {len(rows):,} cells are new; compare them: drivecal results list {known.name}")
+
+
+@results.command(name="list")
+def list_(
+    problem: ProblemArgument,
+    source: Annotated[str | None, typer.Option(help="Only this source.")] = None,
+    start_sets: Annotated[
+        bool, typer.Option("--start-sets", help="Print the sets for a campaign file instead, which then begins with them.")
+    ] = False,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List results from elsewhere, the stored simulations of the same sets, and the differences."""
+    with connect(url) as client:
+        rows = client.imported(problem, source)
+    if start_sets:
+        sets = list({tuple(row.parameters.items()): row.parameters for row in rows}.values())
+        print_json({"optimizer": {"start_sets": sets}})
+    elif as_json:
+        print_json([row.model_dump(mode="json") for row in rows])
+    else:
+        header = ["source", "date", "scenario", "parameters", "name", "value", "simulated", "difference", "unit"]
+        shown = ([getattr(row, name) for name in header] for row in rows)
+        print_columns(header, ([*line[:3], parameters_text(line[3]), *line[4:]] for line in shown))
+
+
+@results.command()
+def delete(
+    problem: ProblemArgument,
+    source: Annotated[str, typer.Argument(metavar="SOURCE", help="Name of the vehicle, test bench or tool.")],
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Delete the results of a source."""
+    with connect(url) as client:
+        deleted = client.delete_imported(problem, source)
+    if as_json:
+        print_json({"deleted": deleted})
+    else:
+        tell(f"{deleted:,} cells are deleted")

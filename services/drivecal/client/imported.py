@@ -1,0 +1,124 @@
+"""Files with results of vehicles, test benches and other tools."""
+
+import csv
+import io
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from drivecal.contracts.inventory import ProblemAnswer
+from drivecal.domain.errors import InvalidInputError, Problem, file_faults
+
+HEADER = re.compile(r"(?P<name>[^\[]*?)\s*(?:\[(?P<unit>[^\]]*)\])?\s*")
+"""A column's name, with its unit in brackets: `gap [m]`."""
+PREFIXES = {"parameter_": "parameters", "measure_": "measures"}
+"""Optional prefixes of columns, as in tables of evaluations."""
+AT_A_TIME = 50_000
+"""Values of a request."""
+
+
+def read_results(path: Path, problem: ProblemAnswer) -> tuple[list[dict[str, Any]], dict[str, str]]:
+    """Returns the rows of a file, as `POST /results` takes them, and the units that its header names.
+
+    Args:
+        path: A CSV, Parquet or JSON file. Its columns are `scenario`, the parameters, and scores or measures.
+        problem: The problem, whose names decide what a column is.
+
+    Raises:
+        InvalidInputError: The file cannot be read, or has unknown columns or values that are no numbers.
+    """
+    rows: list[dict[str, Any]] = []
+    units: dict[str, str] = {}
+    for number, line in enumerate(_lines(path), 1):
+        row: dict[str, Any] = {"parameters": {}, "scores": {}, "measures": {}}
+        for header, value in line.items():
+            parts = HEADER.fullmatch(header)
+            name, unit = (parts["name"], parts["unit"]) if parts is not None else (header, None)
+            kind, name = _kind(name, problem, str(path))
+            if kind == "scenario":
+                row[kind] = str(value)
+            elif value not in {None, ""}:
+                row[kind][name] = _value(value, is_choice=bool(problem.parameters.get(name, {}).get("choices")))
+                if row[kind][name] is None:
+                    fault = Problem(
+                        f"{path}, row {number}, {name}", f"{value!r} is not a number", "give a number with a decimal point"
+                    )
+                    raise InvalidInputError(fault)
+            if unit is not None:
+                units[name] = unit
+        if "scenario" not in row:
+            raise InvalidInputError(
+                Problem(f"{path}, row {number}", "the column `scenario` is missing", "name the scenario of each row")
+            )
+        rows.append(row)
+    if not rows:
+        raise InvalidInputError(Problem(str(path), "the file has no rows", "give a row for each set and scenario"))
+    return rows, units
+
+
+def in_pieces(rows: Sequence[Mapping[str, Any]]) -> Iterator[Sequence[Mapping[str, Any]]]:
+    """Yields rows in pieces that fit into a request."""
+    kinds = "parameters", "scores", "measures"
+    each = max(1, AT_A_TIME // max((4 + sum(len(row.get(kind, ())) for kind in kinds) for row in rows), default=1))
+    for start in range(0, len(rows), each):
+        yield rows[start : start + each]
+
+
+def _lines(path: Path) -> list[dict[str, Any]]:
+    with file_faults(path, "read", "give another file"):
+        content = path.read_bytes()
+    kind = path.suffix.lower()
+    if kind == ".json":
+        try:
+            document = json.loads(content)
+        except ValueError as error:
+            raise InvalidInputError(Problem(str(path), f"no valid JSON: {error}", "correct it")) from error
+        if not isinstance(document, list) or not all(isinstance(line, dict) for line in document):
+            raise InvalidInputError(
+                Problem(str(path), "it is no list of objects", "write one object for each set and scenario")
+            )
+        return document
+    if kind == ".parquet":
+        from pyarrow import ArrowInvalid, parquet
+
+        try:
+            lines: list[dict[str, Any]] = parquet.read_table(io.BytesIO(content)).to_pylist()
+        except ArrowInvalid as error:
+            raise InvalidInputError(Problem(str(path), f"no Parquet file: {error}", "give another file")) from error
+        return lines
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InvalidInputError(Problem(str(path), f"byte {error.start} is not valid UTF-8", "save it as UTF-8")) from error
+    head = text.partition("\n")[0]
+    return list(csv.DictReader(io.StringIO(text), delimiter=max(",;\t", key=head.count), restkey="", restval=""))
+
+
+def _kind(name: str, problem: ProblemAnswer, path: str) -> tuple[str, str]:
+    """Returns what a column holds and its name in the problem."""
+    if name == "scenario":
+        return name, name
+    known_names: dict[str, Mapping[str, object]] = {
+        "parameters": problem.parameters,
+        "scores": problem.scores,
+        "measures": problem.measures,
+    }
+    for kind, names in known_names.items():
+        if name in names:
+            return kind, name
+    for prefix, kind in PREFIXES.items():
+        if name.startswith(prefix) and name.removeprefix(prefix) in known_names[kind]:
+            return kind, name.removeprefix(prefix)
+    known = ", ".join(["scenario", *problem.parameters, *problem.scores, *problem.measures])
+    raise InvalidInputError(Problem(path, f"{problem.name} knows no column {name!r}", f"one of {known}"))
+
+
+def _value(value: object, *, is_choice: bool) -> float | str | None:
+    if is_choice:
+        return str(value)
+    try:
+        return float(value)  # type: ignore[arg-type]  # whatever a file holds
+    except (TypeError, ValueError):
+        return None

@@ -1,0 +1,84 @@
+"""Results of vehicles, test benches and other tools. No look-up of the reference table reads them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, delete, func, select
+
+from drivecal.domain.errors import ConflictError
+from drivecal.domain.parameters import ParameterSet
+from drivecal.storage.engine.bulk import execute_rows, rows_among
+from drivecal.storage.engine.tables import imported_results, parameter_sets
+from drivecal.storage.engine.types import now
+from drivecal.storage.references import parameter_sets as sets
+
+MOST = 100_000
+"""Cells from elsewhere that a problem may have."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedValues:
+    """Values of a set in a scenario from elsewhere. `date` is in ISO 8601."""
+
+    source: str
+    date: str
+    owner: str | None
+    scenario: str
+    parameters: ParameterSet
+    scores: Mapping[str, float]
+    measures: Mapping[str, float]
+
+
+def add(connection: Connection, problem: str, given: Sequence[ImportedValues]) -> int:
+    """Stores results of a problem, by name, and returns how many are new; equal ones are stored once.
+
+    The rows are of one source and date. Raises ConflictError if a cell has other values already, or the problem has too many cells.
+    """
+    table = imported_results.c
+    ids = sets.ensure(connection, [each.parameters for each in given])
+    places = {(number, each.scenario): each for number, each in zip(ids, given, strict=True)}
+    own = select(imported_results).where(table.problem == problem, table.source == given[0].source, table.date == given[0].date)
+    for row in rows_among(connection, own, table.parameter_set_id, sorted(set(ids))):
+        each = places.pop((row.parameter_set_id, row.scenario), None)
+        if each is not None and (row.scores, row.measures) != (dict(each.scores), dict(each.measures)):
+            raise ConflictError(
+                f"{row.source} has other values of {row.date} for this set in {row.scenario}; delete them first, or give another source"
+            )
+    count = connection.scalar(select(func.count()).where(table.problem == problem)) or 0
+    if count + len(places) > MOST:
+        raise ConflictError(
+            f"{problem} would have {count + len(places):,} imported cells, at most {MOST:,}; delete a source first"
+        )
+    rows = [
+        {"problem": problem, "source": each.source, "date": each.date, "owner": each.owner, "parameter_set_id": number}
+        | {"scenario": scenario, "scores": dict(each.scores), "measures": dict(each.measures), "created_at": now()}
+        for (number, scenario), each in places.items()
+    ]
+    execute_rows(connection, imported_results.insert(), rows)
+    return len(rows)
+
+
+def listing(connection: Connection, problem: str, source: str | None = None) -> list[ImportedValues]:
+    """Returns a problem's results, all or from one source, in the order of their storage."""
+    table = imported_results.c
+    query = select(imported_results, parameter_sets.c.parameter_values).join(parameter_sets).where(table.problem == problem)
+    if source is not None:
+        query = query.where(table.source == source)
+    return [
+        ImportedValues(
+            row.source,
+            row.date,
+            row.owner,
+            row.scenario,
+            ParameterSet.from_json(row.parameter_values),
+            row.scores,
+            row.measures,
+        )
+        for row in connection.execute(query.order_by(table.id))
+    ]
+
+
+def remove(connection: Connection, problem: str, source: str) -> int:
+    """Deletes the results of a source, and returns how many there were."""
+    table = imported_results.c
+    return connection.execute(delete(imported_results).where(table.problem == problem, table.source == source)).rowcount

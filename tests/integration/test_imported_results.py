@@ -1,0 +1,115 @@
+"""Results of vehicles and test benches are compared with simulations, and are never taken for one."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.computed import ComputedBackend
+from tests.support.problems import heated, push
+from tests.support.runs import working
+from tests.support.server import RunningApi, new_database, problem_of, serving
+
+from drivecal.client import Client
+from drivecal.domain.errors import ConflictError
+
+SET: dict[str, float | str] = {"gain": 0.5, "stage": 1.0, "rooms": 3, "mode": "normal"}
+HEAD: dict[str, Any] = {"problem": "heater", "source": "house 7", "date": "2026-11-20"}
+
+
+def row(scenario: str = "winter", **values: Any) -> dict[str, Any]:
+    return {"parameters": SET, "scenario": scenario} | (values or {"scores": {"cost": 30.0}})
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def api(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[RunningApi]:
+    with serving(new_database(request, request.param, tmp_path)) as running:
+        push(running.database, tmp_path / "heater")
+        yield running
+
+
+def simulated(client: Client, **more: Any) -> dict[str, Any]:
+    evaluation = client.evaluate({"problem": "heater", "parameters": SET} | more)
+    while (evaluation := client.evaluation(evaluation.id)).state not in {"succeeded", "failed"}:
+        pass
+    return {item.scenario: item for item in evaluation.items}
+
+
+def test_results_from_elsewhere_stand_beside_simulations_and_answer_no_cell(api: RunningApi) -> None:
+    backend = ComputedBackend(answer=heated)
+    measured = row(measures={"energy_kwh": 1.5, "discomfort": 2.0})
+    with Client(api.url) as client:
+        assert client.import_results([row("spring"), measured], **HEAD, units={"discomfort": "K"}) == 2
+        assert client.import_results([measured], **HEAD) == 0
+        before = client.imported("heater")
+        assert [(item.simulated, item.difference) for item in before] == [(None, None)] * 4
+        with working(api.database, backend):
+            cells = simulated(client)
+        assert {cell.outcome for cell in cells.values()} == {"simulated"}
+        after = {(item.scenario, item.kind, item.name): item for item in client.imported("heater", "house 7")}
+    assert {key: item.value for key, item in after.items()} == {
+        ("spring", "score", "cost"): 30.0,
+        ("winter", "score", "cost"): 25.0,  # by the formula
+        ("winter", "measure", "energy_kwh"): 1.5,
+        ("winter", "measure", "discomfort"): 2.0,
+    }
+    own = cells["winter"]
+    assert after["winter", "score", "cost"].difference == pytest.approx(25.0 - own.score)
+    assert after["winter", "measure", "discomfort"].simulated == own.metrics["discomfort"]
+    table = api.http.get("/api/v1/results", params={"problem": "heater", "format": "csv"}).text.splitlines()
+    assert table[0].startswith(
+        "source,date,owner,scenario,gain,parameter_stage,rooms,mode,kind,name,unit,value,simulated,difference"
+    )
+    assert len(table) == 5
+
+
+def test_a_cell_has_one_value_of_a_source_and_day_until_the_source_is_deleted(api: RunningApi) -> None:
+    with Client(api.url) as client:
+        client.import_results([row()], **HEAD)
+        with pytest.raises(ConflictError):
+            client.import_results([row("spring"), row(scores={"cost": 31.0})], **HEAD)
+        assert len(client.imported("heater")) == 1
+        assert client.import_results([row(scores={"cost": 31.0})], **HEAD | {"date": "2026-11-21"}) == 1
+        assert client.delete_imported("heater", "house 7") == 2
+        assert client.imported("heater") == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"units": {"discomfort": "mK"}}, "units.discomfort"),
+        ({"units": {"gap": "m"}}, "units.gap"),
+        ({"rows": [row("summer")]}, "rows[0].scenario"),
+        ({"rows": [row(scores={"comfort": 1.0})]}, "rows[0].scores.comfort"),
+        (
+            {"rows": [row(), {"parameters": {"gain": 1.0}, "scenario": "winter", "scores": {"cost": 1}}]},
+            "rows[1].parameters.stage",
+        ),
+        (
+            {"rows": [{"parameters": SET | {"mode": "turbo"}, "scenario": "winter", "scores": {"cost": 1}}]},
+            "rows[0].parameters.mode",
+        ),
+        (
+            {"rows": [{"parameters": SET | {"gain": "much"}, "scenario": "winter", "scores": {"cost": 1}}]},
+            "rows[0].parameters.gain",
+        ),
+        ({"date": "20th of November"}, "date"),
+        ({"problem": "cooler"}, "problem"),
+    ],
+)
+def test_results_that_do_not_fit_the_problem_are_refused_by_field(
+    changes: dict[str, Any], field: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    with serving(new_database(request, "sqlite", tmp_path)) as api:
+        push(api.database, tmp_path / "heater")
+        refused = api.http.post("/api/v1/results", json=HEAD | {"rows": [row()]} | changes)
+        assert problem_of(refused, 422)["errors"][0]["field"] == field
+
+
+def test_a_look_up_finds_runs_that_another_score_has_rated(api: RunningApi) -> None:
+    with Client(api.url) as client:
+        with working(api.database, ComputedBackend(answer=heated)):
+            cells = simulated(client)
+        listed = client.look_up([SET], problem="heater", evaluator="ease").items
+    expected = {name: 10 - (cell.metrics["discomfort"] or 0.0) for name, cell in cells.items()}
+    assert {cell.scenario: cell.score for cell in listed} == pytest.approx(expected)

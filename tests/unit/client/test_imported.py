@@ -1,0 +1,75 @@
+"""Files with results from elsewhere."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from drivecal.client.imported import in_pieces, read_results
+from drivecal.contracts.inventory import ProblemAnswer
+from drivecal.domain.errors import InvalidInputError
+
+SECTIONS: dict[str, Any] = {
+    "name": "heater",
+    "parameters": {"gain": {}, "mode": {"choices": ["eco", "1"]}},
+    "scores": {"cost": {}},
+    "measures": {"energy": "kWh", "gain": "dB"},
+}
+PROBLEM = ProblemAnswer.model_construct(**SECTIONS)
+ROWS = [{"parameters": {"gain": 0.5, "mode": "1"}, "scores": {"cost": 3.0}, "measures": {}, "scenario": "winter"}]
+LINES = [{"scenario": "winter", "gain": 0.5, "mode": "1", "cost": 3}]
+
+
+def written(folder: Path, name: str, content: str) -> Path:
+    path = folder / name
+    path.write_text(content, encoding="utf-8-sig")
+    return path
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_csv_is_read_with_units_in_its_header(tmp_path: Path, separator: str) -> None:
+    lines = [["scenario", "gain [W/K]", "mode", "cost", "energy [kWh]"], ["winter", "0.5", "1", "3", ""]]
+    path = written(tmp_path, "rig.csv", "\n".join(separator.join(line) for line in lines))
+    assert read_results(path, PROBLEM) == (ROWS, {"gain": "W/K", "energy": "kWh"})
+
+
+def test_json_and_parquet_are_read_alike(tmp_path: Path) -> None:
+    parquet.write_table(pa.Table.from_pylist(LINES), tmp_path / "rig.parquet")
+    for path in (written(tmp_path, "rig.json", json.dumps(LINES).lstrip("\ufeff")), tmp_path / "rig.parquet"):
+        assert read_results(path, PROBLEM) == (ROWS, {})
+
+
+def test_a_measure_with_the_name_of_a_parameter_has_a_prefix(tmp_path: Path) -> None:
+    path = written(tmp_path, "rig.csv", "scenario,gain,mode,measure_gain\nwinter,0.5,eco,7")
+    assert read_results(path, PROBLEM)[0][0]["measures"] == {"gain": 7.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("rig.csv", "scenario,gain,mode,comfort\nwinter,0.5,eco,3"),
+        ("rig.csv", "scenario,gain,mode,cost\nwinter,half,eco,3"),
+        ("rig.csv", "gain,mode,cost\n0.5,eco,3"),
+        ("rig.csv", "scenario,gain,mode,cost\n"),
+        ("rig.csv", "scenario,gain,mode,cost\nwinter,0.5,eco,3,4"),
+        ("rig.json", '{"scenario": "winter"}'),
+        ("rig.json", "[{"),
+        ("rig.parquet", "scenario"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path, name: str, content: str) -> None:
+    with pytest.raises(InvalidInputError):
+        read_results(written(tmp_path, name, content), PROBLEM)
+
+
+def test_rows_are_sent_in_pieces_that_hold_each_row_once() -> None:
+    rows = [
+        {"parameters": dict.fromkeys(map(str, range(200)), 1.0), "scores": {"cost": place}, "measures": {}}
+        for place in range(600)
+    ]
+    pieces = list(in_pieces(rows))
+    assert [row for piece in pieces for row in piece] == rows
+    assert len(pieces) > 1
