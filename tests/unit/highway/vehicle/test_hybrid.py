@@ -21,7 +21,7 @@ from drivecal.highway.vehicle.hybrid import HYBRID, Hybrid
 from drivecal.highway.vehicle.model import HybridModel, SingleTrackModel
 from drivecal.highway.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters
 from drivecal.highway.vehicle.residual import Residual, shipped
-from drivecal.plugins.arrays import DamagedArraysError, write_arrays
+from drivecal.plugins.arrays import DamagedArraysError
 from drivecal.plugins.ports import Floats, SelfMeasuring
 
 boxes = st.builds(SingleTrackParameters, *(st.floats(parameter.minimum, parameter.maximum) for parameter in TABLE_8))
@@ -217,7 +217,7 @@ def test_a_damaged_file_is_refused_and_no_vehicle_is_made(tmp_path: Path, monkey
     ],
 )
 def test_arrays_that_do_not_fit_together_never_reach_the_kernels(tmp_path: Path, name: str, value: Floats, reason: str) -> None:
-    write_arrays(tmp_path / "hybrid.npz", residual.KIND, dict(shipped().arrays) | {name: value})
+    np.savez(tmp_path / "hybrid.npz", allow_pickle=False, **(dict(shipped().arrays) | {name: value}))
     with pytest.raises(DamagedArraysError, match=reason):
         residual.read(tmp_path / "hybrid.npz")
 

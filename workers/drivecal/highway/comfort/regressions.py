@@ -9,11 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.highway.manoeuvres import Manoeuvre
-from drivecal.plugins.arrays import Array, DamagedArraysError, Expected, read_arrays, write_arrays
+from drivecal.plugins.arrays import Array, DamagedArraysError, read_arrays
 from drivecal.plugins.ports import Floats
 
 FILE = Path(__file__).with_name("learned.npz")
-KIND = "drivecal learned comfort evaluator 1"
 KERNELS, CHANNELS, LARGEST_DILATION = 84, 6, 19
 
 
@@ -51,12 +50,7 @@ class Regression:
             raise ValueError("dilations, kernels, channels, biases and weights do not fit together")
 
 
-_KINDS = {field.name: "float64" if field.name in {"weights", "intercept"} else "int32" for field in fields(Regression)}
-_EXPECTED = {
-    f"{manoeuvre.value}_{name}": Expected(kind, (1,) if name == "intercept" else (None,))
-    for manoeuvre in Manoeuvre
-    for name, kind in _KINDS.items()
-}
+_NAMES = tuple(field.name for field in fields(Regression))
 
 
 def arrays_of(regressions: Mapping[Manoeuvre, Regression]) -> dict[str, Array]:
@@ -64,21 +58,21 @@ def arrays_of(regressions: Mapping[Manoeuvre, Regression]) -> dict[str, Array]:
     return {
         f"{manoeuvre.value}_{name}": getattr(regression, name)
         for manoeuvre, regression in regressions.items()
-        for name in _KINDS
+        for name in _NAMES
     }
 
 
 def write(path: Path, regressions: Mapping[Manoeuvre, Regression]) -> None:
     """Stores one regression per class."""
-    write_arrays(path, KIND, arrays_of(regressions))
+    np.savez_compressed(path, allow_pickle=False, **arrays_of(regressions))
 
 
 def read(path: Path = FILE) -> dict[Manoeuvre, Regression]:
-    """Reads the regressions. Raises DamagedArraysError if the file is missing, damaged or of another kind."""
-    arrays = read_arrays(path, KIND, _EXPECTED)
+    """Reads the regressions. Raises DamagedArraysError if the file is missing or damaged."""
+    arrays = read_arrays(path, [f"{manoeuvre.value}_{name}" for manoeuvre in Manoeuvre for name in _NAMES])
     try:
         return {
-            manoeuvre: Regression(**{name: arrays[f"{manoeuvre.value}_{name}"] for name in _KINDS}) for manoeuvre in Manoeuvre
+            manoeuvre: Regression(**{name: arrays[f"{manoeuvre.value}_{name}"] for name in _NAMES}) for manoeuvre in Manoeuvre
         }
     except ValueError as error:
         raise DamagedArraysError(path.name, str(error)) from error

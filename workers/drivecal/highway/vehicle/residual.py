@@ -1,31 +1,21 @@
 """Neural residual of the hybrid vehicle: its arrays, their file, and their layout for the kernels."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from drivecal.highway.vehicle.parameters import SingleTrackParameters
-from drivecal.plugins.arrays import Array, DamagedArraysError, Expected, read_arrays, write_arrays
+from drivecal.plugins.arrays import Array, DamagedArraysError, read_arrays
 from drivecal.plugins.ports import Floats
 
 FILE = Path(__file__).with_name("hybrid.npz")
-KIND = "drivecal hybrid vehicle residual 1"
 MOST_UNITS = 64
 GRAVITY = 9.81
 STEERING_HORIZON = 0.1
 """Seconds over which the steering rate input extrapolates, about the time that a tyre takes to build up its force."""
-
-_EXPECTED = {
-    "hidden": Expected("float64", (None, 15)),
-    "output": Expected("float64", (None, 2)),
-    "limits": Expected("float64", (6,)),
-    "bounds": Expected("float64", (2,)),
-    "speed": Expected("float64", (2,)),
-    "baseline": Expected("float64", (6,)),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,17 +41,24 @@ class Residual:
             raise ValueError(
                 f"{len(self.hidden)} hidden and {len(self.output)} output rows; give as many of both, 1 to {MOST_UNITS}"
             )
+        shapes = [
+            self.hidden.shape[1:],
+            self.output.shape[1:],
+            *(array.shape for array in (self.limits, self.bounds, self.speed)),
+        ]
+        if [*shapes, self.baseline.shape] != [(15,), (2,), (6,), (2,), (2,), (6,)]:
+            raise ValueError("an array has another shape")
         if min(self.limits.min(), self.bounds.min(), self.speed.min(), self.baseline.min()) <= 0.0:
             raise ValueError("limits, bounds, speed and baseline must be positive")
 
     @property
     def arrays(self) -> Mapping[str, Array]:
         """Stored arrays by name."""
-        return {name: getattr(self, name) for name in _EXPECTED}
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def write(self, path: Path) -> None:
         """Writes the arrays to a file."""
-        write_arrays(path, KIND, self.arrays)
+        np.savez_compressed(path, allow_pickle=False, **self.arrays)
 
     def pack(self, parameters: SingleTrackParameters) -> Floats:
         """Returns the values that follow the coefficients of one vehicle in `plant`, shape (12 + 17 units,)."""
@@ -74,8 +71,8 @@ class Residual:
 
 
 def read(path: Path = FILE) -> Residual:
-    """Reads a residual. Raises DamagedArraysError if the file is missing, damaged or of another kind."""
-    arrays = read_arrays(path, KIND, _EXPECTED)
+    """Reads a residual. Raises DamagedArraysError if the file is missing or damaged."""
+    arrays = read_arrays(path, [field.name for field in fields(Residual)])
     try:
         return Residual(**arrays)
     except ValueError as error:
