@@ -1,17 +1,17 @@
 """A chosen set as a file for calibration tools."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 from drivecal.api.responses import calibration
 from drivecal.api.results.document import results_of
-from drivecal.api.tables.front import front_table, summary
-from drivecal.api.tables.ranking import CampaignRanking, ranking
-from drivecal.calibration_data.chosen import RankedBy, characteristics_of, front_figures, quality_of, solution_figures
+from drivecal.api.tables.front import front_table
+from drivecal.api.tables.ranking import ranking
+from drivecal.calibration_data.chosen import characteristics_of, figures_of, quality_of
 from drivecal.calibration_data.files import CalibrationFormat, labels_of, write
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.campaigns.results.front import baseline_of, front_of
+from drivecal.campaigns.results.front import front_of
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.strict_json import shown
 from drivecal.contracts.tables import FrontRow, Solution
@@ -53,12 +53,10 @@ def written(
         stored = calibration(campaigns.get(connection, choice.campaign), ", which ranks nothing")
     resolved = resolved_spec(stored)
     front = front_of(database, stored, resolved, everything=everything)
-    baseline = baseline_of(database, stored, front)
     table = choice.table or ("front" if len(front.goals.objectives) > 1 else "solutions")
     _check(table, by, everything=everything)
     given = None if by.weights is None else assignments(by.weights.split(","), "weights")
     chosen: Solution | FrontRow
-    ranked = None
     if table == "front":
         chosen = of_rank(front_table(database, stored, front, by.weights), choice, stored.id, table)
     else:
@@ -67,12 +65,7 @@ def written(
     own = chosen.iteration is not None and chosen.individual is not None  # else other campaigns alone evaluated it
     place = (chosen.iteration or 0, chosen.individual or 0) if own else None
     known = results_of(database, stored, None if everything else front, place)
-    figures: Iterator[tuple[str, str]]
-    if isinstance(chosen, FrontRow):
-        figures = front_figures(known, chosen, summary(front, baseline), given)
-    else:
-        before = None if baseline is None or ranked is None else _objective_of(ranked, baseline.parameter_set)
-        figures = solution_figures(known, chosen, None if by == RankedOtherwise() else RankedBy(by.score, given, before))
+    figures = figures_of(known, chosen, given, by.score)
     parameters = known.setup.parameters
     named = labels_of(_document(labels), [parameter.name for parameter in parameters])
     return write(form, characteristics_of(chosen.parameters, parameters, named), quality_of(known, chosen, figures, judged=own))
@@ -103,7 +96,3 @@ def _document(labels: Sequence[str]) -> dict[str, str]:
             raise InvalidInputError(Problem("label", f"{shown(name)} has two labels", "give it one"))
         document[name] = label
     return document
-
-
-def _objective_of(ranked: CampaignRanking, parameter_set: int) -> float | None:
-    return next((each.objective for each in ranked.ranked if each.parameter_set == parameter_set), None)
