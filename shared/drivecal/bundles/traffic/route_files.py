@@ -1,17 +1,16 @@
-"""SUMO route files: their elements and attributes are checked against a list, and SUMO drives what they say.
+"""SUMO route files: SUMO drives what they say, and refuses what it cannot drive.
 
-SUMO ignores misspelt attributes, and reads or writes other files if an element says so: nothing beyond the list is passed on.
+SUMO ignores misspelt attributes, and reads or writes other files if an element says so: elements and attributes are those of a list, and
+edges those of the network. Vehicles that a run does not see are left out.
 """
 
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf
 from typing import Final
 from xml.etree import ElementTree as ET
 
-from drivecal.bundles.highway import CLASSES, Surroundings
-from drivecal.bundles.highway_actions import EGO
+from drivecal.bundles.highway import Surroundings
 from drivecal.bundles.highway_catalogue import TYPE_PARAMETERS
 from drivecal.bundles.traffic.elements import Element, Notes, finite, read_tree
 from drivecal.contracts.input_errors import nearest
@@ -21,24 +20,8 @@ from drivecal.roads.network import Network
 
 MOST_VEHICLES = 2000
 """Vehicles, trips and flows that belong to a run."""
-MOST_EARLIER = 1_000_000
-"""Departures of a flow before a run, which SUMO counts one by one."""
-MOST_PER_HOUR = 10_000.0
 LONG = 1e9
 SUBLANE: Final = "SL2015"
-MODELS = ("Krauss", "IDM", "EIDM", "ACC", "CACC", "W99")
-LANE_CHANGES = ("LC2013", SUBLANE)
-NUMBERS: Mapping[str, tuple[float, float]] = {
-    **dict.fromkeys(TYPE_PARAMETERS, (-LONG, LONG)),
-    **dict.fromkeys(("length", "width"), (0.1, 100.0)),
-    **dict.fromkeys(("accel", "decel", "emergencyDecel", "apparentDecel", "tau", "maxSpeed"), (1e-3, LONG)),
-    **dict.fromkeys(("minGap", "probability", "duration"), (0.0, LONG)),
-    **dict.fromkeys(("sigma", "speedDev"), (0.0, 1.0)),
-    **dict.fromkeys(("vehsPerHour", "perHour"), (1e-3, MOST_PER_HOUR)),
-    "number": (1.0, 10_000.0),
-}
-"""Bounds of attributes that are numbers."""
-WORDS: Mapping[str, Iterable[str]] = {"vClass": CLASSES, "carFollowModel": MODELS, "laneChangeModel": LANE_CHANGES}
 WITHOUT_EFFECT = frozenset(
     {"color", "guiShape", "imgFile", "osgFile", "height", "mass", "emissionClass", "line", "cost"}
     | {"personCapacity", "containerCapacity", "personNumber", "containerNumber", "boardingDuration", "loadingDuration"}
@@ -69,8 +52,6 @@ INSIDE: Mapping[str, tuple[str, ...]] = {
 }
 IGNORED = ("param", "person", "personFlow", "container", "containerFlow")
 """Elements that are listed and not passed on."""
-_RATE = re.compile(r"exp\(([^()]*)\)")
-_FACTOR = re.compile(r"normc?\([^()]*\)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +97,6 @@ class _Reader:
         self._begin, self._first = scenario.begin, scenario.begin - scenario.warm_up
         self._end = scenario.begin + duration
         self._notes = Notes(name)
-        self._types, self._routes = {"DEFAULT_VEHTYPE"}, set[str]()
-        self._taken = {EGO, *(entry.id or f"vehicle{index}" for index, entry in enumerate(scenario.traffic))}
         self._times: list[float] = []
         self._early = 0
         self._departing: list[tuple[float, Element]] = []
@@ -145,9 +124,8 @@ class _Reader:
             notes += (f"{self._name}: {early}, and are left out",)
         models = {kind for element in written.iter("vType") if (kind := element.get("laneChangeModel"))}
         if len(models) > 1:
-            raise self._root.fault(
-                f"SUMO has one kind of lanes, and the types have {' and '.join(sorted(models))}", "give one of them"
-            )
+            message = f"SUMO has one kind of lanes, and the types have {' and '.join(sorted(models))}"
+            raise self._root.fault(message, "give one of them")
         single = [(time, element.text("id")) for time, element in self._departing if element.element != "flow"]
         return RouteTraffic(
             ET.tostring(written),
@@ -190,102 +168,25 @@ class _Reader:
                 message, "leave out vehicles that are never met, make flows of them, or give a shorter `warm_up`"
             )
         self._check(element)
-        name = element.text("type", "DEFAULT_VEHTYPE")
-        if name not in self._types:
-            raise element.fault(f"there is no vType {shown(name)} before it", nearest(name, list(self._types)))
-        self._check_way(element)
-        if is_flow:
-            per_second = self._per_second(element, begin, end)
-            if (self._first - begin) * per_second > MOST_EARLIER:
-                message = f"more than {MOST_EARLIER:,} of its vehicles depart before the run"
-                raise element.fault(message, f"give it a later begin, e.g. {_time(self._first - 3600.0)}")
         self._departing.append((begin, element))
 
     def _check(self, element: Element) -> None:
-        """Checks the attributes of an element and of those inside of it."""
+        """Checks the attributes of an element and of those inside of it, and its edges."""
         element.is_read = True
         known = KNOWN[element.element]
         for key in element.values:
-            if key in WITHOUT_EFFECT:
-                continue
-            if key not in known:
-                raise element.fault(
-                    f"the attribute {shown(key)} is not supported", f"leave it out; {nearest(key, sorted(known))}"
-                )
-            if key in NUMBERS:
-                element.number(key, *NUMBERS[key])
-            elif key in WORDS:
-                element.word(key, tuple(WORDS[key]))
-        factor = element.values.get("speedFactor", "1").replace(" ", "")
-        if not _FACTOR.fullmatch(factor):
-            element.number("speedFactor", 0.0, 100.0, 1.0)
-        if "edges" in element.values:
-            self._check_edges(element, element.text("edges").split(), is_joined=True)
-        if element.element != "stop" and (name := element.values.get("id")) is not None:
-            self._check_name(element, name)
+            if key not in known and key not in WITHOUT_EFFECT:
+                remedy = f"leave it out; {nearest(key, sorted(known))}"
+                raise element.fault(f"the attribute {shown(key)} is not supported", remedy)
+        for edge in (edge for key in ("edges", "from", "via", "to") for edge in element.values.get(key, "").split()):
+            if edge not in self._network.edges or self._network.edges[edge].function != "":
+                roads = [name for name in self._network.edges if not name.startswith(":")]
+                raise element.fault(f"the network has no edge {shown(edge, 80)}", nearest(edge, roads))
         for child in element.children:
             if child.element in INSIDE.get(element.element, ()):
                 self._check(child)
             elif child.element not in IGNORED:
                 raise child.fault("the element is not supported here", "leave it out")
-
-    def _check_name(self, element: Element, name: str) -> None:
-        """Raises InvalidInputError for an id that another element of the file or an entry of the scenario has."""
-        kind = element.element
-        names = self._types if kind.startswith("vType") else self._routes if kind.startswith("route") else self._taken
-        if name in names or name in self._taken or name.rpartition(".")[0] in self._taken:
-            raise element.fault("another one has the same id, here or in the scenario", "rename one")
-        if len(name) > 200 or (names is self._routes and name.startswith("route-")):
-            raise element.fault("the id is too long, or begins as drivecal's own do", "rename it")
-        names.add(name)
-
-    def _check_way(self, element: Element) -> None:
-        """Checks the edges over which a vehicle drives."""
-        route = element.values.get("route")
-        if route is not None and route not in self._routes:
-            raise element.fault(f"there is no route {shown(route)} before it", nearest(route, list(self._routes)))
-        if route is None and element.optional("route") is None:
-            ends = [element.text("from"), *element.text("via", "").split(), element.text("to")]
-            self._check_edges(element, ends, is_joined=False)
-
-    def _check_edges(self, element: Element, edges: list[str], *, is_joined: bool) -> None:
-        """Checks that the network has edges, and if they are a route that lanes lead from each to the next."""
-        if not edges:
-            raise element.fault("the route has no edges", "give it edges")
-        before: str | None = None
-        for edge in edges:
-            if edge not in self._network.edges or self._network.edges[edge].function != "":
-                roads = [name for name in self._network.edges if not name.startswith(":")]
-                raise element.fault(f"the network has no edge {shown(edge, 80)}", nearest(edge, roads))
-            if is_joined and before is not None:
-                reached = {link.end for link in self._network.connections.get(before, ())}
-                if edge not in reached:
-                    message = f"no lane leads from {shown(before, 80)} to {shown(edge, 80)}"
-                    raise element.fault(message, f"it leads to {', '.join(sorted(reached)[:5]) or 'no edge'}")
-            before = edge
-
-    def _per_second(self, element: Element, begin: float, end: float) -> float:
-        """Returns how many vehicles of a flow depart in a second."""
-        given = [key for key in ("vehsPerHour", "perHour", "period", "probability") if key in element.values]
-        number = float(element.values["number"]) if "number" in element.values else None
-        if len(given) > 1:
-            raise element.fault(f"it has {' and '.join(given)}", "give one of them")
-        if not given and (number is None or not begin < end < LONG):
-            raise element.fault("how many vehicles come is not said", "give vehsPerHour, period, or number, begin and end")
-        if not given:
-            return (number or 0.0) / (end - begin)
-        if given == ["probability"]:
-            return element.number("probability", 0.0, 1.0)
-        if given != ["period"]:
-            return element.number(given[0], *NUMBERS[given[0]]) / 3600.0
-        text = element.text("period").replace(" ", "")
-        match = _RATE.fullmatch(text)
-        value = finite(match[1] if match else text) or -1.0
-        rate = value if match else 1.0 / value
-        if not 1.0 / LONG <= rate <= MOST_PER_HOUR / 3600.0:
-            message = f"period is {shown(text)}, which is no time of at least {3600.0 / MOST_PER_HOUR:g} s between two vehicles"
-            raise element.fault(message, "give e.g. 5, or exp(0.2)")
-        return rate
 
 
 def _copied(element: Element) -> ET.Element:

@@ -15,7 +15,7 @@ from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.routes import BRAKING, HEADWAY, STANDING_GAP, too_close
-from drivecal.highway.drive.traffic import Traffic
+from drivecal.highway.drive.traffic import Traffic, TrafficError
 from drivecal.highway.geometry import hit
 from drivecal.roads.corridor import corridor
 from drivecal.roads.network import read_network
@@ -203,3 +203,9 @@ def test_a_vehicle_that_crosses_the_place_of_one_that_starts_is_removed() -> Non
     neighbours = np.array([[101.0, 4.0, 0.0, 0.0, 12.0, 2.0]])
     outlines = np.array([[101.0, 4.0, np.pi / 2, 6.0, 1.0, 8.0]])
     assert too_close(neighbours, outlines, 0, ego, outline, [0.0]) == [0]
+
+
+def test_a_route_file_that_sumo_refuses_is_named_with_the_words_of_sumo(road: HighwayRoad, tmp_path: Path) -> None:
+    for kind, flow, word in ((KIND | {"carFollowModel": "Foo"}, FLOW, "'t'"), (KIND, FLOW | {"departLane": "9"}, "'f.0'")):
+        with pytest.raises(TrafficError, match=word):
+            traffic(road, tmp_path, kind, flow, warm_up=5.0).reset()
