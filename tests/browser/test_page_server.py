@@ -35,7 +35,7 @@ def test_a_campaign_is_followed_live(tmp_path: Path, opening: Opening) -> None:
             working.step()
         expect(page.get_by_text(re.compile(r"Searching: iteration \d"))).to_be_visible()
         expect(page.get_by_text("workers are starting")).to_have_count(0)
-        expect(page.get_by_text("begins when the first iteration has ended")).to_be_visible()
+        expect(page.get_by_text("begins with the first sets")).to_be_visible()
         while not api.http.get(f"/api/v1/campaigns/{campaign.id}/generations").json()["items"]:
             working.step()
         course = page.get_by_role("img", name=re.compile("^Best score by iteration"))

@@ -179,7 +179,7 @@ def trust(campaign: Campaign, known: Evidence | None = None) -> ResultTrust:
 def _light(verdicts: Sequence[ResultVerdict], *, ended: bool) -> Light | None:
     """Returns the light of verdicts, the gravest first."""
     lights = [each.light for each in verdicts if each.light != "neutral"]
-    worst = (lights or ["green"])[0] if verdicts else None
+    worst = lights[0] if lights else None
     return worst if ended or worst == "red" else None
 
 
@@ -253,7 +253,7 @@ def _at_ends(
         and min(abs(value - end) for end in ends) <= AT_END * (ends[1] - ends[0])
     }
     if at_end:
-        yield verdict("at_ends", "green", subject=subject, values=at_end)
+        yield verdict("at_ends", "neutral", subject=subject, values=at_end)
 
 
 def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:
@@ -313,7 +313,7 @@ def _course(campaign: Campaign, search: SearchCourse | None) -> Iterator[ResultV
     if CampaignState(campaign.state) is not CampaignState.SUCCEEDED:
         return
     if improved_last(search.course):
-        yield verdict("still_rising", "green", iterations=len(search.course))
+        yield verdict("still_rising", "neutral", iterations=len(search.course))
     if 100 * search.requested >= NEARLY * search.grid > 0:  # whole numbers: a grid may have more sets than a float can hold
         return
     if len(search.course) >= LONG and stood_still(search.course, campaign.best.objective) and not _is_the_highest(campaign):
@@ -357,7 +357,7 @@ def _seen(campaign: Campaign, search: SearchCourse | None) -> Iterator[ResultVer
         return
     grid = f"{search.grid:,}" if search.grid < LARGEST_COUNT else f"about {Decimal(search.grid):.0e}".replace("e+", " · 10^")
     asked = f"{'' if search.is_exact else 'at most '}{search.requested:,}"
-    yield verdict("seen", "green", asked=asked, grid=grid)
+    yield verdict("seen", "neutral", asked=asked, grid=grid)
 
 
 def _is_the_highest(campaign: Campaign) -> bool:
@@ -467,7 +467,7 @@ def _failures(campaign: Campaign) -> Iterator[ResultVerdict]:
     for count, code in ((cells.failed, "without_result"), (cells.unscored, "without_score")):
         if count:
             share = count / max(1, cells.requested)
-            light: Light = "amber" if share > FEW else "green"
+            light: Light | Literal["neutral"] = "amber" if share > FEW else "neutral"
             yield verdict(code, light, count=count, requested=cells.requested, share=share)
 
 
@@ -478,7 +478,7 @@ def _cut(campaign: Campaign) -> Iterator[ResultVerdict]:
         return
     best, failed = {} if campaign.best is None else campaign.best.scores, campaign.scale.failed
     share, at_end = cut / max(1, requested), [name for name, score in best.items() if score == failed]
-    yield verdict("cut", "amber" if at_end or share > FEW else "green", count=cut, share=share, failed=failed, best=at_end)
+    yield verdict("cut", "amber" if at_end or share > FEW else "neutral", count=cut, share=share, failed=failed, best=at_end)
 
 
 def _robustness(studies: Sequence[StudyResult]) -> Iterator[ResultVerdict]:

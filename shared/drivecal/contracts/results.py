@@ -27,9 +27,9 @@ class ResultVerdict(Answer):
 
 
 class ResultTrust(Answer):
-    """The trust that a campaign's result deserves. `light`: that of the gravest of the `verdicts`, which comes first, green if all are
-    neutral; null before the end, unless it is red already, and without a search. `scores` and `search`: the same of the verdicts on one
-    question, whether the scores are right, and whether the search is finished."""
+    """The trust that a campaign's result deserves. `light`: that of the gravest of the `verdicts` that are not neutral. Only evidence for
+    a result is green, never a warning. Null before the end, unless it is red already, and if all are neutral. `scores` and `search`: the
+    same of the verdicts on one question, whether the scores are right, and whether the search is finished."""
 
     light: Light | None
     scores: Light | None = None

@@ -153,10 +153,10 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
         "without_result": "amber",
         "scores_simulated": "green",
         "lots": "green",
-        "without_score": "green",
-        "cut": "green",
+        "without_score": "neutral",
+        "cut": "neutral",
     }
-    assert lights(campaign(cells={"failed": 1}))["without_result"] == "green"
+    assert lights(campaign(cells={"failed": 1}))["without_result"] == "neutral"
     assert lights(campaign(cells={"cut": 2}))["cut"] == "amber"
     worst = BEST.model_copy(update={"scores": {"S1": COST.failed, "S2": 3.0}})
     assert verdicts(campaign(cells={"cut": 1}, best=worst, scale=COST))["cut"].numbers["best"] == ["S1"]
@@ -287,6 +287,14 @@ def test_a_search_that_saw_nearly_all_sets_missed_little(requested: int, grid: i
     result = verdicts(campaign(), search=SearchCourse(stalled(*[(6.0, 6.0)] * 5), {}, requested, grid))
     assert ("stood_still" in result) is is_doubted
     assert result["seen"].numbers["asked"] == str(requested)
+
+
+def test_what_a_search_did_not_see_is_never_green() -> None:
+    search = SearchCourse(stalled((4.0, None), (6.0, None)), {"P1": (0.5, 1.0)}, 1000, 10**27)
+    result = trust(campaign(**EXACT), Evidence(search=search))
+    assert {each.code: each.light for each in result.verdicts if each.question == "search"} | {"all": result.search} == {
+        "seen": "neutral", "not_converged": "neutral", "still_rising": "neutral", "at_ends": "neutral", "all": None,
+    }  # fmt: skip
 
 
 def test_the_highest_score_in_steps_is_not_doubted() -> None:

@@ -41,14 +41,3 @@ export function lines(runs: readonly ComparedRun[], optimizer: string, shown: Sh
     };
   });
 }
-
-/** From the smallest to the largest, with a little room; one scale for all charts of a kind. */
-export function span(values: readonly (number | null)[]): [number, number] {
-  const known = values.filter((value): value is number => value !== null);
-  if (known.length === 0) return [0, 1];
-  // all runs' steps may be more values than a call takes arguments
-  const low = known.reduce((value, other) => Math.min(value, other));
-  const high = known.reduce((value, other) => Math.max(value, other));
-  const margin = 0.08 * (high - low) || 0.5;
-  return [low - margin, high + margin];
-}

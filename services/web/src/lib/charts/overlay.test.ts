@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { byMeasure, haveLikeObjectives, haveLikeScores, measureOf, overlay } from "./overlay";
+import { byMeasure, haveLikeObjectives, haveLikeScores, measureOf, overOf, overlay, type Over } from "./overlay";
 import type { Campaign, Generation } from "../server/types";
 
 const generation = (iteration: number, best: number, requested: number, reused: number): Generation => ({ iteration, best, requested, reused, repeated: 0, predicted: 0 }) as Generation;
@@ -8,9 +8,9 @@ const searches = [
   { name: "other", place: 1, generations: [generation(0, 3, 20, 0)] },
 ];
 
-test("each search has its own places, over iterations or over simulations", () => {
-  expect(overlay(searches, "iteration").map((line) => line.x)).toEqual([[1, 2], [1]]);
-  expect(overlay(searches, "simulations").map((line) => line.x)).toEqual([[10, 14], [20]]);
+test("a search is drawn over iterations, one with a budget over the simulations so far", () => {
+  expect(["iteration", "simulations"].map((over) => overlay(searches, over as Over).map((line) => line.x))).toEqual([[[1, 2], [1]], [[10, 14], [20]]]);
+  expect([overOf([{ budget: null }]), overOf([{ budget: null }, { budget: { simulations: 60 } }])]).toEqual(["iteration", "simulations"]);
 });
 
 test("searches differ in colour and dash, for eyes that see colours alike", () => {

@@ -8,6 +8,7 @@ const DASHES = [undefined, "7 3", "2 3", "9 3 2 3", "4 2"];
 
 /** What the best objectives of a campaign are: its first objective, else its score. */
 export type Measure = Pick<Campaign["scale"], "name" | "unit" | "direction">;
+export type Over = "iteration" | "simulations";
 type Compared = Pick<Campaign, "spec" | "scale" | "objective">;
 
 export function measureOf({ objective, scale }: Pick<Campaign, "scale" | "objective">): Measure {
@@ -42,21 +43,25 @@ export function byMeasure<T extends { of: Pick<Campaign, "scale" | "objective"> 
   return [...groups.values()];
 }
 
-/** Requested cells of a generation that neither copies nor predictions answered. */
-function simulationsOf(generation: Generation): number {
-  return generation.requested - generation.repeated - generation.reused - generation.predicted;
+/** A search with a budget asks cell by cell: its rounds are no iterations. */
+export function overOf(campaigns: readonly Pick<Campaign, "budget">[]): Over {
+  return campaigns.some(({ budget }) => budget !== null) ? "simulations" : "iteration";
 }
 
-/** The best objective of each search over its iterations, counted from 1, or over the simulations so far. `place`: which colour and dash it has. */
-export function overlay(searches: readonly { name: string; place: number; generations: readonly Generation[] }[], over: "iteration" | "simulations"): Series[] {
+/** The iterations of a search, counted from 1, or the simulations so far: requested cells that neither copies nor predictions answered. */
+export function placesOf(generations: readonly Generation[], over: Over): number[] {
+  let taken = 0;
+  return generations.map(({ iteration, requested, repeated, reused, predicted }) => (over === "iteration" ? iteration + 1 : (taken += requested - repeated - reused - predicted)));
+}
+
+/** The best objective of each search. `place`: which colour and dash it has. */
+export function overlay(searches: readonly { name: string; place: number; generations: readonly Generation[] }[], over: Over): Series[] {
   return searches.map(({ name, place, generations }) => {
-    let taken = 0;
-    const simulations = generations.map((generation) => (taken += simulationsOf(generation)));
     const dash = DASHES[place % DASHES.length];
     return {
       name,
       values: generations.map((generation) => generation.best),
-      x: over === "iteration" ? generations.map((generation) => generation.iteration + 1) : simulations,
+      x: placesOf(generations, over),
       colour: SERIES[place % SERIES.length] ?? "",
       steps: true,
       group: name,

@@ -1,4 +1,4 @@
-/** Parallel coordinates on a canvas: however many lines there are, no frame takes long. */
+/** Parallel coordinates on a canvas. */
 
 export const TOP = 34;
 export const BOTTOM = 26;
@@ -18,15 +18,9 @@ export interface Axis {
   choices?: readonly string[];
 }
 
-/** Lines in one frame: adapted to what the browser can paint, so that nothing is ever held up by a hundred thousand of them. */
-const FIRST_QUOTA = 250;
-const LEAST_QUOTA = 100;
-const MOST_QUOTA = 4_000;
-/** Milliseconds from one frame to the next. */
-const SLOW_FRAME = 40;
-/** A frame is slow, too, if it lasts this many times as long as the shortest: the screen was ready, and the lines were not. */
-const SLOWER = 1.5;
-const FIRST_PASS = 2_000;
+/** Lines that are drawn of more: a wall of them shows nothing else. */
+export const MOST_LINES = 5_000;
+const LINES_IN_A_FRAME = 500;
 
 export function heightOf(axis: Axis, value: number): number {
   return TOP + (1 - (value - axis.lower) / (axis.upper - axis.lower || 1)) * (HEIGHT - TOP - BOTTOM);
@@ -52,63 +46,30 @@ export function opacity(lines: number): number {
   return Math.min(0.9, Math.max(0.03, 12 / Math.sqrt(lines || 1)));
 }
 
-/** Draws lines frame by frame until they are all there; gives what stops it. `done` is told how many are drawn. */
+/** Draws lines, some in each frame until they are all there; returns what stops it. */
 export function drawLines(
   pen: CanvasRenderingContext2D,
   columns: readonly { axis: Axis; values: Float64Array }[],
   step: number,
   wanted: readonly { rows: Uint32Array; style: string }[],
-  done: (count: number) => void,
   stroke: { width: number; dash: number[] } | null = null,
 ): () => void {
   const scale = columns.map(({ axis }) => (HEIGHT - TOP - BOTTOM) / (axis.upper - axis.lower || 1));
-  const total = wanted.reduce((sum, batch) => sum + batch.rows.length, 0);
-  // Many lines come in passes, each a sample of all of them: what is seen first is already the whole, only thinner.
-  const passes = Math.max(1, Math.ceil(total / FIRST_PASS));
-  let pass = 0;
-  let part = 0;
-  let at = 0;
-  let sum = 0;
-  let quota = FIRST_QUOTA;
-  let last = 0;
-  let shortest = Infinity;
-  let frame = requestAnimationFrame(function go(now) {
-    // Browsers paint after the frame's script has ended: only the time between frames tells what lines cost.
-    if (last > 0) {
-      const took = now - last;
-      shortest = Math.min(shortest, took);
-      quota = took > Math.min(SLOW_FRAME, SLOWER * shortest) ? Math.max(LEAST_QUOTA, quota / 2) : Math.min(MOST_QUOTA, quota * 1.3);
+  const parts = wanted.flatMap(({ rows, style }) => Array.from({ length: Math.ceil(rows.length / LINES_IN_A_FRAME) }, (_, part) => ({ style, rows: rows.subarray(part * LINES_IN_A_FRAME, (part + 1) * LINES_IN_A_FRAME) })));
+  let frame = requestAnimationFrame(draw);
+  function draw(): void {
+    const part = parts.shift();
+    if (part === undefined) return;
+    pen.strokeStyle = part.style;
+    if (stroke) {
+      pen.lineWidth = stroke.width;
+      pen.setLineDash(stroke.dash);
     }
-    last = now;
-    let left = Math.round(quota);
-    while (pass < passes && left > 0) {
-      const batch = wanted[part];
-      if (batch === undefined) {
-        pass += 1;
-        part = 0;
-        at = pass;
-        continue;
-      }
-      pen.strokeStyle = batch.style;
-      if (stroke) {
-        pen.lineWidth = stroke.width;
-        pen.setLineDash(stroke.dash);
-      }
-      pen.beginPath();
-      for (; at < batch.rows.length && left > 0; at += passes) {
-        polyline(batch.rows[at] as number);
-        left -= 1;
-        sum += 1;
-      }
-      pen.stroke();
-      if (at >= batch.rows.length) {
-        part += 1;
-        at = pass;
-      }
-    }
-    done(sum);
-    if (pass < passes) frame = requestAnimationFrame(go);
-  });
+    pen.beginPath();
+    part.rows.forEach(polyline);
+    pen.stroke();
+    frame = requestAnimationFrame(draw);
+  }
 
   function polyline(row: number): void {
     let gap = true;

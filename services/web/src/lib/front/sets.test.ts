@@ -1,7 +1,7 @@
 import { expect, test } from "vitest";
 import { cell } from "../server/columns";
 import type { FrontRow } from "../server/types";
-import { hasFront, isOf, kindOf, madeOfText, marksOf, neighbour, pairOf, rangeOf, tableOf, withColumns } from "./sets";
+import { isOf, kindOf, madeOfText, pairOf, rangeOf, tableOf, withColumns } from "./sets";
 
 const row = (rank: number, more: Partial<FrontRow> = {}): FrontRow => ({
   rank, objectives: { f1: rank, f2: -rank }, weighted: null, violation: 0, constraints: { y: 2 }, values: { "f2@plain": -rank }, knee: rank === 2, best_in: rank === 1 ? ["f1"] : [], wins: 0.2, weights: null,
@@ -33,14 +33,6 @@ test("a set is as certain as its least certain answer", () => {
   expect(kindOf(undefined)).toBe("simulated");
 });
 
-test("only several objectives make a front", () => {
-  expect([hasFront({ objectives: [{}, {}] }), hasFront({ objectives: [{}] }), hasFront({})]).toEqual([true, false, false]);
-});
-
-test("knee and extremes are marked in words", () => {
-  expect([...marksOf([{ knee: true, best_in: ["f1"] }, { knee: false, best_in: [] }])]).toEqual([[0, ["knee", "best f1"]]]);
-});
-
 test("the winner and the knee are compared until the address names others", () => {
   expect(pairOf(ROWS, undefined, undefined, null)).toEqual({ current: 0, other: 1 });
   expect(pairOf(ROWS, "3", "1", null)).toEqual({ current: 2, other: 0 });
@@ -53,16 +45,6 @@ test("a set is never compared with itself", () => {
   expect(pairOf(ROWS, undefined, "3", 2)).toEqual({ current: 0, other: 2 });
   expect(pairOf(ROWS.slice(0, 1), undefined, undefined, null)).toEqual({ current: 0, other: null });
   expect(pairOf([], "1", "2", null)).toEqual({ current: null, other: null });
-});
-
-test("the arrow keys walk along the front and stop at its ends", () => {
-  const along = Float64Array.of(3, 1, 2);
-  const all = Uint32Array.of(0, 1, 2);
-  expect(neighbour(along, all, 1, 1)).toBe(2);
-  expect(neighbour(along, all, 0, 1)).toBe(0);
-  expect([neighbour(along, all, null, 1), neighbour(along, all, null, -1)]).toEqual([1, 0]);
-  expect(neighbour(along, Uint32Array.of(0, 1), 2, 1)).toBe(1);
-  expect(neighbour(along, new Uint32Array(0), 2, 1)).toBeNull();
 });
 
 test("far dominated sets do not press the front into a corner, unless all are asked for", () => {

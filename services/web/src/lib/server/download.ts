@@ -1,4 +1,4 @@
-/** Files that the page makes. */
+/** Files that the page makes, and addresses of files that the server makes. */
 
 import { isDark } from "../theme.svelte";
 
@@ -59,4 +59,24 @@ export function downloadPng(name: string, drawing: SVGSVGElement, layers: Iterab
     downloadCanvas(name, canvas);
   };
   image.src = address;
+}
+
+/** The address of a table as a file; `where`: conditions on its rows. */
+export function tableFile(id: string, table: string, format: string, query: Readonly<Record<string, string>>, where: readonly string[]): string {
+  return `/api/v1/campaigns/${id}/${table}?${new URLSearchParams([...Object.entries(query), ...where.map((condition): [string, string] => ["where", condition]), ["format", format]])}`;
+}
+
+/** The address of a set as a file for calibration tools; without a rank the best one. */
+export function calibrationFile(id: string, format: string, set: Readonly<Record<string, string>> = {}): string {
+  return `/api/v1/campaigns/${id}/calibration-file?${new URLSearchParams({ ...set, format })}`;
+}
+
+/** Copies a text; false if the browser gives the page no clipboard, as on plain http. */
+export async function copied(text: string): Promise<boolean> {
+  try {
+    await navigator.clipboard.writeText(text);
+    return true;
+  } catch {
+    return false;
+  }
 }
