@@ -222,6 +222,7 @@ def outlooks(names: Sequence[str], arms: Sequence[str], seeds: Sequence[int], ce
             with suppress(Ended):
                 ARMS[arm](run, seed)
             course = [best if np.isfinite(best) else None for best in run.course]
+            course += course[-1:] * (cells - len(course))  # a search may have nothing left to ask for
             for now in (cells // 4, cells // 2):
                 before, after, expected = *course[now - 1 : 2 * now : now], expected_gain(course[:now])
                 if before is not None and after is not None and expected is not None:

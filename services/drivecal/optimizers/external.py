@@ -1,12 +1,11 @@
 """`optimizer: {kind: external}`: another program proposes the sets, by the API, and a campaign evaluates them."""
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, NoReturn, get_args
+from typing import Annotated, Literal, NoReturn, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivecal.plugins.ports import Ability
-from drivecal.plugins.search import AskedCell, CellAnswer, SearchPlugin, SearchTask
+from drivecal.plugins.search import SearchPlugin
 
 
 class ExternalSettings(BaseModel):
@@ -29,22 +28,11 @@ class External:
     settings: type[BaseModel] = ExternalSettings
     supports: frozenset[Ability] = frozenset(get_args(Ability))
 
-    def begin(self, settings: BaseModel, task: SearchTask) -> NoReturn:
+    def begin(self, *_: object, **__: object) -> NoReturn:
         """Raises TypeError."""
-        del settings, task
         raise TypeError("others propose the sets of this search")
 
-    def resume(
-        self,
-        settings: BaseModel,
-        task: SearchTask,
-        rounds: Sequence[Sequence[AskedCell]],
-        answers: Sequence[Sequence[CellAnswer]],
-        state: Mapping[str, Any],
-    ) -> NoReturn:
-        """Raises TypeError."""
-        del rounds, answers, state
-        self.begin(settings, task)
+    resume = begin
 
 
 EXTERNAL: SearchPlugin = External()

@@ -1,4 +1,4 @@
-"""CPUs and memory that this process may use: all of its machine, within the limits of its container."""
+"""CPUs that this process may use: all of its machine, within the limits of its container."""
 
 import math
 import os
@@ -13,7 +13,7 @@ OWN_GROUPS = Path("/proc/self/cgroup")
 def cpus() -> int:
     """Returns the number of CPUs that this process may use, with a quota of CPU time rounded up."""
     number = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    for folder in _groups("cpu"):
+    for folder in _groups():
         quota, _, period = _content(folder / "cpu.max").partition(" ")
         if not quota:
             quota, period = _content(folder / "cpu.cfs_quota_us"), _content(folder / "cpu.cfs_period_us")
@@ -22,23 +22,13 @@ def cpus() -> int:
     return number
 
 
-def memory_bytes() -> int:
-    """Returns the memory that this process may use together with the others of its container."""
-    number = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    for folder in _groups("memory"):
-        limit = _content(folder / "memory.max") or _content(folder / "memory.limit_in_bytes")
-        if limit.isdecimal():
-            number = min(number, int(limit))
-    return number
-
-
-def _groups(controller: str) -> Iterator[Path]:
+def _groups() -> Iterator[Path]:
     """Yields the folders of the control group of this process and of those around it: each may hold a limit."""
     for line in _content(OWN_GROUPS).splitlines():
         _, controllers, path = line.split(":", 2)
-        if controllers and controller not in controllers.split(","):
+        if controllers and "cpu" not in controllers.split(","):
             continue
-        root = CONTROL_GROUPS / controller if controllers else CONTROL_GROUPS
+        root = CONTROL_GROUPS / "cpu" if controllers else CONTROL_GROUPS
         own = root / path.lstrip("/")
         yield from (folder for folder in (own, *own.parents) if folder.is_relative_to(root))
 
