@@ -2,6 +2,7 @@
 
 import numpy as np
 import numpy.typing as npt
+from tests.unit.highway.planner.considering import considered
 
 from drivecal.domain.roads import Floats
 from drivecal.highway.planner import plans
@@ -10,7 +11,7 @@ from drivecal.plugins.ports import Observation
 
 
 def costs_of(lateral: Floats, longitudinal: Floats, combined: Floats, w: Floats) -> Floats:
-    """Returns J of all candidates, shape (n_longitudinal, n_lateral); features: as from `kernel.consider`."""
+    """Returns J of all candidates, shape (n_longitudinal, n_lateral); features: as from `considered`."""
     along = w[0] * longitudinal[0] + w[1] * longitudinal[1]
     aside = (
         w[0] * lateral[0] + w[1] * lateral[1] + w[3] * lateral[2] + w[5] * lateral[3] + w[6] * lateral[4] + w[9] * lateral[5]
@@ -29,8 +30,7 @@ def cheapest(costs: Floats, infeasible: npt.NDArray[np.bool_]) -> int:
 
 def decide(planner: FrenetPlanner, observation: Observation, weights: Floats) -> tuple[int, npt.NDArray[np.bool_]]:
     """Returns the candidate that `plan` is to take next, and the cheaper candidates that are infeasible."""
-    planner.features(observation)
-    costs = costs_of(planner._lateral, planner._longitudinal, planner._combined, weights)
+    costs = costs_of(*considered(planner, observation), weights)
     wanted, memory, start = planner._wanted(observation.time), planner._memory.copy(), np.empty(8)
     plans.start_at(observation.ego, memory, observation.time - planner._planned_at, start)
     quintics, quartics = np.empty((8, plans.LATERAL_PLANS)), np.empty((7, plans.LONGITUDINAL_PLANS))

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.effort import tries
 from tests.unit.highway.planner import exhaustive
+from tests.unit.highway.planner.considering import considered, features_of
 from tests.unit.highway.planner.reference import ReferencePlanner
 from tests.unit.highway.planner.situations import (
     BENDING,
@@ -34,8 +35,8 @@ GRID = 1 / FEATURE_GRID
 
 
 def assert_same(planner: FrenetPlanner, reference: ReferencePlanner, observation: Observation) -> None:
-    features = planner.features(observation)
-    costs = costs_of(planner)
+    features = features_of(planner, observation)
+    costs = costs_of(planner, observation)
     planner.plan(observation)
     expected = reference.plan(observation)
     # Rounding to the grid turns a difference of 1e-12 into a whole grid step where a raw feature lies between two.
@@ -53,10 +54,9 @@ def planner_of(scenario: Scenario) -> FrenetPlanner:
     return FrenetPlanner(scenario)
 
 
-def costs_of(planner: FrenetPlanner) -> Floats:
-    """J of the candidates whose `features` were asked for last, in the kernel's own arithmetic, shape (n_candidates,)."""
-    costs = exhaustive.costs_of(planner._lateral, planner._longitudinal, planner._combined, planner._weights)
-    return costs.ravel()
+def costs_of(planner: FrenetPlanner, observation: Observation) -> Floats:
+    """J of all candidates, in the kernel's own arithmetic, shape (n_candidates,)."""
+    return exhaustive.costs_of(*considered(planner, observation), planner._weights).ravel()
 
 
 @pytest.mark.slow("0", "2")
@@ -103,7 +103,7 @@ def test_random_situations_reach_every_feature_and_infeasible_candidates() -> No
         planner = FrenetPlanner(scenario)
         planner.reset(random_parameters(random))
         for observation in random_drive(random, scenario, plans=3):
-            features = planner.features(observation)
+            features = features_of(planner, observation)
             assert features.min() >= 0.0
             occurrences += features.max(axis=0) > 0.1
             infeasible += bool(exhaustive.decide(planner, observation, planner._weights)[1].any())
@@ -126,11 +126,11 @@ def test_features_depend_on_no_parameter_and_costs_are_linear_in_the_weights(
     observation = random_drive(np.random.default_rng(seed), CHANGING, plans=1)[0]
     planner = planner_of(CHANGING)
     planner.reset(some)
-    features = planner.features(observation)
-    np.testing.assert_allclose(costs_of(planner), features @ weights(some), rtol=1e-12)
+    features = features_of(planner, observation)
+    np.testing.assert_allclose(costs_of(planner, observation), features @ weights(some), rtol=1e-12)
     planner.reset(others)
-    assert planner.features(observation).tobytes() == features.tobytes()
-    np.testing.assert_allclose(costs_of(planner), features @ weights(others), rtol=1e-12)
+    assert features_of(planner, observation).tobytes() == features.tobytes()
+    np.testing.assert_allclose(costs_of(planner, observation), features @ weights(others), rtol=1e-12)
 
 
 @given(parameters_of_table6, st.integers(0, 10_000), st.sampled_from([0.25, 2.0, 1024.0]))
@@ -178,7 +178,7 @@ def test_ties_go_to_the_lowest_index_that_is_feasible() -> None:
 def test_a_vehicle_that_has_nothing_to_do_takes_candidate_0_whatever_the_parameters(seed: int) -> None:
     planner = planner_of(KEEPING)
     planner.reset(random_parameters(np.random.default_rng(seed)))
-    features = planner.features(seen())
+    features = features_of(planner, seen())
     planner.plan(seen())
     assert planner.chosen == 0
     assert (features[:: planner.n_lateral] @ np.ones(12) == 0).sum() > 1, "there is no tie to break"
@@ -199,6 +199,6 @@ def test_a_mirrored_situation_costs_the_same_on_the_other_side(seed: int, parame
     partner = [int(np.flatnonzero(((ends.T - [2 * LANE - d, horizon]) ** 2).sum(axis=1) < 1e-9)[0]) for d, horizon in ends.T]
     planner.reset(parameters)
     shape = (-1, planner.n_lateral, 12)
-    here = planner.features(observation).reshape(shape)
-    there = planner.features(mirrored).reshape(shape)[:, partner]
+    here = features_of(planner, observation).reshape(shape)
+    there = features_of(planner, mirrored).reshape(shape)[:, partner]
     np.testing.assert_allclose(here, there, atol=1.01 * GRID, rtol=1e-9)

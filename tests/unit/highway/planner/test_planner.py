@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.effort import tries
 from tests.support.frenet import to_frenet
+from tests.unit.highway.planner.considering import features_of
 from tests.unit.highway.planner.reference import ReferencePlanner
 from tests.unit.highway.planner.situations import BENDING, CHANGING, KEEPING, LANE, MIDDLE, random_drive, seen, vehicle
 
@@ -108,7 +109,7 @@ def test_a_small_deviation_leaves_the_plan_as_it_is_and_a_large_one_starts_it_an
 def test_going_on_with_the_plan_before_is_among_the_candidates() -> None:
     planner = planner_for(KEEPING, [0.0, 0.0, 0.0, 0.0, 1e6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     before = planner.plan(seen(d=LANE + 0.6, d1=0.4))
-    features = planner.features(seen(time=0.2, s=106.0, d=LANE + 0.67))
+    features = features_of(planner, seen(time=0.2, s=106.0, d=LANE + 0.67))
     after = planner.plan(seen(time=0.2, s=106.0, d=LANE + 0.67))
     assert features.reshape(-1, planner.n_lateral, 12)[:, -1, P5].max() == 0.0
     assert planner.chosen % planner.n_lateral == planner.n_lateral - 1
@@ -134,16 +135,16 @@ AHEAD = vehicle(130, 1, 20)
     ],
 )
 def test_each_term_tells_candidates_apart_in_its_situation(term: int, scenario: Scenario, observation: Observation) -> None:
-    features = planner_for(scenario).features(observation)
+    features = features_of(planner_for(scenario), observation)
     assert features.min() >= 0.0
     assert np.ptp(features[:, term]) > 0.05
 
 
 def test_the_consistency_term_compares_with_the_plan_before() -> None:
     planner = planner_for(KEEPING)
-    assert not planner.features(seen(d=LANE + 0.5))[:, P5].any(), "there is no plan before the first"
+    assert not features_of(planner, seen(d=LANE + 0.5))[:, P5].any(), "there is no plan before the first"
     planner.plan(seen(d=LANE + 0.5))
-    assert np.ptp(planner.features(seen(d=LANE + 0.5, time=0.2, s=106.0))[:, P5]) > 0.05
+    assert np.ptp(features_of(planner, seen(d=LANE + 0.5, time=0.2, s=106.0))[:, P5]) > 0.05
 
 
 @pytest.mark.parametrize(
@@ -165,8 +166,8 @@ def test_a_neighbour_changes_only_the_features_it_is_meant_for(
     scenario: Scenario, d: float, neighbour: list[float], changed: set[int]
 ) -> None:
     planner = planner_for(scenario)
-    alone = planner.features(seen(d=d, time=2.0))
-    together = planner.features(seen(neighbour, d=d, time=2.0))
+    alone = features_of(planner, seen(d=d, time=2.0))
+    together = features_of(planner, seen(neighbour, d=d, time=2.0))
     assert (together >= alone).all(), "another vehicle never makes a candidate cheaper"
     at_speed = np.repeat(LONGITUDINAL_ENDS[0] == 0.0, planner.n_lateral)
     differs = {term for term in range(12) if (together[at_speed, term] != alone[at_speed, term]).any()}
@@ -177,8 +178,8 @@ def test_a_neighbour_changes_only_the_features_it_is_meant_for(
 def test_neighbours_add_up_in_any_order(seed: int) -> None:
     (observation,) = random_drive(np.random.default_rng(seed), CHANGING, plans=1)
     planner = planner_for(CHANGING)
-    here = planner.features(observation)
-    turned = planner.features(Observation(observation.time, observation.ego, observation.neighbours[::-1].copy()))
+    here = features_of(planner, observation)
+    turned = features_of(planner, Observation(observation.time, observation.ego, observation.neighbours[::-1].copy()))
     np.testing.assert_allclose(here, turned, atol=1e-3, rtol=1e-9)
 
 
@@ -219,7 +220,7 @@ def test_a_lower_limit_is_reached_in_time_and_a_higher_one_not_used_too_early() 
 
 def test_a_candidate_that_cannot_be_driven_is_passed_over() -> None:
     planner = planner_for(KEEPING, NOTHING)
-    costs = planner.features(seen(s1=14.0)) @ weights(NOTHING)
+    costs = features_of(planner, seen(s1=14.0)) @ weights(NOTHING)
     trajectory = planner.plan(seen(s1=14.0))
     assert costs.min() < costs[planner.chosen], "gaining 16 m/s in 2.5 s would be cheapest"
     assert trajectory[:, 6].max() <= LARGEST_THRUST
@@ -227,7 +228,7 @@ def test_a_candidate_that_cannot_be_driven_is_passed_over() -> None:
 
 def test_where_nothing_can_be_driven_the_cheapest_candidate_is() -> None:
     planner = planner_for(KEEPING)
-    costs = planner.features(seen(d=3 * LANE, d1=3.0)) @ weights(MIDDLE)
+    costs = features_of(planner, seen(d=3 * LANE, d1=3.0)) @ weights(MIDDLE)
     assert np.isfinite(planner.plan(seen(d=3 * LANE, d1=3.0))).all()
     assert planner.chosen == np.argmin(costs)
 

@@ -37,20 +37,13 @@ from drivecal.highway.planner.terms import (
     BOUNDARY,
     CENTRE,
     CLEAR,
-    CLEARANCE,
-    CLOSING,
-    COLLISION,
     CONSISTENCY,
     COSTS,
-    FOLLOWER,
-    HEADING,
     HEADINGS,
     IS_SEEN,
     LATERAL,
-    LATERAL_ACCELERATION,
     LATERAL_BASE,
     LATERAL_JERK,
-    LEADER,
     LONGITUDINAL,
     LONGITUDINAL_BASE,
     LONGITUDINAL_JERK,
@@ -176,45 +169,6 @@ def look(weights: Any, others: int, j: int, limit: float, known: int, work: Any)
                 if bits(costs_of(weights, along, work, block) > limit) == ALL:
                     left &= ~(1 << block)
     return left, known
-
-
-@compiled
-def consider(
-    road: Any, scene: Any, lateral_ends: Any, ego: Any, neighbours: Any, elapsed: float,
-    memory: Any, work: Any, lateral: Any, longitudinal: Any, combined: Any,
-) -> None:  # fmt: skip
-    """Writes the features of all candidates, and to `work`."""
-    quintics, quartics = np.empty((8, LATERAL_PLANS)), np.empty((7, LONGITUDINAL_PLANS))
-    prepare(
-        road, scene, lateral_ends, ego, neighbours, elapsed, memory, quintics, quartics, work
-    )  # fmt: skip
-    for i in range(LATERAL_PLANS):
-        work[ASIDE + i] = 0.0
-        for row in range(6):
-            lateral[row, i] = work[LATERAL + row * LATERAL_PLANS + place_of(i, LATERAL_PLANS)]
-    weights, known = np.zeros(12), 0
-    for j in range(LONGITUDINAL_PLANS):
-        place = place_of(j, LONGITUDINAL_PLANS)
-        for row in range(2):
-            longitudinal[row, j] = work[LONGITUDINAL + row * LONGITUDINAL_PLANS + place]
-        _, known = look(weights, len(neighbours), place, np.inf, known, work)
-        for block in range(BLOCKS):
-            near, at = near_of(work, block), NEARS + block * NEAR
-            store(work, at + TOUCHING, near[0])
-            store(work, at + CLEAR, near[1])
-            store(work, at + AHEAD, near[2])
-            store(work, at + ALONGSIDE, near[3])
-            store(work, at + BEHIND, near[4])
-        for i in range(LATERAL_PLANS):
-            column = place_of(i, LATERAL_PLANS)
-            at = NEARS + column // LANES * NEAR + column % LANES
-            combined[COLLISION, j, i] = work[at + TOUCHING]
-            combined[LATERAL_ACCELERATION, j, i] = work[SIDES + column]
-            combined[HEADING, j, i] = work[HEADINGS + column]
-            combined[CLEARANCE, j, i] = work[at + CLEAR]
-            combined[LEADER, j, i] = work[at + AHEAD]
-            combined[CLOSING, j, i] = work[at + ALONGSIDE]
-            combined[FOLLOWER, j, i] = work[at + BEHIND]
 
 
 @compiled

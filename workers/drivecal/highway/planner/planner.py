@@ -22,18 +22,13 @@ TRAJECTORY = 2.4
 """Length of the trajectory for the vehicle, s: the period and its controller's preview."""
 CURB = 0.1
 """Distance that every candidate keeps from the road's edges, m."""
-_COMBINED = {terms.LATERAL_ACCELERATION: 2, terms.HEADING: 4, terms.CLEARANCE: 7, terms.LEADER: 8, terms.CLOSING: 10}
-_COMBINED |= {terms.FOLLOWER: 11, terms.COLLISION: 0}
-_LATERAL = {terms.LATERAL_BASE: 0, terms.LATERAL_JERK: 1, terms.CENTRE: 3, terms.CONSISTENCY: 5}
-_LATERAL |= {terms.ARRIVAL: 6, terms.BOUNDARY: 9}
-_LONGITUDINAL = {terms.LONGITUDINAL_BASE: 0, terms.LONGITUDINAL_JERK: 1}
 
 
 class FrenetPlanner:
     """Chooses the candidate of lowest cost every 0.2 s (Werling et al. 2010).
 
     A plan starts on the previous plan while the vehicle follows it closely (`plans.LARGEST_DEVIATIONS`), which gives a smooth path; else
-    it starts at the vehicle. `features` are readable: J = features @ weights.
+    it starts at the vehicle.
     """
 
     period = PERIOD
@@ -63,9 +58,6 @@ class FrenetPlanner:
         self._change_after = task.lane_change_after
         self._rows = round(TRAJECTORY / scenario.step) + 1
 
-        self._lateral = np.zeros((6, LATERAL_PLANS))
-        self._longitudinal = np.zeros((2, LONGITUDINAL_PLANS))
-        self._combined = np.zeros((7, LONGITUDINAL_PLANS, LATERAL_PLANS))
         self.chosen = -1
         """The candidate of the last plan that is driven: index = longitudinal index * n_lateral + lateral index."""
         self._memory = np.zeros((8, 2))
@@ -104,40 +96,6 @@ class FrenetPlanner:
             raise ValueError(f"no plan has a cost: the observation at {observation.time} s must hold finite numbers only")
         self._planned_at = observation.time
         return trajectory
-
-    def features(self, observation: Observation) -> Floats:
-        """Returns the features of all candidates of a plan from this observation, shape (n_candidates, 12): base, then the terms P1..P11.
-
-        Plans nothing. `plan` takes the candidate of lowest `features @ cost.weights(parameters)` that is feasible.
-        """
-        self._consider(observation)
-        n_longitudinal, n_lateral = self._combined.shape[1:]
-        features = np.zeros((n_longitudinal, n_lateral, 12))
-        for row, column in _LONGITUDINAL.items():
-            features[:, :, column] += self._longitudinal[row][:, None]
-        for row, column in _LATERAL.items():
-            features[:, :, column] += self._lateral[row]
-        for row, column in _COMBINED.items():
-            features[:, :, column] += self._combined[row]
-        return features.reshape(-1, 12)
-
-    def _consider(self, observation: Observation) -> None:
-        """Computes the features of all candidates of a plan from this observation."""
-        wanted = self._wanted(observation.time)
-        self._make_room(observation)
-        kernel.consider(
-            self._road,
-            self._scenes[wanted],
-            self._lateral_ends[wanted],
-            observation.ego,
-            observation.neighbours,
-            observation.time - self._planned_at,
-            self._memory,
-            self._work,
-            self._lateral,
-            self._longitudinal,
-            self._combined,
-        )
 
     def _make_room(self, observation: Observation) -> None:
         """Lets the scratch memory hold the neighbours of an observation."""
