@@ -93,8 +93,8 @@ cluster are in `.env.example`.
 TABLE
 
 `DRIVECAL_BUNDLE_CACHE` (default `~/.cache/drivecal/bundles`, else a temporary folder) is a folder of each worker's machine: unpacked
-problems by digest. It belongs to the worker's user, mode 0700; others are refused. Above 8 GB, and if its disk is full, problems that no
-session uses are removed, the longest unused first; workers get them again.
+problems by digest. It belongs to the worker's user, mode 0700; others are refused. Problems that
+were not used for 30 days are removed; workers get them again.
 
 `DRIVECAL_SIMULATOR_FOLDERS` (a variable of each worker's machine; default none) names folders, separated by colons, that simulators may
 change besides their own; `/` means no confinement. See [Security](../concepts/security.md).

@@ -335,20 +335,6 @@ def test_sessions_are_closed_when_they_are_unused_for_long(tmp_path: Path, archi
     assert simulator.closed == ["old", "new"]
 
 
-def test_the_files_of_an_open_session_stay_in_the_cache(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
-    now = [0.0]
-    cache = BundleCache(tmp_path / "cache")
-    sessions = BundleSessions(cache, lambda _: ScriptedSimulator(), clock=lambda: now[0])
-    sessions.store(request_.bundle, archive)
-    sessions.run(request_, Cell(1, {"x": 2.0}))
-    cache._shrink(0, 0.0)
-    assert cache.has(request_.bundle)
-    now[0] += IDLE_SECONDS
-    sessions.watch()
-    cache._shrink(0, 0.0)
-    assert not cache.has(request_.bundle)
-
-
 def test_a_simulator_that_multiplies_after_its_answer_is_ended(
     tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:

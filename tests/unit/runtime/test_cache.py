@@ -1,6 +1,5 @@
 """The cache of bundles on a node: whole, private, and what its digests say."""
 
-import errno
 import os
 import subprocess
 import sys
@@ -14,7 +13,7 @@ from drivecal.adapters.scratch import Scratch
 from drivecal.bundles import archives
 from drivecal.domain.errors import InvalidInputError, UnavailableError
 from drivecal.runtime import cache as module
-from drivecal.runtime.cache import LEFT_SECONDS, BundleCache, cache_folder
+from drivecal.runtime.cache import KEPT_SECONDS, LEFT_SECONDS, BundleCache, cache_folder
 
 
 @pytest.fixture
@@ -173,50 +172,16 @@ def bundle_of(folder: Path, name: str) -> tuple[str, bytes]:
     return archives.content_digest(archive), archive
 
 
-def use(cache: BundleCache, digest: str, hours_ago: float) -> None:
-    with cache.hold(digest):
-        pass
-    then = time.time() - 3600 * hours_ago
-    os.utime(cache._folder / f".{digest}.lock", (then, then))
-
-
-def test_a_cache_that_grows_too_large_loses_what_was_not_used_for_long(
-    tmp_path: Path, cache: BundleCache, digest: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    stored = [bundle_of(tmp_path, name) for name in ("old", "held", "older", "new", "last")]
-    (old, _), (held, _), (older, _), (new, _), (last, archive) = stored
-    for name, content in stored[:4]:
-        cache.store(name, content)
-    for name, hours in ((old, 5), (held, 9), (older, 7), (new, 0.1), (digest, 2)):
-        use(cache, name, hours)
-    bytes_of = module._size(cache._folder / old)
-    monkeypatch.setattr(module, "MOST_BYTES", 5 * bytes_of)  # that of the fixture has two files
-    with BundleCache(cache._folder).hold(held):
-        use_again = time.time() - 9 * 3600
-        os.utime(cache._folder / f".{held}.lock", (use_again, use_again))
-        cache.store(last, archive)
-    assert [cache.has(name) for name in (old, held, older, new, last, digest)] == [False, True, False, True, True, True]
-    monkeypatch.setattr(module, "MOST_BYTES", 0)
-    another, archive = bundle_of(tmp_path, "another")
-    cache.store(another, archive)
-    assert [cache.has(name) for name in (held, digest, new, last, another)] == [False, False, True, True, True]
-
-
-def test_a_full_disk_is_emptied_of_bundles_that_nothing_uses(
-    tmp_path: Path, cache: BundleCache, digest: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    held, new = bundle_of(tmp_path, "held"), bundle_of(tmp_path, "new")
-    cache.store(*held)
-
-    def unpack(archive: bytes, folder: Path, name: str) -> None:
-        if cache.has(digest):
-            raise OSError(errno.ENOSPC, "No space left on device")
-        archives.unpack(archive, folder, name)
-
-    monkeypatch.setattr(module, "unpack", unpack)
-    with cache.hold(held[0]):
-        cache.store(*new)
-    assert [cache.has(name) for name in (digest, held[0], new[0])] == [False, True, True]
+def test_a_bundle_that_nothing_has_used_for_long_is_removed(tmp_path: Path, cache: BundleCache, digest: str) -> None:
+    (old, first), (new, second) = bundle_of(tmp_path, "old"), bundle_of(tmp_path, "new")
+    cache.store(old, first)
+    cache.folder(old)
+    then = time.time() - KEPT_SECONDS - 60
+    os.utime(cache._folder / f".{old}.used", (then, then))
+    cache.store(new, second)
+    assert [cache.has(name) for name in (old, new, digest)] == [False, True, True]
+    cache.store(old, first)
+    assert cache.folder(old).is_dir()
 
 
 def test_leftovers_of_killed_workers_are_removed_and_nothing_else(tmp_path: Path, archive: bytes, digest: str) -> None:

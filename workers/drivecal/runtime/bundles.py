@@ -10,7 +10,7 @@ import time
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -140,8 +140,6 @@ class BundleSessions:
         self._tools = tools or Tools()
         self._simulators = simulators
         self._sessions: OrderedDict[tuple[str, ...], SimulatorSession] = OrderedDict()
-        self._holds: dict[tuple[str, ...], ExitStack] = {}
-        """Locks of open sessions, which keep their files in the cache."""
         self._used: dict[tuple[str, ...], float] = {}
         """Time of the last run of each session."""
         self._failed_alone: dict[tuple[str, ...], float] = {}
@@ -261,24 +259,19 @@ class BundleSessions:
 
     @contextmanager
     def files(self, digest: str) -> Iterator[Path]:
-        """Holds the files of a bundle. Raises UnavailableError if they are not on this machine."""
+        """Yields the files of a bundle. Raises UnavailableError if they are not on this machine."""
         try:
-            with self._cache.hold(digest):
-                yield self._cache.folder(digest)
+            yield self._cache.folder(digest)
         except OSError as error:
             raise _unable(error) from error
 
     def _session(self, setup: SetupRequest) -> SimulatorSession:
-        with ExitStack() as hold:
-            if setup.session_key not in self._sessions:
-                hold.enter_context(self._cache.hold(setup.bundle))
-            self._tools.check(setup, lambda: self._cache.folder(setup.bundle))
-            if setup.session_key not in self._sessions:
-                self._sessions[setup.session_key] = self._opened_alone(setup)
-                self._holds[setup.session_key] = hold.pop_all()
-                if len(self._sessions) > MOST_SESSIONS:
-                    self._drop(next(iter(self._sessions)))
-            self._sessions.move_to_end(setup.session_key)
+        self._tools.check(setup, lambda: self._cache.folder(setup.bundle))
+        if setup.session_key not in self._sessions:
+            self._sessions[setup.session_key] = self._opened_alone(setup)
+            if len(self._sessions) > MOST_SESSIONS:
+                self._drop(next(iter(self._sessions)))
+        self._sessions.move_to_end(setup.session_key)
         if not self._watched:
             self._watched = True
             threading.Thread(target=_watch, args=(weakref.ref(self),), daemon=True).start()
@@ -319,9 +312,8 @@ class BundleSessions:
         """Closes a session, which may be in any state."""
         self._used.pop(key, None)
         session = self._sessions.pop(key, None)
-        with self._holds.pop(key, ExitStack()):
-            if session is not None:
-                _close(session)
+        if session is not None:
+            _close(session)
 
 
 def _close(session: SimulatorSession) -> None:

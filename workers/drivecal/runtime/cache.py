@@ -1,14 +1,11 @@
 """Cache of unpacked bundles on a node, by digest: private to the worker's user, and checked before a simulator runs from it."""
 
-import errno
-import fcntl
 import os
 import re
 import stat
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import suppress
 from pathlib import Path
 
 from drivecal.adapters.files import remove
@@ -21,10 +18,8 @@ CACHE = "DRIVECAL_BUNDLE_CACHE"
 LEFT_SECONDS = 3600.0
 """Age at which a partly unpacked bundle belongs to no living worker: unpacking takes seconds."""
 
-MOST_BYTES = 8 << 30
-"""Size of the cache beyond which bundles that were not used for long are removed."""
-KEPT_SECONDS = 3600.0
-"""Time after its last use for which a bundle stays although the cache is too large."""
+KEPT_SECONDS = 30 * 86400.0
+"""Time since its last use after which a bundle is removed, when another one is unpacked."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 Signature = tuple[tuple[str, int, int, int, int, int], ...]
@@ -92,23 +87,8 @@ class BundleCache:
                     " fetched again: let the simulator write into its working directory, and run workers as another user than root"
                 )
             self._signatures[digest] = signature
+        self._stamp(digest).touch(mode=0o600)
         return folder
-
-    @contextmanager
-    def hold(self, digest: str) -> Iterator[None]:
-        """Keeps a bundle from being removed, by any worker of the node, for as long as it lasts. Raises UnavailableError as `folder`."""
-        self._refuse_missing(digest)
-        if installed(digest) is not None:
-            yield
-            return
-        _refuse_others(self._folder)
-        lock = self._lock(digest)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_SH)
-            os.utime(lock)
-            yield
-        finally:
-            os.close(lock)
 
     def store(self, digest: str, archive: bytes) -> None:
         """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest, and
@@ -131,54 +111,29 @@ class BundleCache:
         if not self._tidied:
             self._remove_leftovers()
         try:
-            try:
-                unpack(archive, self._folder / digest, digest)
-            except OSError as error:
-                if error.errno not in {errno.ENOSPC, errno.EDQUOT}:
-                    raise
-                self._shrink(0, 0.0)
-                unpack(archive, self._folder / digest, digest)
+            unpack(archive, self._folder / digest, digest)
         except OSError:
             if not self.has(digest):  # else another worker was faster
                 raise
-        self._shrink(MOST_BYTES, KEPT_SECONDS)
+        self._remove_unused()
 
-    def _shrink(self, most: int, kept_seconds: float) -> None:
-        """Removes the bundles used least recently, but none in use, until the cache takes no more than `most` bytes."""
-        bundles = [path for path in self._folder.iterdir() if _DIGEST.fullmatch(path.name)]
-        sizes = {path.name: _size(path) for path in bundles}
-        taken = sum(sizes.values())
-        for used, digest in sorted((self._last_use(digest), digest) for digest in sizes):
-            if taken <= most or time.time() - used < kept_seconds:
-                return
-            if self._evict(digest):
-                taken -= sizes[digest]
-
-    def _evict(self, digest: str) -> bool:
-        """Removes a bundle unless a worker holds it."""
-        lock = self._lock(digest)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            leftover = self._folder / f".{digest}-{os.getpid()}"  # removed by `_remove_leftovers` if this process is killed now
-            (self._folder / digest).rename(leftover)
-            remove(leftover)
-        except OSError:  # held, or another worker was faster
-            return False
-        finally:
-            os.close(lock)
-        return True
-
-    def _lock(self, digest: str) -> int:
-        """Returns a descriptor of a bundle's lock file, whose time is that of the last use. Lock files stay: they are empty."""
-        return os.open(self._folder / f".{digest}.lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
-
-    def _last_use(self, digest: str) -> float:
-        for path in (self._folder / f".{digest}.lock", self._folder / digest):
-            try:
-                return path.lstat().st_mtime
-            except OSError:
+    def _remove_unused(self) -> None:
+        """Removes bundles that nothing has used for long."""
+        for folder in self._folder.iterdir():
+            stamp = self._stamp(folder.name)
+            if not _DIGEST.fullmatch(folder.name):
                 continue
-        return 0.0
+            with suppress(OSError):  # another worker was faster
+                used = (stamp if stamp.exists() else folder).lstat().st_mtime
+                if time.time() - used > KEPT_SECONDS:
+                    leftover = self._folder / f".{folder.name}-{os.getpid()}"  # removed later if this process is killed now
+                    folder.rename(leftover)
+                    remove(leftover)
+                    stamp.unlink(missing_ok=True)
+
+    def _stamp(self, digest: str) -> Path:
+        """Returns the file whose time is that of a bundle's last use."""
+        return self._folder / f".{digest}.used"
 
     def _refuse_missing(self, digest: str) -> None:
         if not self.has(digest):
@@ -210,18 +165,6 @@ def _refuse_others(folder: Path) -> None:
         raise UnavailableError(f"the bundle cache {folder} belongs to another user (uid {status.st_uid}); {remedy}")
     if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise UnavailableError(f"other users may write to the bundle cache {folder}; type: chmod 700 {folder}, or {remedy}")
-
-
-def _size(folder: Path) -> int:
-    """Returns how many bytes of disk a folder takes."""
-    taken = 0
-    for parent, _, files in os.walk(folder):
-        for name in files:
-            try:
-                taken += os.lstat(os.path.join(parent, name)).st_blocks * 512  # noqa: PTH118  # as in `_signature`
-            except OSError:  # removed meanwhile
-                continue
-    return taken
 
 
 def _has_digest(folder: Path, digest: str) -> bool:
