@@ -44,10 +44,10 @@ class Bench:
     """Rates the runs; None: the score has a formula."""
     seed: int = 0
     """Seed of all runs; 0 if the simulator does not depend on one."""
-    repeat: float = 0.0
-    """Share of simulated cells that run twice on a simulator that does not claim to be deterministic."""
     is_driven: bool = False
     """Whether the runs need no child process (`SetupRequest.is_driven`)."""
+    repeat: float = 0.0
+    """Share of simulated cells that run twice on a simulator that does not claim to be deterministic."""
 
     def __post_init__(self) -> None:
         """Raises UnavailableError if a plug-in lacks a shipped file, which reading its version reveals."""
