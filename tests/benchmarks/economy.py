@@ -18,6 +18,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -142,11 +143,11 @@ def tpe(run: Run, seed: int) -> None:
         tell(np.array([row], dtype=np.int64), trial)
 
 
-def surrogate(room: int, window: int) -> Callable[[Run, int], None]:
-    """The search by the cell in rounds of `room` cells; `window` rounds are under way."""
+def surrogate(room: int, window: int, **changes: Any) -> Callable[[Run, int], None]:
+    """The search by the cell in rounds of `room` cells; `window` rounds are under way; `changes` of its task."""
 
     def search(run: Run, seed: int) -> None:
-        asking = SURROGATE.begin(SurrogateSettings(seed=seed), run.problem.task(run._cells, window))
+        asking = SURROGATE.begin(SurrogateSettings(seed=seed), replace(run.problem.task(run._cells, window), **changes))
         rounds: list[Sequence[AskedCell]] = []
         while True:
             asked = asking.ask(room)

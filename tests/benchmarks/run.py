@@ -24,8 +24,10 @@ def available() -> list[str]:
 def main(arguments: Sequence[str]) -> int:
     """Runs the benchmarks of these names, all where none is given, with the options that follow the names; 0 where every one of them
     ended with 0, 2 for an unknown name."""
-    names = list(takewhile(lambda one: not one.startswith("-"), arguments))
-    options = arguments[len(names) :]
+    given = list(takewhile(lambda one: not one.startswith("-"), arguments))
+    options = arguments[len(given) :]
+    # a file named random.py would hide the standard library's from its neighbours
+    names = [{"random": "random_runs"}.get(name, name) for name in given]
     if options and len(names) != 1:
         print("options are those of one benchmark: run.py NAME OPTION ...", file=sys.stderr)
         return 2

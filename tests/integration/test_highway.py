@@ -54,6 +54,14 @@ def result(
         return session.evaluate(parameters, series=True)
 
 
+@pytest.mark.slow
+def test_the_seed_of_a_run_decides_what_its_traffic_does(folder: Path) -> None:
+    data = drive(BUSY, 15.0, flows=FLOWS)
+    with driven(folder, data, random=True) as session:
+        first, other, again = (session.evaluate(PARAMETERS, seed=seed).measures for seed in (1, 2, 1))
+    assert first == again != other
+
+
 def series(outcome: RunOutcome, name: str) -> np.ndarray:
     return np.array(outcome.series[name])
 

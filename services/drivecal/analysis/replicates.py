@@ -63,6 +63,8 @@ class SetStatistics:
     """Variance of a run, the effect of its seed included."""
     freedom: Floats
     """Degrees of freedom of the variances."""
+    noise: float | None = None
+    """Deviation of a run without the effect of its seed, over all sets; None if unknown."""
 
     @property
     def errors(self) -> Floats:
@@ -158,12 +160,12 @@ def assess(samples: Floats) -> SetStatistics:
     if freedom < FEWEST:
         unknown = np.full(len(samples), np.nan)
         return SetStatistics(counts, means, unknown, unknown, np.full(len(samples), freedom))
-    noise, spread = (residuals**2).sum() / freedom, (deviations**2).sum() / own.sum()
+    noise, spread = float((residuals**2).sum()) / freedom, (deviations**2).sum() / own.sum()
     prior = min(SHRINKAGE, freedom)
     # residuals of a set lose a little to the effects of seeds
     variances = (prior * noise + (residuals**2).sum(axis=1) * own.sum() / freedom) / (prior + own)
     spreads = (prior * spread + (deviations**2).sum(axis=1)) / (prior + own)
-    return SetStatistics(counts, means, variances, np.maximum(spreads, variances), np.minimum(prior + own, freedom))
+    return SetStatistics(counts, means, variances, np.maximum(spreads, variances), np.minimum(prior + own, freedom), noise**0.5)
 
 
 def _effects(samples: Floats) -> Floats:
@@ -195,8 +197,8 @@ def allocate(standing: SetStatistics, room: int, most: int, confidence: float) -
     """
     counts, room = standing.counts.astype(np.float64), max(0, room)
     if not standing.is_known:
-        order = np.argsort(-standing.means, kind="stable")
-        return [place for place in order.tolist() if counts[place] < most][: min(room, FIRST)]
+        order = np.argsort(-standing.means, kind="stable")[: FIRST if len(counts) > 1 else 0].tolist()
+        return sorted([place for place in order if counts[place] < most], key=lambda place: counts[place])[:room]
     if not standing.is_random:
         return []
     leader = int(np.argmax(standing.means))

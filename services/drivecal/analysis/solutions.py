@@ -54,11 +54,18 @@ class EvaluatedSet:
     """Number of runs of this set and of the best set that would tell them apart; None if they are told apart, or equal so far."""
     bound: float | None = None
     """Least value of the objective at the confidence, which ranks the set; None: the objective."""
+    chosen_by: "EvaluatedSet | None" = None
+    """The set by the seeds that choose, if others report it."""
+
+    @property
+    def choice(self) -> "EvaluatedSet":
+        """The set by the seeds that choose."""
+        return self.chosen_by or self
 
     @property
     def ranked_by(self) -> float:
         """The objective, or what it reaches at least if its runs are random."""
-        return self.objective if self.bound is None else self.bound
+        return self.choice.objective if self.bound is None else self.bound
 
     @property
     def violation(self) -> float:
@@ -155,11 +162,11 @@ class Ranking:
         self._assess()
         if self._levels is None:
             known = list((self._solutions | self._predicted).values())
-            violations = levels(np.array([each.violation for each in known])).tolist()
+            violations = levels(np.array([each.choice.violation for each in known])).tolist()
             objectives = levels(np.array([-each.sign * each.ranked_by for each in known]), self._span).tolist()
             numbers = (each.parameter_set for each in known)
             self._levels = dict(zip(numbers, zip(violations, objectives, strict=True), strict=True))
-        rating = -solution.sign * solution.rating
+        rating = -solution.sign * solution.choice.rating
         return *self._levels[solution.parameter_set], rating, solution.iteration, solution.individual
 
     def _over_seeds(self, number: int) -> EvaluatedSet | None:
@@ -176,20 +183,51 @@ class Ranking:
             return None
         self._samples[number] = {seed: solution.objective for seed, solution in whole.items()}
         fresh = [seed for seed in whole if seed > self._choosing]
-        used = fresh if len(fresh) > 1 else [seed for seed in whole if seed <= self._choosing] or fresh
-        self._answers[number] = {name: over_seeds([runs[seed][name] for seed in used]) for name in runs[used[0]]}
-        solution = self._solution(number, self._answers[number])
+        choosing = [seed for seed in whole if seed <= self._choosing] or fresh
+        solution = self._mean(number, choosing)
         if solution is None:
             return None
+        if len(fresh) > 1 and choosing is not fresh and (reported := self._mean(number, fresh)) is not None:
+            solution = replace(reported, chosen_by=solution)
         failures = sum(cell.failed for seed in whole for cell in runs[seed].values())
-        objective = fmean(self._samples[number][seed] for seed in used)
-        return replace(solution, objective=objective, replicates=len(whole), failures=failures)
+        return replace(solution, replicates=len(whole), failures=failures)
+
+    def _mean(self, number: int, seeds: Sequence[int]) -> EvaluatedSet | None:
+        """Returns the solution of a set by the means over some of its seeds, which become its answers."""
+        runs = self._runs[number]
+        self._answers[number] = {name: over_seeds([runs[seed][name] for seed in seeds]) for name in runs[seeds[0]]}
+        solution = self._solution(number, self._answers[number])
+        objective = fmean(self._samples[number][seed] for seed in seeds)
+        return None if solution is None else replace(solution, objective=objective)
 
     def uncertainty(self, best: EvaluatedSet) -> dict[str, Any]:
-        """Returns the uncertainty of the best set's objective, and how many sets cannot be told from it."""
+        """Returns the uncertainty of the best set's objective, how many sets cannot be told from it, and the noise of each scenario."""
         names = ("replicates", "failures", "standard_error", "lower", "upper", "probability_best")
         close = sum(each.is_close for each in self._solutions.values())
-        return {name: getattr(best, name) for name in names} | {"close": close}
+        return {name: getattr(best, name) for name in names} | {"close": close, "noise": self._noise()}
+
+    def failed_runs(self, parameter_set: int) -> tuple[int, int]:
+        """Returns the number of a set's failed runs, and of its runs: only runs that report it, if there are any."""
+        runs = self._runs[parameter_set]
+        used = [seed for seed in runs if seed > self._choosing] or list(runs)
+        cells = [cell.failed for seed in used for cell in runs[seed].values()]
+        return sum(cells), len(cells)
+
+    def _noise(self) -> dict[str, float]:
+        """Returns the deviation of a run's score by scenario, without what sets have in common, as far as it is known."""
+        noise: dict[str, float] = {}
+        repeated = sorted(self._samples)
+        last = max((seed for number in repeated for seed in self._runs[number]), default=0)
+        for scenario in self._shares:
+            samples = np.full((len(repeated), last), np.nan)
+            for place, number in enumerate(repeated):
+                for seed, cells in self._runs[number].items():
+                    if (cell := cells.get(scenario)) is not None and cell.score is not None and not cell.failed:
+                        samples[place, seed - 1] = cell.score
+            known = samples[np.isfinite(samples).any(axis=1)]
+            if len(known) and (deviation := replicates.assess(known).noise) is not None:
+                noise[scenario] = deviation
+        return noise
 
     def seeds(self, parameter_set: int) -> Collection[int]:
         """Returns the seeds under which a set was run."""
@@ -198,7 +236,7 @@ class Ranking:
     def standing(self) -> tuple[list[int], SetStatistics] | None:
         """Returns what is known of the sets by the seeds that choose, and their ids; None without a set. Sets that keep all
         constraints, or else all sets."""
-        kept = [each for each in self._solutions.values() if each.violation == 0] or list(self._solutions.values())
+        kept = [each for each in self._solutions.values() if each.choice.violation == 0] or list(self._solutions.values())
         kept.sort(
             key=lambda each: each.parameter_set
         )  # sums depend on the order, and a restart learns of the sets in another one
@@ -227,25 +265,30 @@ class Ranking:
             return
         self._levels = None
         known = self.standing()
-        if known is None or not known[1].is_known:
+        if known is None:
             return
         numbers, standing = known
+        for number in numbers:
+            fresh = [objective for seed, objective in sorted(self._samples.get(number, {}).items()) if seed > self._choosing]
+            interval = replicates.mean_interval(fresh, confidence)
+            if interval is not None:
+                error = float(np.std(fresh, ddof=1) / len(fresh) ** 0.5)
+                own = replace(self._solutions[number], lower=interval[0], upper=interval[1], standard_error=error)
+                self._solutions[number] = own
+        if not standing.is_known:
+            return
         probabilities, bounds, leader = standing.probabilities(), standing.bounds(confidence), standing.best(confidence)
         ahead, halves = standing.ahead(leader), standing.half_widths(confidence)
         for place, number in enumerate(numbers):
             solution = self._solutions[number]
-            fresh = [objective for seed, objective in sorted(self._samples.get(number, {}).items()) if seed > self._choosing]
-            interval = replicates.mean_interval(fresh, confidence)
-            half = float(halves[place])
-            lower, upper = interval or (solution.objective - half, solution.objective + half)
-            error = float(np.std(fresh, ddof=1) / len(fresh) ** 0.5) if interval else float(standing.standard_errors[place])
+            is_reported, half = solution.chosen_by is not None, float(halves[place])
             close = place != leader and ahead[place] > 1 - confidence
             self._solutions[number] = replace(
                 solution,
-                standard_error=error,
+                standard_error=solution.standard_error if is_reported else float(standing.standard_errors[place]),
                 # runs that chose the best set say too much of it
-                lower=None if place == leader and interval is None else lower,
-                upper=None if place == leader and interval is None else upper,
+                lower=solution.lower if is_reported or place == leader else solution.objective - half,
+                upper=solution.upper if is_reported or place == leader else solution.objective + half,
                 probability_best=float(probabilities[place]),
                 is_close=bool(close),
                 runs_to_tell=replicates.to_tell(standing, leader, place, confidence) if close else None,
@@ -326,11 +369,11 @@ class Ranking:
     def _front(self, solutions: Iterable[EvaluatedSet]) -> list[FrontMember]:
         if self._goals is None:
             raise ValueError("there are no goals")
-        judged = [(solution, solution.judgement) for solution in solutions if solution.judgement is not None]
+        judged = [(each, judgement) for each in solutions if (judgement := each.choice.judgement) is not None]
         if not judged:
             return []
         points = self._goals.signed(judgement for _, judgement in judged)
-        kept = self._goals.leading(points, np.array([solution.violation for solution, _ in judged]))
+        kept = self._goals.leading(points, np.array([solution.choice.violation for solution, _ in judged]))
         ordered = sorted(np.flatnonzero(kept).tolist(), key=lambda place: self.order(judged[place][0]))
         alike = [[judged[ordered[place]][0] for place in group] for group in self._alike(self._goals, points[ordered])]
         members = [

@@ -174,6 +174,10 @@ class Best(Answer):
     """Seeds under which it ran."""
     failures: int = 0
     """Failed runs under these seeds."""
+    failure_interval: tuple[float, float] | None = None
+    """Exact 95 % interval of the share of its runs that fail, by runs that did not choose the set; null with one seed."""
+    noise: dict[str, float] = {}
+    """Standard deviation of a run's score by scenario, failures and effects that all sets have in common left out, as far as known."""
     standard_error: float | None = None
     """Standard error of the objective; null if the simulator is not random."""
     lower: float | None = None

@@ -20,11 +20,13 @@ from drivecal.plugins.ports import Ability, Floats, Named
 class AskedCell:
     """A cell that a search asks for: the grid indices of its set, by searched parameter, and the place of its scenario.
 
-    The runs of a random simulator have seeds, the same for all sets: a search gets the mean over them.
+    The runs of a random simulator have seeds, the same for all sets.
     """
 
     indices: tuple[int, ...]
     scenario: int
+    replicate: int = 1
+    """The first, second, ... answer of this set in this scenario, each under a seed of its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +89,8 @@ class SearchTask:
         known: answers that are known before the search begins.
         cells: number of cells that the search may ask for; None if unlimited.
         window: number of rounds that are under way at most.
+        random: whether answers depend on a seed.
+        replicates: most replicates of a cell.
     """
 
     n_values: Indices
@@ -99,6 +103,8 @@ class SearchTask:
     known: Sequence[CellAnswer] = ()
     cells: int | None = None
     window: int = 1
+    random: bool = False
+    replicates: int = 1
 
 
 class Search(Protocol):

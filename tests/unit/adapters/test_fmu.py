@@ -63,6 +63,13 @@ def test_start_values_of_all_types_come_from_data_and_parameters(folder: Path, f
 
 
 @pytest.mark.parametrize("file", ["trial2.fmu", "trial3.fmu"])
+def test_a_random_fmu_takes_the_seed_of_each_run(folder: Path, file: str) -> None:
+    with run(folder, file, random=True, seed="factor") as session:
+        ends = [session.evaluate({"rate": 1.0}, seed=seed).measures["end"] for seed in (1, 3, 1)]
+    assert ends == pytest.approx([2.0, 6.0, 2.0])
+
+
+@pytest.mark.parametrize("file", ["trial2.fmu", "trial3.fmu"])
 @pytest.mark.parametrize(
     ("rate", "breakdown", "detail"),
     [

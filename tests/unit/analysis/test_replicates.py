@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from drivecal.analysis import replicates
+from drivecal.analysis.goals import Aggregate, Bound, CellValue, Goals, Objective
 from drivecal.analysis.replicates import SetStatistics, allocate, assess, choosing, mean_interval, to_tell
 from drivecal.analysis.solutions import Ranking
+from drivecal.campaigns.stages.replication import next_runs
 from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.evaluations import CellScore
 from drivecal.plugins.ports import Floats
@@ -146,6 +148,58 @@ def test_a_set_with_one_lucky_run_stands_behind_a_set_that_is_known() -> None:
     assert (ranked[1].runs_to_tell or 0) > 1
     assert sum([solution.probability_best or 0.0 for solution in ranked]) == pytest.approx(1.0)
     assert [solution.failures for solution in ranked] == [1, 0, 1]
+
+
+def test_kept_runs_report_the_best_set_though_the_noise_is_unknown() -> None:
+    ranking = Ranking({"S1": 1}, wanted=ReplicatesSpecification(most=5))
+    for number, scores in {1: [5.0, 5.2], 2: [4.0, 4.1], 3: [3.0]}.items():
+        ranking.add(CellScore(number, "S1", score, score, True, 0, number, seed=seed) for seed, score in enumerate(scores, 1))
+    chosen = next_runs(ranking, ReplicatesSpecification(most=5), 2, 2)
+    assert chosen == [(1, 4), (1, 5)]
+    ranking.add(
+        CellScore(1, "S1", score, score, True, 1, 0, seed=seed) for (_, seed), score in zip(chosen, (1.0, 2.0), strict=True)
+    )
+    best = ranking.best()
+    assert best is not None
+    assert (best[0].parameter_set, best[0].objective) == (1, 1.5)
+    assert best[0].lower is not None
+
+
+def test_second_runs_go_to_several_sets_before_the_noise_is_known() -> None:
+    samples = np.array([[5.0, 5.1], [4.0, np.nan], [3.0, np.nan], [2.0, np.nan], [1.0, np.nan]])
+    assert allocate(assess(samples), 2, 20, CONFIDENCE) == [1, 2]
+
+
+def test_runs_that_report_choose_nothing_through_constraints() -> None:
+    shares, cost, gap = {"S1": 1.0}, CellValue(measure="cost"), CellValue(measure="gap")
+    goals = Goals(
+        (Objective("cost", cost, shares, Aggregate("mean"), -1, 0.0, 10.0),),
+        (Bound("gap", gap, shares, Aggregate("mean"), 1, 2.0, 1.0),),
+    )
+    ranking = Ranking(shares, -1, goals, wanted=ReplicatesSpecification(most=5))
+    kept = {1: [(1.0, 2.5), (1.1, 2.5), (1.2, 2.5), (1.3, 0.5), (1.4, 0.5)], 2: [(3.0, 2.5), (3.1, 2.5), (3.2, 2.5)]}
+    for number, runs in kept.items():
+        ranking.add(
+            CellScore(number, "S1", 0.0, 0.0, True, 0, number, seed=seed, values={cost.key: run[0], gap.key: run[1]})
+            for seed, run in enumerate(runs, 1)
+        )
+    best = ranking.best()
+    assert best is not None
+    assert best[0].parameter_set == 1
+    assert best[0].violation == pytest.approx(1.5)
+
+
+def test_the_noise_of_each_scenario_is_told() -> None:
+    ranking, random = Ranking({"S1": 1, "S2": 1}, wanted=ReplicatesSpecification()), np.random.default_rng(1)
+    for number in range(20):
+        for seed in range(1, 5):
+            values = {"S1": number + seed + 0.1 * random.normal(), "S2": 2 * number + 0.4 * random.normal()}
+            cells = [CellScore(number, name, value, value, True, 0, number, seed=seed) for name, value in values.items()]
+            ranking.add(cells)
+    best = ranking.best()
+    assert best is not None
+    assert ranking.uncertainty(best[0])["noise"] == pytest.approx({"S1": 0.1, "S2": 0.4}, rel=0.3)
+    assert ranking.failed_runs(best[0].parameter_set) == (0, 8)
 
 
 def test_runs_that_would_tell_grow_with_the_noise() -> None:

@@ -287,6 +287,48 @@ def test_a_large_round_holds_different_sets() -> None:
     assert len({cell.indices for cell in played.rounds[0]}) > 100
 
 
+NOISE = 0.4
+
+
+def noisy(cell: AskedCell) -> tuple[float, bool]:
+    """A cost with noise of its own, and as much that all sets have in common."""
+    value, failed = cost(cell)
+    own = np.random.default_rng([*cell.indices, cell.scenario, cell.replicate]).normal()
+    common = np.random.default_rng([cell.scenario, cell.replicate]).normal()
+    return (value, True) if failed else (value + NOISE * (own + common), False)
+
+
+def mean_cost(indices: tuple[int, ...]) -> float:
+    return float(np.mean([cost(AskedCell(indices, scenario))[0] for scenario in range(2)]))
+
+
+def random_task(cells: int = 160) -> SearchTask:
+    return replace(task_of(mean_of(COST, 2), cells, window=2), random=True, replicates=6)
+
+
+def test_promising_sets_of_a_random_simulator_are_asked_again() -> None:
+    played = Played(random_task(), noisy, 2).play(begun(random_task()))
+    assert len(set(played.cells)) == len(played.cells) <= 160
+    asked: dict[tuple[int, ...], list[int]] = {}
+    for cell in played.cells:
+        asked.setdefault(cell.indices, []).append(cell.replicate)
+    often = {indices: replicates for indices, replicates in asked.items() if max(replicates) > 1}
+    assert all(sorted(replicates) == replicates and max(replicates) <= 6 for replicates in often.values())
+    assert 3 <= len(often) < len(asked) / 2
+    assert np.mean([mean_cost(each) for each in often]) < np.median([mean_cost(each) for each in asked])
+
+
+@settings(max_examples=3, deadline=None)
+@given(stop=st.integers(20, 70))
+def test_a_resumed_random_search_asks_for_the_same_cells(stop: int) -> None:
+    task = random_task(120)
+    whole, first = Played(task, noisy, 2).play(begun(task)), begun(task)
+    part = Played(task, noisy, 2).play(first, stop)
+    state = json.loads(json.dumps(first.state(), allow_nan=False))
+    again = SURROGATE.resume(SurrogateSettings(seed=1), task, part.rounds, part.answers, state)
+    assert part.play(again).rounds == whole.rounds
+
+
 def test_the_settings_are_checked() -> None:
     with pytest.raises(TypeError):
         SURROGATE.begin(Scale, task_of(mean_of(COST, 3)))  # type: ignore[arg-type]  # the wrong settings are the point

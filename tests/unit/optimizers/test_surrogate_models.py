@@ -77,6 +77,27 @@ def scenario_model() -> ScenarioModel:
     return ScenarioModel(1, 3, ENCODING.owners, np.array([0.0]), np.array([100.0]))
 
 
+def test_the_noise_of_a_random_simulator_is_estimated() -> None:
+    generator = np.random.default_rng(3)
+    for noise in (0.1, 0.5):
+        features, targets = drawn(60, 1)
+        features, targets = np.concatenate([features, features[:10]]), np.concatenate([targets, targets[:10]])
+        values = (10 + targets + noise * generator.normal(size=70))[:, np.newaxis]
+        model = ScenarioModel(1, 3, ENCODING.owners, np.array([-np.inf]), np.array([100.0]), random=True)
+        model.learn(features, values, np.zeros(70, dtype=np.bool_), features[:0])
+        runs = model.runs(features[:1], generator.normal(size=(500, 1, 1)), np.ones((500, 1)))
+        assert runs.std() == pytest.approx(noise, rel=0.5)
+        assert abs(model.expected(features) - 10 - targets[:, np.newaxis]).mean() < noise
+
+
+def test_random_failures_count_by_their_share() -> None:
+    features, _ = drawn(80, 1)
+    failed = np.random.default_rng(1).random(80) < 0.25
+    model = ScenarioModel(1, 3, ENCODING.owners, np.array([0.0]), np.array([100.0]), random=True)
+    model.learn(features, np.where(failed, 100.0, 5.0)[:, np.newaxis], failed, features[:0])
+    assert model.expected(features).mean() == pytest.approx(5 + 0.25 * 95, abs=10)
+
+
 def test_failures_are_a_class_of_their_own() -> None:
     features, targets = drawn(80, 3)
     failed = features[:, 0] > 0.6

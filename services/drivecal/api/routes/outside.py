@@ -43,7 +43,10 @@ def propose(campaign_id: str, proposed: ProposedSets, request: Request, database
     indices = indices_of(problem, proposed.sets)
     sets = [
         OutsideSet(
-            each.key, row, None if each.scenarios is None else [name for name in problem.scenarios if name in each.scenarios]
+            each.key,
+            row,
+            None if each.scenarios is None else [name for name in problem.scenarios if name in each.scenarios],
+            each.replicates,
         )
         for each, row in zip(proposed.sets, indices.tolist(), strict=True)
     ]

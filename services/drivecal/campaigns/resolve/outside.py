@@ -30,6 +30,9 @@ def indices_of(problem: CalibrationProblem, proposed: Sequence[ProposedSet]) -> 
             rows[number] = known
         if len(known) < max(len(points), len(each.parameters)):  # a faulty value, or a fixed one
             diagnostics.attempt(partial(space.indices, _rounded(space, each, points), field))
+        if each.replicates > 1 and not problem.bench.is_random:
+            remedy = "leave it out, or say `random: true` in the problem's manifest"
+            diagnostics.add(f"sets[{number}].replicates", "the simulator is not random", remedy)
         for name in each.scenarios or ():
             if name not in problem.scenarios:
                 message, remedy = f"the campaign does not simulate {name!r}", f"one of {', '.join(problem.scenarios)}"

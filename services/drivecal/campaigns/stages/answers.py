@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,12 @@ from drivecal.analysis.aims import JudgedGoals, WeightedScore
 from drivecal.analysis.goals import valued_by
 from drivecal.analysis.solutions import Ranking, over_seeds
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.stages.asking import AskedRound
+from drivecal.campaigns.stages.asking import AskedRound, cells_of
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import Indices
 from drivecal.plugins.ports import Floats
-from drivecal.plugins.search import AskedCell, CellAnswer
+from drivecal.plugins.search import CellAnswer
 from drivecal.storage import results
 
 
@@ -72,9 +73,10 @@ class CellAnswers(SearchAnswers):
     def __init__(self, problem: CalibrationProblem) -> None:
         super().__init__(problem)
         names = tuple(problem.scenarios)
-        self.aim = (
-            WeightedScore(problem.weights, problem.bench.scale) if problem.goals is None else JudgedGoals(problem.goals, names)
-        )
+        scale = problem.bench.scale
+        if problem.bench.is_random:  # the mean of rounded scores has no steps
+            scale = replace(scale, step=None)
+        self.aim = WeightedScore(problem.weights, scale) if problem.goals is None else JudgedGoals(problem.goals, names)
         self._rounds: dict[int, dict[tuple[int, str, int], CellScore]] = {}
 
     def _take(self, answer: CellScore) -> None:
@@ -88,14 +90,13 @@ class CellAnswers(SearchAnswers):
 
     def for_search(self, number: int, asked: AskedRound) -> tuple[list[CellAnswer]]:
         """Returns the answers in the order of asking."""
-        told, names, seeds = self._rounds.pop(number), self._problem.scenarios, range(1, self._problem.least_replicates + 1)
+        told, names, seeds = self._rounds.pop(number), self._problem.scenarios, self._problem.least_replicates
         answers = []
-        for individual, scenario, first in asked.cells:
-            if first == 1:
-                runs = [told[individual, names[scenario], seed] for seed in seeds]
-                cell = AskedCell(tuple(asked.population[individual].tolist()), scenario)
-                failed = all(self._is_failed(run) for run in runs)
-                answers.append(CellAnswer(cell, self.aim.of(over_seeds(runs)), failed=failed))
+        firsts = [cell for cell in asked.cells if (cell[2] - 1) % seeds == 0]
+        for cell, (individual, scenario, first) in zip(cells_of(asked, seeds), firsts, strict=True):
+            runs = [told[individual, names[scenario], seed] for seed in range(first, first + seeds)]
+            failed = all(self._is_failed(run) for run in runs)
+            answers.append(CellAnswer(cell, self.aim.of(over_seeds(runs)), failed=failed))
         return (answers,)
 
     def forget(self, number: int) -> None:

@@ -106,7 +106,7 @@ class CellAsker:
     """A search by the cell: a round is some cells of some sets."""
 
     def __init__(self, search: Search, room: int, seeds: int = 1) -> None:
-        """`seeds`: number of seeds under which each cell runs; the search knows the means."""
+        """`seeds`: number of seeds of each replicate; the search knows the means over them."""
         self._search, self._room, self._seeds = search, room, seeds
 
     def ask(self) -> AskedRound | None:
@@ -120,7 +120,14 @@ class CellAsker:
         return AskedRound(
             np.array(sets, dtype=np.int64),
             np.ones(len(sets), dtype=np.bool_),
-            [(places[cell.indices], cell.scenario, seed) for seed in range(1, self._seeds + 1) for cell in cells],
+            sorted(
+                (
+                    (places[cell.indices], cell.scenario, (cell.replicate - 1) * self._seeds + seed)
+                    for seed in range(1, self._seeds + 1)
+                    for cell in cells
+                ),
+                key=lambda cell: cell[2],
+            ),
             state,
         )
 
@@ -143,10 +150,13 @@ def population_round(
     return AskedRound(population, changed, cells, state, repaired)
 
 
-def cells_of(asked: AskedRound) -> list[AskedCell]:
-    """Returns the cells of a round as its search asked for them: each once, for all seeds."""
-    cells = [(individual, scenario) for individual, scenario, seed in asked.cells if seed == 1]
-    return [AskedCell(tuple(asked.population[individual].tolist()), scenario) for individual, scenario in cells]
+def cells_of(asked: AskedRound, seeds: int = 1) -> list[AskedCell]:
+    """Returns the cells of a round as its search asked for them: each once, for all `seeds` of a replicate."""
+    return [
+        AskedCell(tuple(asked.population[individual].tolist()), scenario, 1 + (seed - 1) // seeds)
+        for individual, scenario, seed in asked.cells
+        if (seed - 1) % seeds == 0
+    ]
 
 
 class Computation:

@@ -59,6 +59,7 @@ from drivecal.optimizers.repair import RepairCount
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import AskedCell, CellAnswer
 from drivecal.reduction.assignment import Policy
+from drivecal.reduction.audit import clopper_pearson
 from drivecal.reduction.narrowing import begun_area
 from drivecal.storage import campaigns, evaluations, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
@@ -123,13 +124,13 @@ class Calibration(Stage):
             most = 0 if self._by_cell is None else most_cells(within, problem.bench.repeated_share)
             self._tracker.limit(self._limit, most)
             self.budget = self._tracker.budget
+        self._kept: set[int] = set()  # individuals of a round for which the budget suffices
         self._benches = SeededBenches(problem.bench)
         self._replication = Replication(problem, self._answers, self._benches)
 
     @property
     def _at_most(self) -> int:
-        is_over = self._search.ended_by is not None  # perhaps before its budget was used up
-        return 0 if is_over else self._problem.expected_runs().calibration_at_most
+        return 0 if self._search.ended_by is not None else self._problem.expected_runs().calibration_at_most
 
     def _may_ask(self) -> bool:
         return not self._under_way or self._computation is not None
@@ -191,7 +192,8 @@ class Calibration(Stage):
             return
         if isinstance(self._answers, CellAnswers):
             answers = [self._answers.for_search(number, rounds[number])[0] for number in range(told)]
-            self._compute(partial(self._cell_asker, [cells_of(asked) for asked in rounds], answers, last))
+            asked = [cells_of(asked, self._problem.least_replicates) for asked in rounds]
+            self._compute(partial(self._cell_asker, asked, answers, last))
         else:
             self._compute(partial(self._population_asker, last, populations))
 
@@ -216,10 +218,8 @@ class Calibration(Stage):
         if plugin is None or not isinstance(self._answers, CellAnswers):
             raise RuntimeError("the search is no search by the cell")
         task = search_task(self._database, self._view, self._problem, self._area, self._answers.aim)
-        if last is None:
-            return CellAsker(plugin.begin(settings, task), self._search.room, self._problem.least_replicates)
-        state = (last.optimizer_state or {}).get("search", {})
-        search = plugin.resume(settings, task, rounds, answers, state)
+        state = {} if last is None else (last.optimizer_state or {}).get("search", {})
+        search = plugin.begin(settings, task) if last is None else plugin.resume(settings, task, rounds, answers, state)
         return CellAsker(search, self._search.room, self._problem.least_replicates)
 
     def _compute(self, obtain: Callable[[], Asker]) -> None:
@@ -348,7 +348,7 @@ class Calibration(Stage):
             given = range(len(self._problem.start_sets)) if asked.number == 0 else ()
             reaches = None if self._problem.goals is None else self._ranking.reaches_front
             planned = self._planner.plan(connection, planned, None if best is None else best.objective, given, reaches)
-        return self._within_budget(planned)
+        return self._within_budget(asked, planned)
 
     @property
     def _room(self) -> float:
@@ -357,13 +357,12 @@ class Calibration(Stage):
         left = budget.left - ((self._limit or 0) - (self._problem.search_simulations or 0))
         return left if self._by_cell is None or math.isinf(left) else min(left, budget.kept)
 
-    def _within_budget(self, planned: list[RequestedCell]) -> list[RequestedCell]:
+    def _within_budget(self, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
         """Returns the first cells for which the budget suffices; the search ends with them if it does not for all."""
         by_cell, reduction, room = self._by_cell is not None, self._problem.specification.reduction, self._room
         if not by_cell and self._policy().mode not in {"off", "exact"}:  # may confirm the best set
-            kept_back = min(reduction.confirm, CONFIRMED) * len(self._problem.scenarios)
-            room -= min(kept_back, (self._limit or 0) // 10)
-        within = affordable(planned, room, by_cell=by_cell)
+            room -= min(min(reduction.confirm, CONFIRMED) * len(self._problem.scenarios), (self._limit or 0) // 10)
+        within = affordable(planned, room, [bench.seed for bench, _ in asked.cells], self._kept, by_cell=by_cell)
         if len(within) < len(planned):
             self._end_search("budget")
             self._batches.clear()
@@ -503,14 +502,15 @@ class Calibration(Stage):
         best, is_better = self._ranking.best(), False
         if best is not None:
             solution, alternatives = best
-            parameters = parameter_sets.load(connection, [solution.parameter_set])[solution.parameter_set]
-            before = self._best
+            number, before = solution.parameter_set, self._best
+            parameters = parameter_sets.load(connection, [number])[number]
             self._best = Best(
                 objective=solution.objective,
                 parameters=parameters.floats,
                 scores=dict(solution.scores),
                 alternatives=alternatives,
                 violation=solution.violation,
+                failure_interval=clopper_pearson(*self._ranking.failed_runs(number)) if solution.replicates > 1 else None,
                 **self._ranking.uncertainty(solution),
             )
             changed = before is None or not same(solution.objective, before.objective, solution.span)

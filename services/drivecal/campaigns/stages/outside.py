@@ -104,25 +104,31 @@ class OutsideSearch(Calibration):
         else:
             population = np.array([each.indices for each in self._offered], dtype=np.int64)
         wanted = [None] * len(population) if not self._offered else [each.scenarios for each in self._offered]
+        most = [each.replicates for each in self._offered] or [1] * len(population)
         cells = [
-            (individual, place, 1)
+            (individual, place, seed)
+            for seed in range(1, max(most) + 1)
             for individual, listed in enumerate(wanted)
             for place, name in enumerate(problem.scenarios)
-            if listed is None or name in listed
+            if seed <= most[individual] and (listed is None or name in listed)
         ]
         sets = problem.space.parameter_sets(population)
         self._asked[number] = AskedRound(population, np.ones(len(population), dtype=np.bool_), cells, {})
         self._next += 1
         requested = [
-            RequestedCell(individual, problem.scenarios[place], sets[individual], is_given=not self._offered)
-            for individual, place, _ in cells
+            RequestedCell(individual, problem.scenarios[place], sets[individual], is_given=not self._offered, seed=seed)
+            for individual, place, seed in cells
         ]
-        return Round(number, [(problem.bench, requested)], self._policy())
+        return Round(number, self._benches.with_cells(requested), self._policy())
 
     def _form_lots(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
         """Cuts the round to what room and budget allow, before a set that was cancelled a moment ago."""
         if asked.number >= self._next:  # a set to confirm
             return planned
+        round_ = self._asked[asked.number]
+        if planned and planned[0].seed > 1:  # the first seed has decided which sets are asked for
+            kept = [cell for cell in planned if cell.individual < len(round_.population)]
+            return super()._form_lots(connection, asked, kept)
         if self._offered:
             held = outside_sets.hold(connection, self._campaign.sequence, [each.number for each in self._offered])
             planned = [cell for cell in planned if cell.individual < held]
@@ -130,7 +136,6 @@ class OutsideSearch(Calibration):
         sets = kept[-1].individual + 1 if kept else 0
         self._most = min(MOST_SETS, 2 * self._most) if len(kept) == len(planned) else max(self._ahead, 2 * sets)
         self._offered = self._offered[:sets]
-        round_ = self._asked[asked.number]
         self._asked[asked.number] = replace(round_, population=round_.population[:sets], changed=round_.changed[:sets])
         return super()._form_lots(connection, asked, kept)
 
@@ -138,19 +143,24 @@ class OutsideSearch(Calibration):
     def _room(self) -> float:
         return self._tracker.budget.left
 
-    def _within_budget(self, planned: list[RequestedCell]) -> list[RequestedCell]:
+    def _within_budget(self, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
         """Returns the cells: they were cut before their lots were formed."""
+        del asked
         return planned
 
     def _cut(self, planned: list[RequestedCell]) -> list[RequestedCell]:
         """Returns the cells of the first sets; at least one set, unless the budget does not suffice for it."""
         left, ahead, first = self._room, self._ahead, 0
+        runs = [each.replicates for each in self._offered]
         for position, cell in enumerate(planned):
             if cell.individual != planned[first].individual:
                 first = position
+            needed = runs[cell.individual] if runs else 1
             if cell.answered_at_once and cell.plan is Outcome.REPEATED:  # another copy may have to be simulated
+                needed -= 1
+            left, ahead = left - needed, ahead - needed
+            if needed == 0:
                 continue
-            left, ahead = left - 1, ahead - 1
             if left < 0:
                 self._end_search("budget")
                 return planned[:first]

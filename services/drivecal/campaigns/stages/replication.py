@@ -110,7 +110,7 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
         seed = next((seed for seed in range(1, choosing + 1) if seed not in tried), None)
         if seed is not None:  # a seed without a result is not tried again
             chosen.setdefault(numbers[place], []).append(seed)
-    if chosen or not standing.is_random:
+    if chosen or (standing.is_known and not standing.is_random):
         return [(number, seed) for number, seeds in chosen.items() for seed in seeds]
     best = numbers[standing.best(wanted.confidence)]
     left = [seed for seed in fresh if seed not in ranking.seeds(best)]

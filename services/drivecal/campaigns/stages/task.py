@@ -8,6 +8,7 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.aims import JudgedGoals, WeightedScore
 from drivecal.analysis.goals import SCORE
+from drivecal.analysis.replicates import choosing
 from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.asking import WINDOW, AskedRound
@@ -70,6 +71,10 @@ def search_task(
         known=[answer for answer in known if answer.cell.indices not in best],
         cells=None if limit is None else most_cells(limit, problem.bench.repeated_share) // problem.least_replicates,
         window=WINDOW,
+        random=problem.bench.is_random,
+        replicates=choosing(problem.specification.replicates.most) // problem.least_replicates
+        if problem.bench.is_random
+        else 1,
     )
 
 
@@ -90,16 +95,33 @@ def most_cells(runs: int, repeated_share: float) -> int:
     return runs - math.ceil(runs * repeated_share / (1.0 + repeated_share))
 
 
-def affordable(planned: Sequence[RequestedCell], room: float, *, by_cell: bool) -> list[RequestedCell]:
+def affordable(
+    planned: Sequence[RequestedCell], room: float, seeds: Sequence[int], kept: set[int], *, by_cell: bool
+) -> list[RequestedCell]:
     """Returns the first planned cells that fit into the room, without parts of individuals unless the search is `by_cell`; there, cells
-    count unless a stored result answers them: workers simulate rejected lots, too."""
+    count unless a stored result answers them: workers simulate rejected lots, too.
+
+    Args:
+        planned: cells under one of the seeds of a round.
+        room: number of runs that are left.
+        seeds: the seeds of the round, in the order of planning.
+        kept: individuals that fitted under the last seed, which this call updates: an individual runs under all seeds or none.
+        by_cell: whether the search asks by the cell.
+    """
     if by_cell:
         return list(planned[: int(min(max(0, room), len(planned)))])
-    for place, cell in enumerate(planned):
+    place, within = seeds.index(planned[0].seed) if planned else 0, list(planned)
+    if place:
+        within = [cell for cell in planned if cell.individual in kept]
+    room /= len(seeds) - place
+    for number, cell in enumerate(within):
         room -= not cell.answered_at_once
         if room < 0:
-            return [kept for kept in planned[:place] if kept.individual != cell.individual]
-    return list(planned)
+            within = [each for each in within[:number] if each.individual != cell.individual]
+            break
+    kept.clear()
+    kept.update(cell.individual for cell in within)
+    return within
 
 
 def best_known(aim: Aim, known: Sequence[CellAnswer]) -> list[tuple[int, ...]]:

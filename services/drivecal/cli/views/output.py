@@ -1,7 +1,7 @@
 """Results on stdout: plain columns that survive a pipe, or JSON."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import Any, TypeVar
 
@@ -19,6 +19,7 @@ from drivecal.cli.views.sections import (
     failures_table,
     lots_table,
     narrowed_table,
+    percent,
     shortened,
     solutions_table,
     trust_blocks,
@@ -107,6 +108,7 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("scores", "  ".join(f"{name} {told(score)}" for name, score in best.scores.items())))
         share = "1 parameter set has" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share"
         lines.append(("alternatives", f"{share} the best objective"))
+        lines += [("uncertainty", text) for text in _uncertainty_texts(best)]
         if campaign.spec.get("objectives"):
             lines.append(("front", f"drivecal front {campaign.id} lists the compromises between the objectives"))
     lines += [("note", note) for note in campaign.notes]
@@ -116,6 +118,17 @@ def print_campaign(campaign: Campaign) -> None:
     width = max(len(name) for name, _ in lines)
     for name, text in lines:
         typer.echo(f"{name.ljust(width)}  {text}")
+
+
+def _uncertainty_texts(best: Best) -> Iterator[str]:
+    """Yields what is known of the best set of a random simulator."""
+    if best.lower is not None and best.upper is not None:
+        yield f"objective {told(best.lower)} to {told(best.upper)} ({best.replicates} seeds); {best.close} sets cannot be told from it"
+    if best.failure_interval is not None:
+        lower, upper = best.failure_interval
+        yield f"{best.failures} failed runs; {percent(lower, 1)} to {percent(upper, 1)} of its runs fail"
+    if best.noise:
+        yield "noise of a run: " + "  ".join(f"{name} {told(noise)}" for name, noise in best.noise.items())
 
 
 def _search_text(campaign: Campaign) -> str:

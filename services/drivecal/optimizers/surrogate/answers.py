@@ -28,6 +28,8 @@ class BegunSet:
     """Given up, because it has become improbable that it beats the best one."""
     beaten: bool = False
     """Given up, because it cannot beat the best one."""
+    replicate: int = 1
+    """Replicate of its newest cells."""
 
     @property
     def given_up(self) -> bool:
@@ -45,11 +47,14 @@ class Answers:
         cells = (64, aim.scenarios)
         self._features: Floats = np.empty((64, len(encoding.owners)))
         self._values: Floats = np.full((*cells, aim.values), np.nan)
-        self._asked: Bools = np.zeros(cells, dtype=np.bool_)
-        self._answered: Bools = np.zeros(cells, dtype=np.bool_)
+        self._asked: Indices = np.zeros(cells, dtype=np.int64)
+        """Replicates that were asked."""
+        self._answered: Indices = np.zeros(cells, dtype=np.int64)
         self._failed: Bools = np.zeros(cells, dtype=np.bool_)
         self.order: list[list[int]] = [[] for _ in range(aim.scenarios)]
         """The sets that are answered in each scenario, by number, in the order of the answers."""
+        self._replicates: list[list[tuple[int, Floats, bool]]] = [[] for _ in range(aim.scenarios)]
+        """Replicate, values and failure of each answer in `order`."""
         self._upwards = np.sign(np.where(np.isinf(aim.best) | np.isnan(aim.worst), aim.best, aim.best - aim.worst))
         self.best: Floats = aim.best.astype(np.float64)
         """The best value to be expected of a cell, shape (n_scenarios, n_values): what the aim says, or the best answer if it is better."""
@@ -77,18 +82,19 @@ class Answers:
 
     def ask(self, begun: BegunSet, scenario: int) -> None:
         """Notes that a cell is asked."""
-        self._asked[begun.number, scenario] = True
+        self._asked[begun.number, scenario] = begun.replicate
 
     def take(self, answer: CellAnswer) -> None:
         """Notes an answer."""
-        begun, scenario = self.begin(answer.cell.indices), answer.cell.scenario
+        begun, scenario, replicate = self.begin(answer.cell.indices), answer.cell.scenario, answer.cell.replicate
         values = np.array(answer.values, dtype=np.float64)
-        self._asked[begun.number, scenario] = True
+        self._asked[begun.number, scenario] = max(self._asked[begun.number, scenario], replicate)
         self._values[begun.number, scenario] = values
         self._failed[begun.number, scenario] = answer.failed or not np.isfinite(values).all()
-        if not self._answered[begun.number, scenario]:
-            self._answered[begun.number, scenario] = True
+        if self._answered[begun.number, scenario] < replicate:
+            self._answered[begun.number, scenario] = replicate
             self.order[scenario].append(begun.number)
+            self._replicates[scenario].append((replicate, values, bool(self._failed[begun.number, scenario])))
         if not self._failed[begun.number, scenario]:
             better = self._upwards[scenario] * (values - self.best[scenario]) > 0
             self.best[scenario] = np.where(better, values, self.best[scenario])
@@ -98,36 +104,47 @@ class Answers:
         return self._features[list(numbers)]
 
     def known(self, scenario: int) -> tuple[Floats, Floats, Bools]:
-        """Returns features, values and failures of the answers in a scenario, in their order."""
-        order = self.order[scenario]
-        return self._features[order], self._values[order, scenario], self._failed[order, scenario]
+        """Returns features, values without the effects of seeds, and failures of the answers in a scenario, in their order."""
+        order, listed = self.order[scenario], self._replicates[scenario]
+        values = np.array([each for _, each, _ in listed]).reshape(len(order), self._aim.values)
+        failed = np.array([has_failed for _, _, has_failed in listed], dtype=np.bool_)
+        replicates = np.array([replicate for replicate, _, _ in listed], dtype=np.int64)
+        firsts = {number: row for row, number in enumerate(order) if replicates[row] == 1}
+        for replicate in range(2, replicates.max(initial=1) + 1):
+            rows = np.flatnonzero((replicates == replicate) & ~failed)
+            rows = rows[~failed[[firsts[order[row]] for row in rows]]]
+            differences = values[rows] - values[[firsts[order[row]] for row in rows]]
+            # shrunk as if what sets have in common varied as much as the rest
+            values[rows] -= differences.sum(axis=0) / (len(rows) + 1)
+        return self._features[order], values, failed
 
     def values(self, sets: Iterable[BegunSet]) -> Floats:
         """Returns the values of sets, shape (n, n_scenarios, n_values); NaN without an answer."""
         return self._values[[begun.number for begun in sets]]
 
-    def asked(self, begun: BegunSet) -> Bools:
-        """Returns a mask of the scenarios that a set was asked in."""
-        asked: Bools = self._asked[begun.number]
-        return asked
-
     def answered(self, begun: BegunSet) -> Bools:
         """Returns a mask of the scenarios that a set was answered in."""
-        answered: Bools = self._answered[begun.number]
+        answered: Bools = self._answered[begun.number] > 0
         return answered
 
     def missing(self, begun: BegunSet) -> Indices:
-        """Returns the scenarios that a set was not asked in, rising."""
-        return np.flatnonzero(~self._asked[begun.number])
+        """Returns the scenarios that a set was not asked in under its newest replicate, rising."""
+        return np.flatnonzero(self._asked[begun.number] < begun.replicate)
 
     def pending(self, begun: BegunSet) -> int:
         """Returns the number of cells of a set that are under way."""
-        return int((self._asked[begun.number] & ~self._answered[begun.number]).sum())
+        return int((self._asked[begun.number] - self._answered[begun.number]).sum())
 
     @property
     def complete(self) -> list[BegunSet]:
         """The sets with an answer in every scenario."""
         return [self.sets[number] for number in np.flatnonzero(self._answered[: len(self.sets)].all(axis=1)).tolist()]
+
+    def repeatable(self, most: int) -> list[BegunSet]:
+        """Returns the complete sets that may be asked again, at most `most` times in all."""
+        return [
+            each for each in self.complete if each.replicate < most and not len(self.missing(each)) and not self.pending(each)
+        ]
 
     @property
     def open(self) -> list[BegunSet]:
@@ -158,4 +175,4 @@ class Answers:
     def discarded(self) -> int:
         """Cells of given-up sets that were not asked."""
         given_up = [begun.number for begun in self.sets if begun.given_up]
-        return int((~self._asked[given_up]).sum())
+        return int((self._asked[given_up] == 0).sum())

@@ -21,8 +21,14 @@ def beaten(aim: Aim, answers: Answers, sets: Sequence[BegunSet], standing: Stand
     missing = ~np.stack([answers.answered(begun) for begun in sets])
     with np.errstate(invalid="ignore"):
         objectives, violations = aim.judge(np.where(missing[:, :, np.newaxis], answers.best, values))
-    dead = (~missing & np.isnan(values).any(axis=2)).any(axis=1)
-    return standing.beats(objectives, violations) | dead
+    return standing.beats(objectives, violations) | without_result(answers, sets)
+
+
+def without_result(answers: Answers, sets: Sequence[BegunSet]) -> npt.NDArray[np.bool_]:
+    """Returns which sets have an answer without a result, shape (n,)."""
+    answered = np.stack([answers.answered(begun) for begun in sets])
+    dead: npt.NDArray[np.bool_] = np.any(answered & np.isnan(answers.values(sets)).any(axis=2), axis=1)
+    return dead
 
 
 def improbable(chance: float, promise: float) -> bool:

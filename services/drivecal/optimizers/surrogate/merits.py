@@ -47,6 +47,8 @@ class Merit:
     def __init__(self, aim: Aim, standing: Standing, direction: Floats) -> None:
         """`direction`: positive weights of the objectives, shape (m,), sum 1."""
         self._aim, self._direction = aim, direction
+        self.noise = 0.0
+        """Deviation of the merit of a single answer in each scenario."""
         kept = standing.objectives[standing.violations <= 0]
         reference = kept if len(kept) else standing.objectives
         none = np.zeros(aim.objectives)
@@ -75,6 +77,17 @@ class Merit:
 
     def _with_violations(self, merits: Floats, violations: Floats) -> Floats:
         return np.where(violations > 0, self._floor - self._unit * (1.0 + violations / self._worst), merits)
+
+    def improvements(self, merits: Floats) -> Floats:
+        """Returns expected improvements by draws, shape (n_draws, n); without a complete set the mean merits. Of samples, less is learned
+        the less they say (Huang et al. 2006, augmented expected improvement)."""
+        finite = np.where(np.isfinite(merits), merits, -1e300)
+        if np.isneginf(self.best):
+            return np.asarray(finite.mean(axis=0))
+        result: Floats = np.maximum(finite - self.best, 0.0).mean(axis=0)
+        if self.noise > 0:
+            result = result * (1.0 - self.noise / np.hypot(self.noise, finite.std(axis=0)))
+        return result
 
     def beaten_by(self, merits: Floats) -> float:
         """Returns the share of merits that are better than the best set's by more than rounding."""

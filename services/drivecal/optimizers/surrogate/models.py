@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from drivecal.domain.parameters import Indices
 from drivecal.domain.rounding import grain
-from drivecal.optimizers.surrogate.processes import GaussianProcess, Hyperparameters, fitted
+from drivecal.optimizers.surrogate.processes import EXACT, SAMPLED, GaussianProcess, Hyperparameters, NoisePrior, fitted
 from drivecal.plugins.ports import Floats
 
 Bools = npt.NDArray[np.bool_]
@@ -82,6 +82,7 @@ class Output:
     """One of a scenario's values, or its failures as 0 and 1, as a process."""
 
     tuned: Tuned
+    prior: NoisePrior = EXACT
     warp: Warp = field(default_factory=Warp)
     process: GaussianProcess | None = None
     constant: float = 0.0
@@ -98,7 +99,7 @@ class Output:
         if known >= max(self.tuned.count + 1, GROWTH * self.tuned.count):
             chosen = slice(None, None, -(-len(targets) // MOST_TUNED))
             centred = (warped[chosen] - warped[chosen].mean()) / self.spread
-            self.tuned = Tuned(fitted(features[chosen], centred, owners, self.tuned.hyperparameters), known)
+            self.tuned = Tuned(fitted(features[chosen], centred, owners, self.tuned.hyperparameters, self.prior), known)
         self.process = GaussianProcess(
             features, (warped - self.constant) / self.spread, owners, self.tuned.hyperparameters, pending
         )
@@ -109,6 +110,11 @@ class Output:
             return np.full(len(features), self.constant), np.full(len(features), self.spread)
         means, deviations = self.process.predict(features, pending=pending)
         return self.constant + self.spread * means, self.spread * deviations
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of an answer around the process, of the warped value."""
+        return self.spread * (1.0 if self.process is None else self.process.noise)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,12 +129,16 @@ class Belief:
 
 
 class ScenarioModel:
-    """The model of one scenario."""
+    """The model of one scenario. Answers of a `random` simulator are samples: what counts is their mean, failures included."""
 
-    def __init__(self, n_values: int, n_parameters: int, owners: Indices, best: Floats, worst: Floats) -> None:
-        self._owners, self._best, self._worst = owners, best, worst
-        self._outputs = [Output(Tuned(Hyperparameters.usual(n_parameters))) for _ in range(n_values)]
-        self._failure = Output(Tuned(Hyperparameters.usual(n_parameters)))
+    def __init__(
+        self, n_values: int, n_parameters: int, owners: Indices, best: Floats, worst: Floats, *, random: bool = False
+    ) -> None:
+        self._owners, self._best, self._worst, self._random = owners, best, worst, random
+        prior = SAMPLED if random else EXACT
+        *self._outputs, self._failure = (
+            Output(Tuned(Hyperparameters.usual(n_parameters, prior)), prior) for _ in range(n_values + 1)
+        )
 
     def learn(self, features: Floats, values: Floats, failed: Bools, pending: Floats) -> None:
         """Learns from answers in the order of asking: features, shape (n, n_features), values, shape (n, n_values), and failures."""
@@ -158,7 +168,25 @@ class ScenarioModel:
         uniform ones, shape (n_draws, 1 or n)."""
         warped = prediction.means + prediction.deviations * normal
         values = np.stack([output.warp.undone(warped[:, :, place]) for place, output in enumerate(self._outputs)], axis=2)
-        return np.where((uniform < prediction.failing)[:, :, np.newaxis], self._worst, values)
+        failing = uniform < prediction.failing
+        if self._random:
+            failing = np.broadcast_to(prediction.failing, failing.shape)
+            mixed = values + failing[:, :, np.newaxis] * (self._worst - values)
+            return np.where(failing[:, :, np.newaxis] > 0, mixed, values)
+        return np.where(failing[:, :, np.newaxis], self._worst, values)
+
+    def expected(self, features: Floats) -> Floats:
+        """Returns the values that the model expects, shape (n, n_values)."""
+        belief, none = self.predict(features, pending=False), np.zeros((1, 1, 1))
+        values: Floats = self.values(belief, none, none[:, :, 0])[0]
+        return values
+
+    def runs(self, features: Floats, normal: Floats, uniform: Floats) -> Floats:
+        """Returns draws of single answers at n sets as the model expects them; shapes as of `values`."""
+        belief = self.predict(features, pending=False)
+        noise = np.broadcast_to([output.noise for output in self._outputs], belief.means.shape)
+        values = self.values(Belief(belief.means, noise, np.zeros(len(features))), normal, uniform)
+        return np.where((uniform < belief.failing)[:, :, np.newaxis], self._worst, values)
 
     def to_json(self) -> list[dict[str, Any]]:
         """Returns as plain data what answers alone do not tell."""

@@ -17,9 +17,6 @@ from drivecal.plugins.ports import Floats
 
 LENGTH_MEAN, LENGTH_DEVIATION = np.sqrt(2.0) - 3.0, np.sqrt(3.0)
 """Mode and deviation of the logarithm of a length in one dimension, in ranges."""
-NOISE_MEAN, NOISE_DEVIATION = -9.0, 2.0
-"""Mean and deviation of the noise's logarithm, a share of the variance: steps of scores, and shapes that the kernel lacks."""
-NOISES = (-11.0, 0.0)
 LENGTHS = (-4.0, 5.0)
 ITERATIONS = 40
 RECENT = 20
@@ -27,6 +24,22 @@ RECENT = 20
 FARTHEST = 25.0
 """Most that a squared error counts, in variances."""
 ROOT = np.sqrt(5.0)
+
+
+@dataclass(frozen=True, slots=True)
+class NoisePrior:
+    """Normal distribution of the noise's logarithm, a share of the variance, and its largest value."""
+
+    mean: float
+    deviation: float
+    largest: float
+    least: float = -11.0
+
+
+EXACT = NoisePrior(-9.0, 2.0, 0.0)
+"""Steps of scores, and shapes that the kernel lacks."""
+SAMPLED = NoisePrior(-2.0, 2.0, 3.0)
+"""Runs that depend on a seed. What replicates say outweighs it."""
 
 
 class Encoding:
@@ -63,9 +76,9 @@ class Hyperparameters:
     noise: float
 
     @classmethod
-    def usual(cls, n_parameters: int) -> "Hyperparameters":
+    def usual(cls, n_parameters: int, noise: NoisePrior = EXACT) -> "Hyperparameters":
         """The middle of the prior."""
-        return cls(np.full(n_parameters, LENGTH_MEAN + np.log(n_parameters) / 2), NOISE_MEAN)
+        return cls(np.full(n_parameters, LENGTH_MEAN + np.log(n_parameters) / 2), noise.mean)
 
 
 def _squares(first: Floats, second: Floats) -> Floats:
@@ -80,7 +93,9 @@ def _correlations(squares: Floats) -> Floats:
     return result
 
 
-def fitted(features: Floats, targets: Floats, owners: Indices, start: Hyperparameters) -> Hyperparameters:
+def fitted(
+    features: Floats, targets: Floats, owners: Indices, start: Hyperparameters, prior: NoisePrior = EXACT
+) -> Hyperparameters:
     """Returns hyperparameters of the largest posterior density near a start. Targets have a mean of 0."""
     n_parameters, count = len(start.lengths), len(targets)
     centre = LENGTH_MEAN + np.log(n_parameters) / 2
@@ -110,11 +125,11 @@ def fitted(features: Floats, targets: Floats, owners: Indices, start: Hyperparam
         slope = sensitivity * ((5.0 / 3.0) * (1.0 + away) * decay)
         by_feature = 2.0 * (slope.sum(axis=1) @ squared) - 2.0 * (features * (slope @ features)).sum(axis=0)
         gradient = np.append(-0.5 * np.bincount(owners, by_feature * inverse, n_parameters), gradient_noise)
-        away_from_prior = np.append((theta[:-1] - centre) / LENGTH_DEVIATION, (theta[-1] - NOISE_MEAN) / NOISE_DEVIATION)
-        deviations = np.append(np.full(n_parameters, LENGTH_DEVIATION), NOISE_DEVIATION)
+        away_from_prior = np.append((theta[:-1] - centre) / LENGTH_DEVIATION, (theta[-1] - prior.mean) / prior.deviation)
+        deviations = np.append(np.full(n_parameters, LENGTH_DEVIATION), prior.deviation)
         return value + 0.5 * float(away_from_prior @ away_from_prior), gradient + away_from_prior / deviations
 
-    bounds = [LENGTHS] * n_parameters + [NOISES]
+    bounds = [LENGTHS] * n_parameters + [(prior.least, prior.largest)]
     optimum = minimize(
         loss, np.append(start.lengths, start.noise), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": ITERATIONS}
     )
@@ -140,6 +155,11 @@ class GaussianProcess:
         self._asked = np.concatenate([self._known, pending * self._scale]) if len(pending) else self._known
         self._own = factor
         self._all = self._factor(self._asked) if len(pending) else factor
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a target around the process."""
+        return float(np.sqrt(self.variance * self._noise))
 
     def _surprise(self, factor: Floats) -> float:
         """Returns the mean squared error at the newest answers, each predicted from all others, in variances; at least 1 (Rasmussen and

@@ -15,7 +15,7 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]  
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.surrogate.answers import Answers, BegunSet
 from drivecal.optimizers.surrogate.candidates import children
-from drivecal.optimizers.surrogate.giving_up import beaten, improbable
+from drivecal.optimizers.surrogate.giving_up import beaten, improbable, without_result
 from drivecal.optimizers.surrogate.merits import Merit, Standing
 from drivecal.optimizers.surrogate.models import ScenarioModel
 from drivecal.optimizers.surrogate.processes import Encoding
@@ -45,7 +45,7 @@ PENDING = 64
 """Most unanswered sets that the models count as known."""
 DORMANT = 64
 """Most sets with known answers from before that are looked at."""
-DESIGN, PROPOSAL, DRAWING, DIRECTION = range(4)
+DESIGN, PROPOSAL, DRAWING, DIRECTION, NOISE = range(5)
 """Streams of random numbers."""
 
 
@@ -58,7 +58,7 @@ class SurrogateSearch:
         self._encoding = encoding
         self._answers = Answers(encoding, task.aim)
         self._models = [
-            ScenarioModel(task.aim.values, len(task.kinds), encoding.owners, best, worst)
+            ScenarioModel(task.aim.values, len(task.kinds), encoding.owners, best, worst, random=task.random)
             for best, worst in zip(task.aim.best, task.aim.worst, strict=True)
         ]
         self._learned: list[tuple[int, ...]] = [() for _ in self._models]
@@ -104,7 +104,10 @@ class SurrogateSearch:
     ) -> None:
         """Continues a search that has just begun after these rounds."""
         for cell in (cell for cells in rounds for cell in cells):
-            self._answers.ask(self._answers.begin(cell.indices), cell.scenario)
+            begun = self._answers.begin(cell.indices)
+            if cell.replicate > 1:
+                begun.replicate, begun.whole = cell.replicate, True
+            self._answers.ask(begun, cell.scenario)
             self._spent += 1
         for told in answers:
             self.tell(told)
@@ -133,7 +136,7 @@ class SurrogateSearch:
 
     def _ask(self, begun: BegunSet, scenario: int, cells: list[AskedCell]) -> None:
         self._answers.ask(begun, scenario)
-        cells.append(AskedCell(begun.indices, scenario))
+        cells.append(AskedCell(begun.indices, scenario, begun.replicate))
         self._spent += 1
 
     def _ask_all(self, begun: BegunSet, room: int, cells: list[AskedCell]) -> None:
@@ -147,9 +150,9 @@ class SurrogateSearch:
 
     def _search(self, room: int, at_once: int, cells: list[AskedCell]) -> None:
         """Fills the room: sets that may still win are asked on, then new ones begin; at the end nothing that cannot be completed."""
-        self._standing = Standing.of(self._aim, self._answers.values(self._answers.complete))
-        self._merits = {}
         self._learn()
+        self._standing = Standing.of(self._aim, self._values(self._answers.complete))
+        self._merits = {}
         promising = self._promising()
         for begun, drawn in promising:
             wanted = min(room - len(cells), at_once - self._answers.pending(begun))
@@ -194,8 +197,30 @@ class SurrogateSearch:
         key = number if self._aim.objectives > 1 else 0
         if key not in self._merits:
             direction = self._generator(DIRECTION, key).dirichlet(np.ones(self._aim.objectives))
-            self._merits[key] = Merit(self._aim, self._standing, direction)
+            self._merits[key] = merit = Merit(self._aim, self._standing, direction)
+            if self._task.random and (complete := self._answers.complete):
+                best = complete[int(np.argmax(merit(self._values(complete))))]
+                merit.noise = self._noise(best, merit)
         return self._merits[key]
+
+    def _values(self, sets: Sequence[BegunSet]) -> Floats:
+        """Returns what complete sets are worth: their answers, or what models expect after samples, so that luck does not count."""
+        values = self._answers.values(sets)
+        if self._task.random and len(sets):
+            features = self._answers.features([begun.number for begun in sets])
+            expected = np.stack([model.expected(features) for model in self._models], axis=1)
+            values = np.where(np.isnan(values), np.nan, expected)
+        return values
+
+    def _noise(self, begun: BegunSet, merit: Merit) -> float:
+        """Returns the deviation of a set's merit by a sample in each scenario."""
+        features, generator = self._answers.features([begun.number]), self._generator(NOISE)
+        runs = [
+            model.runs(features, generator.normal(size=(OPEN_DRAWS, 1, self._aim.values)), generator.random((OPEN_DRAWS, 1)))
+            for model in self._models
+        ]
+        merits = merit(np.concatenate(runs, axis=1))
+        return float(merits[np.isfinite(merits)].std()) if np.isfinite(merits).any() else 0.0
 
     def _promising(self) -> list[tuple[BegunSet, Floats]]:
         """Gives sets up; returns the remaining open sets, the most promising first, with draws of their values."""
@@ -203,8 +228,11 @@ class SurrogateSearch:
             begun for begun in self._answers.sets if not begun.beaten and not begun.whole and len(self._answers.missing(begun))
         ]
         if sets:
-            for begun, is_beaten in zip(sets, beaten(self._aim, self._answers, sets, self._standing), strict=True):
-                begun.beaten = bool(is_beaten)
+            lost = beaten(self._aim, self._answers, sets, self._standing)
+            if self._task.random:  # a sample bounds nothing
+                lost = without_result(self._answers, sets)
+            for begun, is_lost in zip(sets, lost, strict=True):
+                begun.beaten = bool(is_lost)
         ranked: list[tuple[float, BegunSet, Floats]] = []
         left = self._answers.open
         for begun, drawn in zip(left, self._drawn(left), strict=True):
@@ -234,6 +262,8 @@ class SurrogateSearch:
             return np.empty((0, OPEN_DRAWS, self._aim.scenarios, self._aim.values))
         features = self._answers.features([begun.number for begun in sets])
         drawn = self._draws(features, OPEN_DRAWS, self._generator(DRAWING), pending=False).transpose(1, 0, 2, 3)
+        if self._task.random:
+            return drawn
         known = np.stack([self._answers.answered(begun) for begun in sets])[:, np.newaxis, :, np.newaxis]
         return np.where(known, self._answers.values(sets)[:, np.newaxis], drawn)
 
@@ -249,8 +279,8 @@ class SurrogateSearch:
         return missing[np.argsort(-spreads, kind="stable")]
 
     def _proposed(self, count: int) -> list[BegunSet]:
-        """Begins up to `count` sets, or goes on with a set that is known in part: the first has the largest expected improvement for its
-        cost, each further one is the best of a draw."""
+        """Begins up to `count` sets, or goes on with a set that is known in part, or repeats one with another seed: the first has the
+        largest expected improvement for its cost, each further one is the best of a draw."""
         number = len(self._answers.sets)
         generator, merit = self._generator(PROPOSAL, number), self._merit(number)
         rows = self._new(
@@ -258,14 +288,17 @@ class SurrogateSearch:
         )
         merits = self._merits_of(rows, merit, number)
         for _ in range(REFINEMENTS if len(rows) else 0):
-            top = np.argsort(-self._improvements(merits, merit), kind="stable")[:REFINED]
+            top = np.argsort(-merit.improvements(merits), kind="stable")[:REFINED]
             more = self._new(self._children(rows[top], REFINING, generator))
             rows, merits = np.concatenate([rows, more]), np.concatenate([merits, self._merits_of(more, merit, number)], axis=1)
-        improvements = self._improvements(merits, merit)
-        dormant = self._dormant(merit)
-        if dormant is not None and (not len(rows) or dormant[0] > improvements.max()):
-            dormant[1].promise = dormant[2]
-            return [dormant[1]]
+        improvements = merit.improvements(merits)
+        begun = self._begun_before(merit)
+        if begun is not None and (not len(rows) or begun[0] > improvements.max()):
+            if len(self._answers.missing(begun[1])):
+                begun[1].promise = begun[2]
+            else:
+                begun[1].replicate, begun[1].whole = begun[1].replicate + 1, True
+            return [begun[1]]
         if not len(rows):
             return []
         sets: list[BegunSet] = []
@@ -287,21 +320,18 @@ class SurrogateSearch:
         drawn = self._draws(self._encoding(rows), DRAWS, self._generator(DRAWING, number + 1), pending=True)
         return merit(drawn.reshape(-1, *drawn.shape[2:])).reshape(DRAWS, len(rows))
 
-    @staticmethod
-    def _improvements(merits: Floats, merit: Merit) -> Floats:
-        """Returns the expected improvements, shape (n,); without a complete set the mean merits."""
-        finite = np.where(np.isfinite(merits), merits, -1e300)
-        result: Floats = finite.mean(axis=0) if np.isneginf(merit.best) else np.maximum(finite - merit.best, 0.0).mean(axis=0)
-        return result
-
-    def _dormant(self, merit: Merit) -> tuple[float, BegunSet, float] | None:
-        """Returns the most promising set that is known in part: its expected improvement for the cost of a new set, itself, its chance."""
+    def _begun_before(self, merit: Merit) -> tuple[float, BegunSet, float] | None:
+        """Returns the most promising set that is known in part, or that may have another replicate: its expected improvement for the cost
+        of a new set, itself, its chance."""
         sets = self._answers.dormant[-DORMANT:]
+        if repeatable := self._answers.repeatable(self._task.replicates):
+            order = np.argsort(-merit(self._values(repeatable)), kind="stable")[:PARENTS]
+            sets += [repeatable[place] for place in order.tolist()]
         ranked: list[tuple[float, BegunSet, float]] = []
         for begun, drawn in zip(sets, self._drawn(sets), strict=True):
             merits = merit(drawn)
-            gain = float(self._improvements(merits[:, np.newaxis], merit)[0])
-            share = len(self._answers.missing(begun)) / self._aim.scenarios
+            gain = float(merit.improvements(merits[:, np.newaxis])[0])
+            share = (len(self._answers.missing(begun)) or self._aim.scenarios) / self._aim.scenarios
             ranked.append((gain / share if gain > 0 else gain, begun, merit.beaten_by(merits)))
         return max(ranked, key=lambda each: each[0], default=None)
 
@@ -316,7 +346,7 @@ class SurrogateSearch:
         complete = self._answers.complete
         if not complete:
             return self._task.sample(PARENTS, self._generator(DESIGN, 1))
-        merits = self._merit(len(self._answers.sets))(self._answers.values(complete))
+        merits = self._merit(len(self._answers.sets))(self._values(complete))
         return np.array([complete[place].indices for place in np.argsort(-merits, kind="stable")[:PARENTS]], dtype=np.int64)
 
     def _children(self, parents: Indices, count: int, generator: np.random.Generator) -> Indices:

@@ -292,6 +292,7 @@ outside_sets = Table(  # parameter sets that outside optimizers propose to campa
     Column("key", Name, nullable=False),
     Column("indices", Document, nullable=False),  # of the grid, by searched parameter
     Column("scenarios", Document),  # null: all of the campaign
+    Column("replicates", Integer, nullable=False),
     Column("cancelled", Boolean, nullable=False),
     # Its place among the evaluations; null before.
     Column("iteration", Integer),

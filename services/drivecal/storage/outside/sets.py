@@ -22,7 +22,7 @@ from drivecal.storage.references import metrics
 
 @dataclass(frozen=True, slots=True)
 class OutsideSet:
-    """A proposed set: grid indices by searched parameter, and its scenarios, None for all of the campaign.
+    """A proposed set: grid indices by searched parameter, its scenarios, None for all of the campaign, and the number of its seeds.
 
     `key` is the name that the outside optimizer gave it, `number` counts the sets of a campaign from 1.
     """
@@ -30,6 +30,7 @@ class OutsideSet:
     key: str
     indices: list[int]
     scenarios: list[str] | None = None
+    replicates: int = 1
     number: int = 0
 
 
@@ -42,6 +43,7 @@ class OutsideAnswer:
     key: str
     parameters: ParameterSet
     scenario: str
+    seed: int
     evaluation: int
     outcome: Outcome
     score: float | None
@@ -102,7 +104,7 @@ def add(connection: Connection, campaign_id: str, proposed: Sequence[OutsideSet]
     """
     campaign_sequence, table = external_campaign(connection, campaign_id).sequence, outside_sets.c
     is_dropped = (table.cancelled & table.iteration.is_(None)).label("is_dropped")
-    query = select(table.key, table.number, table.indices, table.scenarios, is_dropped)
+    query = select(table.key, table.number, table.indices, table.scenarios, table.replicates, is_dropped)
     query = query.where(table.campaign_sequence == campaign_sequence)
     known = {row.key: row for row in rows_among(connection, query, table.key, [each.key for each in proposed])}
     dropped = [row.number for row in known.values() if row.is_dropped]
@@ -110,7 +112,8 @@ def add(connection: Connection, campaign_id: str, proposed: Sequence[OutsideSet]
         open_campaign(connection, campaign_id)
     for each in proposed:
         stored = known.get(each.key)
-        if stored is not None and (stored.indices, stored.scenarios) != (each.indices, each.scenarios):
+        asked = each.indices, each.scenarios, each.replicates
+        if stored is not None and (stored.indices, stored.scenarios, stored.replicates) != asked:
             raise ConflictError(
                 f"the key {each.key} belongs to set {stored.number}, which is another one; give a new set a new key"
             )
@@ -119,7 +122,7 @@ def add(connection: Connection, campaign_id: str, proposed: Sequence[OutsideSet]
     numbers = {each.key: number for number, each in enumerate(new, last + 1)}
     rows = [
         {"campaign_sequence": campaign_sequence, "number": numbers[each.key], "key": each.key}
-        | {"indices": each.indices, "scenarios": each.scenarios, "cancelled": False}
+        | {"indices": each.indices, "scenarios": each.scenarios, "replicates": each.replicates, "cancelled": False}
         for each in new
     ]
     execute_rows(connection, outside_sets.insert(), rows)
@@ -136,7 +139,7 @@ def waiting(connection: Connection, campaign_sequence: int, most: int) -> tuple[
     finish_at = select(campaigns_table.c.finish_at).where(campaigns_table.c.sequence == campaign_sequence)
     closes = connection.scalar(finish_at) is not None
     table = outside_sets.c
-    query = select(table.key, table.indices, table.scenarios, table.number).where(
+    query = select(table.key, table.indices, table.scenarios, table.replicates, table.number).where(
         table.campaign_sequence == campaign_sequence, table.iteration.is_(None), ~table.cancelled
     )
     return closes, [OutsideSet(*row) for row in connection.execute(query.order_by(table.number).limit(most))]
@@ -199,7 +202,7 @@ def answers(connection: Connection, campaign_sequence: int, after: int, limit: i
         & (proposed.iteration == cell.iteration)
         & (proposed.individual == cell.individual)
     )
-    names = ("scenario", "outcome", "score", "rating", "reference", "failure", "detail")
+    names = ("scenario", "seed", "outcome", "score", "rating", "reference", "failure", "detail")
     columns: list[ColumnElement[Any]] = [
         cell.answered.label("number"),
         proposed.number.label("set"),

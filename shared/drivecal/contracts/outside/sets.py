@@ -22,8 +22,8 @@ class ProposedSet(Model):
     parameters: Values
     scenarios: Annotated[list[Identifier], Field(min_length=1, max_length=1000)] | None = None
     """Null: all scenarios of the campaign."""
-    replicates: Annotated[int, Field(ge=1, le=1)] = 1
-    """Runs in each scenario."""
+    replicates: Annotated[int, Field(ge=1, le=1000)] = 1
+    """Runs in each scenario, under the seeds 1, 2, ...; above 1 only of a random simulator."""
 
 
 class ProposedSets(Model):
@@ -64,6 +64,8 @@ class CancelledSet(Answer):
 class CellAnswered(Answer):
     """The answer of a cell. `number` is its place among the answers of the campaign, `set` the number of its set.
 
+    `seed`: the seed of its run, 0 if the simulator does not depend on one.
+
     `wrong_at_most`: expected share of wrong answers among all with this `outcome`; 0 for runs of the very cell, null
     without a result. `metrics`: the measures of the run, null without one.
     """
@@ -73,6 +75,7 @@ class CellAnswered(Answer):
     key: str
     parameters: dict[str, float | str]
     scenario: str
+    seed: int
     evaluation: int
     outcome: str
     score: Score | None
