@@ -1,4 +1,4 @@
-"""One vehicle of a user's, a kinematic bicycle with lags, as a class, a program and an FMU; and a lane keeper in C++."""
+"""One vehicle of a user's, a kinematic bicycle with lags, as a class and an FMU; and a lane keeper in C++."""
 
 from pathlib import Path
 from typing import Any
@@ -39,34 +39,6 @@ static void law(double *v, double steering, double acceleration) { /* x, y, head
     v[1] = v[1] + 0.01 * (v[3] * sin(v[2]));
 }
 """
-PROGRAM = (
-    "#include <math.h>\n#include <stdio.h>\n#include <stdlib.h>\n#include <string.h>\n"
-    + LAW
-    + r"""
-static char line[65536];
-static void ready(double *v) {
-    memset(v, 0, 6 * sizeof *v);
-    v[3] = atof(strstr(line, "\"start_speed\":") + 14);
-    puts("{\"ready\": true}"); fflush(stdout);
-}
-static double number(const char *name) {
-    char key[64];
-    snprintf(key, sizeof key, "\"%s\":", name);
-    return atof(strstr(line, key) + strlen(key));
-}
-int main(void) {
-    double v[6];
-    fgets(line, sizeof line, stdin); puts("{\"ready\": true}"); fflush(stdout); /* the greeting */
-    while (fgets(line, sizeof line, stdin)) {
-        if (strstr(line, "\"run\":")) { ready(v); continue; }
-        law(v, number("steering"), number("acceleration"));
-        printf("{\"x\": %.17g, \"y\": %.17g, \"heading\": %.17g, \"speed\": %.17g}\n", v[0], v[1], v[2], v[3]);
-        fflush(stdout);
-    }
-    return 0;
-}
-"""
-)
 KEEPER = r"""
 #include <cmath>
 #include <cstdio>
@@ -112,7 +84,6 @@ DESCRIPTION = (
 )
 VEHICLES: dict[str, dict[str, Any]] = {
     "python": {"kind": "python", "file": "car.py"},
-    "process": {"kind": "process", "command": ["./car"]},
     "fmu": {
         "kind": "fmu",
         "file": "car.fmu",
@@ -133,8 +104,6 @@ LANE_KEEPER: dict[str, Any] = {
 def write_vehicles(folder: Path) -> None:
     """Adds the vehicle in all kinds to a bundle, and the lane keeper."""
     (folder / "car.py").write_text(CLASS)
-    (folder / "car.c").write_text(PROGRAM)
-    compiled("cc", folder / "car.c", folder / "car", "-ffp-contract=off", "-Wl,--no-as-needed", "-lm")
     (folder / "keeper.cpp").write_text(KEEPER)
     compiled("c++", folder / "keeper.cpp", folder / "keeper", "-ffp-contract=off")
     text = "#include <math.h>\n" + CONTROLLER_FMU.replace(CONTROLLER_LAW, LAW).replace("v[8]", "v[16]").replace(

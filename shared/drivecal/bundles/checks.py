@@ -15,7 +15,6 @@ from drivecal.bundles.highway import (
     HighwaySimulator,
     PlannerController,
     ProcessController,
-    ProcessVehicle,
     PythonController,
     PythonVehicle,
 )
@@ -315,8 +314,6 @@ def _simulator(simulator: Any, files: Executables | None) -> Iterator[Problem]:
         yield from _code("simulator.vehicle", simulator.vehicle, files)
         if isinstance(simulator.controller, ProcessController):
             yield from _command("simulator.controller.command", simulator.controller.command, files)
-        if isinstance(simulator.vehicle, ProcessVehicle):
-            yield from _command("simulator.vehicle.command", simulator.vehicle.command, files)
     if isinstance(simulator, FmuSimulator):
         for name, reduction in simulator.measures.items():
             if not _REDUCTION.fullmatch(reduction):

@@ -150,13 +150,6 @@ class PythonVehicle(UserVehicleEntry):
     wheels: File | None = None
 
 
-class ProcessVehicle(UserVehicleEntry):
-    """A program that answers a line of states for each line of steering angle, acceleration and time step, as controllers do."""
-
-    kind: Literal["process"]
-    command: Command
-
-
 class FmuVehicle(UserVehicleEntry):
     """An FMI 2 or 3 co-simulation FMU. Each of its inputs needs a signal, a parameter of the same name, or a constant."""
 
@@ -171,7 +164,7 @@ class FmuVehicle(UserVehicleEntry):
     """Between runs the FMU is reset; false: each run has a new process, for FMUs whose reset is missing or leaves something."""
 
 
-UserVehicle = Annotated[PythonVehicle | ProcessVehicle | FmuVehicle, Field(discriminator="kind")]
+UserVehicle = Annotated[PythonVehicle | FmuVehicle, Field(discriminator="kind")]
 
 
 def _form(value: object) -> str:

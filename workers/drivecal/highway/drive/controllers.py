@@ -33,33 +33,24 @@ class ProgramController:
     All messages are lines of JSON. The program answers greeting and begin of each run by `{"ready": true}`, and signals by commands.
     """
 
-    def __init__(
-        self,
-        section: Mapping[str, Any],
-        work: Path,
-        scenario: Mapping[str, Any],
-        period: float,
-        names: Sequence[str] = NAMES,
-        role: str = "controller",
-    ) -> None:
-        """`names` are the signals'; messages name the program's `role`."""
-        self._role = role
+    def __init__(self, section: Mapping[str, Any], work: Path, scenario: Mapping[str, Any], period: float) -> None:
+        """`section` is the manifest's."""
         self._command, self._work, self._scenario, self._period = section["command"], work, scenario, period
         self._output = list(section["output"])
-        self._signals = list(section.get("signals") or names)
-        self._indices = [list(names).index(name) for name in self._signals]
+        self._signals = list(section.get("signals") or NAMES)
+        self._indices = [NAMES.index(name) for name in self._signals]
         self._process: subprocess.Popen[bytes] | None = None
         self._received = b""
         self._number = 0
         self._stdin = self._stdout = -1
 
-    def begin(self, parameters: Mapping[str, Any], **start: float) -> None:
-        """Tells the program of a run, with values of its start, and waits until it is ready. Raises ProgramError."""
+    def begin(self, parameters: Mapping[str, Any]) -> None:
+        """Tells the program of a run, and waits until it is ready. Raises ProgramError."""
         self._number += 1
         try:
             if self._process is None:
                 self._start()
-            self._ask({"run": self._number, "parameters": dict(parameters), "scenario": dict(self._scenario)} | start)
+            self._ask({"run": self._number, "parameters": dict(parameters), "scenario": dict(self._scenario)})
         except BaseException:
             self._stop()
             raise
@@ -73,7 +64,7 @@ class ProgramController:
             if len(self._output) == 1 and isinstance(answer, (int, float)):
                 return (answer,)
             if not isinstance(answer, dict) or answer.keys() != set(self._output):
-                raise ProgramError(f"the {self._role} answered {answer!r:.200}, not an object of {', '.join(self._output)}")
+                raise ProgramError(f"the controller answered {answer!r:.200}, not an object of {', '.join(self._output)}")
             return [answer[name] for name in self._output]
         except BaseException:
             self._stop()
@@ -96,7 +87,7 @@ class ProgramController:
         self._send(json.dumps(message, allow_nan=False).encode() + b"\n")
         answer = self._line()
         if not isinstance(answer, dict) or answer.get("ready") is not True:
-            raise ProgramError(f'the {self._role} answered {answer!r:.200} to {next(iter(message))}, not {{"ready": true}}')
+            raise ProgramError(f'the controller answered {answer!r:.200} to {next(iter(message))}, not {{"ready": true}}')
 
     def _send(self, content: bytes) -> None:
         try:
@@ -113,26 +104,24 @@ class ProgramController:
                 raise self._ended()
             received += more
             if len(received) > LONGEST_LINE:
-                raise ProgramError(f"the {self._role} wrote a line of more than {LONGEST_LINE >> 10} kB")
+                raise ProgramError(f"the controller wrote a line of more than {LONGEST_LINE >> 10} kB")
         line, _, rest = received.partition(b"\n")
         if rest:
-            raise ProgramError(f"the {self._role} wrote more than one line in answer to one")
+            raise ProgramError("the controller wrote more than one line in answer to one")
         self._received = b""
         try:
             return json.loads(line)
         except (ValueError, RecursionError):
-            raise ProgramError(f"the {self._role}'s answer is not JSON: {line[:200].decode(errors='replace')!r}") from None
+            raise ProgramError(f"the controller's answer is not JSON: {line[:200].decode(errors='replace')!r}") from None
 
     def _ended(self) -> ProgramError:
         """Returns the error of a program that has closed its pipes; its messages are on standard error."""
         try:
             status = None if self._process is None else self._process.wait(END_SECONDS)
         except subprocess.TimeoutExpired:
-            return ProgramError(f"the {self._role} closed its standard input or output")
+            return ProgramError("the controller closed its standard input or output")
         killed = status is not None and status < 0
-        return ProgramError(
-            f"the {self._role} {'was killed by signal' if killed else 'ended with exit code'} {abs(status or 0)}"
-        )
+        return ProgramError(f"the controller {'was killed by signal' if killed else 'ended with exit code'} {abs(status or 0)}")
 
     def _stop(self) -> None:
         process, self._process = self._process, None

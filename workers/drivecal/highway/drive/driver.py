@@ -78,7 +78,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     if isinstance(simulator.vehicle, UserVehicleEntry):
         print("the vehicle starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
         entry = simulator.vehicle.model_dump(mode="json", exclude_none=True)
-        plant = plant_of(entry, folder, work, scratch, settings["data"], units)
+        plant = plant_of(entry, folder, scratch, settings["data"], units)
         vehicle = UserVehicleModel(plant, simulator.vehicle.state, parameters)
     loop = Loop(traffic, vehicle, control)
     loop.prepare()

@@ -1,4 +1,4 @@
-"""Vehicles of users: a Python class, a program, an FMU. The trackers of the built-in vehicle command each every 0.01 s."""
+"""Vehicles of users: a Python class, an FMU. The trackers of the built-in vehicle command each every 0.01 s."""
 
 import copy
 import math
@@ -13,7 +13,7 @@ from drivecal.adapters.fmu_driver import Fmu
 from drivecal.bundles.highway_catalogue import COMMANDS, VEHICLE_INPUTS, VEHICLE_STATES
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.roads import Floats
-from drivecal.highway.drive.controllers import ProgramController, end_if_fatal, function_of
+from drivecal.highway.drive.controllers import end_if_fatal, function_of
 from drivecal.highway.vehicle import kernels
 from drivecal.highway.vehicle.equations import ADHESION_LIMIT, STEP
 from drivecal.highway.vehicle.model import SingleTrackModel
@@ -57,21 +57,6 @@ class ClassPlant(Plant):
         if isinstance(answer, Mapping):
             return [answer[name] for name in self._state]
         return list(answer)
-
-
-class ProgramPlant(Plant):
-    """A program behind pipes, as controllers are."""
-
-    def __init__(self, section: Mapping[str, Any], work: Path, scenario: Mapping[str, Any]) -> None:
-        names = (*VEHICLE_INPUTS, "dt")
-        given = dict(section) | {"output": section["state"]}
-        self._program = ProgramController(given, work, scenario, STEP, names, "vehicle")
-
-    def begin(self, parameters: Mapping[str, Any], speed: float) -> None:
-        self._program.begin(parameters, start_speed=speed)
-
-    def step(self, steering: float, acceleration: float) -> Sequence[Any]:
-        return self._program.step((steering, acceleration, STEP))
 
 
 class FmuPlant(Plant):
@@ -206,20 +191,17 @@ def _check_begun(given: Mapping[str, float], speed: float) -> None:
 
 
 def plant_of(
-    section: Mapping[str, Any], folder: Path, work: Path, scratch: Path, scenario: Mapping[str, Any], units: Mapping[str, str]
+    section: Mapping[str, Any], folder: Path, scratch: Path, scenario: Mapping[str, Any], units: Mapping[str, str]
 ) -> Plant:
     """Returns the plant of a manifest's section. Raises any exception of the user's file, UnusableError of FMUs.
 
     Args:
         section: the manifest's section.
         folder: the bundle's folder.
-        work: working folder of programs.
         scratch: folder for unpacked files.
         scenario: the scenario's data.
         units: units of the problem's parameters by name.
     """
     if section["kind"] == "python":
         return ClassPlant(function_of(section, folder, scratch / "vehicle"), section["state"], scenario)
-    if section["kind"] == "process":
-        return ProgramPlant(section, work, scenario)
     return FmuPlant(folder / section["file"], scratch / "vehicle-fmu", section, units)
