@@ -170,7 +170,7 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
         listed = {name: data[name] for name in chosen}
         name, driven = function.name, manifest.is_driven
         seed = 1 if manifest.simulator.random else 0
-        return Bench(bundle, score, name, parameters, listed, section, varied, values, evaluator, seed, driven)
+        return Bench(bundle, score, name, parameters, listed, section, varied, values, evaluator, seed=seed, is_driven=driven)
 
     settled: dict[str, Any] = {"problem": bundle.digest}
     if manifest.scores[score].evaluator is None:
