@@ -11,7 +11,8 @@ STOP = """
 import os, pathlib, signal, sys
 for process in pathlib.Path("/proc").glob("[0-9]*"):
     words = (process / "cmdline").read_bytes().split(bytes(1))
-    if any(pathlib.Path(os.fsdecode(word)).name == sys.argv[1] for word in words) and b"drivecal.cluster.guard" not in words:
+    names = {pathlib.Path(os.fsdecode(word)).name for word in words}
+    if int(process.name) != os.getpid() and sys.argv[1] in names and "drivecal.cluster.guard" not in names:
         os.kill(int(process.name), signal.SIGSTOP)
         print(process.name)
 """
@@ -51,6 +52,22 @@ def test_who_has_the_token_of_ray_has_rows_and_not_the_database(cluster: Cluster
         assert set(cluster.compose("exec", "-T", service, "ls", "/run/secrets").split()) == held
     done = json.loads(cluster.compose("exec", "-T", "dispatcher", "python", "-c", ATTEMPTS))
     assert {name for name, end in done.items() if end == "done"} == {"reads rows", "writes rows"}
+
+
+SECLUDED = """
+from pathlib import Path
+from drivecal.adapters.seclusion import Seclusion
+try:
+    profile = Path("/proc/self/attr/current").read_text()
+except OSError:  # a kernel without profiles
+    profile = ""
+print(Seclusion.make([], 1 << 20) is not None, "docker-default" in profile)
+"""
+
+
+def test_simulators_on_nodes_have_mount_namespaces_unless_apparmor_forbids_mounts(cluster: Cluster) -> None:
+    is_secluded, is_forbidden = cluster.compose("exec", "-T", "ray-worker", "python", "-c", SECLUDED).split()
+    assert is_secluded != is_forbidden
 
 
 def test_the_database_has_checksums(cluster: Cluster) -> None:
