@@ -30,7 +30,6 @@ from drivecal.analysis.convergence import expected_gain
 from drivecal.campaigns.stages.asking import WINDOW, room_for
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import GENETIC, GeneticSettings
-from drivecal.optimizers.cma_es import CMA_ES, CmaSettings
 from drivecal.optimizers.repair import RepairingOptimizer, create_optimizer
 from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
 from drivecal.plugins.ports import DeclaringOptimizerPlugin
@@ -169,7 +168,6 @@ ARMS: Mapping[str, Callable[[Run, int], None]] = {
     "genetic_10": _genetic(10),
     "genetic_20": _genetic(20),
     "genetic_50": _genetic(50),
-    "cma_es": generations(CMA_ES, CmaSettings(population=10, iterations=10_000)),
     "tpe": tpe,
     "surrogate": surrogate(1, 1),
     "surrogate_2x5": surrogate(2, 5),

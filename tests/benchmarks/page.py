@@ -130,7 +130,7 @@ def with_front(url: str, sets: int) -> StoredCampaign:
         metrics = dict(zip(OBJECTIVES, (1 - math.cos(angle), 1 - math.sin(angle)), strict=True))
         return CellResult(cell.id, 5.0, 5, metrics, None, 7.0)
 
-    optimizer = {"kind": "nsga2", "population": sets, "iterations": 1, "seed": 1}
+    optimizer = {"kind": "optuna", "sampler": "nsga2", "population": sets, "iterations": 1, "seed": 1}
     objectives = [{"measure": name, "direction": "minimise"} for name in OBJECTIVES]
     backend = ComputedBackend(answer=on_circle)
     return ended(url, backend, optimizer=optimizer, catalogue=["S1", "S2"], objectives=objectives, reduction={"mode": "exact"})

@@ -36,7 +36,7 @@ SPEC: dict[str, Any] = {
 }
 FRUGAL: dict[str, Any] = {
     "objectives": [{"measure": "energy", "direction": "minimise"}, {"score": "accuracy"}],
-    "optimizer": SPEC["optimizer"] | {"kind": "nsga2"},
+    "optimizer": SPEC["optimizer"] | {"kind": "optuna", "sampler": "nsga2"},
 }
 
 

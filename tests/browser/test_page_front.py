@@ -35,7 +35,7 @@ SEAT: dict[str, Any] = {
 SPEC: dict[str, Any] = {
     "problem": "seat",
     "objectives": [{"score": name} for name in ("heave", "energy")],
-    "optimizer": {"kind": "nsga2", "population": 20, "iterations": 5, "seed": 4},
+    "optimizer": {"kind": "optuna", "sampler": "nsga2", "population": 20, "iterations": 5, "seed": 4},
     "reduction": {"mode": "exact"},
 }
 

@@ -33,10 +33,10 @@ def _installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "driving_function", lambda *_: MIXED)
 
 
-@pytest.mark.slow("swarm", "optuna", "random", "cma_es")
+@pytest.mark.slow("swarm", "optuna", "random")
 @pytest.mark.parametrize(
     "optimizer",
-    [{"kind": "genetic"}, {"kind": "swarm"}, {"kind": "random"}, {"kind": "cma_es"}, {"kind": "optuna", "sampler": "tpe"}],
+    [{"kind": "genetic"}, {"kind": "swarm"}, {"kind": "random"}, {"kind": "optuna", "sampler": "tpe"}],
     ids=lambda optimizer: str(optimizer["kind"]),
 )
 def test_every_optimizer_keeps_constraints_and_resumes_exactly(database: Database, optimizer: dict[str, Any]) -> None:

@@ -20,7 +20,7 @@ from drivecal.campaigns.results.front import front_of
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.optimizers.nsga import NSGA2
+from drivecal.optimizers.optuna_samplers import OPTUNA
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -44,7 +44,7 @@ def evaluate(parameters, scenario):
 """
 VALUES = 1001
 """Number of values of each of the five parameters, from 0 to 1."""
-SEARCH: dict[str, Any] = {"kind": "nsga2", "population": 32, "iterations": 20, "seed": 4}
+SEARCH: dict[str, Any] = {"kind": "optuna", "sampler": "nsga2", "population": 32, "iterations": 20, "seed": 4}
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def test_a_campaign_searches_as_the_bare_optimizer_does(known: Known, tmp_path: 
     grown = [volume for _, volume, _ in front_of(database, ended, resolved_spec(ended)).hypervolumes()]
     database.dispose()
 
-    optimizer = NSGA2.create(NSGA2.settings.model_validate(SEARCH), np.full(5, VALUES))
+    optimizer = OPTUNA.create(OPTUNA.settings.model_validate(SEARCH), np.full(5, VALUES))
     gains = np.empty((0, known.objectives))
     bare = []
     for _ in range(SEARCH["iterations"]):

@@ -20,7 +20,7 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
 
 JERK = "peak_lateral_jerk_mps3"
-NSGA2 = {"kind": "nsga2", "population": 24, "iterations": 8, "seed": 3}
+NSGA2 = {"kind": "optuna", "sampler": "nsga2", "population": 24, "iterations": 8, "seed": 3}
 TWO = [{"score": "comfort"}, {"measure": JERK, "direction": "minimise", "aggregate": "max", "failed": 20.0, "reference": 20.0}]
 SPLIT = [{"score": "comfort", "name": name, "scenarios": [name]} for name in ("S1", "S2")]
 
@@ -72,7 +72,7 @@ def test_a_score_and_a_measure_are_searched_together(database: Database) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("changes", [{}, {"kind": "nsga3"}, {"kind": "optuna", "population": 8, "iterations": 4}])
+@pytest.mark.parametrize("changes", [{}, {"sampler": "tpe", "population": 8, "iterations": 4}])
 def test_a_killed_search_ends_with_the_same_rows(
     database: Database, changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

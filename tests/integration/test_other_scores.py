@@ -104,7 +104,7 @@ def test_importance_explains_the_objective_of_the_ranking_under_its_weights_and_
 
 
 BOUNDED: dict[str, Any] = {
-    "optimizer": {"kind": "nsga2", "population": 24, "iterations": 2, "seed": 1},
+    "optimizer": {"kind": "optuna", "sampler": "nsga2", "population": 24, "iterations": 2, "seed": 1},
     "constraints": [
         {"measure": "y", "at_most": 2.0, "failed": 10.0},
         {"score": "cost", "at_most": 1.6},

@@ -11,7 +11,7 @@ from tests.support.runs import WITH_ANALYSIS, everything, influenced, run, submi
 from drivecal.domain.campaigns import StageName
 
 
-@pytest.mark.slow("random", "cma_es", "optuna", "nsga2")
+@pytest.mark.slow("random", "optuna")
 @pytest.mark.parametrize(
     "optimizer",
     [
@@ -19,9 +19,7 @@ from drivecal.domain.campaigns import StageName
         {"kind": "surrogate"},
         {"kind": "swarm"},
         {"kind": "random"},
-        {"kind": "cma_es"},
         {"kind": "optuna", "sampler": "tpe"},
-        {"kind": "nsga2"},
     ],
     ids=lambda optimizer: str(optimizer["kind"]),
 )

@@ -73,7 +73,7 @@ def test_the_built_in_traffic_stores_measures_that_only_a_later_push_declares() 
     resolved(
         stored,
         problem=stored.manifest.problem,
-        optimizer={"kind": "nsga2", "population": 10, "iterations": 2},
+        optimizer={"kind": "optuna", "sampler": "nsga2", "population": 10, "iterations": 2},
         objectives=[goal],
     )
     assert bench_of(bundle(), "discomfort").requests["wet"].measures == tuple(bundle().manifest.measures)
@@ -254,7 +254,7 @@ def test_the_problem_s_baseline_is_the_default() -> None:
 
 
 def test_the_first_score_of_the_objectives_is_the_campaigns_and_others_are_computed() -> None:
-    search = {"kind": "nsga2", "population": 10, "iterations": 2}
+    search = {"kind": "optuna", "sampler": "nsga2", "population": 10, "iterations": 2}
     problem = resolved(objectives=[{"score": "safety"}, {"score": "discomfort", "aggregate": "max"}], optimizer=search)
     assert problem.bench.scale.name == problem.specification.evaluator == "safety"
     assert problem.specification.reduction.mode == "exact"
@@ -269,7 +269,7 @@ def test_the_first_score_of_the_objectives_is_the_campaigns_and_others_are_compu
 
 
 def test_constraints_on_results_name_scores_and_measures_of_the_bundle() -> None:
-    search = {"kind": "nsga2", "population": 10, "iterations": 2}
+    search = {"kind": "optuna", "sampler": "nsga2", "population": 10, "iterations": 2}
     limits = [{"measure": "min_gap_m", "at_least": 2.0}, {"score": "discomfort", "at_most": 50.0}]
     problem = resolved(constraints=limits, optimizer=search)
     assert problem.goals is not None

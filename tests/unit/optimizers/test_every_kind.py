@@ -12,8 +12,6 @@ from drivecal.analysis.aims import JudgedGoals
 from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective
 from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
-from drivecal.optimizers.cma_es import CMA_ES
-from drivecal.optimizers.nsga import NSGA2, NSGA3
 from drivecal.optimizers.optuna_samplers import OPTUNA
 from drivecal.optimizers.repair import RepairingOptimizer, checked_proposal, create_optimizer
 from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
@@ -24,9 +22,6 @@ POPULATIONS: dict[str, tuple[DeclaringOptimizerPlugin, dict[str, Any]]] = {
     "genetic": (GENETIC, {}),
     "random": (RANDOM, {}),
     "swarm": (SWARM, {}),
-    "cma_es": (CMA_ES, {}),
-    "nsga2": (NSGA2, {}),
-    "nsga3": (NSGA3, {}),
     "tpe": (OPTUNA, {"sampler": "tpe"}),
     "optuna nsga2": (OPTUNA, {"sampler": "nsga2"}),
     "optuna random": (OPTUNA, {"sampler": "random"}),

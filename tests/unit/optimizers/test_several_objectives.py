@@ -1,4 +1,4 @@
-"""Optimizers of several objectives with violations, behind the port: NSGA-II and NSGA-III of pymoo, Optuna's samplers."""
+"""Optimizers of several objectives with violations, behind the port: Optuna's samplers."""
 
 import json
 from typing import Any
@@ -10,16 +10,12 @@ from tests.support.effort import tries
 from drivecal.analysis.front import hypervolume
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import RANDOM
-from drivecal.optimizers.nsga import NSGA2, NSGA3, directions
 from drivecal.optimizers.optuna_samplers import OPTUNA
 from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats, Optimizer
 
 GRID = np.array([101] * 5)
-evolutionary = pytest.mark.parametrize("plugin", [NSGA2, NSGA3], ids=["nsga2", "nsga3"])
 SEARCHES: dict[str, tuple[DeclaringOptimizerPlugin, dict[str, Any]]] = {
-    "nsga2": (NSGA2, {"population": 20, "iterations": 15}),
-    "nsga3": (NSGA3, {"population": 20, "iterations": 15}),
-    "optuna nsga2": (OPTUNA, {"population": 20, "iterations": 15, "sampler": "nsga2"}),
+    "nsga2": (OPTUNA, {"population": 20, "iterations": 15, "sampler": "nsga2"}),
     "tpe": (OPTUNA, {"population": 12, "iterations": 9, "sampler": "tpe"}),  # its models take long, and learn from few runs
 }
 every = pytest.mark.parametrize(("plugin", "chosen"), SEARCHES.values(), ids=SEARCHES)
@@ -87,15 +83,6 @@ def test_fronts_are_larger_than_those_of_random_search(plugin: DeclaringOptimize
         assert volume(plugin, seed, **chosen) > volume(RANDOM, seed, population=chosen["population"])
 
 
-@evolutionary
-def test_a_space_that_is_used_up_proposes_nothing_new(plugin: DeclaringOptimizerPlugin) -> None:
-    optimizer = plugin.create(plugin.settings(population=10), np.array([2, 2]))
-    for iteration in range(4):
-        proposal = optimizer.ask()
-        assert iteration == 0 or not proposal.changed.any()
-        optimizer.tell(-proposal.population.astype(np.float64), np.zeros(10))
-
-
 @every
 def test_answers_that_do_not_fit_are_refused(plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]) -> None:
     optimizer = plugin.create(plugin.settings(**chosen), GRID)
@@ -103,10 +90,3 @@ def test_answers_that_do_not_fit_are_refused(plugin: DeclaringOptimizerPlugin, c
     for objectives, violations in (((size - 1, 2), size), ((size, 2), size - 1)):
         with pytest.raises(ValueError, match=str(size)):
             optimizer.tell(np.zeros(objectives), np.zeros(violations))
-
-
-@pytest.mark.parametrize(("population", "objectives", "count"), [(20, 1, 1), (20, 2, 20), (20, 3, 15), (100, 3, 91), (3, 4, 4)])
-def test_reference_directions_fit_into_the_population(population: int, objectives: int, count: int) -> None:
-    rows = directions(population, objectives)
-    assert rows.shape == (count, objectives)
-    assert rows.sum(axis=1) == pytest.approx(np.ones(count))

@@ -35,7 +35,7 @@ from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.thresholds import SensitivitySettings
 
-ORDERING = ("swarm", "cma_es", "nsga2", "nsga3")
+ORDERING = ("swarm",)
 """Built-in optimizers that move through the values of a parameter in their order."""
 MOST_WRONG_SETS = 200
 """Problems after which further start sets are not checked."""
@@ -346,7 +346,7 @@ def check_abilities(
     name = optimization.plugin.name
     if goals is not None and goals.is_vector and "objectives" not in supported(optimization.plugin):
         message = f"{name} searches by a single number, without constraints on results"
-        diagnostics.add("optimizer.kind", message, "choose nsga2, nsga3 or optuna, or give one objective and no constraints")
+        diagnostics.add("optimizer.kind", message, "choose surrogate or optuna, or give one objective and no constraints")
     for ability in lacking(optimization.plugin, wanted):
         concerned = [parameter.name for parameter in constraints.space.searched if parameter.kind == ability]
         message = f"{name} does not support {ability} parameters ({', '.join(concerned)})"
