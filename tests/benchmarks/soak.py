@@ -1,6 +1,6 @@
 """Does anything grow for hours? `python tests/benchmarks/run.py soak [--minutes 20] [--backend processes|ray]`.
 
-Runs a server with many small campaigns and comparisons, clients and a page's WebSocket that follow them, and workers that are killed now
+Runs a server with many small campaigns and comparisons, clients and a page's event stream that follow them, and workers that are killed now
 and then. Every few seconds it notes memory, handles, threads and number of the processes of each role of the server, the largest process
 of each, temporary files, and Ray's store. It prints the slope of each per hour (Theil-Sen, of the time after a first part in which caches
 fill) and a verdict: flat, if the slope adds less than a tenth, or than a floor, in the measured time. Writes `.drivecal/bench/soak.json`
@@ -23,8 +23,6 @@ from pathlib import Path
 from statistics import median
 
 import psutil
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
 
 from drivecal.cli.commands.demo import coordinator
 from drivecal.client import Client
@@ -166,15 +164,14 @@ def one_turn(client: Client, course: Course, seed: int) -> None:
 
 
 def page(url: str, over: threading.Event, course: Course) -> None:
-    """Keeps one page open, as a user does for days: its WebSocket, which follows the newest campaign until its end."""
+    """Keeps one page open, as a user does for days: an event stream, which follows the newest campaign until its end."""
     with Client(url, token="") as client:
         while not over.wait(1.0):
             try:
                 for newest in client.campaigns(limit=1).items:
-                    with connect(f"{url.replace('http', 'ws')}/api/v1/live?campaign={newest.id}") as socket:
-                        while "ended" not in json.loads(socket.recv()):
-                            course.done["messages to the page"] += 1
-            except (DrivecalError, ConnectionClosed) as error:
+                    for _ in client.events(newest.id):
+                        course.done["messages to the page"] += 1
+            except DrivecalError as error:
                 course.faults.append(f"the page: {type(error).__name__}: {error}")
                 return
 

@@ -20,9 +20,7 @@ TABS = ("overview", "ranking", "evaluations", "influence", "savings", "trust", "
 expect.set_options(timeout=90_000)
 
 
-LOST = "WebSocket"
-"""Part of the complaint about a server that is gone."""
-GONE = (LOST, "ERR_CONNECTION_", "ERR_EMPTY_RESPONSE", "ERR_INCOMPLETE_CHUNKED_ENCODING")
+GONE = ("ERR_CONNECTION_", "ERR_EMPTY_RESPONSE", "ERR_INCOMPLETE_CHUNKED_ENCODING")
 """Complaints of a page whose server ends, between two requests or in one."""
 BUSY = re.compile("Loading|Reading|Counting")
 """Words of a view that is not there yet."""
@@ -146,7 +144,7 @@ def opening(browser: Browser, kept: Kept) -> Iterator[Opening]:
 
     yield open_
     if kept.page is not None and not kept.page.is_closed():
-        if LOST in excused:  # it goes on asking for its server
+        if GONE[0] in excused:  # it goes on asking for its server
             kept.page.context.close()
         else:
             leave(kept.page, kept.origin)
@@ -163,7 +161,7 @@ def leave(page: Page, origin: str) -> None:
         expect(page.get_by_role("heading", name="There is no such view")).to_be_visible()
 
 
-AWAY = ("ERR_INTERNET_DISCONNECTED", LOST)
+AWAY = ("ERR_INTERNET_DISCONNECTED",)
 """Complaints of a page without its server."""
 
 

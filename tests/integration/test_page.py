@@ -1,8 +1,6 @@
-"""The page's server side: its files, its session and its live connection over real HTTP."""
+"""The page's server side: its files and its session over real HTTP."""
 
-import json
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +8,12 @@ import httpx
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.runs import run, submit
-from tests.support.serve import until
 from tests.support.server import RunningApi, serving
-from websockets.exceptions import ConnectionClosedError, InvalidStatus
-from websockets.sync.client import ClientConnection, connect
 
 from drivecal.api.live import streams
-from drivecal.api.routes import page, page_live
+from drivecal.api.routes import page
 
 WRITE, READ = "writer-0123456789abcdef", "reader-0123456789abcdef"
-FLOOD = 500
-"""Messages without a pause."""
 SMALL: dict[str, Any] = {"optimizer": {"kind": "genetic", "population": 6, "iterations": 2, "seed": 3}}
 
 
@@ -121,72 +114,6 @@ def test_a_token_is_shown_once_and_a_cookie_stands_for_it(guarded: RunningApi) -
         assert browser.get("/api/v1/session").status_code == 401
 
 
-def line(api: RunningApi, campaign: str, headers: Mapping[str, str] | None = None, after: int = 0) -> ClientConnection:
-    address = f"{api.url.replace('http', 'ws')}/api/v1/live?campaign={campaign}&after={after}"
-    return connect(address, additional_headers=headers, open_timeout=300)
-
-
-def told(socket: ClientConnection) -> list[dict[str, Any]]:
-    """Everything up to the end of a campaign."""
-    messages: list[dict[str, Any]] = []
-    while not messages or "ended" not in messages[-1]:
-        messages.append(json.loads(socket.recv(timeout=300)))
-    return messages
-
-
-def test_a_page_is_told_of_a_campaign_what_its_event_stream_tells(api: RunningApi) -> None:
-    campaign = run(api.database, submit(api.database, **SMALL), ComputedBackend())
-    with line(api, campaign.id) as socket:
-        messages = told(socket)
-    events = [message["event"] for message in messages if "event" in message]
-    assert {event["campaign"] for event in events} == {campaign.id}
-    assert [event["kind"] for event in events][:: len(events) - 1] == ["queued", "succeeded"]
-    assert [message["progress"]["state"] for message in messages if "progress" in message] == ["succeeded"]
-    with line(api, campaign.id, after=events[-2]["id"]) as socket:
-        assert [item["event"]["id"] for item in told(socket) if "event" in item] == [events[-1]["id"]]
-    streamed = api.http.get(f"/api/v1/campaigns/{campaign.id}/events").text
-    assert [f"id: {event['id']}" for event in events] == [row for row in streamed.splitlines() if row.startswith("id: ")]
-
-
-def is_admitted(api: RunningApi, campaign: str) -> bool:
-    """Returns whether there is a place for a socket."""
-    try:
-        with line(api, campaign):
-            return True
-    except InvalidStatus:
-        return False
-
-
-def test_sockets_have_places_and_a_page_that_sends_anything_loses_its_own(tmp_path: Path) -> None:
-    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", event_streams=2) as api:
-        campaign = submit(api.database, **SMALL).id
-        with line(api, campaign) as quiet, line(api, campaign) as flooding:
-            assert not is_admitted(api, campaign)
-            with suppress(ConnectionClosedError):
-                for _ in range(FLOOD):
-                    flooding.send("{}")
-            with pytest.raises(ConnectionClosedError) as closed:
-                list(flooding)
-            assert closed.value.rcvd is not None
-            assert closed.value.rcvd.code == page_live.NOT_UNDERSTOOD
-            until(lambda: is_admitted(api, campaign), "that its place is free")
-            assert "event" in json.loads(quiet.recv(timeout=300))
-
-
-def test_a_page_is_told_that_there_is_no_such_campaign(api: RunningApi) -> None:
-    with line(api, "nothing") as socket, pytest.raises(ConnectionClosedError) as closed:
-        list(socket)
-    assert closed.value.rcvd is not None
-    assert closed.value.rcvd.code == page_live.NOT_UNDERSTOOD
-
-
-def test_a_page_of_another_origin_and_one_without_a_session_are_told_nothing(api: RunningApi, guarded: RunningApi) -> None:
-    for server, headers in ((api, {"Origin": "http://evil.example"}), (guarded, {"Origin": guarded.url})):
-        with pytest.raises(InvalidStatus) as refused:
-            line(server, "nothing", headers)
-        assert refused.value.response.status_code == 403
-
-
 def test_what_numbers_mean_is_said_with_them(api: RunningApi) -> None:
     campaign = run(api.database, submit(api.database, **SMALL), ComputedBackend())
     setup = api.http.get(f"/api/v1/campaigns/{campaign.id}/setup").json()
@@ -199,7 +126,7 @@ def test_what_numbers_mean_is_said_with_them(api: RunningApi) -> None:
     assert detail["campaign"]["scale"]["direction"] == "maximise"
 
 
-def test_open_connections_end_when_their_token_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_event_stream_ends_when_its_token_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streams, "KEEPALIVE_SECONDS", 0.05)
     tokens = tmp_path / "tokens"
     tokens.write_text(f"writer write {WRITE}\nreader read {READ}\n")
@@ -207,14 +134,9 @@ def test_open_connections_end_when_their_token_is_removed(tmp_path: Path, monkey
     with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tokens)) as api:
         campaign = submit(api.database, **SMALL).id
         events = f"{api.url}/api/v1/campaigns/{campaign}/events"
-        with line(api, campaign, reads) as socket, httpx.stream("GET", events, headers=reads, timeout=300) as response:
+        with httpx.stream("GET", events, headers=reads, timeout=300) as response:
             chunks = response.iter_bytes()
             assert next(chunks)
-            assert any(json.loads(message) == {"alive": True} for message in socket)
             tokens.write_text(f"writer write {WRITE}\n")
             for _ in chunks:
                 pass
-            with pytest.raises(ConnectionClosedError) as closed:
-                list(socket)
-        assert closed.value.rcvd is not None
-        assert closed.value.rcvd.code == page_live.NOT_UNDERSTOOD

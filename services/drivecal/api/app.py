@@ -27,7 +27,6 @@ from drivecal.api.routes import (
     inventory,
     outside,
     page,
-    page_live,
     page_places,
     page_session,
     stored_results,
@@ -111,7 +110,6 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         outside,
         page_session,
         page_places,
-        page_live,
     ):
         app.include_router(noun.router, prefix=ROOT)
     app.include_router(page.router)

@@ -5,7 +5,6 @@ from typing import Any
 from fastapi import FastAPI
 
 from drivecal.api.http.authorisation import OPEN
-from drivecal.api.routes.page_live import PROTOCOL
 
 EVENTS = "text/event-stream"
 
@@ -18,7 +17,6 @@ def describe(app: FastAPI, *, asks_for_tokens: bool) -> None:
         if not made:
             made.update(FastAPI.openapi(app))
             _complete(made)
-            made["tags"] = [{"name": "page", "description": PROTOCOL}]
             if asks_for_tokens:
                 _ask_for_tokens(made)
         return made

@@ -61,9 +61,7 @@ class Meters:
             ["route", "method"],
             registry=self.registry,
         )
-        self.event_streams = Gauge(
-            "drivecal_http_event_streams", "Open event streams and live connections of pages", registry=self.registry
-        )
+        self.event_streams = Gauge("drivecal_http_event_streams", "Open event streams", registry=self.registry)
         ProcessCollector(registry=self.registry)
         self.registry.register(ServiceCollector(database))
 

@@ -11,7 +11,7 @@ from starlette.responses import Response
 from starlette.types import Message, Receive, Scope, Send
 
 from drivecal.api.http import sessions
-from drivecal.api.http.authorisation import ANYBODY, LIVE, Authorisation, Tokens, is_loopback_host
+from drivecal.api.http.authorisation import ANYBODY, Authorisation, Tokens, is_loopback_host
 from drivecal.api.routes import page_session
 from drivecal.configuration.tokens import TokenFile, parse
 
@@ -215,27 +215,6 @@ def test_without_tokens_a_web_page_of_another_origin_changes_nothing(origin: byt
     assert ask(None, "GET", headers=headers)[0] == 200
 
 
-def connects(tokens: Tokens | None, path: str, *headers: Header) -> bool:
-    """Whether a WebSocket is passed on; where it is not, it is closed."""
-    sent: list[Message] = []
-    passed: list[Scope] = []
-
-    async def send(message: Message) -> None:
-        sent.append(message)
-
-    async def app(scope: Scope, receive: Receive, send: Send) -> None:
-        del receive, send
-        passed.append(scope)
-
-    async def receive() -> Message:
-        raise AssertionError("nothing is read")
-
-    scope: Scope = {"type": "websocket", "path": path, "headers": list(headers), "query_string": b""}
-    asyncio.run(Authorisation(app, tokens)(scope, receive, send))
-    assert sent == ([] if passed else [{"type": "websocket.close", "code": 1008}])
-    return bool(passed)
-
-
 OWN, FOREIGN = (b"origin", b"http://localhost:8000"), (b"origin", b"http://localhost:9000")
 
 
@@ -244,27 +223,6 @@ def cookie(token: bytes, moment: float | None = None) -> Header:
     result = Fixed().find(token)
     assert result is not None
     return b"cookie", f"drivecal-session-8000={sessions.begin(result, moment)}".encode()
-
-
-@pytest.mark.parametrize(
-    ("tokens", "path", "headers", "open_"),
-    [
-        (None, LIVE, [HOST, OWN], True),
-        (None, LIVE, [HOST], True),
-        (None, LIVE, [HOST, FOREIGN], False),
-        (None, LIVE, [(b"host", b"evil.example:8000"), (b"origin", b"http://evil.example:8000")], False),
-        (None, "/", [HOST, OWN], False),
-        (Fixed(), LIVE, [HOST, OWN], False),
-        (Fixed(), LIVE, [HOST, OWN, cookie(PLANT)], True),
-        (Fixed(), LIVE, [HOST, FOREIGN, cookie(PLANT)], False),
-        (Fixed(), LIVE, [HOST, (b"authorization", b"Bearer " + PLANT)], True),
-        (Fixed(), LIVE, [HOST, OWN, cookie(PLANT), (b"authorization", b"Bearer wrong")], False),
-    ],
-)
-def test_the_live_connection_is_for_the_own_page_and_for_who_is_known(
-    tokens: Tokens | None, path: str, headers: list[Header], open_: bool
-) -> None:
-    assert connects(tokens, path, *headers) is open_
 
 
 def test_a_session_stands_for_its_token() -> None:

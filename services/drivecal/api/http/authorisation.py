@@ -3,14 +3,14 @@
 With a tokens file every request needs `Authorization: Bearer TOKEN` or the session of a token. Requests that change something need a token
 that may write; with a session, they must also come from a page of this very origin, and pages of other origins load no answers. Without
 a tokens file the server listens on loopback only and refuses web pages in the user's browser: names that resolve to 127.0.0.1 (DNS
-rebinding) by the Host header, posts and WebSockets of other pages by the Origin header, images and frames of other pages, which have none,
+rebinding) by the Host header, posts of other pages by the Origin header, images and frames of other pages, which have none,
 by Sec-Fetch-Site. No answer ever carries a CORS header.
 """
 
 from typing import Protocol
 
 from starlette.exceptions import HTTPException
-from starlette.requests import HTTPConnection, Request
+from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from drivecal.api.http import sessions
@@ -26,8 +26,6 @@ PAGE = "/page/"
 """Path of the page's files, which hold only the program; the page itself asks for a token."""
 HELP = "/help"
 """Path of the documentation."""
-LIVE = f"{ROOT}/live"
-"""The only WebSocket."""
 READING = {"GET", "HEAD", "OPTIONS"}
 FOREIGN = {"cross-site", "same-site"}
 """Values of Sec-Fetch-Site in requests of pages of other origins."""
@@ -57,31 +55,17 @@ class Authorisation:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Passes allowed requests on."""
-        if scope["type"] == "lifespan":
+        if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        connection = HTTPConnection(scope)
-        connection.state.is_admitted = lambda: self.tokens is None or _holder(connection, self.tokens) is not None
-        if scope["type"] != "http":
-            if scope["path"] == LIVE and self._admits_live(connection):
-                await self.app(scope, receive, send)
-            else:
-                await send({"type": "websocket.close", "code": 1008})
-            return
         request = Request(scope)
+        request.state.is_admitted = lambda: self.tokens is None or _holder(request, self.tokens) is not None
         refusal = self._admit_by_origin(request) if self.tokens is None else self._admit_by_token(request, self.tokens)
         if refusal is not None:
             status, detail, headers = refusal
             await problem_response(request, status, detail, headers=headers)(scope, receive, send)
         else:
             await self.app(scope, receive, send)
-
-    def _admits_live(self, connection: HTTPConnection) -> bool:
-        """Returns whether a WebSocket may be opened. Browsers let any page open one and send cookies along, so that the origin decides."""
-        headers, hosts = connection.headers, connection.headers.getlist("host")
-        connection.state.token = token = ANYBODY if self.tokens is None else _holder(connection, self.tokens)
-        admitted = token is not None if self.tokens is not None else len(hosts) == 1 and is_loopback_host(hosts[0])
-        return admitted and ("origin" not in headers or sessions.same_origin(headers))
 
     def _admit_by_token(self, request: Request, tokens: Tokens) -> tuple[int, str, dict[str, str]] | None:
         """Returns status, sentence and headers of a refusal; None if the request may go on."""
@@ -194,11 +178,11 @@ def _insufficient(token: Token) -> tuple[int, str, dict[str, str]]:
     return 403, detail, {"WWW-Authenticate": insufficient}
 
 
-def _holder(connection: HTTPConnection, tokens: Tokens) -> Token | None:
+def _holder(request: Request, tokens: Tokens) -> Token | None:
     """Returns the presented token, or without an Authorization header that of the session."""
-    given = connection.headers.getlist("authorization")
+    given = request.headers.getlist("authorization")
     if not given:
-        session = sessions.presented(connection.headers)
+        session = sessions.presented(request.headers)
         return None if session is None else sessions.holder(session, tokens)
     presented = _bearer(given[0]) if len(given) == 1 else None
     return None if presented is None else tokens.find(presented)

@@ -24,8 +24,6 @@ SECONDS_TO_READ = 2.0
 """Time for a refused client to read the refusal. A socket that is closed with unread bytes is reset, and the answer lost."""
 MOST_IGNORED = 64 * 1_048_576
 """Bytes of a body that a client may still send after its answer, before its connection is closed."""
-LARGEST_LIVE_MESSAGE = 4_096
-"""Bytes that a page may send at once over a WebSocket."""
 
 
 class Protocol(H11Protocol):
@@ -93,9 +91,7 @@ def configuration(app: FastAPI, pulse: int | None = None) -> uvicorn.Config:
     return uvicorn.Config(
         app,
         http=Protocol,
-        ws="websockets-sansio",
-        ws_max_size=LARGEST_LIVE_MESSAGE,
-        ws_per_message_deflate=False,
+        ws="none",
         log_config=None,
         access_log=False,
         server_header=False,

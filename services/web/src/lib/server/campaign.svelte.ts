@@ -1,7 +1,7 @@
-/** One campaign as it is now: read once, moved on by what the live connection tells, read again where more than its progress changed. */
+/** One campaign as it is now: read once, moved on by what its event stream tells, read again where more than its progress changed. */
 
 import { Refusal, Tagged, all, isUnreached } from "./api.svelte";
-import { follow } from "./live.svelte";
+import { follow } from "./live";
 import type { Campaign, CampaignEvent, Generation } from "./types";
 
 export const MOST_EVENTS = 300;
@@ -39,12 +39,11 @@ export class CampaignState {
       progress: (moving) => {
         if (this.campaign !== null) this.campaign = { ...this.campaign, ...moving };
       },
-      ended: () => this.soon(0),
-      again: () => this.soon(0),
+      over: () => this.soon(0),
     });
-    // The answer's tag makes this cheap; it is there for what no event tells, such as audits.
+    // The answer's tag makes this cheap; it is there for what no event tells, such as audits, and notices that the server is away.
     this.tick = setInterval(() => {
-      if (!document.hidden && this.campaign?.ended_at === null) this.soon(0);
+      if (!document.hidden) this.soon(0);
     }, 5_000);
     return () => {
       this.stop?.();
@@ -93,7 +92,7 @@ export class CampaignState {
     } catch (error) {
       // While the server is away, the page keeps what it knows.
       if (error instanceof Refusal && (this.campaign === null || error.status === 404)) this.problem = error;
-      if (isUnreached(error) && this.stop !== null) this.soon(); // the live connection may not have noticed
+      if (isUnreached(error) && this.stop !== null) this.soon();
     } finally {
       this.reading = false;
       if (this.missed && this.stop !== null) this.soon();
