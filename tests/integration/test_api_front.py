@@ -125,13 +125,11 @@ def test_every_evaluated_set_is_listed_by_its_objectives(ended: Ended) -> None:
     assert all(row.objectives in front for row in rows)
     with Client(ended.api.url) as client:
         sets = client.evaluated_sets(ended.first[:12])
-        others, frame = client.evaluated_sets(ended.first, everything=True), client.frame(ended.first, "front/evaluated")
+        frame = client.frame(ended.first, "front/evaluated")
     assert [each.model_dump() for each in sets] == listed
-    assert frame.to_arrow().num_rows == len(listed) < len(others)
+    assert frame.to_arrow().num_rows == len(listed)
     exported = ended.api.http.get(query, params={"format": "csv", "where": "on_front=true"}).text
     assert len(list(csv.DictReader(io.StringIO(exported)))) == len(front)
-    with_others = ended.api.http.get(query, params={"limit": 1000, "everything": "true"}).json()["items"]
-    assert len(with_others) > len(listed)
 
 
 def test_the_summary_has_the_baseline_as_it_was_evaluated(ended: Ended) -> None:
@@ -153,7 +151,6 @@ def test_rows_say_how_each_scenario_was_answered(ended: Ended) -> None:
     with Client(ended.api.url) as client:
         rows = client.front(ended.first)
         evaluations = list(client.rows(ended.first, "evaluations"))
-        whole = client.front(ended.second, everything=True)
 
     def place(values: Mapping[str, Any]) -> tuple[Any, ...]:
         return tuple(values[f"P{i}"] for i in range(1, 12))
@@ -161,9 +158,6 @@ def test_rows_say_how_each_scenario_was_answered(ended: Ended) -> None:
     asked = {(place(each), each["scenario"]): each["outcome"] for each in reversed(evaluations)}
     for row in rows:
         assert row.answers == {name: asked[place(row.parameters), name] for name in row.scores}
-    others = [row for row in whole if row.iteration is None]
-    assert others
-    assert all(set(row.answers.values()) == {"stored"} for row in others)
 
 
 def test_the_command_prints_the_front_and_a_trade_off(ended: Ended, tmp_path: Path) -> None:
@@ -194,6 +188,5 @@ def test_the_command_prints_the_front_and_a_trade_off(ended: Ended, tmp_path: Pa
         assert reader.wait(60) == 0
     assert stat.S_ISFIFO(pipe.stat().st_mode)
     assert received.stat().st_size > 0
-    whole = command("export", ended.first, "--table", "front", "--everything", "--json", "--url", ended.api.url)
-    assert json.loads(whole.stdout) == rows_of(ended, ended.first, everything="true", limit=1000)
-    assert command("export", ended.first, "--everything", "--url", ended.api.url).exit_code == 2
+    whole = command("export", ended.first, "--table", "front", "--json", "--url", ended.api.url)
+    assert json.loads(whole.stdout) == rows_of(ended, ended.first, limit=1000)

@@ -89,14 +89,14 @@ def test_a_set_is_a_file_for_calibration_tools_in_the_ranking_that_was_asked_for
         assert set(read) - {"ACC_tGap_C"} == set(solution.parameters) - {"P1"}
 
         summary = client.front_summary(ended.several)
-        of_front = facts(client.calibration_file(ended.several, "dcm", front=1, everything=True))
+        of_front = facts(client.calibration_file(ended.several, "dcm", front=1))
         assert of_front["rank on the front"] == "1"
         assert {f"objective {goal.name}" for goal in summary.objectives} <= set(of_front)
         assert facts(client.calibration_file(ended.several, "dcm")) == facts(
             client.calibration_file(ended.several, "dcm", front=1)
         )
         assert client.calibration_file(ended.plain, "csv").decode().startswith("name,value,unit,")
-        for wrong in ({"rank": 1, "front": 1}, {"rank": 999}, {"front": 1, "score": "x"}, {"rank": 1, "everything": True}):
+        for wrong in ({"rank": 1, "front": 1}, {"rank": 999}, {"front": 1, "score": "x"}):
             with pytest.raises(InvalidInputError):
                 client.calibration_file(ended.plain, "cdfx", **wrong)
         for labels in ({"P99": "a"}, {"P1": "two words"}, {"P1": "a", "P2": "a"}):

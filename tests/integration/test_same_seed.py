@@ -14,13 +14,7 @@ from drivecal.domain.campaigns import StageName
 @pytest.mark.slow("random", "optuna")
 @pytest.mark.parametrize(
     "optimizer",
-    [
-        {"kind": "genetic"},
-        {"kind": "surrogate"},
-        {"kind": "swarm"},
-        {"kind": "random"},
-        {"kind": "optuna", "sampler": "tpe"},
-    ],
+    [{"kind": "genetic"}, {"kind": "surrogate"}, {"kind": "swarm"}, {"kind": "random"}, {"kind": "optuna", "sampler": "tpe"}],
     ids=lambda optimizer: str(optimizer["kind"]),
 )
 def test_the_same_seed_gives_the_same_campaign(tmp_path: Path, optimizer: dict[str, Any]) -> None:

@@ -73,7 +73,7 @@ SEARCH = {
     "later_chosen": "Later simulations{by:campaigns} show that the chosen set is the best: {objective:objective} beside {best:objective} "
     "at the end of the search; `drivecal solutions {campaign:id}` lists it.",
     "earlier_front": "The earlier campaign {earlier:id} holds a set with a better {name}: {objective:.6g}{reused:copies} beside "
-    "{best:.6g}; `drivecal front {campaign:id} --everything` lists what is stored, and a campaign file with it in "
+    "{best:.6g}; `drivecal front {earlier:id}` lists it, and a campaign file with it in "
     "`optimizer.start_sets` searches from there.",
     "earlier_better": "The earlier campaign holds a better set under these weights: {objective:objective}{reused:copies} beside "
     "{best:objective}; `{command}` lists it, and the same rerun with --from-best searches from there.",

@@ -29,21 +29,18 @@ def characteristics_of(
     ]
 
 
-def quality_of(
-    known: CampaignResults, chosen: Solution | FrontRow, figures: Iterable[tuple[str, str]], *, judged: bool
-) -> Quality:
-    """Returns the quality data of a chosen set. It is preliminary while a score is a reference's, the campaign has not succeeded or did not
-    evaluate the set, the set breaks constraints, or its light is red.
+def quality_of(known: CampaignResults, chosen: Solution | FrontRow, figures: Iterable[tuple[str, str]]) -> Quality:
+    """Returns the quality data of a chosen set. It is preliminary while a score is a reference's, the campaign has not succeeded, the
+    set breaks constraints, or its light is red.
 
     Args:
         known: the results of the campaign, with the verdicts on the set.
         chosen: the set.
         figures: what is known of it.
-        judged: whether the verdicts are about the set.
     """
     campaign, setup = known.campaign, known.setup
-    own = not chosen.reused and not chosen.violation and chosen.iteration is not None
-    sure = campaign.state == "succeeded" and own and not (judged and known.trust.light == "red")
+    own = not chosen.reused and not chosen.violation
+    sure = campaign.state == "succeeded" and own and known.trust.light != "red"
     time = campaign.ended_at or campaign.created_at
     problem = str(campaign.spec.get("problem", "highway"))
     simulators = sorted({scenario.simulator for scenario in setup.scenarios if scenario.simulator})
@@ -55,7 +52,7 @@ def quality_of(
         test_object=", ".join(simulators) or str(campaign.spec.get("driving_function", problem)),
         campaign=campaign.id,
         data=next((scenario.files for scenario in setup.scenarios if scenario.files), ""),
-        figures=(*figures, *(_trust(known.trust) if judged else ())),
+        figures=(*figures, *_trust(known.trust)),
     )
 
 
@@ -80,8 +77,6 @@ def figures_of(
     if isinstance(chosen, FrontRow):
         yield "rank on the front", str(chosen.rank)
         yield from ((f"objective {name}", _number(amount)) for name, amount in chosen.objectives.items())
-        if chosen.iteration is None:
-            yield "origin", "evaluated by other campaigns only"
     else:
         yield "rank", str(chosen.rank)
         yield "objective", _number(chosen.objective)

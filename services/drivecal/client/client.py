@@ -320,38 +320,25 @@ class Client(Transport):
         """Returns the sets that share a campaign's best objective, with their regions."""
         return self._rows_of(identifier, "optima", OptimumRow)
 
-    def front(
-        self, identifier: str, weights: Mapping[str, float] | str | None = None, *, everything: bool = False
-    ) -> Rows[FrontRow]:
+    def front(self, identifier: str, weights: Mapping[str, float] | str | None = None) -> Rows[FrontRow]:
         """Returns the sets that no other set dominates.
 
         Args:
             identifier: Id of the campaign.
             weights: Weights of the objectives, for the order of the sets.
-            everything: Whether all stored sets of the same setups and space count, by any campaign.
         """
-        return self._rows_of(identifier, "front", FrontRow, weights=weights_text(weights), everything=everything or None)
+        return self._rows_of(identifier, "front", FrontRow, weights=weights_text(weights))
 
-    def front_summary(
-        self, identifier: str, weights: Mapping[str, float] | str | None = None, *, everything: bool = False
-    ) -> FrontSummary:
+    def front_summary(self, identifier: str, weights: Mapping[str, float] | str | None = None) -> FrontSummary:
         """Returns the objectives, knee, extremes and hypervolumes of a front, with ranks as `front` has them."""
-        query = {"weights": weights_text(weights), "everything": everything or None}
+        query = {"weights": weights_text(weights)}
         return self._get(FrontSummary, "campaigns", identifier, "front", "summary", **query)
 
-    def evaluated_sets(self, identifier: str, *, everything: bool = False) -> Rows[JudgedSet]:
-        """Returns all sets that have a value of every objective, dominated ones as well; `everything` as for the front."""
-        return self._rows_of(identifier, "front/evaluated", JudgedSet, everything=everything or None)
+    def evaluated_sets(self, identifier: str) -> Rows[JudgedSet]:
+        """Returns all sets that have a value of every objective, dominated ones as well."""
+        return self._rows_of(identifier, "front/evaluated", JudgedSet)
 
-    def trade_off(
-        self,
-        identifier: str,
-        first: int,
-        second: int,
-        weights: Mapping[str, float] | str | None = None,
-        *,
-        everything: bool = False,
-    ) -> TradeOff:
+    def trade_off(self, identifier: str, first: int, second: int, weights: Mapping[str, float] | str | None = None) -> TradeOff:
         """Returns the differences of two sets of a front.
 
         Args:
@@ -359,9 +346,8 @@ class Client(Transport):
             first: Rank of the first set.
             second: Rank of the set that is compared with it.
             weights: Weights of the objectives, under which the ranks count.
-            everything: As for `front`.
         """
-        query = {"first": first, "second": second, "weights": weights_text(weights), "everything": everything or None}
+        query = {"first": first, "second": second, "weights": weights_text(weights)}
         return self._get(TradeOff, "campaigns", identifier, "front", "trade-off", **query)
 
     def setup(self, identifier: str) -> CampaignSetup:
@@ -566,8 +552,6 @@ class Client(Transport):
         weights: str | None = None,
         score: str | None = None,
         labels: Mapping[str, str] | None = None,
-        *,
-        everything: bool = False,
     ) -> bytes:
         """Returns a set as a calibration file.
 
@@ -579,11 +563,10 @@ class Client(Transport):
             weights: Weights under which the rank counts.
             score: Score under which the rank counts.
             labels: Names in the file, by parameter; others keep their own.
-            everything: As for `front`.
         """
         place = ("campaigns", identifier, "calibration-file")
         listed = [f"{name}={label}" for name, label in (labels or {}).items()]
-        chosen_by = {"set": rank, "front": front, "weights": weights, "score": score, "everything": everything or None}
+        chosen_by = {"set": rank, "front": front, "weights": weights, "score": score}
         response = self._request("GET", place, query={"format": form, **chosen_by, "label": listed or None})
         raise_for(response, *named(place))
         return response.content

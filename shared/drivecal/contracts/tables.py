@@ -312,9 +312,9 @@ class FrontRow(Answer):
     """Kind of the answer in each scenario: simulated or repeated; reused: its score is that of a reference; confirmed: a
     copied or predicted score that a simulation of this very set replaced; stored: by a run of another campaign."""
     parameters: Annotated[dict[str, float | str], Spread()]
-    iteration: int | None
-    """Counted from 0; null for a set that only other campaigns evaluated."""
-    individual: int | None
+    iteration: int
+    """Counted from 0."""
+    individual: int
 
 
 class JudgedSet(Answer):
@@ -324,9 +324,9 @@ class JudgedSet(Answer):
     violation: float
     on_front: bool
     """True if no other set dominates it."""
-    iteration: int | None
-    """Counted from 0; null for a set that only other campaigns evaluated."""
-    individual: int | None
+    iteration: int
+    """Counted from 0."""
+    individual: int
 
 
 DecidedBy = Literal["intervals", "confirmation", "global", "unknown", "posted", "space"]

@@ -88,7 +88,7 @@ def written(
 ) -> bytes:
     chosen = data.front(weights) if table == "front" else data.ranked(weights, score)[0]
     figures = figures_of(data.results(), chosen, weights, score)
-    quality = quality_of(data.results(), chosen, figures, judged=data.light is not None)
+    quality = quality_of(data.results(), chosen, figures)
     return write(form, characteristics_of(chosen.parameters, data.setup().parameters, {}), quality)
 
 

@@ -25,9 +25,7 @@ CASES: list[tuple[DeclaringOptimizerPlugin, dict[str, Any]]] = [
     *((plugin, {}) for plugin in (GENETIC, RANDOM, SWARM)),
     *((OPTUNA, {"sampler": sampler}) for sampler in ("tpe", "nsga2")),
 ]
-every = pytest.mark.parametrize(
-    ("plugin", "chosen"), CASES, ids=["genetic", "random", "swarm", "tpe", "nsga2"]
-)
+every = pytest.mark.parametrize(("plugin", "chosen"), CASES, ids=["genetic", "random", "swarm", "tpe", "nsga2"])
 
 
 def closeness(population: Indices) -> Floats:

@@ -17,9 +17,7 @@ from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin
 
 GRID = np.array([59, 201, 16, 2001])
 OPTUNA = optuna_samplers.OPTUNA
-CASES: list[tuple[OptimizerPlugin, dict[str, Any]]] = [
-    (OPTUNA, {"sampler": sampler}) for sampler in ("tpe", "nsga2", "random")
-]
+CASES: list[tuple[OptimizerPlugin, dict[str, Any]]] = [(OPTUNA, {"sampler": sampler}) for sampler in ("tpe", "nsga2", "random")]
 every = pytest.mark.parametrize(("plugin", "chosen"), CASES, ids=["tpe", "nsga2", "random"])
 
 

@@ -126,17 +126,7 @@ class EvaluationsOf(TableOf):
     measures: bool = False
 
 
-class SetsOf(Parameters):
-    """Sets of the campaign's own search, or with `everything` all that are stored in its setups and space."""
-
-    everything: bool = False
-
-
-class EvaluatedOf(TableOf, SetsOf):
-    """A page of all evaluated sets by their objectives."""
-
-
-class SummaryOf(SetsOf):
+class SummaryOf(Parameters):
     """A front, ranked by weights of the objectives such as `comfort=2,gap=1`; others have weight 1."""
 
     weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
@@ -191,7 +181,6 @@ TableQuery = Annotated[TableOf, Query()]
 EvaluationsQuery = Annotated[EvaluationsOf, Query()]
 SolutionsQuery = Annotated[SolutionsOf, Query()]
 SummaryQuery = Annotated[SummaryOf, Query()]
-EvaluatedQuery = Annotated[EvaluatedOf, Query()]
 FrontQuery = Annotated[FrontOf, Query()]
 ImportanceQuery = Annotated[ImportanceOf, Query()]
 PlaceQuery = Annotated[PlaceOf, Query()]

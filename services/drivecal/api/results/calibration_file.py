@@ -43,18 +43,16 @@ class RankedOtherwise:
     score: str | None = None
 
 
-def written(
-    database: Database, choice: Choice, form: CalibrationFormat, by: RankedOtherwise, labels: Sequence[str], *, everything: bool
-) -> bytes:
-    """Returns the file of a set. `labels`: names for parameters, `P1=ACC_tGap_C`. `everything`: the front of all stored sets. Raises
+def written(database: Database, choice: Choice, form: CalibrationFormat, by: RankedOtherwise, labels: Sequence[str]) -> bytes:
+    """Returns the file of a set. `labels`: names for parameters, `P1=ACC_tGap_C`. Raises
     NotFoundError for an unknown campaign, InvalidInputError for a set that it does not have and unusable options, and ConflictError for
     a comparison or a single evaluation."""
     with database.read() as connection:
         stored = calibration(campaigns.get(connection, choice.campaign), ", which ranks nothing")
     resolved = resolved_spec(stored)
-    front = front_of(database, stored, resolved, everything=everything)
+    front = front_of(database, stored, resolved)
     table = choice.table or ("front" if len(front.goals.objectives) > 1 else "solutions")
-    _check(table, by, everything=everything)
+    _check(table, by)
     given = None if by.weights is None else assignments(by.weights.split(","), "weights")
     chosen: Solution | FrontRow
     if table == "front":
@@ -62,13 +60,11 @@ def written(
     else:
         ranked = ranking(database, stored, resolved, by.weights, by.score)
         chosen = of_rank(ranked.solutions(choice.rank - 1, choice.rank), choice, stored.id, table)
-    own = chosen.iteration is not None and chosen.individual is not None  # else other campaigns alone evaluated it
-    place = (chosen.iteration or 0, chosen.individual or 0) if own else None
-    known = results_of(database, stored, None if everything else front, place)
+    known = results_of(database, stored, front, (chosen.iteration, chosen.individual))
     figures = figures_of(known, chosen, given, by.score)
     parameters = known.setup.parameters
     named = labels_of(_document(labels), [parameter.name for parameter in parameters])
-    return write(form, characteristics_of(chosen.parameters, parameters, named), quality_of(known, chosen, figures, judged=own))
+    return write(form, characteristics_of(chosen.parameters, parameters, named), quality_of(known, chosen, figures))
 
 
 def of_rank(listed: Sequence[Ranked], choice: Choice, campaign: str, table: RankedIn) -> Ranked:
@@ -80,11 +76,9 @@ def of_rank(listed: Sequence[Ranked], choice: Choice, campaign: str, table: Rank
     raise InvalidInputError(Problem(choice.field, f"campaign {campaign} has no set of rank {choice.rank}", remedy))
 
 
-def _check(table: str, by: RankedOtherwise, *, everything: bool) -> None:
+def _check(table: str, by: RankedOtherwise) -> None:
     if by.score is not None and table != "solutions":
         raise InvalidInputError(Problem("score", "a front has no single score", "give set, the rank in the solutions"))
-    if everything and table != "front":
-        raise InvalidInputError(Problem("everything", "solutions are the campaign's own", "give front, the rank on the front"))
 
 
 def _document(labels: Sequence[str]) -> dict[str, str]:

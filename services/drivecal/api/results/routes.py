@@ -101,9 +101,7 @@ def calibration_file(campaign_id: str, query: CalibrationFileQuery, database: Da
     """A chosen set as a DCM, CDFX or CSV file (the latter without quality data): its values, how sure they are, and what is known of
     them."""
     choice = query.choice(campaign_id)
-    content = written(
-        database, choice, query.format, RankedOtherwise(query.weights, query.score), query.label, everything=query.everything
-    )
+    content = written(database, choice, query.format, RankedOtherwise(query.weights, query.score), query.label)
     name = f"{choice.field}-{choice.rank}-{campaign_id}.{query.format}"
     headers = {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-cache"}
     return Response(content, headers=headers, media_type=MEDIA_TYPES[query.format])

@@ -9,15 +9,7 @@ from pydantic import BaseModel
 
 from drivecal.api.dependencies import Accept, DatabaseDependency, computed
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.http.queries import (
-    EvaluatedQuery,
-    EvaluationsQuery,
-    FrontQuery,
-    SolutionsQuery,
-    SummaryQuery,
-    TableQuery,
-    TradeOffQuery,
-)
+from drivecal.api.http.queries import EvaluationsQuery, FrontQuery, SolutionsQuery, SummaryQuery, TableQuery, TradeOffQuery
 from drivecal.api.responses import calibration, evaluation_row
 from drivecal.api.tables import influence
 from drivecal.api.tables.front import front_table, judged_sets, summary, trade_off, weighted
@@ -213,7 +205,7 @@ def _influence_rows(database: Database, campaign: StoredCampaign) -> list[Influe
 def list_front(campaign_id: str, query: FrontQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The sets that no other evaluated set dominates, each vector of objectives once; best first objective first, or best first under
     `weights`. Without objectives of its own, a campaign's only one is the weighted score."""
-    campaign, resolved, front = _front(database, campaign_id, everything=query.everything)
+    campaign, resolved, front = _front(database, campaign_id)
     rows = front_table(database, campaign, front, query.weights)
     keys: dict[str, list[str] | dict[str, Kind]] = {
         "objectives": [goal.name for goal in front.goals.objectives],
@@ -232,15 +224,15 @@ def list_front(campaign_id: str, query: FrontQuery, database: DatabaseDependency
 def show_summary(campaign_id: str, query: SummaryQuery, database: DatabaseDependency) -> FrontSummary:
     """Objectives with their ranges on the front, ranks of its knee and extremes (under `weights`, if given), and the hypervolume after each
     iteration."""
-    campaign, _, front = _front(database, campaign_id, everything=query.everything)
+    campaign, _, front = _front(database, campaign_id)
     return summary(weighted(front, query.weights)[0], baseline_of(database, campaign, front))
 
 
 @router.get("/front/evaluated", responses=page_or_file(JudgedSet))
 @computed
-def list_evaluated(campaign_id: str, query: EvaluatedQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
+def list_evaluated(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """All sets that have a value of every objective, dominated ones as well, in the order of the ranking."""
-    _, _, front = _front(database, campaign_id, everything=query.everything)
+    _, _, front = _front(database, campaign_id)
     rows = judged_sets(front)
     columns = columns_of(JudgedSet, {"objectives": [goal.name for goal in front.goals.objectives]})
     return listed(f"evaluated-{campaign_id}", query, accept, columns, rows)
@@ -250,12 +242,12 @@ def list_evaluated(campaign_id: str, query: EvaluatedQuery, database: DatabaseDe
 @computed
 def show_trade_off(campaign_id: str, query: TradeOffQuery, database: DatabaseDependency) -> TradeOff:
     """Differences of two sets of the front, by their ranks under the same `weights`."""
-    _, resolved, front = _front(database, campaign_id, everything=query.everything)
+    _, resolved, front = _front(database, campaign_id)
     return trade_off(database, weighted(front, query.weights)[0], resolved, query.first, query.second)
 
 
-def _front(database: Database, campaign_id: str, *, everything: bool) -> tuple[StoredCampaign, ResolvedSpec, CampaignFront]:
+def _front(database: Database, campaign_id: str) -> tuple[StoredCampaign, ResolvedSpec, CampaignFront]:
     with database.read() as connection:
         campaign = campaigns.get(connection, campaign_id)
     resolved = resolved_spec(calibration(campaign, ", which has no front"))
-    return campaign, resolved, front_of(database, campaign, resolved, everything=everything)
+    return campaign, resolved, front_of(database, campaign, resolved)

@@ -10,7 +10,7 @@ from drivecal.analysis.robustness import key_of
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember
 from drivecal.api.tables.ranking import given_weights
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
-from drivecal.campaigns.results.front import EARLIER, CampaignFront, answers_of
+from drivecal.campaigns.results.front import CampaignFront, answers_of
 from drivecal.campaigns.results.optima import unit_cube
 from drivecal.contracts.results import FrontBaseline, FrontGrowth, FrontObjective, FrontSummary, TradeOff, ValuePair
 from drivecal.contracts.tables import FrontRow, JudgedSet
@@ -64,8 +64,8 @@ def front_table(
                 reused=list(solution.reused),
                 answers=answers[solution.parameter_set],
                 parameters=parameters,
-                iteration=None if solution.iteration == EARLIER else solution.iteration,
-                individual=None if solution.iteration == EARLIER else solution.individual,
+                iteration=solution.iteration,
+                individual=solution.individual,
             )
         )
     return rows
@@ -79,8 +79,8 @@ def judged_sets(front: CampaignFront) -> list[JudgedSet]:
             objectives=dict(zip(names, solution.judgement.amounts, strict=True)),
             violation=solution.violation,
             on_front=solution.parameter_set in front.ranks,
-            iteration=None if solution.iteration == EARLIER else solution.iteration,
-            individual=None if solution.iteration == EARLIER else solution.individual,
+            iteration=solution.iteration,
+            individual=solution.individual,
         )
         for solution in front.ranked
         if solution.judgement is not None

@@ -1,35 +1,25 @@
 """The front of a campaign: its non-dominated sets by stored rows, what sets it apart, and how two of its sets differ."""
 
-from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 from operator import attrgetter
 
 import numpy as np
-from sqlalchemy import Connection
 
 from drivecal.analysis.front import WinningWeights, extremes, hypervolume, knee, non_dominated, scaled, winning_weights
 from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective, valued_by
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of
-from drivecal.campaigns.resolve.resolvers import constraints_of
-from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.constraints import Constraints
-from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.evaluations import CellScore, Outcome
-from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.evaluations import Outcome
 from drivecal.plugins.ports import Floats
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.references import parameter_sets, runs, setups
+from drivecal.storage.references import parameter_sets
 
-EARLIER = -1
-"""Iteration of sets that other campaigns simulated."""
 _COPIED = {Outcome.REUSED, Outcome.PREDICTED, Outcome.FAILED}
 
 
@@ -125,22 +115,16 @@ def goals_of(resolved: ResolvedSpec) -> Goals:
     return Goals((Objective(scale.name, CellValue(scale), resolved.weights, Aggregate(), scale.sign, 0.0, worst, scale.unit),))
 
 
-def front_of(
-    database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, *, everything: bool = False
-) -> CampaignFront:
-    """Returns the front of a campaign's search; with `everything` also of what any campaign simulated in its setups and space. A copied
-    score gives way to a later simulation of the very cell."""
+def front_of(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec) -> CampaignFront:
+    """Returns the front of a campaign's search. A copied score gives way to a later simulation of the very cell."""
     goals = goals_of(resolved)
-    constraints = _constraints(database, campaign, resolved) if everything else None
     ranking = Ranking(resolved.weights, resolved.scale.sign, goals, resolved.scale.span, resolved.replicates)
     with database.read() as connection:
-        stored = results.answers(
-            connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=valued_by(goals)
+        ranking.add(
+            results.answers(
+                connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=valued_by(goals)
+            )
         )
-        own = list(stored)
-        ranking.add(own)
-        if constraints is not None:
-            ranking.add(_of_others(connection, resolved, constraints, goals, {cell.parameter_set for cell in own}))
     return CampaignFront(goals, ranking.ranking(), ranking.front())
 
 
@@ -148,8 +132,8 @@ def answers_of(database: Database, campaign: StoredCampaign, sets: Sequence[Eval
     """Returns how sets were answered, by their ids and by scenario, in the words of `FrontRow.answers`."""
     cells: dict[tuple[int, str], list[Outcome]] = {}
     with database.read() as connection:
-        own = [solution.parameter_set for solution in sets if solution.iteration != EARLIER]
-        for number, scenario, outcome in results.outcomes_of(connection, campaign.sequence, own):
+        numbers = [solution.parameter_set for solution in sets]
+        for number, scenario, outcome in results.outcomes_of(connection, campaign.sequence, numbers):
             cells.setdefault((number, scenario), []).append(outcome)
     return {
         solution.parameter_set: {
@@ -177,39 +161,3 @@ def baseline_of(database: Database, campaign: StoredCampaign, front: CampaignFro
     with database.read() as connection:
         stored = parameter_sets.load(connection, [first.parameter_set])[first.parameter_set]
     return first if stored.floats == campaign.baseline.parameters else None
-
-
-def _constraints(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec) -> Constraints:
-    """The constraints on the campaign's parameters; none if its plug-in is gone."""
-    function = find_workbench(specification_of(campaign), stored_bundles(database), Diagnostics()).function
-    return Constraints(resolved.space, {}) if function is None else constraints_of(function, resolved.space)
-
-
-def _of_others(
-    connection: Connection, resolved: ResolvedSpec, constraints: Constraints, goals: Goals, known: Collection[int]
-) -> list[CellScore]:
-    """The stored runs of other sets that lie in the campaign's space, keep its constraints and have a run in each of its setups."""
-    ids = setups.ids(connection, list(resolved.setups.values()))
-    cells = [
-        CellScore(
-            *(run.parameter_set, scenario, run.score, run.rating, True, EARLIER, 0),
-            values=goals.values(run.metrics, run.failure),
-        )
-        for scenario in resolved.weights
-        if resolved.setups[scenario] in ids
-        for run in runs.measured(connection, ids[resolved.setups[scenario]], resolved.evaluator)
-        if run.parameter_set not in known
-    ]
-    counts = Counter(cell.parameter_set for cell in cells)
-    sets = parameter_sets.load(connection, [number for number, count in counts.items() if count == len(resolved.weights)])
-    inside = {number for number, parameters in sets.items() if _allows(constraints, parameters)}
-    return [cell for cell in cells if cell.parameter_set in inside]
-
-
-def _allows(constraints: Constraints, parameters: ParameterSet) -> bool:
-    try:
-        constraints.space.indices(parameters.values)
-        constraints.check(parameters, "parameters")
-    except InvalidInputError:
-        return False
-    return True

@@ -70,9 +70,6 @@ def front(
             metavar="comfort=2,gap=1", help="Best first under these weights of the objectives; not named means weight 1."
         ),
     ] = None,
-    everything: Annotated[
-        bool, typer.Option("--everything", help="Of all stored sets of the same setups and space, by any campaign.")
-    ] = False,
     between: Annotated[
         str | None, typer.Option(metavar="1,5", help="Show what the second of two ranks gains and costs against the first.")
     ] = None,
@@ -90,10 +87,10 @@ def front(
     with connect(url) as client:
         campaign_id = client.full_id(identifier)
         if ranks is not None:
-            print_answer(client.trade_off(campaign_id, *ranks, weights, everything=everything), as_json, print_trade_off)
+            print_answer(client.trade_off(campaign_id, *ranks, weights), as_json, print_trade_off)
             return
-        rows = client.front(campaign_id, weights, everything=everything)
-        summary = client.front_summary(campaign_id, weights, everything=everything)
+        rows = client.front(campaign_id, weights)
+        summary = client.front_summary(campaign_id, weights)
     if as_json:
         print_json({"summary": summary.model_dump(mode="json"), "items": dumped(rows)})
     else:
@@ -157,10 +154,6 @@ def export(
         ),
     ] = None,
     score: ScoreOption = None,
-    everything: Annotated[
-        bool,
-        typer.Option("--everything", help="Of the table front: all stored sets of the same setups and space, by any campaign."),
-    ] = False,
     measures: Annotated[
         bool, typer.Option("--measures", help="Of the table evaluations: the measures of each run as further columns.")
     ] = False,
@@ -180,12 +173,9 @@ def export(
         raise typer.BadParameter("--weights needs --table solutions or front")
     if score is not None and table != "solutions":
         raise typer.BadParameter("--score needs --table solutions")
-    if everything and table != "front":
-        raise typer.BadParameter("--everything needs --table front")
     if measures and table != "evaluations":
         raise typer.BadParameter("--measures needs --table evaluations")
-    flags = {name: "true" for name, value in (("everything", everything), ("measures", measures)) if value}
-    given = {"where": where, "weights": weights, "score": score, **flags}
+    given = {"where": where, "weights": weights, "score": score, "measures": "true" if measures else None}
     query = {name: value for name, value in given.items() if value}
     with connect(url) as client:
         campaign_id = client.full_id(identifier)
@@ -220,9 +210,8 @@ def _calibration_file(
     _refuse_unranked(table, query)
     labels = {} if names is None else labels_of(read_document(names))
     rank, front = (None, row) if table == "front" else (row, None)
-    weights, score, everything = query.get("weights"), query.get("score"), "everything" in query
     kind = cast("CalibrationFormat", form)
-    return client.calibration_file(identifier, kind, rank, front, weights, score, labels, everything=everything)
+    return client.calibration_file(identifier, kind, rank, front, query.get("weights"), query.get("score"), labels)
 
 
 def _refuse_unranked(table: TableName, query: Mapping[str, Any]) -> None:

@@ -176,29 +176,6 @@ def of_sets(connection: Connection, setup_id: int, parameter_set_ids: Sequence[i
     return [RunOfSet(row[0], row[1], read(row[2]), row[3]) for row in rows]
 
 
-@dataclass(frozen=True, slots=True)
-class MeasuredRun:
-    """A stored run with its rating; a metric is None if it was not finite."""
-
-    parameter_set: int
-    metrics: Mapping[str, float | None]
-    failure: str | None
-    score: float
-    rating: float
-
-
-def measured(connection: Connection, setup_id: int, evaluator: str) -> list[MeasuredRun]:
-    """Returns all runs of a setup that `evaluator` rated, in the order of their ids."""
-    query = (
-        select(runs.c.parameter_set_id, runs.c.metrics, runs.c.failure, ratings.c.score, ratings.c.rating)
-        .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
-        .where(runs.c.setup_id == setup_id)
-        .order_by(runs.c.id)
-    )
-    read = metrics_reader(connection)
-    return [MeasuredRun(row[0], read(row[1]), *row[2:]) for row in connection.execute(query)]
-
-
 def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> dict[int, float]:
     """The scores that an evaluator gave to runs, by their id. Runs that it has not rated are left out."""
     return {run_id: score for (run_id, by), (score, _) in _ratings(connection, run_ids).items() if by == evaluator}
