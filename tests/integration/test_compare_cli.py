@@ -42,7 +42,7 @@ def ended(api: RunningApi) -> dict[str, Any]:
     return answer
 
 
-def test_a_comparison_gives_table_5_and_the_effects_of_a_reduction(ended: dict[str, Any]) -> None:
+def test_a_comparison_gives_table_5_with_and_without_a_reduction(ended: dict[str, Any]) -> None:
     conditions = [(run["optimizer"], run["seed"], run["reduction"], run["state"]) for run in ended["runs"][:3]]
     assert conditions == [
         ("genetic", 1, "exact", "succeeded"),
@@ -60,9 +60,8 @@ def test_a_comparison_gives_table_5_and_the_effects_of_a_reduction(ended: dict[s
         assert group["converged"] == sum(run["converged_at"] is not None for run in runs)
         assert group["successes"] == sum(run["success"] for run in runs)
     assert all(run["simulated_best"] == run["best"] for run in ended["runs"] if run["reduction"] == "exact")
-    assert [(effect["optimizer"], effect["pairs"]) for effect in ended["effects"]] == [("genetic", 3), ("swarm", 3), (None, 6)]
-    assert ended["effects"][2]["saved_share"] > 0.5, "a map that denies everything saves nearly everything"
-    assert sum(pair["difference"] for pair in ended["pairs"]) == pytest.approx(6 * ended["effects"][2]["mean_difference"])
+    exact, reduced = (group["simulations"] for group in ended["groups"][:2])
+    assert reduced < 0.5 * exact, "a map that denies everything saves nearly everything"
 
 
 def test_the_campaigns_are_listed_and_compared_by_their_tag(run: Run, api: RunningApi, ended: dict[str, Any]) -> None:
@@ -77,7 +76,6 @@ def test_the_campaigns_are_listed_and_compared_by_their_tag(run: Run, api: Runni
     table = next(index for index, line in enumerate(lines) if line.startswith("optimizer"))
     assert lines[table].split()[:6] == ["optimizer", "population", "reduction", "best", "mean", "worst"]
     assert [line.split()[0] for line in lines[table + 1 : table + 5]] == ["genetic", "genetic", "swarm", "swarm"]
-    assert "influence - exact" in shown.stdout
     assert run("compare-optimizers", "--tag", "nothing").exit_code == 5
     assert run("compare-optimizers").exit_code == 2
 

@@ -3,14 +3,12 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from statistics import fmean, stdev
+from statistics import fmean
 from typing import Any, NamedTuple
 
 from drivecal.analysis.convergence import alternatives_at, best_at
-from drivecal.contracts.comparison import ComparedGroup, ComparedPair, Improvement, ReductionEffect
+from drivecal.contracts.comparison import ComparedGroup, Improvement
 from drivecal.domain.rounding import grain, same
-
-CONFIDENCE = 0.95
 
 
 def labels(settings: Sequence[Mapping[str, Any]], by: str) -> list[str]:
@@ -36,7 +34,7 @@ class Conditions(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class Course:
     """Course of a run by finished iteration: the best objective by then, the rating of the best set, how many sets shared the objective,
-    the population's mean, and cells that had to be simulated, for they had no answer among the run's own. `ended`: it went to its end."""
+    the population's mean, and cells that had to be simulated, for they had no answer among the run's own."""
 
     campaign: str
     """The id of the run's campaign."""
@@ -46,7 +44,6 @@ class Course:
     alternatives: Sequence[int]
     means: Sequence[float | None]
     simulations: Sequence[int]
-    ended: bool
     reused: bool = False
     """True if references or predictions answered any cell."""
     simulated_best: float | None = None
@@ -163,101 +160,3 @@ def _group(
 
 def _mean(values: Sequence[float]) -> float | None:
     return fmean(values) if values else None
-
-
-@dataclass(frozen=True, slots=True)
-class Pair:
-    """Two runs to their ends that differ in the reduction alone: `base` has the first one's."""
-
-    run: Course
-    base: Course
-
-    @property
-    def difference(self) -> float:
-        """The optimum with the reduction less the one without; 0 if they are equal but for rounding."""
-        result, base = self.run.optimum or 0.0, self.base.optimum or 0.0
-        return 0.0 if same(result, base) else result - base
-
-    @property
-    def saved(self) -> int:
-        """Simulations that the reduction saved."""
-        return self.base.simulated - self.run.simulated
-
-
-def pairs(courses: Sequence[Course]) -> list[Pair]:
-    """Each run with another reduction than the first one's beside the run with the first one and equal optimizer, population and seed.
-    Leaves out pairs in which a run has no optimum or did not go to its end."""
-    if not courses:
-        return []
-    first = courses[0].conditions.reduction
-    whole = {course.conditions: course for course in courses if course.ended and course.optimum is not None}
-    return [
-        Pair(course, whole[base])
-        for conditions, course in whole.items()
-        if conditions.reduction != first and (base := conditions._replace(reduction=first)) in whole
-    ]
-
-
-def pair_row(pair: Pair) -> ComparedPair:
-    """Returns a pair's row in the response."""
-    conditions = pair.run.conditions
-    return ComparedPair(
-        **conditions._asdict(),
-        base=pair.base.conditions.reduction,
-        campaign=pair.run.campaign,
-        base_campaign=pair.base.campaign,
-        best=pair.run.optimum or 0.0,
-        base_best=pair.base.optimum or 0.0,
-        difference=pair.difference,
-        simulations=pair.run.simulated,
-        base_simulations=pair.base.simulated,
-        saved=pair.saved,
-    )
-
-
-def effects(pairs: Sequence[Pair], sign: int = 1) -> list[ReductionEffect]:
-    """Effects by reduction, optimizer and population, and, if there are several such groups, of each reduction over all of them."""
-    wanted: dict[tuple[str, str | None, int | None], list[Pair]] = {}
-    for course in pairs:
-        conditions = course.run.conditions
-        wanted.setdefault((conditions.reduction, conditions.optimizer, conditions.population), []).append(course)
-    for reduction in dict.fromkeys(course.run.conditions.reduction for course in pairs):
-        parts = [listed for key, listed in wanted.items() if key[0] == reduction]
-        if len(parts) > 1:
-            wanted[reduction, None, None] = [course for listed in parts for course in listed]
-    return [_effect(*key, listed, sign) for key, listed in wanted.items()]
-
-
-def _effect(
-    reduction: str, optimizer: str | None, population: int | None, listed: Sequence[Pair], sign: int
-) -> ReductionEffect:
-    from scipy import stats  # more than a second, which only those pay who compare
-
-    differences = [course.difference for course in listed]
-    better = sum(sign * difference > 0 for difference in differences)
-    worse = sum(sign * difference < 0 for difference in differences)
-    different, mean = better + worse, fmean(differences)
-    margin = None
-    if len(differences) > 1 and stdev(differences) > grain(mean):  # without any spread the t distribution says nothing
-        quantile = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(differences) - 1))
-        margin = quantile * stdev(differences) / len(differences) ** 0.5
-    interval = stats.binomtest(different, len(differences)).proportion_ci(CONFIDENCE, method="exact")
-    with_it, without = (sum(run.simulated for run in runs) for runs in zip(*((p.run, p.base) for p in listed), strict=True))
-    return ReductionEffect(
-        optimizer=optimizer,
-        population=population,
-        reduction=reduction,
-        base=listed[0].base.conditions.reduction,
-        pairs=len(listed),
-        mean_difference=mean,
-        lower_95=None if margin is None else mean - margin,
-        upper_95=None if margin is None else mean + margin,
-        better=better,
-        equal=len(differences) - different,
-        worse=worse,
-        sign_test=float(stats.binomtest(better, different).pvalue) if different else 1.0,
-        different_upper_95=float(interval.high),
-        simulations=with_it,
-        base_simulations=without,
-        saved_share=(without - with_it) / without if without else 0.0,
-    )

@@ -221,7 +221,6 @@ def compared(connection: Connection, tag: str) -> Comparison:
     ]
     sign = next((_sign(resolved_spec(campaign)) for campaign in stored if campaign.resolution is not None), 1)
     best = analysis.best_of_all(courses, sign)
-    pairs = analysis.pairs(courses)
     return Comparison(
         tag=tag,
         direction="maximise" if sign > 0 else "minimise",
@@ -230,8 +229,6 @@ def compared(connection: Connection, tag: str) -> Comparison:
             for campaign, course in zip(stored, courses, strict=True)
         ],
         groups=analysis.groups(courses, sign),
-        pairs=[analysis.pair_row(pair) for pair in pairs],
-        effects=analysis.effects(pairs, sign),
     )
 
 
@@ -261,7 +258,6 @@ def _course(connection: Connection, campaign: StoredCampaign, conditions: Condit
         alternatives=[figure.alternatives for figure in figures],
         means=[figure.mean for figure in figures],
         simulations=[_needed(counts) for counts in cells],
-        ended=campaign.state is CampaignState.SUCCEEDED,
         reused=reused,
         simulated_best=_best_simulated(connection, campaign) if reused else None,
         confirmations=_needed(campaign.cells) - sum(map(_needed, cells)) if searched else 0,

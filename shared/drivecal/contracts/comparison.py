@@ -55,7 +55,7 @@ class ComparisonSpecification(ProblemSpecification):
     reductions: Annotated[list[AnyReduction], Field(min_length=1, max_length=20, json_schema_extra=UNIQUE)] = Field(
         default_factory=lambda: EXACT_ALONE
     )
-    """Modes, alone or with settings. Only modes that use a map or `narrow` get it. The others are compared with the first, seed by seed.
+    """Modes, alone or with settings. Only modes that use a map or `narrow` get it.
     All are `isolated`; those with references or predictions confirm up to 100 sets unless `confirm` is given."""
 
     @field_validator("reductions")
@@ -123,7 +123,7 @@ class ComparedRun(Answer):
     """The best objective of a set whose every score was simulated for itself. If references answer cells, a search prefers sets whose
     scores are too good: `best` is what it believed, this is what it has. A campaign with `reduction.confirm` has its best set simulated
     after the search, and the next one if it falls: then this is the objective of the first set of the final ranking. Otherwise, before
-    its end, or if a note says that the best set is not confirmed, it is a lower bound. Groups, pairs and successes use this value."""
+    its end, or if a note says that the best set is not confirmed, it is a lower bound. Groups and successes use this value."""
     rating: float | None
     """The weighted continuous rating of the best set, which separates optima of the same objective; as the search believed, as are
     `alternatives` and `mean`."""
@@ -166,61 +166,10 @@ class ComparedGroup(Answer):
     """Mean of the best objectives after a quarter, a half and all of the simulations that every compared campaign has made."""
 
 
-class ComparedPair(Answer):
-    """Two succeeded campaigns that differ in the reduction alone. `best`, `base_best`: their final optima (`simulated_best`);
-    `difference`: that of `campaign` less that of `base_campaign`; `saved`: simulations."""
-
-    optimizer: str
-    population: int
-    seed: int
-    reduction: str
-    base: str
-    campaign: str
-    base_campaign: str
-    best: float
-    base_best: float
-    difference: float
-    simulations: int
-    base_simulations: int
-    saved: int
-
-
-class ReductionEffect(Answer):
-    """The pairs of one optimizer and population size, or of all (null), summed up.
-
-    `mean_difference` with the 95 % confidence interval of Student's t, null for less than two pairs and without spread. `better`, `equal`,
-    `worse`: the final optimum with the reduction; `sign_test`: two-sided p of the exact sign test; `different_upper_95`: upper end of the
-    exact 95 % interval of the share of searches that end elsewhere. `saved_share` is a share of the simulations without it.
-    """
-
-    optimizer: str | None
-    population: int | None
-    reduction: str
-    base: str
-    pairs: int
-    mean_difference: float
-    lower_95: float | None
-    upper_95: float | None
-    better: int
-    equal: int
-    worse: int
-    sign_test: float
-    different_upper_95: float
-    simulations: int
-    base_simulations: int
-    saved_share: float
-
-
 class Comparison(Answer):
-    """The campaigns of a tag, compared: in their order, by optimizer, population and reduction, and seed by seed.
-
-    `pairs`: each succeeded campaign and its counterpart that differs in the reduction alone; none if there is one reduction.
-    `effects` say whether a reduction changes the final optimum, and its savings, over all pairs.
-    """
+    """The campaigns of a tag, compared: in their order, and by optimizer, population and reduction."""
 
     tag: str
     direction: Literal["maximise", "minimise"]
     runs: list[ComparedRun]
     groups: list[ComparedGroup]
-    pairs: list[ComparedPair]
-    effects: list[ReductionEffect]

@@ -40,7 +40,7 @@ def submit(
 
 @router.get("/{tag}")
 def compare(tag: str, database: DatabaseDependency) -> Comparison:
-    """Compares the campaigns with a tag, as far as they are: by optimizer, population size and reduction, seed by seed. Campaigns of one
+    """Compares the campaigns with a tag, as far as they are: by optimizer, population size and reduction. Campaigns of one
     problem can be compared: give them a common tag."""
     with database.read() as connection:
         return compared(connection, tag)

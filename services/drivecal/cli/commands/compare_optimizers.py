@@ -1,6 +1,5 @@
 """The command that compares optimizers and reductions."""
 
-from collections.abc import Sequence
 from typing import Annotated
 
 import typer
@@ -9,12 +8,11 @@ from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, conne
 from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption
 from drivecal.cli.views.output import duration, print_answer, print_columns
 from drivecal.cli.views.progress import attached, pauses
-from drivecal.cli.views.sections import fixed, objective_number, percent
+from drivecal.cli.views.sections import fixed, objective_number
 from drivecal.client.client import Client
 from drivecal.client.documents import opened_document
-from drivecal.contracts.comparison import ComparedGroup, Comparison, ExpectedComparison, ReductionEffect
+from drivecal.contracts.comparison import ComparedGroup, Comparison, ExpectedComparison
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.scales import objective_text
 
 SECONDS_BETWEEN_LOOKS = 2.0
 
@@ -76,7 +74,7 @@ def _exit_code(comparison: Comparison) -> ExitCode:
 
 
 def _print_comparison(comparison: Comparison) -> None:
-    """Prints Table 5 of the paper for these campaigns, and the effects of the reductions."""
+    """Prints Table 5 of the paper for these campaigns."""
     ended = sum(CampaignState(run.state).ended for run in comparison.runs)
     typer.echo(f"tag {comparison.tag}: {len(comparison.runs)} campaigns, {ended} of them have ended")
     for run in comparison.runs:
@@ -91,11 +89,10 @@ def _print_comparison(comparison: Comparison) -> None:
         "Over the seeds. Simulations are those that each campaign needs alone; it has converged when its best stays for 10 iterations."
         " `after N`: the mean best objective at equal simulations."
     )
-    if comparison.effects:
+    if several:
         typer.echo(
-            "Objectives are of sets whose scores were all simulated: a search prefers sets that references make too good.\n"
+            "Objectives are of sets whose scores were all simulated: a search prefers sets that references make too good."
         )
-        _print_effects(comparison.effects)
 
 
 def _group_row(group: ComparedGroup, with_reduction: bool) -> list[object]:
@@ -106,26 +103,6 @@ def _group_row(group: ComparedGroup, with_reduction: bool) -> list[object]:
         *(f"{group.converged} of {group.seeds}", fixed(group.iterations_to_converge, 1, ",")),
         *(fixed(group.simulations_to_converge, 0, ","), f"{group.successes} of {group.seeds}"),
         *(objective_number(value) for value in group.after.values()),
-    ]
-
-
-def _print_effects(effects: Sequence[ReductionEffect]) -> None:
-    header = ["optimizer", "population", "reduction", "pairs", "difference of the optimum", "95 % interval"]
-    header += ["better", "equal", "worse", "sign test p", "differ at most", "simulations saved"]
-    print_columns(header, [_effect_row(effect) for effect in effects])
-
-
-def _effect_row(effect: ReductionEffect) -> list[object]:
-    interval = None
-    if effect.lower_95 is not None and effect.upper_95 is not None:
-        interval = f"{objective_text(effect.lower_95, '+')} to {objective_text(effect.upper_95, '+')}"
-    return [
-        *(effect.optimizer or "all", effect.population or "all", f"{effect.reduction} - {effect.base}", effect.pairs),
-        objective_text(effect.mean_difference, "+"),
-        interval,
-        *(effect.better, effect.equal, effect.worse),
-        *(f"{effect.sign_test:.3g}", percent(effect.different_upper_95, 1)),
-        f"{effect.base_simulations - effect.simulations:,} ({effect.saved_share:.1%})",
     ]
 
 
