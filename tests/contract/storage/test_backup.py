@@ -22,7 +22,7 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DatabaseError, UnavailableError
 from drivecal.domain.events import EventKind
 from drivecal.storage import campaigns, events, generations, results
-from drivecal.storage.engine import locks, schema
+from drivecal.storage.engine import schema
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance import backup
 from drivecal.storage.maintenance.backup import copy_rows, tables_of
@@ -152,14 +152,13 @@ def test_a_backup_holds_one_moment_however_much_is_written_meanwhile(
         assert connection.scalar(text("SELECT count(*) FROM campaigns WHERE name = 'meanwhile'")) == len(written)
 
 
-def test_an_existing_file_is_replaced_only_by_force(database: Database, tmp_path: Path) -> None:
-    file = tmp_path / "backup.db"
+@pytest.mark.parametrize("suffix", ["", "-journal", "-wal"])
+def test_an_existing_file_is_never_replaced(database: Database, tmp_path: Path, suffix: str) -> None:
+    file = tmp_path / f"backup.db{suffix}"
     file.write_text("precious")
-    with pytest.raises(DatabaseError, match=r"backup\.db.*--force"):
-        backup.write(database, file, silent)
+    with pytest.raises(DatabaseError):
+        backup.write(database, tmp_path / "backup.db", silent)
     assert file.read_text() == "precious"
-    backup.write(database, file, silent, force=True)
-    Database.open(f"sqlite:///{file}").check()
     assert not list(tmp_path.glob("*.partial*"))
 
 
@@ -190,7 +189,7 @@ def test_a_database_is_never_backed_up_into_itself(empty_url: str, tmp_path: Pat
     database.upgrade()
     if database.url.get_backend_name() == "sqlite":
         with pytest.raises(DatabaseError):
-            backup.write(database, tmp_path / "drivecal.db", silent, force=True)
+            backup.write(database, tmp_path / "drivecal.db", silent)
         with pytest.raises(DatabaseError):
             backup.restore(tmp_path / "drivecal.db", database, silent)
     database.check()
@@ -377,62 +376,6 @@ def names_in(file: Path) -> set[str]:
     with closing(sqlite3.connect(file)) as plain:
         assert plain.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
         return {name for (name,) in plain.execute("SELECT name FROM campaigns")}
-
-
-@pytest.mark.slow("postgresql")
-def test_an_earlier_backup_is_complete_until_the_new_one_has_its_name(
-    database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file, seen = tmp_path / "backup.db", []
-    with database.transaction() as connection:
-        campaign(connection, "first")
-    backup.write(database, file, silent)
-    killed_while_serving(file)
-    replace = Path.replace
-
-    def look_and_replace(path: Path, target: Path) -> Path:
-        seen.append(names_in(target))
-        return replace(path, target)
-
-    monkeypatch.setattr(Path, "replace", look_and_replace)
-    backup.write(database, file, silent, force=True)
-    assert seen == [{"served"}]
-    assert names_in(file) == {"first"}
-
-
-@pytest.mark.slow("postgresql")
-@pytest.mark.parametrize("suffix", ["-journal", "-wal", "-shm"])
-def test_what_is_left_of_a_removed_backup_is_removed_only_by_force(database: Database, tmp_path: Path, suffix: str) -> None:
-    file = tmp_path / "backup.db"
-    left = tmp_path / f"backup.db{suffix}"
-    left.write_bytes(b"left")
-    with pytest.raises(DatabaseError, match=rf"backup\.db{suffix}.*--force"):
-        backup.write(database, file, silent)
-    assert not file.exists()
-    assert left.read_bytes() == b"left"
-    backup.write(database, file, silent, force=True)
-    assert not left.exists()
-    names_in(file)
-
-
-@pytest.mark.slow("postgresql")
-def test_a_backup_that_a_server_or_another_process_uses_is_not_replaced(database: Database, tmp_path: Path) -> None:
-    file = tmp_path / "backup.db"
-    with database.transaction() as connection:
-        campaign(connection, "first")
-    backup.write(database, file, silent)
-    with locks.hold(f"sqlite:///{file}"), pytest.raises(DatabaseError, match="a drivecal server uses"):
-        backup.write(database, file, silent, force=True)
-    with closing(sqlite3.connect(file)) as user:
-        user.execute("PRAGMA journal_mode = WAL")
-        user.execute("UPDATE campaigns SET name = 'used'")
-        user.commit()
-        with pytest.raises(DatabaseError, match="cannot be replaced"):
-            backup.write(database, file, silent, force=True)
-        assert names_in(file) == {"used"}
-    backup.write(database, file, silent, force=True)
-    assert names_in(file) == {"first"}
-    assert not list(tmp_path.glob("*.partial*"))
 
 
 @pytest.mark.slow("postgresql")

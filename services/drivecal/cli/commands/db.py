@@ -80,8 +80,9 @@ def check(full: FullOption = False, database_url: DatabaseOption = None, as_json
 
 @database.command()
 def backup(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Where the backup goes: one SQLite file.", show_default=False)],
-    force: Annotated[bool, typer.Option("--force", help="Replace FILE if it exists.")] = False,
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Where the backup goes: one new SQLite file.", show_default=False)
+    ],
     database_url: DatabaseOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -90,7 +91,7 @@ def backup(
 
     started = time.monotonic()
     with _opened(database_url) as (_, opened):
-        copied = write(opened, file, _Telling(), force=force)
+        copied = write(opened, file, _Telling())
         report = _copied(file, opened, copied, started)
     if as_json:
         print_json({**report, "bytes": file.stat().st_size})

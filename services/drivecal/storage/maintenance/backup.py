@@ -9,7 +9,6 @@ import os
 import sqlite3
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +33,7 @@ from sqlalchemy import (
 )
 
 from drivecal.domain.errors import DatabaseError
-from drivecal.storage.engine import locks, schema, urls
+from drivecal.storage.engine import schema, urls
 from drivecal.storage.engine.database import Database, make_engine
 from drivecal.storage.engine.failures import translated
 from drivecal.storage.engine.schema import REVISION_TABLE
@@ -42,8 +41,7 @@ from drivecal.storage.engine.tables import metadata
 from drivecal.storage.engine.urls import sqlite_file
 
 CHUNK = 20_000
-"""Most rows of a portion, and in one COPY of PostgreSQL, which remembers each row until its foreign keys are checked. Two portions are
-in memory at a time."""
+"""Most rows of a portion, and in one COPY of PostgreSQL, which remembers each row until its foreign keys are checked."""
 CHUNK_BYTES = 64 * 2**20
 """Most bytes of archives and characters of documents in a portion, unless a single row has more."""
 Row = tuple[Any, ...]
@@ -77,24 +75,21 @@ def copy_rows(source: Connection, target: Connection, progress: Progress) -> dic
         raise DatabaseError(f"{urls.shown(source.engine.url)} lacks tables of its revision: {', '.join(missing)}")
     tables = _reflected(source, names)
     counts = count_rows(source, tables)
-    with ThreadPoolExecutor(1) as reader:  # it reads the next rows while the last ones are written
-        for table in tables:
-            done = 0
-            portions = _portions(source, table)
-            following: Future[list[Row]] = reader.submit(next, portions, [])
-            while rows := _result(following, source):
-                following = reader.submit(next, portions, [])
-                with translated(urls.shown(target.engine.url)):
-                    _write(target, table, rows)
-                done += len(rows)
-                progress(table.name, done, counts[table.name])
+    for table in tables:
+        done = 0
+        portions = _portions(source, table)
+        while rows := _next(portions, source):
+            with translated(urls.shown(target.engine.url)):
+                _write(target, table, rows)
+            done += len(rows)
+            progress(table.name, done, counts[table.name])
     _set_sequences(target, last_numbers(source, tables))
     return counts
 
 
-def _result(rows: Future[list[Row]], source: Connection) -> list[Row]:
+def _next(portions: Iterator[list[Row]], source: Connection) -> list[Row]:
     with translated(urls.shown(source.engine.url)):  # here, or what is wrong with one database would be said of the other
-        return rows.result()
+        return next(portions, [])
 
 
 def _portions(connection: Connection, table: Table) -> Iterator[list[Row]]:
@@ -203,12 +198,11 @@ class Copied:
     """Number of rows by table."""
 
 
-def write(database: Database, file: Path, progress: Progress, *, force: bool = False) -> Copied:
-    """Backs the database up into `file`, while others use it. Raises DatabaseError, if `file` exists unless `force`d too or while a server
-    or another process uses it, and UnavailableError; `file` then holds what it held."""
-    _refuse_target(database, file, force=force)
+def write(database: Database, file: Path, progress: Progress) -> Copied:
+    """Backs the database up into a new `file`, while others use it. Raises DatabaseError, if `file` exists too, and UnavailableError."""
+    _refuse_target(file)
     schema.refuse_missing(database.url)
-    with _unserved(file), database.read() as connection:
+    with database.read() as connection:
         schema.refuse_foreign(connection, database.name)
         revision = schema.revision_of(connection)
         if revision is None:
@@ -220,7 +214,7 @@ def write(database: Database, file: Path, progress: Progress, *, force: bool = F
             else:
                 rows = _copy_into_new(connection, partial, revision, progress)
             _check_file(partial, rows)
-            _refuse_target(database, file, force=force)
+            _refuse_target(file)
             _publish(partial, file)
     return Copied(revision, rows)
 
@@ -262,55 +256,16 @@ def restore(file: Path, database: Database, progress: Progress) -> Copied:
     return Copied(revision, rows)
 
 
-def _refuse_target(database: Database, file: Path, *, force: bool) -> None:
+def _refuse_target(file: Path) -> None:
     if file.is_dir() or not file.name:
         raise DatabaseError(f"{file} is a folder; name a file in it")
-    source = sqlite_file(database.url)
-    if source is not None and source.exists() and file.exists() and file.samefile(source):
-        raise DatabaseError(f"{file} is the database itself; name another file")
-    if source is not None and file.absolute() in [beside.absolute() for beside in _beside(source)]:
-        raise DatabaseError(f"{file} belongs to the database itself; name another file")
-    if file.exists() and not force:
-        raise DatabaseError(f"{file} exists already; name another file, or replace it by --force")
-    left = [beside.name for beside in _beside(file) if beside.exists()]
-    if left and not force:
-        raise DatabaseError(f"{', '.join(left)} of an earlier {file} is left; name another file, or remove it by --force")
+    there = [each.name for each in (file, *_beside(file)) if each.exists()]
+    if there:  # SQLite would apply a companion file to the backup
+        raise DatabaseError(f"{', '.join(there)} in {file.parent} is there already; name another file")
 
 
 def _beside(file: Path) -> list[Path]:
     return [file.with_name(file.name + suffix) for suffix in BESIDE]
-
-
-@contextmanager
-def _unserved(file: Path) -> Iterator[None]:
-    """Lets no server use an earlier `file` meanwhile. Raises DatabaseError if a server uses it. A file that was never served has no lock,
-    and gets none."""
-    path = file.with_name(file.name + ".lock")
-    if not path.exists():
-        yield
-        return
-    try:
-        lock = path.open("a+", encoding="ascii")
-    except OSError as error:
-        raise DatabaseError(f"{path} cannot be opened: {error.strerror}; name another file") from error
-    with lock:
-        if not locks.try_lock(lock):
-            raise DatabaseError(f"a drivecal server uses {file}; stop it, or name another file")
-        yield
-
-
-def _settle(file: Path) -> None:
-    """Moves everything that is committed in the earlier `file` into it, and removes the files beside it, which SQLite would apply to the
-    new backup. So the earlier backup is complete until the new one has its name. Raises DatabaseError if a process uses the file."""
-    if file.exists():
-        try:
-            with closing(sqlite3.connect(file)) as earlier:
-                earlier.execute("PRAGMA journal_mode = DELETE").fetchall()  # needs the file for itself if it has a log
-        except sqlite3.DatabaseError as error:
-            if error.sqlite_errorcode & 0xFF not in {sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT}:  # else nothing can be kept
-                raise DatabaseError(f"{file} cannot be replaced: {error}; end what uses it, or name another file") from error
-    for beside in _beside(file):
-        beside.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -332,15 +287,9 @@ def _publish(partial: Path, file: Path) -> None:
     """Gives a complete backup its name, durably."""
     with partial.open("rb+") as written:
         os.fsync(written.fileno())
-    _settle(file)
-    _sync_folder(file.parent)  # or a companion of the earlier file could come back after a power cut
     partial.replace(file)
-    _sync_folder(file.parent)
-
-
-def _sync_folder(path: Path) -> None:
     if os.name == "posix":  # elsewhere folders cannot be opened
-        folder = os.open(path, os.O_RDONLY)
+        folder = os.open(file.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
         finally:
