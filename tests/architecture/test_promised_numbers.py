@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from drivecal.api.http.limits import MOST_REQUESTS
+from drivecal.api.http.protocol import MOST_CONNECTIONS
 from drivecal.api.live.streams import KEEPALIVE_SECONDS
 from drivecal.configuration.settings import Settings
 from drivecal.contracts.specification import ReductionSpecification
@@ -34,7 +34,7 @@ def test_numbers_in_promises_are_those_of_the_code() -> None:
         ("or pushed problems", 1_000, LIMITS["pushed_problems"]),
         ("More than 1,000 queued", 1_000, LIMITS["queued_campaigns"]),
         ("or 100 event streams", 100, LIMITS["event_streams"]),
-        ("more than 200 requests", 200, MOST_REQUESTS),
+        ("more than 500 requests", 500, MOST_CONNECTIONS),
         ("end within 15 s", 15.0, KEEPALIVE_SECONDS),
     ):
         assert text in PROMISES, text

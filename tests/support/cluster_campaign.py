@@ -76,7 +76,8 @@ class Running:
 
     def assert_found(self, expected: Found, file: Path) -> None:
         """By a backup of the cluster's database, which is left in `file`."""
-        self.cluster.compose("exec", "-T", "api", "drivecal", "db", "backup", "--force", "/backups/drivecal.db")
-        self.cluster.compose("cp", "api:/backups/drivecal.db", str(file))
+        self.cluster.compose("exec", "-T", "api", "rm", "-f", f"/backups/{file.name}")
+        self.cluster.compose("exec", "-T", "api", "drivecal", "db", "backup", f"/backups/{file.name}")
+        self.cluster.compose("cp", f"api:/backups/{file.name}", str(file))
         with serving(f"sqlite:///{file}") as copy:
             assert_equal(NAME, found(copy, self.id), expected)

@@ -11,7 +11,7 @@ from drivecal.api import document
 from drivecal.api.dependencies import Limits
 from drivecal.api.http import problems, queries
 from drivecal.api.http.authorisation import Authorisation
-from drivecal.api.http.limits import BodyLimit, Concurrency
+from drivecal.api.http.limits import BodyLimit
 from drivecal.api.http.requests import RequestRecords
 from drivecal.api.live.streams import EventHub
 from drivecal.api.metrics import Meters
@@ -87,7 +87,6 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         responses=problems.RESPONSES,
         dependencies=[Depends(queries.check_names)],
     )
-    app.add_middleware(Concurrency)
     app.add_middleware(Authorisation, tokens=tokens)
     app.add_middleware(
         BodyLimit,

@@ -35,7 +35,7 @@ COMPUTING = 8
 """Rankings, fronts and the like that are computed at the same time. Each further thread that computes delays all others by up to 5 ms at
 every turn of the interpreter."""
 COMPUTED = 64
-"""The same, those included that wait for a thread. Fewer than the requests that are answered at once, so that others find a place."""
+"""The same, those included that wait for a thread. Others wait for none of these threads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,16 +80,13 @@ Owner = Annotated[str | None, Depends(_owner)]
 """Name of the request's token, None on a server without tokens."""
 
 
-async def _event_stream(request: Request, limits: LimitsDependency) -> AsyncIterator[None]:
+async def _event_stream(limits: LimitsDependency) -> AsyncIterator[None]:
     with limits.event_streams.take():
-        request.state.place.give_back()
         yield
 
 
 EventStreamPlace = Annotated[None, Depends(_event_stream)]
-"""Place of a route that streams events: one among the open streams until the stream ends, instead of one among the requests.
-
-Raises OverloadError (429) if there is none."""
+"""Place of a route that streams events, until the stream ends. Raises OverloadError (429) if there is none."""
 
 
 async def _archive(limits: LimitsDependency) -> AsyncIterator[None]:

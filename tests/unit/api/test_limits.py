@@ -18,7 +18,7 @@ from tests.support.databases import migrated
 from drivecal.api.app import create_app
 from drivecal.api.dependencies import COMPUTED, COMPUTING, EventStreamPlace, Limits, computed
 from drivecal.api.http import problems
-from drivecal.api.http.limits import BodyLimit, Concurrency, Places
+from drivecal.api.http.limits import BodyLimit, Places
 from drivecal.configuration.pushing import Pushing
 from drivecal.configuration.settings import load_settings
 from drivecal.domain.errors import OverloadError
@@ -118,46 +118,6 @@ def test_threads_take_no_place_twice() -> None:
     assert places.taken == 0
 
 
-def test_too_many_requests_at_once_are_refused_and_health_is_not() -> None:
-    async def crowd() -> None:
-        go, entered = asyncio.Event(), asyncio.Semaphore(0)
-
-        async def app(scope: Scope, receive: Receive, send: Send) -> None:
-            del receive
-            if scope["path"] == "/slow":
-                entered.release()
-                await go.wait()
-            await send({"type": "http.response.start", "status": 200, "headers": []})
-            await send({"type": "http.response.body", "body": b""})
-
-        async def ask(path: str) -> tuple[int, dict[bytes, bytes]]:
-            sent: list[Message] = []
-
-            async def send(message: Message) -> None:
-                sent.append(message)
-
-            scope = {"type": "http", "method": "GET", "path": path, "headers": [], "query_string": b""}
-            await limited(scope, receive, send)
-            return sent[0]["status"], dict(sent[0]["headers"])
-
-        async def receive() -> Message:
-            return part(b"")
-
-        limited = Concurrency(app, most=2)
-        slow = [asyncio.create_task(ask("/slow")) for _ in range(2)]
-        for _ in slow:
-            await entered.acquire()
-        status, headers = await ask("/quick")
-        assert (status, int(headers[b"retry-after"]) > 0) == (503, True)
-        assert headers[b"content-type"] == b"application/problem+json"
-        assert (await ask("/healthz"))[0] == 200
-        go.set()
-        assert [(await answering)[0] for answering in slow] == [200] * 2
-        assert (await ask("/quick"))[0] == 200
-
-    asyncio.run(crowd())
-
-
 def test_event_streams_have_places_of_their_own_until_they_end() -> None:
     app = FastAPI()
     problems.install(app)
@@ -176,14 +136,12 @@ def test_event_streams_have_places_of_their_own_until_they_end() -> None:
 
     async def listen() -> None:
         limits = app.state.limits = Limits.of(load_settings(event_streams=2))
-        limited = Concurrency(app, most=1)
-        transport = httpx.ASGITransport(limited)
+        transport = httpx.ASGITransport(app)
         async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
             listening = [asyncio.create_task(client.get("/events")) for _ in range(2)]
             for _ in listening:
                 await listens.acquire()
             assert limits.event_streams.taken == 2
-            assert limited.places.taken == 0
             refused = await client.get("/events")
             assert refused.status_code == 429
             assert int(refused.headers["retry-after"]) > 0

@@ -1,6 +1,7 @@
-"""Limits of requests: the size of their bodies, and the number answered at once.
+"""Limits of requests: the size of their bodies, and places for costly ones.
 
-A proxy in front of the server limits clients that are slow; uvicorn closes idle connections and refuses large heads.
+A proxy in front of the server limits clients that are slow; uvicorn closes idle connections, refuses large heads and limits the number of
+requests.
 """
 
 from __future__ import annotations
@@ -18,8 +19,6 @@ from drivecal.domain.errors import OverloadError
 
 LARGEST_BODY = 1_048_576
 """Bytes. The largest campaign that the contracts allow takes a fraction of it."""
-MOST_REQUESTS = 200
-"""Requests being answered or waiting for one of the 40 threads. Without a bound, abandoned requests would be answered first."""
 CLOSE = {"Connection": "close"}
 
 
@@ -105,29 +104,3 @@ class Place(ExitStack):
     def give_back(self) -> None:
         """Frees the place for another request."""
         self.close()
-
-
-class Concurrency:
-    """ASGI middleware that answers 503 if too many requests are being answered.
-
-    `request.state.place` is the request's place, which an event stream gives back because it only waits.
-    """
-
-    def __init__(self, app: ASGIApp, most: int = MOST_REQUESTS) -> None:
-        self.app = app
-        self.places = Places(most, "requests are being answered", retry_seconds=2)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes the request on if there is a place for it."""
-        if scope["type"] != "http" or scope["path"] == "/healthz":  # a server that has much to do lives
-            await self.app(scope, receive, send)
-            return
-        try:
-            place = self.places.take()
-        except OverloadError as error:
-            headers = {"Retry-After": str(error.retry_seconds)}
-            await problem_response(Request(scope), 503, str(error), headers=headers)(scope, receive, send)
-            return
-        with place:
-            scope.setdefault("state", {})["place"] = place
-            await self.app(scope, receive, send)

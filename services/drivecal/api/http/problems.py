@@ -72,9 +72,7 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
         421: "A server without tokens does not answer to this Host",
         422: "Fields do not fit; `errors` names each",
         429: "The queue is full, or too many event streams or archives of problems are open",
-        431: "The headers are too large",
-        501: "The body has a transfer encoding other than chunked",
-        503: "The database does not answer, or too many requests are being answered",
+        503: "The database does not answer",
     }.items()
 }
 
@@ -89,15 +87,10 @@ def problem_response(
             Problem("", f"{len(errors) - MOST_PROBLEMS:,} more are not listed", "mend these first"),
         ]
         detail = "\n".join(map(str, errors))
-    content = problem_content(status, detail, request.url.path, errors)
-    return Response(content, status, headers=dict(headers or {}), media_type=MEDIA_TYPE)
-
-
-def problem_content(status: int, detail: str, instance: str = "", errors: Sequence[Problem] = ()) -> bytes:
-    """Returns the body of the answer for an error."""
-    title = HTTPStatus(status).phrase
+    title, instance = HTTPStatus(status).phrase, request.url.path
     document = {"type": "about:blank", "title": title, "status": status, "detail": detail or title, "instance": instance}
-    return json.dumps(document | {"errors": [asdict(error) for error in errors]}, ensure_ascii=True).encode()
+    content = json.dumps(document | {"errors": [asdict(error) for error in errors]}, ensure_ascii=True)
+    return Response(content.encode(), status, headers=dict(headers or {}), media_type=MEDIA_TYPE)
 
 
 def install(app: FastAPI) -> None:
