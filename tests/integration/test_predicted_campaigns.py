@@ -18,8 +18,6 @@ from tests.support.storage import new_evaluation
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
 from drivecal.campaigns.cells.predicting import slice_size
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.campaigns.results import explanation as prediction
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
 from drivecal.configuration.settings import load_settings
@@ -194,20 +192,6 @@ def test_a_simulation_that_confirms_a_predicted_set_is_explained_by_its_predicti
     assert (explanation.prediction.score, explanation.prediction.confidence) == (believed.predicted_score, believed.confidence)
     assert explanation.prediction.lot is not None
     assert explanation.prediction.lot.id == believed.lot
-
-
-def test_the_predictor_that_explains_is_the_predictor_that_predicted(
-    predicted: tuple[Database, StoredCampaign], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Weights of the stored answers with the predicted score add up to the confidence."""
-    monkeypatch.setattr(prediction, "NEIGHBOURS", 10_000)
-    database, campaign = predicted
-    row = max((row for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED), key=lambda row: row.id)
-    with database.read() as connection:
-        shown = prediction.prediction_of(connection, campaign, row, resolved_spec(campaign))
-    assert shown is not None
-    alike = sum(neighbour.weight for neighbour in shown.neighbours if neighbour.score == row.predicted_score)
-    assert alike == pytest.approx(row.confidence)
 
 
 def simple(scenario: str, cell: Cell) -> CellResult:

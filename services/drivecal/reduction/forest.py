@@ -36,13 +36,6 @@ class BaggedTrees:
         self._leaves: Indices = np.empty((0, 0), dtype=np.int64)
         """The leaf of each known answer in each tree, shape (n_trees, n_known)."""
 
-    def weights(self, features: Floats) -> Floats:
-        """Returns the weight of each training cell in the prediction of one set, shape (n_known,), sum 1: its mean share of the
-        bootstrap sample in the set's leaf, over the trees. Raises RuntimeError before `fit`."""
-        shared = (self._leaves == self._leaves_of(features.reshape(1, -1))) * self._drawn
-        weights: Floats = (shared / shared.sum(axis=1, keepdims=True)).mean(axis=0)
-        return weights
-
     def _grow(self, features: Floats, scores: Floats) -> None:
         """Grows trees on features, shape (n, k), and scores, shape (n,)."""
         random = np.random.default_rng(SEED)

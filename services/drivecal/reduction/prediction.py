@@ -62,9 +62,6 @@ class Predictor(Protocol):
     def predict(self, features: Floats) -> Predictions:
         """Predicts n sets."""
 
-    def weights(self, features: Floats) -> Floats:
-        """Returns the weight of each known answer in the prediction of one set, shape (n_known,), sum 1."""
-
     def known_errors(self) -> tuple[Floats, Bools]:
         """Returns raw confidences and whether the prediction was wrong, of training data left out of the fit, each of shape (n,)."""
 

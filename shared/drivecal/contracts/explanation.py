@@ -81,28 +81,15 @@ class InspectedLot(Answer):
     verdict: str | None
 
 
-class Neighbour(Answer):
-    """A stored answer with its weight in a prediction: the mean share of the leaves that it has in common with the cell, 0 to 1."""
-
-    evaluation: int
-    stage: str
-    iteration: int
-    individual: int
-    score: Score
-    weight: float
-    parameters: dict[str, float | str]
-
-
 class Prediction(Answer):
     """A prediction. `confidence`: the share of votes for scores within the tolerance, 0 to 1. `agrees` is true if the simulation
-    of a sampled cell confirmed it. `neighbours`: the stored answers with most weight, heaviest first."""
+    of a sampled cell confirmed it."""
 
     score: Score
     confidence: float
     sampled: bool
     agrees: bool | None
     lot: InspectedLot | None
-    neighbours: list[Neighbour]
 
 
 class Explanation(Answer):

@@ -127,21 +127,12 @@ def test_predictions_have_the_same_bits_in_another_process() -> None:
     assert there.stdout.strip() == here
 
 
-def test_weights_are_those_of_the_leaves_and_add_up_to_one() -> None:
-    forest = learned()
-    weights = forest.weights(SETS[500])
-    assert weights.shape == (400,)
-    assert weights.sum() == pytest.approx(1.0)
-    votes = {score: float(weights[SCORES[:400] == score].sum()) for score in np.unique(SCORES[:400])}
-    told = forest.predict(SETS[500:501])
-    assert max(votes, key=votes.__getitem__) == told.scores[0]
-
-
 def test_mean_and_variance_are_those_of_the_votes() -> None:
     forest = learned()
     told = forest.predict(SETS[400:420])
     for place, (mean, variance) in enumerate(zip(told.mean, told.variance, strict=True)):
-        weights = forest.weights(SETS[400 + place])
+        shared = (forest._leaves == forest._leaves_of(SETS[400 + place : 401 + place])) * forest._drawn
+        weights = (shared / shared.sum(axis=1, keepdims=True)).mean(axis=0)
         assert mean == pytest.approx(weights @ SCORES[:400])
         assert variance == pytest.approx(weights @ (SCORES[:400] - mean) ** 2)
 

@@ -148,16 +148,7 @@ def print_explanation(explanation: Explanation) -> None:
 
 
 def _print_prediction(prediction: Prediction) -> None:
-    typer.echo(
-        f"\nprediction: score {told(prediction.score)}, confidence {prediction.confidence:.1%}; stored answers with most weight:"
-    )
-    print_columns(
-        ["evaluation", "stage", "iteration", "individual", "score", "weight"],
-        [
-            [known.evaluation, known.stage, known.iteration + 1, known.individual, known.score, f"{known.weight:.1%}"]
-            for known in prediction.neighbours
-        ],
-    )
+    typer.echo(f"\nprediction: score {told(prediction.score)}, confidence {prediction.confidence:.1%}")
 
 
 def _line(difference: Difference) -> list[object]:
