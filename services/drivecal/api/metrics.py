@@ -1,8 +1,7 @@
 """Metrics for Prometheus at `/metrics`: requests to this process, the database, and the dispatcher through its heartbeat.
 
 If the database does not answer, its metrics are left out and `drivecal_database_up` is 0. Counters from the database continue with a new
-process, but without the single evaluations that `drivecal db prune` removed, which Prometheus takes as a reset. Counters of the
-dispatcher's and the API's own memory begin at 0 with their process, as Prometheus expects.
+process. Counters of the dispatcher's and the API's own memory begin at 0 with their process, as Prometheus expects.
 """
 
 from collections.abc import Iterator, Mapping

@@ -228,7 +228,7 @@ def compare(
     database: Database, limits: Limits, specification: ComparisonSpecification, key: str, owner: str | None = None
 ) -> str:
     """Queues the campaigns of a comparison, all or none, and returns their tag. Each has a key of its own, made of the Idempotency-Key
-    `key`: the same request queues none again as long as one of them is neither deleted nor pruned.
+    `key`: the same request queues none again as long as one of them is not deleted.
 
     Raises InvalidInputError if one cannot run, TooLargeError, and OverloadError if the queue has no room for all.
     """

@@ -17,7 +17,7 @@ MOST_MAPS = 1_000
 
 
 def alone(connection: Connection) -> None:
-    """Keeps submissions, requests of traces, deletions and prunings apart until the transaction ends. Call it before other locks and before
+    """Keeps submissions, requests of traces and deletions apart until the transaction ends. Call it before other locks and before
     the reads that decide."""
     if connection.dialect.name == "postgresql":  # on SQLite a transaction that writes is alone from its start
         connection.execute(text("SELECT pg_advisory_xact_lock(:key, hashtext(current_schema()))"), {"key": KEY})

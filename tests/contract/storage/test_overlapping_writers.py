@@ -24,8 +24,7 @@ from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.types import now
-from drivecal.storage.retention import deletion, pruning
+from drivecal.storage.retention import deletion
 
 LIMITS = Limits.of(load_settings())
 PATIENCE = 60
@@ -140,12 +139,6 @@ def test_a_deletion_waits_for_a_submission_that_was_checked_and_is_refused(
     assert referring <= stored
 
 
-def prune(database: Database, campaign: StoredCampaign) -> None:
-    planned = pruning.plan(database, now())
-    assert [each.id for group in planned.groups for each in group.campaigns] == [campaign.id]
-    pruning.carry_out(database, planned)
-
-
 def delete_whole(database: Database, campaign: StoredCampaign) -> None:
     deletion.remove_cells(database, delete(database, campaign))
 
@@ -154,9 +147,8 @@ def request_trace(database: Database, evaluation: int) -> None:
     read_trace(str(evaluation), Request({"type": "http", "state": {"token": ANYBODY}}), database, LIMITS)
 
 
-@pytest.mark.parametrize("remove", [prune, delete_whole])
 def test_a_trace_that_is_requested_while_its_cell_is_removed_is_refused_and_the_removal_goes_on(
-    postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor, remove: Callable[[Database, StoredCampaign], None]
+    postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor
 ) -> None:
     with postgres.read() as connection:
         copied = [row.id for row in results.stream(connection, first.sequence) if row.outcome == Outcome.REUSED]
@@ -169,7 +161,7 @@ def test_a_trace_that_is_requested_while_its_cell_is_removed_is_refused_and_the_
             settle(postgres, requested[0])
 
     event.listen(postgres._engine, "before_cursor_execute", request)
-    remove(postgres, first)
+    delete_whole(postgres, first)
     with pytest.raises(NotFoundError):
         requested[0].result(PATIENCE)
     with postgres.read() as connection:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,12 +18,9 @@ from drivecal.domain.errors import DatabaseError
 if TYPE_CHECKING:  # half a second that only these commands need, when they run
     from drivecal.storage.engine.database import Database
     from drivecal.storage.maintenance.backup import Copied
-    from drivecal.storage.retention.pruning import PruningPlan
 
 TOLD_SECONDS = 2.0
 """Between two lines about how far a copy is."""
-LISTED = 20
-"""Campaigns that a pruning lists; `--json` lists all."""
 
 database = typer.Typer(no_args_is_help=True, help="The database. These commands open it themselves and need no server.")
 app.add_typer(database, name="db")
@@ -39,15 +34,6 @@ DatabaseOption = Annotated[
 FullOption = Annotated[
     bool, typer.Option("--full", help="Look at every parameter set and reference key, not at a sample of them.")
 ]
-
-
-def _duration(text: str) -> timedelta:
-    """Returns a time in days or weeks. Raises BadParameter for other texts."""
-    match = re.fullmatch(r"(\d{1,5})([dw])", text)
-    if match is None:
-        raise typer.BadParameter(f"{text!r} is no time; give days or weeks, such as 90d or 12w")
-    count = int(match[1])
-    return timedelta(weeks=count) if match[2] == "w" else timedelta(days=count)
 
 
 @database.command()
@@ -118,59 +104,6 @@ def restore(
     if not as_json:
         typer.echo(f"{report['database']} holds {_rows(copied)} of {file}")
     _print_verified(report | verified, as_json)
-
-
-@database.command()
-def prune(
-    older: Annotated[
-        timedelta,
-        typer.Option(
-            "--older", parser=_duration, metavar="90d", help="Age of what goes since its end: days (90d) or weeks (12w)."
-        ),
-    ],
-    problem: Annotated[str | None, typer.Option("--problem", help="Campaigns of this problem only.")] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print what goes and change nothing.")] = False,
-    database_url: DatabaseOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Remove old campaigns with all that they simulated, unless a younger one is linked to them. A server may run."""
-    from drivecal.storage.engine.types import now
-    from drivecal.storage.retention import pruning
-
-    with _opened(database_url) as (_, opened):
-        opened.check()
-        planned = pruning.plan(opened, now() - older, problem)
-        if not dry_run:
-            pruning.carry_out(opened, planned)
-        name = opened.name
-    _print_pruned(name, planned, as_json=as_json, dry_run=dry_run)
-
-
-def _print_pruned(name: str, planned: PruningPlan, *, as_json: bool, dry_run: bool) -> None:
-    going = [(each, planned.cells.get(each.sequence, 0)) for group in planned.groups for each in group.campaigns]
-    report = {
-        "database": name,
-        "dry_run": dry_run,
-        "campaigns": [
-            {"id": each.id, "name": each.name, "kind": each.kind, "ended_at": f"{each.ended_at}", "cells": cells}
-            for each, cells in going
-        ],
-        "spared": [{"id": old.id, "for": young.id} for old, young in planned.spared],
-        "cells": sum(planned.cells.values()),
-        "runs": planned.runs,
-    }
-    if as_json:
-        print_json(report)
-        return
-    rows = [[f"{each.ended_at:%Y-%m-%d}", each.id, each.name, f"{cells:,}"] for each, cells in going[:LISTED]]
-    if rows:
-        print_columns(["ended", "campaign", "name", "cells"], rows)
-    for old, young in planned.spared[:LISTED]:
-        typer.echo(f"{old.id} stays: campaign {young.id} has the same setups, or they are linked, and it is not old")
-    if max(len(going), len(planned.spared)) > LISTED:
-        typer.echo(f"{len(going):,} campaigns in all, and {len(planned.spared):,} old ones that stay; --json lists all")
-    verb = "would go" if dry_run else "went"
-    typer.echo(f"{report['cells']:,} cells and {planned.runs:,} runs {verb} from {name}")
 
 
 @contextmanager

@@ -278,7 +278,7 @@ def check_references(connection: Connection) -> Iterator[str]:
         count, first = connection.execute(select(func.count(), func.min(runs.c.id)).where(broken)).one()
         if count:
             yield f"{count:,} runs {sentence}, the first of them run {first}"
-    newest = max(largest_id(connection), last_numbers(connection, [runs]).get("runs", 0))  # the newest may be pruned
+    newest = max(largest_id(connection), last_numbers(connection, [runs]).get("runs", 0))
     beyond = select(campaigns.c.id, campaigns.c.watermark).where(campaigns.c.watermark > newest).limit(5)
     for name, watermark in connection.execute(beyond):
         yield f"campaign {name} may use runs up to {watermark}, and the newest is {newest}"

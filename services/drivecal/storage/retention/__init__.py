@@ -1,1 +1,1 @@
-"""Removal of old campaigns' cells and runs that nothing refers to."""
+"""Removal of campaigns, whose runs stay."""

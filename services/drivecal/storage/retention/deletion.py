@@ -3,7 +3,7 @@
 A deleted campaign loses its tables, events and every cell that was repeated, reused, predicted, or has no result. What it simulated stays
 in the reference table, with the cells that made these runs. Its other simulated cells stay as well, such as those that a
 simulation of another campaign answered: copies of other campaigns may name them. They need the campaign's row, which
-stays, marked as deleted, and which no list and no look-up by id returns. Pruning removes them if nothing refers to them.
+stays, marked as deleted, and which no list and no look-up by id returns.
 
 The mark is one transaction, and cells go in slices after it, so that other writers do not wait.
 """

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from sqlalchemy import Connection, delete, select, text, update
+from sqlalchemy import Connection, delete, select, update
 
-from drivecal.storage import admission
 from drivecal.storage.engine.tables import (
     campaign_stages,
     events,
@@ -20,14 +19,6 @@ from drivecal.storage.engine.tables import (
 
 KEYS = 5_000
 """Reference keys that go at a time."""
-
-
-def alone(connection: Connection) -> None:
-    """Lets no campaign start or be queued until the transaction ends, and no trace be requested. On SQLite a transaction that writes is
-    alone anyway."""
-    admission.alone(connection)  # before the table, as requests take both
-    if connection.dialect.name == "postgresql":
-        connection.execute(text("LOCK TABLE campaigns IN SHARE ROW EXCLUSIVE MODE"))
 
 
 def retire_maps(connection: Connection, maps: Collection[int]) -> None:
