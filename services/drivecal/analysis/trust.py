@@ -23,14 +23,13 @@ from drivecal.analysis.convergence import (
     last_change,
     stood_still,
 )
-from drivecal.analysis.verdicts import SHORT, confirmation_verdict, verdict
-from drivecal.contracts.assignments import value_text
+from drivecal.analysis.verdicts import confirmation_verdict, verdict
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.results import Light, ResultTrust, ResultVerdict, StudyResult
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.contracts.tables import ValidationRow
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.rounding import grain, same
+from drivecal.domain.rounding import grain
 
 FEW = 0.01
 """Share of cells without a result, or without a score, up to which a search is as good as one without them."""
@@ -86,30 +85,6 @@ class Chosen:
 
 
 @dataclass(frozen=True, slots=True)
-class Later:
-    """The first set of the ranking since other campaigns, by their ids, simulated cells that the search copied or predicted. `gain`:
-    difference by which it is better than the best set with which the search ended; below 0 if that proved to be worse."""
-
-    objective: float
-    gain: float
-    parameters: Mapping[str, float | str]
-    campaigns: Sequence[str] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Earlier:
-    """The best set of the `campaign` that is rerun, by its id, under the `weights` of the rerun, which are not normalised.
-
-    `reused`: scenarios whose score is a reference's. `score`: the rerun's, as rankings name it, if the earlier campaign had another."""
-
-    campaign: str
-    objective: float
-    weights: Mapping[str, float]
-    reused: Sequence[str] = ()
-    score: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class SearchCourse:
     """The course of an ended search. `course`: by finished iteration; empty with several objectives, which have no single course.
     `ranges`: lower and upper value of the searched parameters with an order. `grid`: number of
@@ -134,15 +109,13 @@ class Compromises:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Facts about a campaign's result beside its own record. `studies`: the newest first. `earlier`: of the campaign that it reruns, if
-    both have the same problem. `front`: of several objectives, in the place of a best set. `chosen`: a set to judge instead."""
+    """Facts about a campaign's result beside its own record. `studies`: the newest first. `front`: of several objectives, in the place of
+    a best set. `chosen`: a set to judge instead."""
 
     studies: Sequence[StudyResult] = ()
     search: SearchCourse | None = None
     front: Compromises | None = None
     chosen: Chosen | None = None
-    earlier: Earlier | None = None
-    later: Later | None = None
 
 
 def sign_of(campaign: Campaign) -> int:
@@ -160,8 +133,6 @@ def trust(campaign: Campaign, known: Evidence | None = None) -> ResultTrust:
     verdicts = [
         *_end(campaign),
         *_result(campaign, known),
-        *_later(campaign, known.later, known.chosen),
-        *_earlier(campaign, known.earlier),
         *_map(campaign, _newest(known.studies, of_predictions=False)),
         *_references(campaign),
         *_predictions(campaign, _newest(known.studies, of_predictions=True)),
@@ -367,35 +338,6 @@ def _is_the_highest(campaign: Campaign) -> bool:
     if campaign.objective is not None or scale.step is None or campaign.best is None:
         return False
     return not scale.is_better(scale.upper if scale.sign > 0 else scale.lower, campaign.best.objective)
-
-
-def _later(campaign: Campaign, later: Later | None, chosen: Chosen | None) -> Iterator[ResultVerdict]:
-    """Yields the verdict that later simulations changed which set is best."""
-    if later is None or campaign.best is None or same(later.objective, campaign.best.objective):
-        return
-    code = "later_worse" if later.gain < 0 else "later_better"
-    if later.gain > 0 and chosen is not None and chosen.parameters == later.parameters:
-        code = "later_chosen"
-    best = campaign.best.objective
-    yield verdict(code, "amber", by=list(later.campaigns), objective=later.objective, best=best, campaign=campaign.id)
-
-
-def _earlier(campaign: Campaign, earlier: Earlier | None) -> Iterator[ResultVerdict]:
-    """Yields the verdict that the campaign which is rerun holds a better set."""
-    if earlier is None or campaign.best is None or not CampaignState(campaign.state).ended:
-        return
-    best = campaign.best.objective
-    if (earlier.objective - best) * sign_of(campaign) <= grain(best):
-        return
-    numbers: dict[str, Any] = {"earlier": earlier.campaign, "objective": earlier.objective, "best": best}
-    numbers |= {"reused": list(earlier.reused), "campaign": campaign.id}
-    if campaign.objective is not None:
-        yield verdict("earlier_front", "amber", name=campaign.objective.name, **numbers)
-        return
-    weights = ",".join(f"{name}={value_text(weight, None)}" for name, weight in earlier.weights.items())
-    score = "" if earlier.score is None else f" --score {earlier.score}"
-    command = f"drivecal solutions {earlier.campaign[:SHORT]} --weights {weights}{score}"
-    yield verdict("earlier_better", "amber", command=command, **numbers)
 
 
 def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[ResultVerdict]:

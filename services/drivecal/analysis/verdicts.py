@@ -37,8 +37,6 @@ SCORES = CONFIRMED | {
     "scores_simulated": "Every score of {subject} was simulated or repeats a simulation.",
     "never_confirmed": "The best set was not simulated again after the search (reduction.confirm is 0): a score may be a copy.",
     "front_copied": "{copied:,} of {size:,} sets of the front have a copied score.",
-    "later_worse": "Later simulations{by:campaigns} show that the best set is worse, and the first set has {objective:objective} beside "
-    "{best:objective} at the end of the search; `drivecal solutions {campaign:id}` lists it.",
     "map_wrong": "The influence map is wrong for {rates:shares} of the compared variants (validation {study:id}). {then}",
     "map_validated": "The influence map was validated: at most {worst:.1%} of {variants:,} variants in a scenario are wrong.",
     "map_unchecked": "The influence map answered cells without lots (max_error is 1), and was not validated.",
@@ -68,15 +66,6 @@ SEARCH = {
     "not_better": "No set is better than the baseline.",
     "front_beats_baseline": "{dominating:,} of {size:,} sets of the front are better than the baseline in an objective and worse in none.",
     "front_not_better": "No set is better than the baseline in an objective and worse in none: each is worse in one, or equal.",
-    "later_better": "Later simulations{by:campaigns} show a better set: {objective:objective} beside {best:objective} at the end of the "
-    "search; `drivecal solutions {campaign:id}` lists it.",
-    "later_chosen": "Later simulations{by:campaigns} show that the chosen set is the best: {objective:objective} beside {best:objective} "
-    "at the end of the search; `drivecal solutions {campaign:id}` lists it.",
-    "earlier_front": "The earlier campaign {earlier:id} holds a set with a better {name}: {objective:.6g}{reused:copies} beside "
-    "{best:.6g}; `drivecal front {earlier:id}` lists it, and a campaign file with it in "
-    "`optimizer.start_sets` searches from there.",
-    "earlier_better": "The earlier campaign holds a better set under these weights: {objective:objective}{reused:copies} beside "
-    "{best:objective}; `{command}` lists it, and the same rerun with --from-best searches from there.",
     "seen": "The search asked for {asked} of the {grid} sets on the grid of its space, constraints aside.",
     "still_rising": "The best set was improved in the last of {iterations} iterations: more may improve it further.",
     "stood_still": "No iteration after the first found a better objective ({tried} tried). More iterations, wider ranges or another "
@@ -163,8 +152,6 @@ _FORMATS: Mapping[str, Any] = {
     "list": ", ".join,
     "shares": lambda rates: _joined([f"{rate:.1%} in {scenario}" for scenario, rate in rates.items()]),
     "counts": lambda counts: _joined([f"{count:,} in {scenario}" for scenario, count in counts.items()]),
-    "campaigns": lambda ids: f" (campaign {', '.join(each[:SHORT] for each in ids)})" if ids else "",
-    "copies": lambda scenarios: f" (a copied score in {', '.join(scenarios)})" if scenarios else "",
     "in best": lambda scenarios: f", as the best set does in {', '.join(scenarios)}" if scenarios else "",
     "compared": _compared,
     "ends": _ends,

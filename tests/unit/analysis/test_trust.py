@@ -7,7 +7,7 @@ import pytest
 from tests.support.scales import COST
 
 from drivecal.analysis.convergence import CoursePoint
-from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Earlier, Evidence, Later, SearchCourse, trust
+from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidence, SearchCourse, trust
 from drivecal.analysis.verdicts import SENTENCES, sentence
 from drivecal.contracts.campaign import (
     Baseline,
@@ -207,32 +207,6 @@ def test_a_campaign_without_a_search_has_no_light() -> None:
 
 
 @pytest.mark.parametrize(
-    ("objective", "given", "is_told"),
-    [
-        (6.5, {}, True),
-        (6.0, {}, False),
-        (5.5, {}, False),
-        (5.5, {"scale": COST}, True),
-        (6.5, {"scale": COST}, False),
-        (6.5, {"state": "running"}, False),
-        (6.5, {"best": None}, False),
-        (6.5, {"objective": FirstObjective(name="energy", unit="1", direction="minimise")}, False),
-    ],
-)
-def test_a_better_set_of_the_rerun_campaign_is_amber(objective: float, given: dict[str, Any], is_told: bool) -> None:
-    earlier = Earlier("e" * 32, objective, {"S1": 4.0, "S2": 1.0})
-    assert ("earlier_better" in lights(campaign(**given), earlier=earlier)) is is_told
-
-
-def test_a_better_earlier_set_names_the_command_that_lists_it() -> None:
-    result = verdicts(campaign(), earlier=Earlier("e" * 32, 6.5, {"S1": 4.0, "S2": 1.0}, ["S2"]))["earlier_better"]
-    assert result.numbers["command"] == "drivecal solutions eeeeeeee --weights S1=4,S2=1"
-    assert "(a copied score in S2)" in result.text
-    first = FirstObjective(name="energy", unit="1", direction="maximise")
-    assert "earlier_front" in lights(campaign(objective=first), earlier=Earlier("e" * 32, 6.5, {"S1": 1.0}))
-
-
-@pytest.mark.parametrize(
     ("course", "gain"),
     [([4.0, 5.0, 5.5, 6.0], 1.0), ([4.0, 6.0, 6.0, 6.0, 6.0], 0.0), ([None, None, 5.5, 6.0], None), ([6.0], None)],
 )
@@ -243,22 +217,6 @@ def test_a_search_with_a_budget_says_what_more_would_bring(course: list[float | 
     assert "ended" in by_code
     assert (None if gain is None else by_code["outlook"].numbers["gain"]) == gain
     assert "outlook" not in verdicts(campaign(), search=SearchCourse(stalled((4.0, None), (6.0, None)), {}))
-
-
-@pytest.mark.parametrize(
-    ("gain", "parameters", "code"),
-    [
-        (0.5, {"P1": 0.7}, "later_chosen"),
-        (0.5, {"P1": 0.9}, "later_better"),
-        (-0.5, {"P1": 0.7}, "later_worse"),
-        (0.0, {}, None),
-    ],
-)
-def test_later_simulations_that_change_the_best_set_are_amber(gain: float, parameters: Any, code: str | None) -> None:
-    result = lights(campaign(), later=Later(6.0 + gain, gain, parameters, ["f" * 32]), chosen=Chosen({"P1": 0.7}))
-    assert [(name, light) for name, light in result.items() if name.startswith("later")] == (
-        [] if code is None else [(code, "amber")]
-    )
 
 
 @pytest.mark.parametrize(

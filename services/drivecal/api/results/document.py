@@ -16,7 +16,6 @@ from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidence, SearchCourse, trust
 from drivecal.api.responses import campaign_answer
 from drivecal.api.tables.front import bound_text, summary
-from drivecal.api.tables.ranking import earlier_best, later_best
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of, stored_scale
@@ -149,17 +148,8 @@ def _trust(
     database: Database, campaign: StoredCampaign, made: list[StudyResult], front: CampaignFront | None, chosen: Chosen | None
 ) -> ResultTrust:
     with database.read() as connection:
-        first = None if campaign.rerun_of is None else campaigns.get(connection, campaign.rerun_of, deleted=True)
         search = _search(connection, campaign)
-    compromises = _compromises(database, campaign, front)
-    known = Evidence(
-        studies=made,
-        search=search,
-        front=compromises,
-        chosen=chosen,
-        earlier=None if first is None else earlier_best(database, campaign, first),
-        later=None if compromises is not None else later_best(database, campaign),
-    )
+    known = Evidence(studies=made, search=search, front=_compromises(database, campaign, front), chosen=chosen)
     return trust(campaign_answer(campaign, now(), silent=None), known)
 
 

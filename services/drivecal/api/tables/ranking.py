@@ -11,11 +11,10 @@ from sqlalchemy import Connection
 from drivecal.analysis.goals import SCORE, Aggregate, CellValue, Goals, Objective, valued_by
 from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
-from drivecal.analysis.trust import Earlier, Later
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.fingerprints import score_id
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of
 from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.strict_json import shown
@@ -27,7 +26,7 @@ from drivecal.domain.scales import Scale, plain
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.references import parameter_sets, runs
+from drivecal.storage.references import parameter_sets
 
 LARGEST_WEIGHT = 1e6
 _UNCERTAINTY = ("replicates", "failures", "standard_error", "lower", "upper", "probability_best", "runs_to_tell")
@@ -103,64 +102,6 @@ def _constrained(goals: Goals, weights: Mapping[str, float], scale: Scale, score
     total = sum(weights.values())
     shares = {name: weight / total for name, weight in weights.items() if weight > 0}
     return Goals((Objective(scale.name, score or CellValue(scale), shares, Aggregate(), scale.sign),), goals.bounds)
-
-
-def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCampaign) -> Earlier | None:
-    """Returns the best set of the `earlier` campaign under the weights, the score and the objectives of its rerun; None if there is none,
-    before the end of the rerun, and if setups, space or constraints on sets differ, or the evaluators of scores. Reads all
-    answers of the earlier campaign."""
-    if not campaign.state.ended or campaign.best is None or campaign.resolution is None or earlier.resolution is None:
-        return None
-    ours, theirs = resolved_spec(campaign), resolved_spec(earlier)
-    driven = all(theirs.setups.get(name) == fingerprint for name, fingerprint in ours.setups.items())
-    if ours.space != theirs.space or not driven:
-        return None
-    score = None
-    if (ours.evaluator, ours.scale) != (theirs.evaluator, theirs.scale):
-        if (
-            ours.goals is not None
-            or not _has_formula(database, campaign)
-            or not _constrained_alike(database, campaign, earlier)
-        ):
-            return None
-        score = f"{campaign.spec['evaluator']}@{campaign.spec['problem']}"
-    given: Mapping[str, float] = campaign.spec["weights"]
-    weights = {name: given.get(name, 1.0) if name in ours.weights else 0.0 for name in theirs.weights}
-    ranked = ranking(database, earlier, replace(theirs, weights=weights, goals=ours.goals), None, score).ranked
-    if not ranked or ranked[0].violation > campaign.best.violation:
-        return None
-    return Earlier(earlier.id, ranked[0].objective, weights, ranked[0].reused, score)
-
-
-def later_best(database: Database, campaign: StoredCampaign) -> Later | None:
-    """Returns the first set of the ranking of an ended campaign since others simulated cells that it had copied or predicted;
-    None if they simulated none."""
-    if not campaign.state.ended or campaign.best is None or campaign.resolution is None:
-        return None
-    if not campaign.cells.reused + campaign.cells.predicted:
-        return None
-    resolved = resolved_spec(campaign)
-    with database.read() as connection:
-        later = runs.simulated_later(connection, campaign.sequence, resolved.evaluator)
-    ranked = ranking(database, campaign, resolved, None) if later else None
-    if ranked is None or not ranked.ranked or ranked.ranked[0].violation > campaign.best.violation:
-        return None
-    first, (shown,) = ranked.ranked[0], ranked.solutions(0, 1)
-    by = dict.fromkeys(run.campaign for run in later if run.parameter_set == first.parameter_set)
-    gain = first.sign * (first.objective - campaign.best.objective)
-    return Later(first.objective, gain, shown.parameters, list(by))
-
-
-def _constrained_alike(database: Database, campaign: StoredCampaign, other: StoredCampaign) -> bool:
-    """Returns whether the pushes that two campaigns name allow the same sets."""
-    pushes = [stored_bundles(database)(each.spec["problem"]).manifest.constraints for each in (campaign, other)]
-    return pushes[0] == pushes[1]
-
-
-def _has_formula(database: Database, campaign: StoredCampaign) -> bool:
-    """Returns whether a campaign's score is computed from stored measures alone."""
-    score = stored_bundles(database)(campaign.spec["problem"]).manifest.scores.get(campaign.spec["evaluator"])
-    return score is not None and score.formula is not None
 
 
 def _other_score(database: Database, campaign: StoredCampaign, name: str, own: str) -> CellValue | None:

@@ -9,10 +9,10 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, case, func, select
 
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import COPIED, Donor
+from drivecal.domain.evaluations import Donor
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.bulk import execute_rows, insert, numbers, rows_among
-from drivecal.storage.engine.tables import campaigns, evaluations, parameter_sets, ratings, runs, setups
+from drivecal.storage.engine.tables import parameter_sets, ratings, runs, setups
 from drivecal.storage.engine.types import finite, now
 from drivecal.storage.references.metrics import Stored
 from drivecal.storage.references.metrics import pack as pack_metrics
@@ -20,17 +20,6 @@ from drivecal.storage.references.metrics import reader as metrics_reader
 
 RECENT_RUNS = 1_000
 """Newest runs of a setup whose mean predicts the cost of the next."""
-
-
-@dataclass(frozen=True, slots=True)
-class LaterRun:
-    """A run of the very cell that a calibration answered by a reference or a prediction: the id of the cell's set, its scenario, and the
-    campaign's id and evaluation that simulated it."""
-
-    parameter_set: int
-    scenario: str
-    campaign: str
-    evaluation: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,23 +270,3 @@ def recent_milliseconds(connection: Connection, fingerprints: Sequence[str]) -> 
         times = connection.scalars(newest.order_by(runs.c.id.desc()).limit(RECENT_RUNS)).all()
         means += [fmean(times)] if times else []
     return fmean(means) if fingerprints and len(means) == len(fingerprints) else None
-
-
-def simulated_later(connection: Connection, campaign_sequence: int, evaluator: str) -> list[LaterRun]:
-    """Returns the runs by which `results.answers` corrects copied scores of a calibration, but for those of its own."""
-    table, run = evaluations.c, runs.c
-    elsewhere = (run.campaign_sequence != campaign_sequence) | (run.stage != StageName.CALIBRATION)
-    query = (
-        select(table.parameter_set_id, table.scenario, campaigns.c.id, run.evaluation_id)
-        .join(runs, (run.setup_id == table.setup_id) & (run.parameter_set_id == table.parameter_set_id))
-        .join(ratings, (ratings.c.run_id == run.id) & (ratings.c.evaluator == evaluator))
-        .join(campaigns, campaigns.c.sequence == run.campaign_sequence)
-        .where(
-            table.campaign_sequence == campaign_sequence,
-            table.stage == StageName.CALIBRATION,
-            table.outcome.in_(COPIED),
-            elsewhere,
-        )
-        .order_by(table.iteration, table.individual, table.scenario)
-    )
-    return [LaterRun(*row) for row in connection.execute(query)]
