@@ -1,4 +1,4 @@
-"""Tests of what reuse did, over HTTP, on both databases: explanations, accounts, narrowed spaces, contradictions, reruns."""
+"""Tests of what reuse did, over HTTP, on both databases: explanations, accounts, contradictions, reruns."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from drivecal.storage import campaigns
 
 @dataclass(frozen=True)
 class Ended:
-    """A campaign with an analysis and a narrowed space, and its rerun, both ended."""
+    """A campaign with an analysis, and its rerun, both ended."""
 
     api: RunningApi
     first: dict[str, Any]
@@ -45,7 +45,7 @@ def _carry_out(api: RunningApi, campaign: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])
 def ended(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
-    changes = {"reduction": {"mode": "influence", "audit": 0.1, "max_error": 1, "narrow": True}}
+    changes = {"reduction": {"mode": "influence", "audit": 0.1, "max_error": 1}}
     with serving(new_database(request, request.param, tmp_path_factory.mktemp("reuse"))) as api:
         submitted = api.http.post("/api/v1/campaigns", json=WITH_ANALYSIS | changes)
         assert submitted.status_code == 202, submitted.text
@@ -114,8 +114,7 @@ def test_a_rerun_reports_what_it_saved_and_who_paid_for_the_map(ended: Ended) ->
     assert result.share_without_simulation > 0.5
 
 
-def test_the_campaign_shows_what_was_narrowed_and_what_contradicts(ended: Ended) -> None:
-    assert {item["parameter"] for item in ended.first["narrowed"]} == {"P2", "P3", "P4"}
+def test_the_campaign_shows_what_contradicts(ended: Ended) -> None:
     assert {name: rate["contradictions"] for name, rate in ended.first["error_rate"].items()} == {"S1": 0, "S2": 0}
 
 

@@ -26,7 +26,7 @@ def test_the_preview_of_a_campaign_warns_as_well(database: Database) -> None:
     document = {**study.spec, "optimizer": {"kind": "random"}, "validation": None}
     assert document["sensitivity"] == {"map": stored}
     limits: Any = SimpleNamespace(settings=Settings(largest_campaign=10**9))
-    warned = [{"mode": "influence"}, {"mode": "both", "max_error": 1}, {"mode": "predicted", "narrow": True}]
+    warned = [{"mode": "influence"}, {"mode": "both", "max_error": 1}]
     for reduction in warned:
         notes = expected(database, limits, CampaignSpecification.model_validate(document | {"reduction": reduction})).notes
         assert any(study.id in note for note in notes)

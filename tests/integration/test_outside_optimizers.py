@@ -297,10 +297,7 @@ def test_a_program_that_starts_again_goes_on_without_new_simulations(sqlite: Run
     assert min(whole, key=lambda answer: answer.loss).objective == campaign.best.objective
 
 
-def test_a_campaign_that_others_feed_is_neither_narrowed_nor_compared(sqlite: RunningApi) -> None:
-    maps = {"sensitivity": {"intervals": 2, "samples": 2}, "reduction": {"narrow": True}}
-    refused = problem_of(sqlite.http.post("/api/v1/campaigns", json=SPEC | maps), 422)
-    assert [error["field"] for error in refused["errors"]] == ["reduction.narrow"]
+def test_a_campaign_that_others_feed_is_not_compared(sqlite: RunningApi) -> None:
     compared = {"optimizers": [{"kind": "external"}, {"kind": "random"}], "seeds": [1, 2, 3], "populations": [10]}
     refused = problem_of(sqlite.http.post("/api/v1/comparisons", json=compared, headers={"Idempotency-Key": "a"}), 422)
     assert [error["field"] for error in refused["errors"]] == ["optimizers[0].kind"]

@@ -1,4 +1,4 @@
-"""Narrowed spaces, expert start sets and reruns by weights, scenarios and evaluator: whole campaigns on a formula."""
+"""Expert start sets and reruns by weights, scenarios and evaluator: whole campaigns on a formula."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -81,15 +81,14 @@ def test_expert_sets_are_in_the_start_population_after_the_baseline(database: Da
     baseline = dict.fromkeys(("P1", "P2", "P3", "P4"), 0.2)
     experts = [{"P1": 1, "P2": 0, "P3": 0.9, "P4": 0.1}, baseline, {"P1": 0, "P2": 1, "P3": 0.1, "P4": 0.9}]
     optimizer = WITH_ANALYSIS["optimizer"] | {"start_sets": experts}
-    for reduction in ({}, {"narrow": True}):
-        ended = _run(database, baseline=baseline, optimizer=optimizer, reduction=reduction)
-        with database.read() as connection:
-            rows = [row for row in results.stream(connection, ended.sequence) if row.stage is StageName.CALIBRATION]
-        first = {row.individual: numbers(row.parameters) for row in rows if row.iteration == 0}
-        given = [{name: first[place][name] for name in baseline} for place in range(3)]
-        assert given == [baseline, experts[0], experts[2]], "each once"
-        assert ended.baseline is not None
-        assert ended.baseline.objective is not None
+    ended = _run(database, baseline=baseline, optimizer=optimizer)
+    with database.read() as connection:
+        rows = [row for row in results.stream(connection, ended.sequence) if row.stage is StageName.CALIBRATION]
+    first = {row.individual: numbers(row.parameters) for row in rows if row.iteration == 0}
+    given = [{name: first[place][name] for name in baseline} for place in range(3)]
+    assert given == [baseline, experts[0], experts[2]], "each once"
+    assert ended.baseline is not None
+    assert ended.baseline.objective is not None
 
 
 @pytest.mark.usefixtures("strict")

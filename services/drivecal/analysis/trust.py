@@ -341,7 +341,7 @@ def _is_the_highest(campaign: Campaign) -> bool:
 
 
 def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[ResultVerdict]:
-    uses_map = _setting(campaign, "mode") in {"influence", "both"} or campaign.narrowed is not None
+    uses_map = _setting(campaign, "mode") in {"influence", "both"}
     compared = [(study, row) for study, row in rows if row.compared and row.error_rate is not None] if uses_map else []
     inspected = _is_inspected(campaign)
     limit = _setting(campaign, "max_error") if inspected else _DEFAULT.max_error

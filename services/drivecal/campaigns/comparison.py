@@ -132,7 +132,7 @@ def _campaign(
         "optimizer": optimizer.model_dump() | common,
         "reduction": reduction.model_dump(),
     }
-    if not (reduction.uses_map or reduction.narrow):  # useless to the campaign, and its cells would count
+    if not reduction.uses_map:  # useless to the campaign, and its cells would count
         document["sensitivity"] = None
     return validated(CampaignSpecification, document)
 

@@ -32,17 +32,7 @@ from sqlalchemy.sql.compiler import SQLCompiler
 from sqlalchemy.sql.functions import GenericFunction
 from sqlalchemy.types import TypeDecorator
 
-from drivecal.contracts.campaign import (
-    Baseline,
-    Best,
-    CellCounts,
-    Confirmation,
-    ErrorRate,
-    Narrowed,
-    Progress,
-    Released,
-    SearchState,
-)
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, Confirmation, ErrorRate, Progress, Released, SearchState
 from drivecal.domain.actions import Action
 from drivecal.domain.actions import change as change_by
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -163,8 +153,6 @@ class StoredCampaign(CampaignHeading):
     search: SearchState | None
     confirmation: Confirmation | None
     baseline: Baseline | None
-    narrowed: tuple[Narrowed, ...] | None
-    """The part that narrowing removed; None if not requested or not known yet."""
     simulating_seconds: float
     created_at: datetime
     started_at: datetime | None
@@ -433,11 +421,6 @@ def set_influence_map(connection: Connection, sequence: int, influence_map_id: s
     connection.execute(_of(sequence).values(influence_map_id=influence_map_id))
 
 
-def set_narrowed(connection: Connection, sequence: int, narrowed: Collection[Narrowed]) -> None:
-    """Stores the part that the common reduction removed from the search space."""
-    connection.execute(_of(sequence).values(narrowed=[parameter.model_dump(mode="json") for parameter in narrowed]))
-
-
 def degrade(connection: Connection, sequences: Collection[int], reason: str | None) -> None:
     """Stores why running campaigns are slow or stand still for now; None if they are not."""
     if not sequences:
@@ -504,7 +487,6 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         tags=tuple(row.tags),
         progress=Progress(**row.progress),
         confirmation=None if row.confirmation is None else Confirmation(**row.confirmation),
-        narrowed=None if row.narrowed is None else tuple(Narrowed(**parameter) for parameter in row.narrowed),
         released={scenario: Released(**rate) for scenario, rate in (row.released or {}).items()},
         error_rate={scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
         best=None if row.best is None else Best(**row.best),

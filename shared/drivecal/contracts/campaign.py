@@ -267,23 +267,6 @@ class Spent(Answer):
     minutes: float = 0.0
 
 
-class Narrowed(Answer):
-    """A parameter whose range was narrowed to the area in which it matters in any scenario, in parameter units, inclusive.
-
-    `lower` and `upper` are what is searched, `removed_values` of `values` grid points are left out. Where both are equal the parameter
-    is held: it matters in no scenario. A choice is held at the text `choice`, and its bounds are positions in its list.
-    """
-
-    parameter: str
-    lower: float
-    upper: float
-    full_lower: float
-    full_upper: float
-    values: int
-    removed_values: int
-    choice: str | None = None
-
-
 class Seconds(Answer):
     """`wall`: since the campaign started; `simulating`: CPU time of the workers."""
 
@@ -328,8 +311,6 @@ class Campaign(CellsByStage):
     ended_by: SearchEnd | Literal["cancelled", "failed"] | None = None
     """Why the search ended; null before, and without a search."""
     repaired: Repaired = Repaired()
-    narrowed: list[Narrowed] | None = None
-    """The part that `reduction.narrow` removed, by parameter; null if not requested or not known yet."""
     seconds: Seconds = Seconds()
     error: str | None = None
     notes: list[str] = []

@@ -55,7 +55,7 @@ class ComparisonSpecification(ProblemSpecification):
     reductions: Annotated[list[AnyReduction], Field(min_length=1, max_length=20, json_schema_extra=UNIQUE)] = Field(
         default_factory=lambda: EXACT_ALONE
     )
-    """Modes, alone or with settings. Only modes that use a map or `narrow` get it.
+    """Modes, alone or with settings. Only modes that use a map get it.
     All are `isolated`; those with references or predictions confirm up to 100 sets unless `confirm` is given."""
 
     @field_validator("reductions")

@@ -188,8 +188,6 @@ class ReductionSpecification(Model):
     """Share of simulated cells that run twice, to see whether they repeat, unless the problem says `deterministic: true`; 0: none."""
     max_error: Annotated[float, Field(gt=0, le=1)] = 0.02
     """Largest expected number of wrong answers released, per answer by a reference in lots; 1 makes no lots."""
-    narrow: bool = False
-    """Searches only the smallest common area, where some scenario is influenced (Section III)."""
     certified: bool = True
     """Accepted and without effect: see `contracts.campaign.CellCounts`."""
     confirm: Annotated[int, Field(ge=0, le=LARGEST_CONFIRM)] = 20

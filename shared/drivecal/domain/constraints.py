@@ -82,6 +82,11 @@ class Constraints:
         operations = sum(len(_OPERATION.findall(text)) for text in self.listed)
         return min(DRAWN, max(ANCHORS, MOST_OPERATIONS // max(operations, 1)))
 
+    @cached_property
+    def whole_region(self) -> FeasibleRegion:
+        """The feasible part of the space. Raises InvalidInputError as `region` does."""
+        return self.region(np.zeros_like(self.space.n_values), self.space.n_values - 1)
+
     def region(self, lower: Indices, upper: Indices) -> FeasibleRegion:
         """Returns the feasible part of the box from `lower` to `upper`, shape (n_searched,).
 
@@ -138,14 +143,6 @@ class Constraints:
                 columns = np.array(list(factors), dtype=np.int64)
                 row = HalfSpace(columns, np.array(list(factors.values())), bound)
                 yield _whole(row, origins[columns], steps[columns], is_strict=each.is_strict)
-
-    def allow_any(self, lower: Indices, upper: Indices) -> bool:
-        """Returns whether feasible points are found in a box, see `region`."""
-        try:
-            self.region(lower, upper)
-        except InvalidInputError:
-            return False
-        return True
 
     def check(self, parameters: ParameterSet, field_name: str) -> None:
         """Raises InvalidInputError naming the constraints that a set breaks."""

@@ -33,8 +33,6 @@ class InfluenceMap:
     scenarios: Mapping[str, Mapping[str, Influence]]
     ranges: Mapping[str, tuple[Decimal, Decimal]] = field(default_factory=dict)
     choices: Mapping[str, frozenset[str]] = field(default_factory=dict)
-    shares_bounds: bool = True
-    """True if a bound lies in the cut region as well, as the edge between two intervals of an analysis does."""
 
     def influence(self, scenario: str, parameter: str) -> Influence:
         """Returns the influence of one parameter in one scenario, `EVERYWHERE` if the map does not list it."""

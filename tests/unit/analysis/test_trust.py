@@ -17,7 +17,6 @@ from drivecal.contracts.campaign import (
     Confirmation,
     ErrorRate,
     FirstObjective,
-    Narrowed,
     Released,
     Study,
 )
@@ -127,8 +126,6 @@ def test_scenarios_with_the_same_fault_share_a_verdict() -> None:
 
 def test_a_wrong_map_does_not_matter_to_a_campaign_without_one() -> None:
     assert "map_wrong" not in lights(campaign("exact"), studies=[studied(validation(0.5, 0.4))])
-    narrowed = [Narrowed(parameter="P1", lower=0, upper=1, full_lower=0, full_upper=2, values=3, removed_values=1)]
-    assert "map_wrong" in lights(campaign("exact", narrowed=narrowed), studies=[studied(validation(0.5, 0.4))])
 
 
 def test_reuse_without_lots_is_held_against_its_audits() -> None:

@@ -14,10 +14,7 @@ from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
-from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, NotFoundError
-from drivecal.domain.influence import Influence, InfluenceMap
-from drivecal.reduction.narrowing import WholeSpace
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "problems" / "python-function" / "problem.yaml"
 MEASURES = {"min_gap_m": 4.0, "peak_deceleration": 8.0, "rms_jerk": 2.0, "braking_s": 1.5}
@@ -99,18 +96,6 @@ def test_a_score_that_tolerates_no_difference_is_noted_where_it_is_predicted(
     assert any("tolerance" in note for note in notes) == noted
     alone = {"optimizer": None, "sensitivity": {"samples": 2, "intervals": 2}}
     assert not any("tolerance" in note for note in resolved(changed, reduction=reduction, **alone).notes)
-
-
-def test_narrowing_holds_only_parameters_that_no_constraint_names(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = resolved(sensitivity={"map": "m"}, reduction={"mode": "both", "narrow": True})
-    nothing = dict.fromkeys(problem.space.names, Influence(influential=False))
-    influence_map = InfluenceMap(dict.fromkeys(problem.scenarios, nothing))
-    assert [cut.parameter for cut in problem.search_area(influence_map).narrowed()] == ["warning"]
-    influential = InfluenceMap(dict.fromkeys(problem.scenarios, nothing | {"warning": Influence(influential=True)}))
-    assert problem.search_area(influential).whole is WholeSpace.CONSTRAINED
-    monkeypatch.setattr(Constraints, "allow_any", lambda *_: False)
-    area = problem.search_area(influence_map)
-    assert (area.narrowed(), area.whole) == ([], WholeSpace.INFEASIBLE)
 
 
 @pytest.mark.parametrize(

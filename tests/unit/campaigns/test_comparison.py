@@ -50,14 +50,6 @@ def test_runs_come_by_optimizer_population_seed_and_reduction() -> None:
     assert last.fixed == COMPARED["fixed"]
 
 
-def test_a_run_that_only_narrows_gets_the_map() -> None:
-    reductions = ["exact", {"mode": "exact", "narrow": True}]
-    wanted = specification(sensitivity={"samples": 2, "intervals": 2}, reductions=reductions, iterations=2)
-    plain, narrowed = runs_of(wanted)[:2]
-    assert (plain.sensitivity, narrowed.sensitivity) == (None, wanted.sensitivity)
-    assert len(resolve_comparison(wanted).problems) == 8
-
-
 @pytest.mark.parametrize(
     ("given", "confirm"),
     [
@@ -118,12 +110,6 @@ def test_everything_that_is_wrong_is_told_at_once_and_once() -> None:
         "fixed.P9",
         "optimizers[1].colour",
     ]
-
-
-def test_a_reduction_that_cannot_be_is_named_by_its_place() -> None:
-    with pytest.raises(InvalidInputError) as refused:
-        resolve_comparison(specification(reductions=["exact", {"mode": "exact", "narrow": True}]))
-    assert [problem.field for problem in refused.value.problems] == ["reductions[1].narrow"]
 
 
 def test_a_search_by_the_cell_has_one_campaign_for_all_populations_and_every_search_the_budget() -> None:

@@ -93,13 +93,6 @@ def test_reuse_that_answers_one_score_is_settled_where_nobody_asked_for_it() -> 
     assert again.goals == problem.goals
 
 
-def test_a_map_of_one_score_narrows_no_search_for_another_value() -> None:
-    narrowed: dict[str, Any] = {"sensitivity": {}, "reduction": {"mode": "exact", "narrow": True}}
-    assert fields(objectives=[{"score": "comfort"}, JERK], **narrowed) == ["reduction.narrow"]
-    split = [{"score": "comfort", "name": name, "scenarios": [name]} for name in ("S1", "S2")]
-    assert resolved(objectives=split, **narrowed).specification.reduction.narrow
-
-
 def test_the_measures_of_the_closed_loop_are_those_of_its_runs() -> None:
     vehicle = SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
     runner = TaskRunner(HIGHWAY.scenarios["S1"], FRENET, vehicle, REFERENCE)

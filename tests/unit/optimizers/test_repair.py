@@ -13,7 +13,6 @@ from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
 from drivecal.optimizers.repair import RepairCount, RepairingOptimizer
 from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats, Proposal
-from drivecal.reduction.narrowing import full_area
 
 CURVE = [f"k{number}" for number in range(8)]
 MONOTONE = " >= ".join(CURVE)
@@ -57,8 +56,8 @@ def test_fewer_than_a_tenth_of_new_sets_is_a_collapse(proposed: int, distinct: i
 def test_a_start_population_within_constraints_is_drawn_there(plugin: DeclaringOptimizerPlugin) -> None:
     given = np.array([[90, 80, 70, 60, 50, 40, 30, 20]])
     optimization = Optimization(plugin, plugin.settings(population=200), None, 5)
-    population = optimization.begin(full_area(SPACE), CONSTRAINTS, given).ask().population
+    population = optimization.begin(CONSTRAINTS, given).ask().population
     assert CONSTRAINTS.feasible(population).all()
     assert population[:1].tolist() == given.tolist()
     assert len(np.unique(population, axis=0)) >= 198
-    assert population.tolist() == optimization.begin(full_area(SPACE), CONSTRAINTS, given).ask().population.tolist()
+    assert population.tolist() == optimization.begin(CONSTRAINTS, given).ask().population.tolist()

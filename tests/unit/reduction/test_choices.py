@@ -11,7 +11,6 @@ from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace
 from drivecal.reduction.explanation import CellComparison
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
-from drivecal.reduction.narrowing import common_area
 from drivecal.reduction.prediction import FeatureSpace
 from drivecal.storage.references.parameter_sets import parse
 
@@ -60,27 +59,6 @@ def test_another_choice_blocks_unless_it_does_not_matter_and_is_a_whole_range_aw
         assert comparison.distances(stored, np.ones_like(blocking)).tolist() == [1.0, 0.25, 1.0]
         (difference,) = comparison.differences(stored[2])
         assert (difference.parameter, difference.reference_region) == ("mode", "outside")
-
-
-def test_a_common_area_keeps_a_choice_or_holds_it() -> None:
-    nothing = np.empty((0, 2), dtype=np.int64)
-    everywhere = InfluenceMap({"S1": {"mode": MATTERS, "P": FREE}})
-    assert common_area(SPACE, everywhere, ["S1"], nothing).n_values.tolist() == [4]
-    free = InfluenceMap({"S1": {"mode": FREE}})
-    held = common_area(SPACE, free, ["S1"], nothing)
-    assert held.n_values.tolist() == [SPACE.n_values[1]]
-    assert held.kinds == ("continuous",)
-    assert [(cut.parameter, cut.choice) for cut in held.narrowed()] == [("mode", "sport")]
-    partly = InfluenceMap({"S1": {"mode": FREE}}, {}, {"mode": frozenset({"eco", "sport"})})
-    assert common_area(SPACE, partly, ["S1"], nothing).n_values.tolist() == SPACE.n_values.tolist()
-
-
-def test_given_sets_leave_a_choice_whole_unless_they_agree() -> None:
-    free = InfluenceMap({"S1": {"mode": FREE}})
-    area = common_area(SPACE, free, ["S1"], np.array([[0, 0], [2, 0]]))
-    assert (area.n_values.tolist(), area.narrowed()) == (SPACE.n_values.tolist(), [])
-    held = common_area(SPACE, free, ["S1"], np.array([[2, 0], [2, 5]])).narrowed()
-    assert [(cut.choice, cut.removed_values) for cut in held] == [(SPACE.searched[0].choices[2], 3)]
 
 
 def test_features_and_places_are_positions_in_the_campaigns_list() -> None:

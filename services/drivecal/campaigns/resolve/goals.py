@@ -55,9 +55,6 @@ def check_reuse(
     """Returns the settings of reuse under these goals, with a note: references, predictions and maps know one score only."""
     if goals is None or not goals.computed:
         return reduction, ()
-    if reduction.narrow:
-        message = "the influence map knows the campaign's score only, and would hold parameters that matter to other goals"
-        diagnostics.add("reduction.narrow", message, "leave it out, or give goals of the campaign's score alone")
     if not (reduction.predicts or reduction.uses_map):
         return reduction, ()
     named = ", ".join(sorted({goal.name for goal in (*goals.objectives, *goals.bounds) if goal.value.key != SCORE}))

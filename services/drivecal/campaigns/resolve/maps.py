@@ -193,7 +193,7 @@ def warnings_of(
     """Returns the `doubts` about the map that a campaign names and uses; none for a map of its own analysis."""
     reduction = problem.specification.reduction
     given = isinstance(problem.specification.sensitivity, MapReference)
-    if influence_map_id is None or not given or not (reduction.uses_map or reduction.narrow):
+    if influence_map_id is None or not given or not reduction.uses_map:
         return []
     return doubts(connection, influence_map_id, reduction.max_error, before)
 
@@ -283,10 +283,7 @@ def stored_map(stored: StoredInfluenceMap) -> InfluenceMap:
             choices[name] = frozenset({value})
         else:
             ranges[name] = value, value
-    shares_bounds = (
-        stored.basis is not None
-    )  # a posted range is influential up to its bounds, and says nothing of an analysis' edges
-    return InfluenceMap(map_from_document(stored.scenarios).scenarios, ranges, choices, shares_bounds)
+    return InfluenceMap(map_from_document(stored.scenarios).scenarios, ranges, choices)
 
 
 def map_from_document(document: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> InfluenceMap:

@@ -30,9 +30,7 @@ from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, SensitivitySpecification
 from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.constraints import Constraints
-from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
-from drivecal.reduction.narrowing import SearchArea, WholeSpace, common_area, full_area
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 
 
@@ -88,14 +86,6 @@ class CalibrationProblem:
         """Grid indices of the start sets, shape (n, n_searched)."""
         rows = [self.space.indices(parameter_set.values) for parameter_set in self.start_sets]
         return np.array(rows, dtype=np.int64).reshape(len(rows), len(self.space.searched))
-
-    def search_area(self, influence_map: InfluenceMap | None) -> SearchArea:
-        """Returns the common area if `reduction.narrow` requests it, widened to hold the start sets; else the whole space. It depends only
-        on specification and influence map, so a campaign can resume. A common area without a set that keeps all constraints is not used."""
-        if influence_map is None or not self.specification.reduction.narrow:
-            return full_area(self.space)
-        area = common_area(self.space, influence_map, self.scenarios, self.start_indices, self.constraints.names)
-        return area if self.constraints.allow_any(area.first, area.last) else full_area(self.space, WholeSpace.INFEASIBLE)
 
     def expected_runs(self) -> ExpectedRuns:
         """The number of simulations if no cell can be answered without one."""
@@ -181,7 +171,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     reduction, more = check_reuse(specification.reduction, goals, diagnostics)
     specification = specification.model_copy(update={"reduction": reduction})
     notes += more
-    resolvers.check_abilities(optimization, constraints, goals, diagnostics, narrows=specification.reduction.narrow)
+    resolvers.check_abilities(optimization, constraints, goals, diagnostics)
     notes += resolvers.note_search(optimization, constraints)
     if specification.baseline is None:
         baseline, more = resolvers.own_baseline(workbench.baseline, constraints)
@@ -192,9 +182,6 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     start_sets = resolvers.find_start_sets(specification, baseline, constraints, diagnostics, population)
     robust_sets = resolvers.find_robust_sets(specification, workbench.varied, constraints, diagnostics)
     resolvers.check_validation(specification, diagnostics)
-    if specification.reduction.narrow and specification.sensitivity is None:
-        remedy = "ask for a sensitivity analysis, name a map, or leave `narrow` out"
-        diagnostics.add("reduction.narrow", "there is no influence map to narrow the search space by", remedy)
     analysed = specification.sensitivity
     if constraints is not None and isinstance(analysed, SensitivitySpecification):
         diagnostics.attempt(lambda: resolvers.plan_analysis(analysed, constraints, tuple(weights)))

@@ -21,7 +21,6 @@ from drivecal.contracts.specification import (
 )
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace, Setting
-from drivecal.domain.regions import FeasibleRegion
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.vehicles import VehicleParameter
@@ -30,7 +29,6 @@ from drivecal.optimizers.repair import RepairingOptimizer, create_optimizer, lac
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Ability, ConstrainedFunction, Optimizer, OptimizerPlugin
 from drivecal.plugins.search import SearchPlugin
-from drivecal.reduction.narrowing import SearchArea
 from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.thresholds import SensitivitySettings
@@ -97,27 +95,25 @@ class Optimization:
         requested = self.by_population.requested_individuals(self.settings)
         return self.population * self.iterations * scenarios, requested * scenarios
 
-    def begin(self, area: SearchArea, constraints: Constraints, start: Indices | None) -> Optimizer:
-        """Returns a new optimizer of an area whose proposals keep the constraints; `start`: rows of its first population.
+    def begin(self, constraints: Constraints, start: Indices | None) -> Optimizer:
+        """Returns a new optimizer of the space whose proposals keep the constraints; `start`: rows of its first population.
 
         Constraints fill the population up with feasible rows, for the optimizer's own start design knows none.
         """
+        space = constraints.space
         if not constraints:
-            return create_optimizer(self.by_population, self.settings, area.n_values, area.kinds, start)
-        region = constraints.region(area.first, area.last)
-        drawn = area.contract(region.sample(self.population, np.random.Generator(np.random.PCG64(self.seed))))
+            return create_optimizer(self.by_population, self.settings, space.n_values, space.kinds, start)
+        region = constraints.whole_region
+        drawn = region.sample(self.population, np.random.Generator(np.random.PCG64(self.seed)))
         start = drawn if start is None else np.concatenate([start, drawn])[: self.population]
-        optimizer = create_optimizer(self.by_population, self.settings, area.n_values, area.kinds, start)
-        return _repairing(optimizer, area, region)
+        optimizer = create_optimizer(self.by_population, self.settings, space.n_values, space.kinds, start)
+        return RepairingOptimizer(optimizer, region.repair)
 
-    def restore(self, area: SearchArea, constraints: Constraints, state: Mapping[str, Any]) -> Optimizer:
+    def restore(self, constraints: Constraints, state: Mapping[str, Any]) -> Optimizer:
         """Returns the optimizer that continues from `state`."""
-        optimizer = restore_optimizer(self.by_population, self.settings, area.n_values, area.kinds, state)
-        return _repairing(optimizer, area, constraints.region(area.first, area.last)) if constraints else optimizer
-
-
-def _repairing(optimizer: Optimizer, area: SearchArea, region: FeasibleRegion) -> Optimizer:
-    return RepairingOptimizer(optimizer, lambda population: area.contract(region.repair(area.expand(population))))
+        space = constraints.space
+        optimizer = restore_optimizer(self.by_population, self.settings, space.n_values, space.kinds, state)
+        return RepairingOptimizer(optimizer, constraints.whole_region.repair) if constraints else optimizer
 
 
 def find_scenarios(
@@ -328,20 +324,12 @@ def find_constraints(function: Parameterised | None, space: ParameterSpace, diag
 
 
 def check_abilities(
-    optimization: Optimization | None,
-    constraints: Constraints | None,
-    goals: Goals | None,
-    diagnostics: Diagnostics,
-    *,
-    narrows: bool = False,
+    optimization: Optimization | None, constraints: Constraints | None, goals: Goals | None, diagnostics: Diagnostics
 ) -> None:
     """Adds a problem for each kind of parameter that the optimizer does not search, for constraints on parameters that it does not cope
-    with, for several objectives or constraints on results if it handles a single number only, and if it `narrows` a space that others
-    search."""
+    with, and for several objectives or constraints on results if it handles a single number only."""
     if optimization is None or constraints is None:
         return
-    if optimization.is_external and narrows:
-        diagnostics.add("reduction.narrow", "others choose the sets, in the whole space", "leave it out")
     wanted: set[Ability] = {*constraints.space.kinds, *(("constraints",) if constraints else ())}
     name = optimization.plugin.name
     if goals is not None and goals.is_vector and "objectives" not in supported(optimization.plugin):

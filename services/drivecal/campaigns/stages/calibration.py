@@ -60,8 +60,7 @@ from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import AskedCell, CellAnswer
 from drivecal.reduction.assignment import Policy
 from drivecal.reduction.audit import clopper_pearson
-from drivecal.reduction.narrowing import begun_area
-from drivecal.storage import campaigns, evaluations, events, generations, results
+from drivecal.storage import evaluations, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -92,12 +91,7 @@ class Calibration(Stage):
         self._ranking = self._answers.ranking
         self._best, self._baseline = campaign.best, campaign.baseline
         self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
-        self._area = problem.search_area(view.influence_map)
-        if campaign.narrowed is not None:
-            self._area = begun_area(self._area, campaign.narrowed)
         self._notes = problem.notes
-        if problem.specification.reduction.narrow:
-            self._notes = (*problem.notes, self._area.note())
         self._repeatable_no_more = campaign.cells.unrepeatable > 0
         self._search = campaign.search or SearchState(room=room_for(view.workers), began_at=now())
         self._asker: Asker | None = None
@@ -198,16 +192,16 @@ class Calibration(Stage):
             self._compute(partial(self._population_asker, last, populations))
 
     def _population_asker(self, last: StoredGeneration | None, populations: Sequence[Any]) -> PopulationAsker:
-        problem, area, chosen = self._problem, self._area, self._optimization
+        problem, chosen = self._problem, self._optimization
         if last is None:
-            start = area.contract(problem.start_indices) if problem.start_sets else None
-            optimizer = chosen.begin(area, problem.constraints, start)
+            start = problem.start_indices if problem.start_sets else None
+            optimizer = chosen.begin(problem.constraints, start)
         elif last.optimizer_state is None:
             raise RuntimeError(f"generation {last.iteration} has no optimizer state")
         else:
-            optimizer = chosen.restore(area, problem.constraints, last.optimizer_state)
+            optimizer = chosen.restore(problem.constraints, last.optimizer_state)
             populations = populations or [last.population]
-        shape = chosen.population, area.n_values
+        shape = chosen.population, problem.space.n_values
         scenarios, seeds = len(problem.scenarios), problem.least_replicates
         return PopulationAsker(optimizer, chosen.plugin.name, shape, scenarios, populations, seeds)
 
@@ -217,7 +211,7 @@ class Calibration(Stage):
         plugin, settings = self._by_cell, self._optimization.settings
         if plugin is None or not isinstance(self._answers, CellAnswers):
             raise RuntimeError("the search is no search by the cell")
-        task = search_task(self._database, self._view, self._problem, self._area, self._answers.aim)
+        task = search_task(self._database, self._view, self._problem, self._answers.aim)
         state = {} if last is None else (last.optimizer_state or {}).get("search", {})
         search = plugin.begin(settings, task) if last is None else plugin.resume(settings, task, rounds, answers, state)
         return CellAsker(search, self._search.room, self._problem.least_replicates)
@@ -271,8 +265,6 @@ class Calibration(Stage):
             (self._asker, _), self._computation = self._computation.result(), None
         with self._database.transaction() as connection:
             if self._next == 0:
-                if self._problem.specification.reduction.narrow:
-                    campaigns.set_narrowed(connection, self._campaign.sequence, self._area.narrowed())
                 self._remember_baseline(connection)
                 return self._tracker.load(connection, share_runs=self._policy().mode != "off")
             here = connection, self._campaign.sequence, self.name, self._next - 1
@@ -322,7 +314,7 @@ class Calibration(Stage):
     def _next_batch(self) -> Round:
         number = self._next - 1
         asked, batch, problem = self._asked[number], self._batches.pop(0), self._problem
-        sets = dict(zip(batch, problem.space.parameter_sets(self._area.expand(asked.population[batch])), strict=True))
+        sets = dict(zip(batch, problem.space.parameter_sets(asked.population[batch]), strict=True))
         given = {individual: parameters in problem.start_sets for individual, parameters in sets.items()}
         wanted = [
             RequestedCell(individual, problem.scenarios[place], sets[individual], is_given=given[individual], seed=seed)

@@ -15,11 +15,10 @@ from drivecal.campaigns.stages.asking import WINDOW, AskedRound
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import CellScore, RequestedCell
-from drivecal.domain.parameters import Indices, ParameterSet
+from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace
 from drivecal.optimizers.population import start_population
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, AskedCell, CellAnswer, SearchTask
-from drivecal.reduction.narrowing import SearchArea
 from drivecal.storage import campaigns, evaluations, generations
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import runs
@@ -33,41 +32,35 @@ STALE = 50
 """Generations without a new set after which a search with a budget ends: its space is exhausted, or its population stands still."""
 
 
-def search_task(
-    database: Database, view: View, problem: CalibrationProblem, area: SearchArea, aim: WeightedScore | JudgedGoals
-) -> SearchTask:
+def search_task(database: Database, view: View, problem: CalibrationProblem, aim: WeightedScore | JudgedGoals) -> SearchTask:
     """Returns the task of a campaign's search. It depends on what was stored when the campaign began, and on nothing later."""
     chosen = problem.optimization
     if chosen is None:
         raise ValueError("the campaign has no search")
-    constraints, region = problem.constraints, None
-    if constraints:
-        region = constraints.region(area.first, area.last)
-
-    def feasible(rows: Indices) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        return constraints.feasible(area.expand(rows))
+    space, constraints = problem.space, problem.constraints
+    region = constraints.whole_region if constraints else None
 
     def repair(rows: Indices) -> Indices:
-        return rows if region is None else area.contract(region.repair(area.expand(rows)))
+        return rows if region is None else region.repair(rows)
 
     def sample(count: int, generator: np.random.Generator) -> Indices:
         if region is None:
-            return start_population("lhs", count, area.n_values, generator, None)
-        return area.contract(region.sample(count, generator))
+            return start_population("lhs", count, space.n_values, generator, None)
+        return region.sample(count, generator)
 
     limit = problem.search_simulations
     is_cut_off = problem.specification.reduction.mode == "off"
-    known = [] if is_cut_off else _known(database, view, problem, area, aim)
-    start = area.contract(problem.start_indices)
+    known = [] if is_cut_off else _known(database, view, problem, aim)
+    start = problem.start_indices
     best = [indices for indices in best_known(aim, known) if list(indices) not in start.tolist()]
     return SearchTask(
-        n_values=area.n_values,
-        kinds=area.kinds,
+        n_values=space.n_values,
+        kinds=space.kinds,
         aim=aim,
-        feasible=feasible,
+        feasible=constraints.feasible,
         repair=repair,
         sample=sample,
-        start=np.concatenate([start, np.array(best, dtype=np.int64).reshape(len(best), len(area.n_values))]),
+        start=np.concatenate([start, np.array(best, dtype=np.int64).reshape(len(best), len(space.n_values))]),
         known=[answer for answer in known if answer.cell.indices not in best],
         cells=None if limit is None else most_cells(limit, problem.bench.repeated_share) // problem.least_replicates,
         window=WINDOW,
@@ -148,10 +141,8 @@ def best_known(aim: Aim, known: Sequence[CellAnswer]) -> list[tuple[int, ...]]:
     return list(best)
 
 
-def _known(
-    database: Database, view: View, problem: CalibrationProblem, area: SearchArea, aim: WeightedScore | JudgedGoals
-) -> list[CellAnswer]:
-    """Returns the stored answers of sets in the area, in the order of references."""
+def _known(database: Database, view: View, problem: CalibrationProblem, aim: WeightedScore | JudgedGoals) -> list[CellAnswer]:
+    """Returns the stored answers of sets in the space, in the order of references."""
     evaluator, answers = view.bench.evaluator_id, []
     with database.transaction() as connection:
         watermark = campaigns.first_watermark(connection, view.campaign)  # the same again is the same
@@ -160,7 +151,7 @@ def _known(
             stored = runs.rated(connection, setups[scenario], evaluator, watermark, MOST_KNOWN)
             measured = {} if problem.goals is None else runs.values_of(connection, [run.evaluation for run in stored])
             for run in stored:
-                indices = _place_in(area, run.parameters)
+                indices = _place_in(problem.space, run.parameters)
                 if indices is None:
                     continue
                 values = {SCORE: run.score}
@@ -172,12 +163,9 @@ def _known(
     return answers
 
 
-def _place_in(area: SearchArea, parameters: ParameterSet) -> tuple[int, ...] | None:
-    """Returns the grid indices of a set in an area; None if it lies outside."""
+def _place_in(space: ParameterSpace, parameters: ParameterSet) -> tuple[int, ...] | None:
+    """Returns the grid indices of a set in a space; None if it lies outside."""
     try:
-        indices = np.array(area.space.indices(parameters.values), dtype=np.int64)
+        return tuple(space.indices(parameters.values))
     except InvalidInputError:
         return None
-    if ((indices < area.first) | (indices > area.last)).any():
-        return None
-    return tuple(area.contract(indices[np.newaxis])[0].tolist())

@@ -18,7 +18,6 @@ from drivecal.cli.views.sections import (
     evaluation_command,
     failures_table,
     lots_table,
-    narrowed_table,
     percent,
     shortened,
     solutions_table,
@@ -170,7 +169,6 @@ def print_results(results: CampaignResults) -> None:
     print_blocks(
         [
             *trust_blocks(results.trust),
-            *narrowed_table(campaign.narrowed),
             *audits_table(campaign.error_rate, campaign.scale),
             *lots_table(campaign.released),
             *failures_table(results.failures),

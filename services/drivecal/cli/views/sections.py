@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.assignments import value_text
-from drivecal.contracts.campaign import ErrorRate, Narrowed, Released
+from drivecal.contracts.campaign import ErrorRate, Released
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.results import ResultTrust
 from drivecal.contracts.specification import EvaluationSpecification, VehicleSpecification
@@ -141,19 +141,6 @@ def account_blocks(account: Accounting | None) -> list[Block]:
     caption = f"Savings and costs, in {clock} time of the workers"
     blocks: list[Block] = [account.sentence, Table(["", f"{clock} s"], rows, caption)]
     return [*blocks, *(f"  {remark}" for remark in account.remarks)]
-
-
-def narrowed_table(narrowed: Sequence[Narrowed] | None) -> list[Block]:
-    """Returns the parts that were cut from the search space; nothing without one."""
-    rows = [
-        [
-            *(cut.parameter, cut.choice or cut.lower, cut.choice or cut.upper),
-            *(cut.full_lower, cut.full_upper, cut.removed_values, cut.values),
-        ]
-        for cut in narrowed or ()
-    ]
-    header = ["parameter", "lower", "upper", "of lower", "of upper", "values left out", "of"]
-    return [Table(header, rows, "The search was narrowed to where some scenario is influenced")] if rows else []
 
 
 def solutions_table(solutions: Sequence[Solution]) -> list[Block]:

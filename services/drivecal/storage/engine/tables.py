@@ -62,7 +62,6 @@ campaigns = Table(
     Column("iteration", Integer),
     Column("spec", Document, nullable=False),
     Column("resolution", Document),
-    Column("narrowed", Document),
     Column("rerun_of", Name, ForeignKey("campaigns.id")),
     Column("influence_map_id", Name, ForeignKey("influence_maps.id")),
     # `of` of the specification's stages: the campaigns whose best sets and whose predictions it studies.

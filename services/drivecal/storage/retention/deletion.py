@@ -90,15 +90,7 @@ def remove_cells(database: Database, sequence: int) -> None:
 
 
 def _mark(connection: Connection, sequence: int, identifier: str) -> None:
-    emptied: dict[str, Any] = {
-        "tags": [],
-        "comment": "",
-        "notes": [],
-        "best": None,
-        "confirmation": None,
-        "baseline": None,
-        "narrowed": None,
-    }
+    emptied: dict[str, Any] = {"tags": [], "comment": "", "notes": [], "best": None, "confirmation": None, "baseline": None}
     freed: dict[str, Any] = {"influence_map_id": None, "idempotency_key": None, "error_rate": {}, "released": None}
     marked = {"deleted_at": now(), "revision": campaigns.c.revision + 1}
     connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(emptied | freed | marked))
