@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 from tests.support.effort import examples
 
 from drivecal.analysis.robustness import (
+    Robustness,
     RobustnessSettings,
     RobustnessStudy,
     deviation,
     directions,
+    failing_at_most,
     holds,
     undetected_share,
     vehicles,
@@ -131,3 +133,7 @@ def test_vehicles_that_hold_leave_the_share_open_that_they_would_miss_once_in_tw
     for samples in (1, 30, 1000):
         assert (1 - undetected_share(samples)) ** samples == pytest.approx(0.05)
     assert undetected_share(30, 20) == pytest.approx(0.181, abs=1e-3), "the recommended one of 20 sets"
+    held, broken = Robustness(2, False, 0.02, ()), Robustness(0, False, 0.0, ())
+    assert failing_at_most(held, RobustnessSettings(), 20) == undetected_share(30, 20)
+    assert failing_at_most(broken, RobustnessSettings(), 20) is None
+    assert failing_at_most(held, RobustnessSettings(condition="mean"), 20) is None
