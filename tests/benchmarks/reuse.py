@@ -1,5 +1,8 @@
 """What reuse saves in a first campaign, everything counted, against none: `python tests/benchmarks/run.py reuse [--seeds 10] [...]`.
 
+`--pairs` prints for each campaign its printed and its true net saving, i.e. the CPU time of `off` less its own. Both are of all
+processes: workers, dispatcher, API, supervisor. `--of function` takes a function of 10 ms in the place of the built-in problem.
+
 Campaigns of the paper's size (1,000 individuals, 20 iterations, six scenarios) with each kind of reuse and with none (`off`), each on a
 database of its own, with ready workers, in a turning order, for every seed. Runs, CPU time (workers and predictor) and wall time last to
 the confirmed optimum: sensitivity analysis, samples, walks, fits, audits and confirmation are in them. Ratios and differences are paired
@@ -19,6 +22,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -26,6 +30,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
+import yaml
 from scipy.stats import t as student
 from tests.benchmarks.efficiency import wait_for_workers
 
@@ -44,6 +50,7 @@ KINDS: dict[str, dict[str, Any]] = {
     "predicted": {"reduction": {"mode": "predicted", "confirm": 20}},
     "predicted, a point off": {"reduction": {"mode": "predicted", "confirm": 20, "tolerance": 1, "limit": 0.01}},
 }
+PROBLEMS: dict[str, dict[str, Any]] = {"motorway": {}, "function": {"problem": "function"}}
 PAPER = 1000, 20
 """The paper's size: individuals and iterations."""
 WANTED = {"predicted": {"runs": 0.60}, "predicted, a point off": {"runs": 0.40}}
@@ -52,6 +59,27 @@ WANTED_ELSEWHERE = {"wall": 1.05}
 """Largest mean ratios of every kind with predictions, at any other size: a small search may save less, but not lose."""
 MARGIN = 1 / 12
 """Points by which the confirmed optimum may be worse in the mean."""
+OFF_BY = 0.1, 1.0
+"""Largest error of the printed net saving: a share of the true one, or seconds."""
+LEAST_NET = -0.02
+"""Smallest net saving, as a share of the CPU time of `off`."""
+FUNCTION = """
+import time
+
+def evaluate(parameters, data):
+    end, number = time.process_time() + 0.01, data["number"]
+    while time.process_time() < end:
+        pass
+    return {"miss": sum(((x - 0.1 * number) * (1 + place % 3)) ** 2 for place, x in enumerate(parameters.values()))}
+"""
+MANIFEST = {
+    "problem": "function",
+    "parameters": {f"x{place}": {"lower": 0, "upper": 1} for place in range(6)},
+    "simulator": {"kind": "python", "file": "function.py", "function": "evaluate", "deterministic": True},
+    "scenarios": {f"S{number}": {"number": number} for number in range(1, 7)},
+    "measures": {"miss": "1"},
+    "scores": {"best": {"formula": "miss", "direction": "minimise", "range": [0, 30], "tolerance": 0.5}},
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +125,8 @@ class Outcome:
     released: int
     rejected: int
     day: str = ""
+    net: float = 0.0
+    """The printed net saving, in seconds."""
     measured_with: Circumstances = Circumstances()
 
     @staticmethod
@@ -106,39 +136,66 @@ class Outcome:
         return Outcome(**document | {"measured_with": Circumstances(**document.get("measured_with", {}))})
 
 
-def carry_out(specification: Mapping[str, Any]) -> Campaign:
-    """Carries a campaign out on a new database, with workers that are ready before."""
+class CpuTime:
+    """The CPU time of the processes that this one started, and of theirs: of each as it was last seen."""
+
+    def __init__(self) -> None:
+        self._seen: dict[psutil.Process, float] = {}
+        self._before = self._sum()
+
+    def _sum(self) -> float:
+        for process in psutil.Process().children(recursive=True):
+            with suppress(psutil.Error):
+                self._seen[process] = sum(process.cpu_times()[:2])
+        return sum(self._seen.values())
+
+    def seconds(self) -> float:
+        """Returns the CPU time since this was made. Call it often: a process may end."""
+        return self._sum() - self._before
+
+
+def carry_out(specification: Mapping[str, Any]) -> tuple[Campaign, float, float]:
+    """Carries a campaign out on a new database, with workers that are ready before; returns it with the CPU time of all processes and its
+    printed net saving (s)."""
     with fresh_folder(HOME), coordinator(HOME) as client:
+        if "problem" in specification:
+            (HOME / "function").mkdir()
+            (HOME / "function" / "function.py").write_text(FUNCTION, encoding="utf-8")
+            (HOME / "function" / "problem.yaml").write_text(yaml.safe_dump(MANIFEST), encoding="utf-8")
+            client.push_problem(HOME / "function")
         wait_for_workers(client)
+        cpu = CpuTime()
         campaign = client.submit(dict(specification))
         while campaign.state not in {"succeeded", "failed", "cancelled"}:
-            time.sleep(1.0)
+            cpu.seconds()
+            time.sleep(0.5)
             campaign = client.campaign(campaign.id)
         if campaign.state != "succeeded":
             raise RuntimeError(f"the campaign ended as {campaign.state}: {campaign.error}")
-        return campaign
+        spent = cpu.seconds()
+        accounting = client.results(campaign.id).accounting
+        return campaign, spent, 0.0 if accounting is None else accounting.net_seconds
 
 
-def measured(kind: str, seed: int, population: int, iterations: int, circumstances: Circumstances) -> Outcome:
+def measured(kind: str, seed: int, size: tuple[int, int], of: str, circumstances: Circumstances) -> Outcome:
     """Carries a campaign out."""
-    optimizer = {"kind": "genetic", "population": population, "iterations": iterations, "seed": seed}
-    specification = {"name": kind, "sensitivity": None, "optimizer": optimizer} | KINDS[kind]
-    campaign = carry_out(specification)
+    optimizer = {"kind": "genetic", "population": size[0], "iterations": size[1], "seed": seed}
+    specification = {"name": kind, "sensitivity": None, "optimizer": optimizer} | PROBLEMS[of] | KINDS[kind]
+    campaign, cpu, net = carry_out(specification)
     if campaign.best is None:
         raise RuntimeError(f"{kind}, seed {seed}: no set has a result in every scenario")
-    predictor = sum(lots.seconds for lots in campaign.released.values())
     return Outcome(
         kind,
         seed,
-        population,
-        iterations,
+        *size,
         sum(cells.simulated + cells.failed for cells in campaign.stages.values()),
-        campaign.seconds.simulating + predictor,
+        cpu,
         campaign.seconds.wall,
         campaign.best.objective,
         sum(lots.predicted for lots in campaign.released.values()),
         sum(lots.rejected for lots in campaign.released.values()),
         datetime.now(UTC).date().isoformat(),
+        net,
         circumstances,
     )
 
@@ -163,6 +220,20 @@ def table(outcomes: Mapping[tuple[str, int], Outcome], seeds: Sequence[int], nam
             shown = "".join(f"{mean:>9.3f} ({low:.3f}, {high:.3f})" for mean, low, high in ratios)
             mean, low, high = interval([one.best - off.best for one, off in pairs])
             yield f"{kind:36}{shown}{mean:>+12.4f} ({low:+.4f}, {high:+.4f})"
+
+
+def pairs(outcomes: Mapping[tuple[str, int], Outcome], seeds: Sequence[int]) -> Iterator[str]:
+    """Yields a line for each campaign: printed and true net saving, the latter as a share of `off`, and what is not as wanted."""
+    yield f"{'':36}{'printed net':>14}{'true net':>14}{'of off':>10}{'runs':>16}"
+    for (kind, seed), each in outcomes.items():
+        if kind == "off" or seed not in seeds:
+            continue
+        off = outcomes["off", seed]
+        true = off.cpu - each.cpu
+        wrong = " printed wrongly" * (abs(each.net - true) > max(OFF_BY[0] * abs(true), OFF_BY[1]))
+        wrong += " a loss" * (true < LEAST_NET * off.cpu)
+        runs = f"{each.runs:,} of {off.runs:,}"
+        yield f"{f'{kind}, seed {seed}':36}{each.net:>12.1f} s{true:>12.1f} s{true / off.cpu:>10.1%}{runs:>16}{wrong}"
 
 
 def wanted(kind: str, size: tuple[int, int]) -> Mapping[str, float]:
@@ -204,8 +275,13 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "--commit", action="append", default=[], help="whose campaigns count as well as those of the current code"
     )
+    parser.add_argument("--of", choices=list(PROBLEMS), default="motorway", help="with --pairs")
+    parser.add_argument(
+        "--pairs", action="store_true", help="printed and true net savings alone; campaigns are made and not kept"
+    )
     parser.add_argument("--counts", action="store_true", help="runs and optima alone; campaigns of any machine count")
     given = parser.parse_args(arguments)
+    os.environ["DRIVECAL_HOME"] = str(HOME)  # whose secret pushes problems
     names = ("runs",) if given.counts else ("runs", "cpu", "wall")
     kinds = [kind for kind in KINDS if kind == "off" or given.only is None or kind in given.only]
     given.file.parent.mkdir(parents=True, exist_ok=True)
@@ -219,15 +295,22 @@ def main(arguments: list[str]) -> int:
         and item.measured_with.commit in {here.commit, *given.commit}
     }
     seeds = range(1, given.seeds + 1)
+    if given.pairs:
+        outcomes = {}
     for seed in seeds:
         turned = [*kinds[seed % len(kinds) :], *kinds[: seed % len(kinds)]]
         for kind in turned:
             if (kind, seed) not in outcomes:
-                outcome = outcomes[kind, seed] = measured(kind, seed, *size, here)
-                with given.file.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(outcome)) + "\n")
+                outcome = outcomes[kind, seed] = measured(kind, seed, size, given.of, here)
+                if not given.pairs:
+                    with given.file.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(asdict(outcome)) + "\n")
                 print(f"seed {seed}, {kind}: {outcome.runs:,} runs, {outcome.wall:.0f} s, best {outcome.best:.4f}", flush=True)
     print()
+    if given.pairs:
+        lines = list(pairs(outcomes, seeds))
+        print("\n".join(lines))
+        return int(any(line.endswith(("wrongly", "loss")) for line in lines))
     print("\n".join(table(outcomes, seeds, names)))
     problems = missed(outcomes, seeds, names, size)
     print("\n".join(problems))

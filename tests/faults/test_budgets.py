@@ -1,4 +1,4 @@
-"""Budgets on a real server: a counter inside the program beside `runs`, while the program crashes and hangs and processes are killed."""
+"""Budgets on a real server: a counter inside the program and `runs` agree while the program crashes and hangs and processes are killed."""
 
 import random
 import sys

@@ -44,20 +44,6 @@ def _run(database: Database, campaign: StoredCampaign, backend: ComputedBackend 
     raise AssertionError("the campaign did not end")
 
 
-def test_what_a_later_campaign_may_need_is_prepared_once_and_only_after_a_while_without_any(database: Database) -> None:
-    campaign = submit(database)
-    states: list[CampaignState] = []
-    working = dispatcher(database, when_idle=lambda: states.append(_get(database, campaign).state))
-    for _ in range(3_000):
-        working.step()
-        if _get(database, campaign).state.ended:
-            break
-    assert not states
-    for _ in range(100):
-        working.step()
-    assert states == [CampaignState.SUCCEEDED]
-
-
 def test_a_campaign_runs_to_its_end_and_every_cell_has_its_answer(database: Database) -> None:
     ended = _run(database, submit(database))
     assert ended.state is CampaignState.SUCCEEDED

@@ -15,9 +15,10 @@ from tests.support.effort import tries
 from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, influenced, rows_of, run, step_until, submit
 from tests.support.storage import new_evaluation
 
+from drivecal.analysis.verdicts import confirmation_verdict
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
-from drivecal.campaigns.cells.predicting import slice_size
+from drivecal.campaigns.cells.predicting import LotPlanner, slice_size
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
 from drivecal.configuration.settings import load_settings
@@ -199,6 +200,52 @@ def simple(scenario: str, cell: Cell) -> CellResult:
     del scenario
     score = round(6 * cell.parameters["P1"])
     return CellResult(cell.id, float(score), score, {"rating": float(score)}, None, 500.0)
+
+
+def test_a_set_that_was_dismissed_on_a_prediction_gets_a_last_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A predictor that finds every set bad hides the best ones; with all answers it sees them, also if the dispatcher was killed."""
+    from drivecal.reduction.forest import Forest
+
+    predict, looked = Forest.predict, LotPlanner.worth_a_look
+
+    def pessimistic(self: Forest, features: Any) -> Any:
+        right = predict(self, features)
+        nothing = right.scores * 0.0
+        return replace(right, scores=right.scores.clip(None, 3.0), mean=nothing, variance=nothing)
+
+    def look(self: LotPlanner, *arguments: Any) -> list[int]:
+        monkeypatch.setattr(Forest, "predict", predict)
+        return looked(self, *arguments)
+
+    def ended(name: str, deaths: int) -> tuple[StoredCampaign, set[int]]:
+        database = migrated(f"sqlite:///{tmp_path / name}")
+        monkeypatch.setattr(Forest, "predict", pessimistic)
+        campaign = ask(database, population=200, confirm=20, tolerance=7.0)
+        working = dispatcher(database, ComputedBackend(answer=slowly))
+        for _ in range(20_000):
+            working.step()
+            if (now := get(database, campaign)).state.ended:
+                break
+            if deaths and now.search is not None and now.search.last_look:
+                deaths, working = deaths - 1, dispatcher(database, ComputedBackend(answer=slowly))
+        own = [row.parameter_set_id for row in rows_of(database, campaign) if row.outcome is Outcome.SIMULATED]
+        database.dispose()
+        return now, {number for number, count in Counter(own).items() if count == 2}
+
+    monkeypatch.setattr(LotPlanner, "worth_a_look", look)
+    (campaign, whole), (killed, _) = ended("a.db", 0), ended("b.db", 3)
+    assert campaign.search is not None
+    assert killed.search is not None
+    assert campaign.search.last_look
+    assert set(campaign.search.last_look) <= whole
+    assert campaign.confirmation is not None
+    assert campaign.confirmation.dismissed > 0
+    assert f"{campaign.confirmation.dismissed:,} sets dismissed" in confirmation_verdict(campaign.confirmation).text
+    assert (killed.best, killed.confirmation, killed.search.last_look) == (
+        campaign.best,
+        campaign.confirmation,
+        campaign.search.last_look,
+    )
 
 
 def test_a_search_whose_scenarios_are_known_ends_with_a_set_that_was_simulated(database: Database) -> None:

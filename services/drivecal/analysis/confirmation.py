@@ -1,7 +1,8 @@
 """Confirmation of a search's best set, or of its front, by simulation if scores are references'. Pure.
 
 A search that reuses scores prefers sets whose references are too good. So the first set of the ranking is simulated if it has a
-reference's score, and the ranking is computed again. This repeats until the first set has only scores of its own.
+reference's score, and the ranking is computed again. This repeats until the first set has only scores of its own. Predictions may also be
+too bad: sets that were dismissed on a prediction alone get a last look, if all answers together say that they may be better.
 """
 
 from collections.abc import Sequence
@@ -14,19 +15,26 @@ from drivecal.domain.rounding import same
 
 @dataclass(slots=True)
 class Confirming:
-    """Confirmation of a search: at most `limit` sets are `tried`, once each, by id; `believed` is the search's best objective."""
+    """Confirmation of a search: at most `limit` sets are `tried`, once each, by id; `believed` is the search's best objective,
+    `last_look` has the ids of dismissed sets to try as well."""
 
     limit: int
     believed: float
     tried: list[int] = field(default_factory=list)
+    last_look: Sequence[int] = ()
 
     def choose(self, ranking: Ranking) -> EvaluatedSet | None:
-        """Returns the next set to simulate; None if the first of the ranking has only scores of its own, or nothing more may be tried."""
-        return None if len(self.tried) >= self.limit else ranking.doubtful(self.tried)
+        """Returns the next set to simulate; None if the first of the ranking has only scores of its own and the last look is over, or
+        nothing more may be tried."""
+        if len(self.tried) >= self.limit:
+            return None
+        seconds = (ranking.predicted(number) for number in self.last_look if number not in self.tried)
+        return ranking.doubtful(self.tried) or next(filter(None, seconds), None)
 
     def is_changed(self, best: EvaluatedSet) -> bool:
         """Returns whether the first of the final ranking is another set than the search believed, or has another objective."""
-        return best.parameter_set != self.tried[0] or not same(best.objective, self.believed, best.span)
+        is_other = best.parameter_set != self.tried[0] and self.tried[0] not in self.last_look
+        return is_other or not same(best.objective, self.believed, best.span)
 
     def outcome(self, best: EvaluatedSet, untried: EvaluatedSet | None = None) -> Confirmation:
         """Returns the outcome.

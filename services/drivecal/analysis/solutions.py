@@ -328,6 +328,16 @@ class Ranking:
         ]
         return min(candidates, key=self.order, default=None)
 
+    def dismissed(self) -> dict[int, Mapping[str, CellScore]]:
+        """The answers of the sets with a predicted score, the best believed set first, by their ids."""
+        return {
+            each.parameter_set: self._answers[each.parameter_set] for each in sorted(self._predicted.values(), key=self.order)
+        }
+
+    def predicted(self, parameter_set: int) -> EvaluatedSet | None:
+        """A set with a predicted score; None for others."""
+        return self._predicted.get(parameter_set)
+
     def front(self) -> list[FrontMember]:
         """The sets that no other set dominates, best first objective first, each vector of objectives once: of equal ones a set whose
         scores are all its own, then the first of the ranking. Infeasible ones only while no set is feasible. Needs goals."""

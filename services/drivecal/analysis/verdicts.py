@@ -20,6 +20,7 @@ CONFIRMED = {
     "unconfirmed": "Not confirmed: the best set's score in {copied:list} is still a copy; {tried:n set} (reduction.confirm) tried.",
     "unconfirmed_failed": "Not confirmed: the best set's score in {copied:list} is still a copy, for its simulation failed; "
     "{tried:n set} tried.",
+    "dismissed": "{dismissed:n set} dismissed on a prediction alone.",
     "front_confirmed": "Confirmed by simulation: the {front:n set} of the front have only scores of their own; {tried:n set} tried.",
     "front_untried": "Better sets may exist: others are believed to be on the front; no more than {tried:n set} (reduction.confirm) "
     "were tried.",
@@ -113,7 +114,10 @@ def confirmation_verdict(confirmation: Confirmation) -> ResultVerdict:
             "as the search believed" if equal else f"the search believed {objective_text(confirmation.believed)}"
         )
     lights: dict[str, Light] = {"confirmed": "green", "untried": "amber", "unconfirmed": "red"}
-    return verdict(code, lights[confirmation.state], **numbers)
+    found = verdict(code, lights[confirmation.state], **numbers)
+    if not confirmation.dismissed:
+        return found
+    return found.model_copy(update={"text": f"{found.text} {sentence('dismissed', numbers)}"})
 
 
 class _Words(Formatter):

@@ -15,7 +15,6 @@ from importlib.util import find_spec
 from typing import Any, TypeVar
 
 from drivecal.bundles.installed import installed
-from drivecal.campaigns.cells.predicting import load_predictors
 from drivecal.campaigns.resolve.problem import trial
 from drivecal.cluster import pulse
 from drivecal.configuration import logs, memory
@@ -102,7 +101,6 @@ def _dispatch(
             WorkPool(backend, StoredLeases(database), resources=resources),
             heartbeat.tell,
             running_campaigns=settings.running_campaigns,
-            when_idle=load_predictors,
         )
         dispatcher.run(stop)
     except BackendLostError as error:

@@ -125,8 +125,6 @@ TIDY_SECONDS, BUSY_TIDY_SECONDS = 60.0, 1.0
 """Intervals of tidying, and while there is more to remove than goes in a transaction."""
 EVENTS_KEPT = timedelta(days=30)
 """Age of events after which they are forgotten; the last one of each campaign stays."""
-IDLE_SECONDS = 15.0
-"""Time without a campaign after which the dispatcher prepares for the next: longer than it takes to start a server and submit."""
 TRACES_KEPT, MOST_TRACES = timedelta(days=1), 200
 RETRY_SECONDS = 5.0
 """Delay before a campaign resumes whose cells were answered or simulated elsewhere."""
@@ -144,22 +142,18 @@ class Dispatcher:
         tell: Callable[[Sequence[WorkerInfo], str | None, Waits], None] = lambda *_: None,
         *,
         running_campaigns: int = 8,
-        when_idle: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`running_campaigns` limits concurrent campaigns, without single evaluations.
-        `when_idle` is called once, after `IDLE_SECONDS` without a campaign: it prepares what a later one may need."""
+        """`running_campaigns` limits concurrent campaigns, without single evaluations."""
         self._database = database
         self._pool = pool
         self._tell = tell
         self._running_campaigns = running_campaigns
-        self._when_idle: Callable[[], None] | None = when_idle
         self._clock = clock
         self._active: dict[int, Active] = {}
         self._in_line: list[CampaignHeading] = []
         """Campaigns that wait to be started, or to go on, in their order."""
         self._next_look = self._next_tell = self._next_tidy = 0.0
-        self._idle_at = clock() + IDLE_SECONDS
 
     def run(self, stop: threading.Event) -> None:
         """Works until `stop` is set. Waits for a database that does not answer, and continues when it is back.
@@ -186,11 +180,6 @@ class Dispatcher:
         if self._clock() >= self._next_look:
             self._look()
             self._next_look = self._clock() + LOOK_SECONDS
-            if self._active:
-                self._idle_at = self._clock() + IDLE_SECONDS
-            elif self._when_idle is not None and self._clock() >= self._idle_at:
-                self._when_idle()
-                self._when_idle = None
         if self._clock() >= self._next_tidy:
             more = self._tidy()
             self._next_tidy = self._clock() + (BUSY_TIDY_SECONDS if more else TIDY_SECONDS)

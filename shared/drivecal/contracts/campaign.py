@@ -141,13 +141,11 @@ class Released(Answer):
     at most `limit` (AOQL) times the `inspected` predictions: all in lots, with samples and rejected lots. `upper_95`: a time-uniform
     upper limit of the share of errors among released answers; null before the first. `mean_error`, `largest_error`: how far off the
     samples of released lots were, in the score's unit, which estimates the released answers; null before the first.
-    `asked`: of all `batches`, those in which the predictor was asked. In the `early` ones before, too little was known; in the others
-    afterwards, asking would have cost more than it saves. `seconds`: CPU time of the predictor.
+    `asked`: batches in which the predictor was asked: not before enough is known, and not if it costs more than it saves. `seconds`: CPU
+    time of the predictor.
     """
 
-    batches: int = 0
     asked: int = 0
-    early: int = 0
     lots: int = 0
     inspected: int = 0
     rejected: int = 0
@@ -203,12 +201,14 @@ class Confirmation(Answer):
     """Simulation of the best set of a search, or of its front, whose scores may be copies. `confirmed`: it has only scores of its own;
     `untried`: so it has, but others that are believed to be better were not simulated; `unconfirmed`: a score is still a copy.
 
-    `tried`: simulated sets. `objective`: that of the best set, `believed`: that with which the search ended, `reach`: that of an untried
-    set; all null for a front. `copied`: scenarios in which the best set's score is a copy, `failed`: its simulation failed. `front`: sets
-    of the front, null for a single objective, `front_copied`: those with a copy."""
+    `tried`: simulated sets, `dismissed`: sets that were dismissed on a prediction alone. `objective`: that of the best set, `believed`:
+    that with which the search ended, `reach`: that of an untried set; all null for a front. `copied`: scenarios in which the best set's
+    score is a copy, `failed`: its simulation failed. `front`: sets of the front, null for a single objective, `front_copied`: those with
+    a copy."""
 
     state: Literal["confirmed", "untried", "unconfirmed"]
     tried: int
+    dismissed: int = 0
     objective: float | None = None
     believed: float | None = None
     reach: float | None = None
@@ -252,6 +252,10 @@ class SearchState(Answer):
     stale: int = 0
     """Closed generations without a new set, up to now."""
     repaired: Repaired = Repaired()
+    predictions_off: str | None = None
+    """Why predictions are off; null while they are on, or too little is known."""
+    last_look: list[int] | None = None
+    """Ids of dismissed sets to simulate after the search; null before its end."""
     spent_minutes: float | None = None
     """Minutes of the whole search; null before its end."""
 

@@ -38,7 +38,8 @@ class RunOutcome:
     """Result of one simulation: `measures` by name, the name of a `failure` of the system under test, and time series by name.
 
     `cpu_seconds`: CPU time of child processes during the run, no part of the result; `start_seconds`: time before the run for
-    another start of the simulator, which is no run's. `replay`: the drive from above, reported with the series by `highway` alone.
+    another start of the simulator, which is no run's; `queued_seconds`: time in which the run waited for a core. `replay`: the drive from
+    above, reported with the series by `highway` alone.
     """
 
     measures: Mapping[str, float]
@@ -46,6 +47,7 @@ class RunOutcome:
     series: Mapping[str, Sequence[float]] = field(default_factory=dict)
     cpu_seconds: float = field(default=0.0, compare=False)
     start_seconds: float = field(default=0.0, compare=False)
+    queued_seconds: float = field(default=0.0, compare=False)
     replay: ReplayAnswer | None = field(default=None, compare=False)
 
 

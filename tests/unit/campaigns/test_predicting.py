@@ -1,7 +1,5 @@
 """When a predictor is asked, and in which batches."""
 
-import math
-from dataclasses import replace
 from decimal import Decimal
 from types import SimpleNamespace
 from typing import Any
@@ -18,9 +16,8 @@ from drivecal.campaigns.cells.predicting import (
     LIKELY,
     LotPlanner,
     batch_of,
-    pays,
+    expected_saving,
     released_by_scenario,
-    skipped_text,
     slice_size,
     training_seconds,
 )
@@ -41,63 +38,59 @@ def lot(size: int, sample: int = 16, *, seconds: float = 1.0, known: int = 1000,
     return StoredLot(1, 0, "S1", size, sample, 1, 0.0, 0.05, known, seconds, Outcome.PREDICTED, 1, verdict, errors)
 
 
-PARAMETERS = 11
-TRAINING = training_seconds(1000, PARAMETERS)
-"""CPU seconds; cells take a hundredth of it in the tests below."""
-SHARE_ASKED = ASKING_SECONDS / TRAINING
+PARAMETERS, SECONDS = 11, 0.005
+AHEAD = 3000.0, 10.0
+SPACE = ParameterSpace((Parameter("P1", Decimal(0), Decimal(1), 11),))
 
 
-def just_paid(share: float, *, paid: bool = True) -> StoredLot:
-    """The lot that saves so many hundredths of a training, or one cell less."""
-    return lot(16 + math.ceil(100 * share - 1e-9) - (0 if paid else 1))
+def planner_of(weights: dict[str, float]) -> LotPlanner:
+    view: Any = SimpleNamespace(names=("P1",), campaign=1, bench=SimpleNamespace(scale=COMFORT))
+    return LotPlanner(view, SPACE, ReductionSpecification(mode="predicted"), weights, 200)
 
 
-@pytest.mark.parametrize(
-    ("lots_so_far", "known", "cell_seconds", "expected"),
-    [
-        ([], 100, 0.0, True),
-        ([just_paid(1 + SHARE_ASKED)], 1100, TRAINING / 100, True),
-        ([just_paid(1 + SHARE_ASKED, paid=False)], 1100, TRAINING / 100, False),
-        ([lot(0, 0)], 1250, (TRAINING + ASKING_SECONDS) / (LIKELY * 99), True),
-        ([lot(0, 0)], 1250, (TRAINING + ASKING_SECONDS) / (LIKELY * 101), False),
-        ([lot(0, 0), just_paid(1 + 2 * SHARE_ASKED)], 1100, TRAINING / 100, True),
-        ([lot(216, errors=2), just_paid(1 + SHARE_ASKED)], 1100, TRAINING / 100, False),
-        ([lot(200), lot(0, 0, known=1100)], 1374, 1.0, False),
-        ([lot(200), lot(0, 0, known=1100)], 1375, 1.0, True),
-    ],
-)
-def test_a_predictor_is_trained_if_it_saves_more_than_it_costs(
-    lots_so_far: list[StoredLot], known: int, cell_seconds: float, expected: bool
-) -> None:
-    assert pays(lots_so_far, known, 100, PARAMETERS, cell_seconds) is expected
+def nets(served: list[StoredLot], ahead: tuple[float, float] = AHEAD, known: int = 1000, seconds: float = SECONDS) -> float:
+    saved, cost = expected_saving(served, known, ahead, PARAMETERS, seconds)
+    return saved - cost
 
 
-@pytest.mark.parametrize(
-    ("again", "expected"),
-    [
-        ([], True),
-        ([lot(0, 0)], True),
-        ([lot(216, errors=2), lot(0, 0)], True),
-        ([lot(0, 0)] * 2 + [just_paid(3 * SHARE_ASKED)], True),
-        ([lot(0, 0)] * 2 + [just_paid(3 * SHARE_ASKED, paid=False)], False),
-        ([lot(0, 0)] * 3 + [just_paid(4 * SHARE_ASKED)], True),
-        ([just_paid(2 * SHARE_ASKED), lot(0, 0), lot(0, 0)], False),
-    ],
-)
-def test_a_trained_predictor_is_asked_again_a_few_times_and_then_if_its_predictions_alone_pay(
-    again: list[StoredLot], expected: bool
-) -> None:
-    """Training costs ten times as much as its first lot saved: that is spent, and predicting costs little."""
-    assert pays([lot(26), *again], 1099, 100, PARAMETERS, TRAINING / 100) is expected
+def test_predictions_are_expected_to_save_a_share_of_what_is_ahead_until_lots_say_how_much() -> None:
+    saved, cost = expected_saving([], 1000, AHEAD, PARAMETERS, SECONDS)
+    assert saved == pytest.approx(LIKELY * 3000 * SECONDS)
+    assert training_seconds(1000, PARAMETERS) < cost < 10 * (training_seconds(4000, PARAMETERS) + ASKING_SECONDS)
+    assert expected_saving([], 1000, AHEAD, PARAMETERS, 2 * SECONDS)[0] == pytest.approx(2 * saved)
+    better, worse = [lot(216)] * 3, [lot(0, 0), lot(216, errors=2)] * 3
+    assert nets(better) > nets([]) > nets(worse)
+    assert nets([lot(216)] * 20 + worse) == pytest.approx(nets(worse))
+
+
+def test_predictions_never_save_more_cells_than_are_ahead() -> None:
+    saved, _ = expected_saving([lot(5016)] * 6, 1000, (100.0, 1.0), PARAMETERS, SECONDS)
+    assert saved == pytest.approx(100 * SECONDS)
+
+
+def test_a_training_that_was_done_costs_nothing_more() -> None:
+    once = (100.0, 1.0)
+    assert nets([lot(0, 0)], once, known=1099) > nets([lot(0, 0)], once, known=1100) + training_seconds(1000, PARAMETERS) / 2
 
 
 def test_a_predictor_that_is_trained_once_more_after_a_crash_is_judged_as_before() -> None:
-    served = [just_paid(1 + 2 * SHARE_ASKED), lot(0, 0)]
-    trained_again = [served[0], replace(served[1], seconds=60.0)]
-    for known in (1000, 1100, 1250):
-        assert pays(served, known, 100, PARAMETERS, TRAINING / 100) is pays(
-            trained_again, known, 100, PARAMETERS, TRAINING / 100
-        )
+    assert nets([lot(216, seconds=60.0), lot(0, 0)]) == nets([lot(216), lot(0, 0)])
+
+
+@pytest.mark.parametrize(("seconds", "begins"), [(0.0, False), (0.001, False), (0.1, True)])
+def test_predictions_begin_if_they_save_more_than_they_cost_and_say_why_not(seconds: float, begins: bool) -> None:
+    planner = planner_of({"S1": 0.5, "S2": 0.5})
+    assert planner.is_ready(*AHEAD)
+    assert planner.off is None  # nothing is known so far
+    for learner in planner._learners.values():
+        learner.learn(np.random.default_rng(1).random((200, 1)), np.ones(200), np.ones(200))
+    planner._recent_seconds = seconds
+    if not planner.is_ready(*AHEAD):
+        predicting._LOADING.join()
+    assert planner.is_ready(*AHEAD)
+    assert (planner._chosen, planner.off is None) == ({"S1", "S2"} if begins else set(), begins)
+    planner.predict({1: SPACE.parameter_sets(np.array([[3]]))[0]})
+    assert set(planner._forecasts) == planner._chosen
 
 
 def test_batches_are_slices_of_the_start_population_then_generations() -> None:
@@ -121,20 +114,9 @@ def test_the_first_slice_that_others_follow_is_enough_to_predict_the_next(popula
 
 def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:
     stored = [lot(116), lot(216, errors=3), lot(316, errors=None), lot(0, 0, errors=None)]
-    by_scenario = released_by_scenario(stored, ["S1", "S2"], 0.05, batches=6, number=lambda _: 1, sizes={"S1": (0.1, 0.5)})
+    by_scenario = released_by_scenario(stored, ["S1", "S2"], 0.05, {"S1": (0.1, 0.5)})
     released = by_scenario["S1"]
-    assert [(each.asked, each.batches) for each in by_scenario.values()] == [(4, 6), (0, 6)]
-    assert [each.early for each in by_scenario.values()] == [1, 6]
-    text = skipped_text(by_scenario)
-    assert text is not None
-    early, late, unsure = text.split(";")
-    assert "S1 (1 of 6)" in early
-    assert "S2 (6 of 6)" in early
-    assert "S1 (1 of 6)" in late
-    assert "S2" not in late
-    assert "S1 (2 of 6)" in unsure
-    assert "S2" not in unsure
-    assert skipped_text({"S1": released.model_copy(update={"asked": 6, "early": 0, "lots": 6})}) is None
+    assert [each.asked for each in by_scenario.values()] == [4, 0]
     assert (released.lots, released.rejected, released.predicted, released.sampled, released.different) == (2, 1, 100, 32, 3)
     assert released.seconds == 4.0
     assert [(each.mean_error, each.largest_error) for each in by_scenario.values()] == [(0.1, 0.5), (None, None)]
@@ -145,10 +127,8 @@ def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:
 def test_sets_within_reach_of_the_best_one_are_simulated_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     """By their predicted objective, or by two standard deviations above the believed mean."""
     monkeypatch.setattr(lots, "insert", lambda _, __, new: list(range(len(new))))
-    space = ParameterSpace((Parameter("P1", Decimal(0), Decimal(1), 11),))
-    view: Any = SimpleNamespace(names=("P1",), campaign=1, bench=SimpleNamespace(scale=COMFORT))
     weights = {"S1": 0.5, "S2": 0.5}
-    planner = LotPlanner(view, space, ReductionSpecification(mode="predicted"), weights, 200)
+    planner = planner_of(weights)
     cells = [
         new_evaluation(StageName.CALIBRATION, 1, place, scenario, 1, place, Outcome.SIMULATED)
         for place in range(98)

@@ -157,13 +157,22 @@ class Children:
 
     def timed(self, run: Callable[[], RunOutcome]) -> RunOutcome:
         """Returns the outcome of a run, to whose CPU time that of all children during it is added; a NoMeasuresError has it as well."""
-        before = self.cpu_seconds()
+        before, queued = self.cpu_seconds(), self._queued_seconds()
         try:
             outcome = run()
         except NoMeasuresError as error:
             detail = self._scratch.shown(error.detail)
             raise NoMeasuresError(error.breakdown, detail, max(self.cpu_seconds() - before, 0.0)) from None
-        return replace(outcome, cpu_seconds=max(outcome.cpu_seconds + self.cpu_seconds() - before, 0.0))
+        spent, waited = outcome.cpu_seconds + self.cpu_seconds() - before, self._queued_seconds() - queued
+        return replace(outcome, cpu_seconds=max(spent, 0.0), queued_seconds=max(waited, 0.0))
+
+    def _queued_seconds(self) -> float:
+        """Returns the time for which the children, and this thread, were ready to run and waited for a core (`schedstat`)."""
+        total = 0
+        for path in ("/proc/thread-self/schedstat", *(f"/proc/{pid}/schedstat" for pid in self._family)):
+            with contextlib.suppress(OSError):
+                total += int(Path(path).read_bytes().split()[1])
+        return total / 1e9
 
     def scan(self) -> None:
         """Looks for descendants as `look`, if the last look is long ago compared with its own time."""

@@ -210,7 +210,7 @@ class BundleSessions:
                 starts=self._starts,
             )
         milliseconds = milliseconds_since(start) + 1000 * outcome.cpu_seconds
-        wall_milliseconds = 1000 * (time.perf_counter() - began - outcome.start_seconds)
+        wall_milliseconds = 1000 * (time.perf_counter() - began - outcome.start_seconds - outcome.queued_seconds)
         repeats, spent = self._repeated(setup, parameters, outcome) if cell.check else (None, 0.0)
         return CellResult(
             id=cell.id,

@@ -1,13 +1,12 @@
 """Predicts the cells of a calibration batch by batch, and accepts predictions in lots.
 
 A batch is a slice of the start population or a later generation. Its predictors learn from all earlier
-answers that were simulated, so lots depend on stored rows, never on the order of answers. The stored times of simulations decide whether a
-predictor pays.
+answers that were simulated, so lots depend on stored rows, never on the order of answers. The stored times of simulations decide whether
+predictions pay: they begin when their expected saving to the end of the search exceeds their cost.
 """
 
 import math
 import os
-import sys
 import threading
 import time
 from collections import defaultdict
@@ -17,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from itertools import groupby
+from statistics import fmean
 
 import numpy as np
 from sqlalchemy import Connection
@@ -25,7 +25,7 @@ from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.contracts.campaign import Released
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
+from drivecal.domain.evaluations import CellScore, Donor, Outcome, RequestedCell
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scales import Scale, plain
 from drivecal.reduction.lots import SamplingPlan, most_released
@@ -44,7 +44,7 @@ from drivecal.reduction.prediction import (
 from drivecal.storage import evaluations, lots
 from drivecal.storage.engine.types import ORDER
 from drivecal.storage.lots import KnownAnswer, LotVerdict, NewLot, StoredLot
-from drivecal.storage.references import runs
+from drivecal.storage.references import parameter_sets, runs
 
 SMALLEST_SLICE, LARGEST_SLICE, SLICES = FEWEST_KNOWN, 250, 4
 """Fewest and most sets, and wanted number of slices, of a start population that is learned from slice by slice. After a smaller slice too
@@ -76,13 +76,10 @@ class _Forecast:
     seconds: float
 
 
-_PREDICTORS = "drivecal.reduction.regression_forest"
-
-
-def load_predictors() -> None:
-    """Loads the default predictors in a thread: scikit-learn takes seconds, which nothing should wait for."""
-    if _PREDICTORS not in sys.modules:
-        threading.Thread(target=import_module, args=(_PREDICTORS,), name="predictors", daemon=True).start()
+_LOADING = threading.Thread(
+    target=import_module, args=("drivecal.reduction.regression_forest",), name="predictors", daemon=True
+)
+"""Loads the default predictors: scikit-learn takes seconds, which other campaigns do not wait for."""
 
 
 def _predictor(scale: Scale, tolerance: float) -> Predictor:
@@ -117,13 +114,21 @@ class LotPlanner:
         self._counted = 0
         """Id of the newest of these cells."""
         self._newest: int | None = None
+        self._recent_seconds = 0.0
         self._rows: dict[int, int] = {}
         self._forecasts: dict[str, _Forecast] = {}
         self._not_stored: dict[str, float] = defaultdict(float)
         """Seconds of forecasts without a cell to predict, by scenario: the next lot accounts for them."""
+        self._shared = 0.0
+        """CPU seconds of all scenarios together that no lot accounts for so far: reading, loading, planning."""
+        self._chosen: set[str] = set()
+        """Scenarios in which predictions pay to the end of the search."""
+        self.off: str | None = None
+        """Why predictions are off; None while too little is known, and once they have begun."""
 
     def learn(self, connection: Connection) -> None:
         """Reads the answers and lots since the last call. No cell of the campaign may wait for its answer."""
+        began = time.thread_time()
         self._lots_so_far = lots.of_campaign(connection, self._view.campaign, Outcome.PREDICTED)
         occupied, self._counted = evaluations.occupied(connection, self._view.campaign, self._counted)
         for scenario, (cells, microseconds) in occupied.items():
@@ -132,6 +137,8 @@ class LotPlanner:
         setups = ensure_setups(connection, self._view.bench)
         if self._newest is None:
             self._newest = 0
+            fingerprints = [setup.fingerprint for setup in self._view.bench.setups.values()]
+            self._recent_seconds = (runs.recent_milliseconds(connection, fingerprints) or 0.0) / 1000
             for scenario, learner in self._learners.items():
                 rated = runs.rated(
                     connection, setups[scenario], self._view.bench.evaluator_id, self._view.watermark, MOST_KNOWN
@@ -149,11 +156,41 @@ class LotPlanner:
         for scenario, listed in by_scenario.items():
             for _, batch in groupby(listed, key=self._batch):
                 self._take(self._learners[scenario], list(batch))
+        self._shared += time.thread_time() - began
+
+    def is_ready(self, sets: float, batches: float) -> bool:
+        """Decides in which scenarios predictions pay, if so many sets in batches are ahead; returns whether what they need is loaded. Call
+        it after `learn`."""
+        known = {scenario: learner.known for scenario, learner in self._learners.items() if learner.trained_on}
+        served = {scenario: [lot for lot in self._lots_so_far if lot.scenario == scenario] for scenario in known}
+        expected = {
+            name: expected_saving(served[name], count, (sets, batches), len(self._view.names), self._cell_seconds(name))
+            for name, count in known.items()
+        }
+        paying = {name for name, (saved, cost) in expected.items() if saved > cost}
+        loading = 0.0 if self._lots_so_far else LOADING_SECONDS
+        pay = sum(saved - cost for saved, cost in map(expected.__getitem__, paying)) > loading
+        self._chosen = paying if pay else set()
+        if batches > 1.0 or not self._lots_so_far:
+            self.off = self._reason({name: pair for name, pair in expected.items() if name not in self._chosen}, loading)
+        if not self._chosen:
+            return True
+        if _LOADING.ident is None:
+            _LOADING.start()
+            self._shared += LOADING_SECONDS
+        return not _LOADING.is_alive()
+
+    def _reason(self, left_out: Mapping[str, tuple[float, float]], loading: float) -> str | None:
+        """Returns why predictions are off in scenarios with these savings and costs; None without such a scenario."""
+        saved, cost = (sum(pair[part] for pair in left_out.values()) for part in (0, 1))
+        words = f"they would probably save {saved:,.2g} s of simulations, and take {cost + loading:,.2g} s of CPU time"
+        return f"predictions are off in {', '.join(left_out)}: {words}" if left_out else None
 
     def _cell_seconds(self, scenario: str) -> float:
-        """Returns the mean time for which the runs that answered a scenario's cells occupied their workers; 0 before the first."""
-        cells, microseconds = self._occupied.get(scenario, (1, 0))
-        return microseconds / cells / 1e6
+        """Returns the mean time for which the runs that answered a scenario's cells occupied their workers; before the first, that of the
+        newest stored runs."""
+        cells, microseconds = self._occupied.get(scenario, (0, 0))
+        return microseconds / cells / 1e6 if cells else self._recent_seconds
 
     def _batch(self, answer: KnownAnswer) -> Batch:
         return batch_of(answer.stage, answer.iteration, answer.individual, self._slice)
@@ -171,24 +208,15 @@ class LotPlanner:
             learner.observe(predicted, confidence, scores[asked], weight)
 
     def predict(self, sets: Mapping[int, ParameterSet]) -> None:
-        """Predicts a batch, by individual; takes seconds, so call it outside of any transaction. Skips scenarios without enough known
-        answers, and those in which the predictor costs more than it saves."""
+        """Predicts a batch, by individual; takes seconds, so call it outside of any transaction, once `is_ready`. Skips scenarios in which
+        predictions do not pay."""
         self._rows, self._forecasts = {individual: row for row, individual in enumerate(sets)}, {}
         if not sets:
             return
         features = self._features(list(sets.values()))
-        asked = [
-            scenario
-            for scenario, learner in self._learners.items()
-            if pays(
-                [lot for lot in self._lots_so_far if lot.scenario == scenario],
-                learner.known,
-                len(sets),
-                features.shape[1],
-                self._cell_seconds(scenario),
-            )
-        ]
+        self._forecasts = self._forecast(sorted(self._chosen), features)
 
+    def _forecast(self, asked: Sequence[str], features: Floats) -> dict[str, _Forecast]:
         def forecast(scenario: str) -> _Forecast | None:
             began = time.thread_time()
             learner = self._learners[scenario]
@@ -197,19 +225,46 @@ class LotPlanner:
 
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             forecasts = dict(zip(asked, pool.map(forecast, asked), strict=True))
-        self._forecasts = {scenario: each for scenario, each in forecasts.items() if each is not None}
+        return {scenario: each for scenario, each in forecasts.items() if each is not None}
 
-    def released(self, connection: Connection, iteration: int) -> dict[str, Released]:
-        """Sums up the lots with a verdict, by scenario, after the last batch of an iteration."""
-        batches = -(-self._population // self._slice) + iteration
+    def worth_a_look(
+        self,
+        connection: Connection,
+        dismissed: Mapping[int, Mapping[str, CellScore]],
+        best: float | None,
+        reaches: Callable[[Mapping[str, CellScore]], bool] | None = None,
+    ) -> list[int]:
+        """Returns the ids of the sets that the predictors, with all answers, believe within reach of the best one, in their order.
+
+        Args:
+            connection: no cell of the campaign waits for its answer.
+            dismissed: answers by scenario of sets with predicted scores, by their ids.
+            best: see `plan`.
+            reaches: see `plan`.
+        """
+        self.learn(connection)
+        numbers = list(dismissed)
+        parameters = parameter_sets.load(connection, numbers)
+        self._rows = {number: row for row, number in enumerate(numbers)}
+        self._forecasts = self._forecast(list(self._learners), self._features([parameters[number] for number in numbers]))
+        cells = [
+            RequestedCell(
+                number,
+                scenario,
+                parameters[number],
+                donor=None if answer.predicted else Donor(0, 0, answer.score or 0.0, 0.0, None),
+            )
+            for number, answers in dismissed.items()
+            for scenario, answer in answers.items()
+        ]
+        reaching = self._promoted(cells, best) if reaches is None or best is None else self._reaching(cells, reaches)
+        return [number for number in numbers if number in reaching]
+
+    def released(self, connection: Connection) -> dict[str, Released]:
+        """Sums up the lots with a verdict, by scenario."""
         stored = lots.of_campaign(connection, self._view.campaign, Outcome.PREDICTED)
         sizes = lots.error_sizes(connection, self._view.campaign)
-        return released_by_scenario(stored, self._learners, self._reduction.limit, batches, self._number, sizes)
-
-    def _number(self, lot: StoredLot) -> int:
-        """Returns the number of a lot's batch, from 0."""
-        slices = -(-self._population // self._slice)
-        return lot.individual // self._slice if lot.iteration == 0 else slices + lot.iteration - 1
+        return released_by_scenario(stored, self._learners, self._reduction.limit, sizes)
 
     def plan(
         self,
@@ -224,10 +279,9 @@ class LotPlanner:
         Sets in `whole` (individuals) and those believed within reach of the `best` simulated objective, or of the front if `reaches` is
         given, are simulated whole; so are audited cells and those that answer others.
         """
-        if not any(learner.trained_on for learner in self._learners.values()):
-            load_predictors()  # while the first cells are simulated
         if not self._forecasts or not cells:
             return list(cells)
+        began = time.thread_time()
         reaching = self._promoted(cells, best) if reaches is None or best is None else self._reaching(cells, reaches)
         promoted = {*whole, *reaching}
         leading = {cell.leader for cell in cells if cell.leader is not None}
@@ -253,12 +307,13 @@ class LotPlanner:
                 )
             candidates = [place for place in here if place not in leading and cells[place].individual not in promoted]
             rows = [self._rows[cells[place].individual] for place in candidates]
-            if not rows:  # every answer is known: that is no failure of the predictor, and `pays` must not take it for one
+            if not rows:  # every answer is known: that is no failure of the predictor, and no empty lot may say so
                 self._not_stored[scenario] += forecast.seconds
                 continue
             lot = choose_lot(forecast.error_rates[rows], self._reduction.limit)
             accepted[scenario] = lot
             members[scenario] = [] if lot is None else [candidates[position] for position in lot.members]
+        self._shared += time.thread_time() - began
         stored = lots.insert(connection, self._view.campaign, [self._new(cells[0], *pair) for pair in accepted.items()])
         for places, number in zip(members.values(), stored, strict=True):
             for place in places:
@@ -268,6 +323,7 @@ class LotPlanner:
     def _new(self, first: RequestedCell, scenario: str, lot: Lot | None) -> NewLot:
         plan = SamplingPlan(0, 0, 0) if lot is None else lot.plan
         forecast = self._forecasts[scenario]
+        shared, self._shared = self._shared, 0.0
         return NewLot(
             first.iteration,
             first.individual,
@@ -278,7 +334,7 @@ class LotPlanner:
             self._tolerance,
             self._reduction.limit,
             forecast.known,
-            forecast.seconds + self._not_stored.pop(scenario, 0.0),
+            forecast.seconds + self._not_stored.pop(scenario, 0.0) + shared,
             Outcome.PREDICTED,
         )
 
@@ -327,13 +383,14 @@ class LotPlanner:
         return {individual for individual, scores in hoped.items() if reaches(scores)}
 
 
-PATIENCE = 3
-"""Batches after a training in which a predictor is asked whatever it saves: a single lot may be empty or rejected, and asking costs no more
-than a few cells."""
-GROWTH = 1.25
-"""Growth of the known answers after which a predictor without an accepted lot is tried again."""
+CHANGED = 0.3
+"""Share of a population that a generation requests: no more than that of the paper's genetic algorithm, unless one is known."""
 LIKELY = 0.25
-"""Share of a batch that a predictor is expected to save if it has saved nothing yet."""
+"""Share of a batch, or of all cells ahead, that a predictor is expected to save if it has saved nothing yet."""
+RECENT_LOTS = 6
+"""Lots of a scenario that say how much the next ones save, beside what is likely."""
+LOADING_SECONDS = 2.0
+"""CPU time of loading the predictors. Each campaign counts it, so that its decision is the same in every process."""
 
 
 TRAINING_SECONDS, SECONDS_PER_ANSWER, SECONDS_PER_VALUE = 0.015, 20e-6, 4e-6
@@ -343,23 +400,25 @@ ASKING_SECONDS = 0.01
 """CPU time of a batch's predictions."""
 
 
-def pays(lots_so_far: Sequence[StoredLot], known: int, cells: int, parameters: int, cell_seconds: float) -> bool:
-    """Whether a scenario's predictor of so many parameters can save more than it costs in a batch of so many cells.
+def expected_saving(
+    served: Sequence[StoredLot], known: int, ahead: tuple[float, float], parameters: int, cell_seconds: float
+) -> tuple[float, float]:
+    """Returns the seconds of simulations that predictions of a scenario would probably save, and the CPU seconds that they would take, to
+    the end of the search.
 
-    Training takes most of its time, so all batches since the last training count for another one; without success it waits until clearly
-    more answers are `known`. Until a training is due, asking again costs a prediction: it goes on for `PATIENCE` batches, and then as long
-    as those alone pay.
+    Args:
+        served: lots so far, of which the last ones say how much the next ones save.
+        known: answers, at least 1.
+        ahead: sets that the search will probably still request, and the number of their batches.
+        parameters: their number.
+        cell_seconds: time of a simulation.
     """
-    if not lots_so_far:
-        return True
-    trained_on = lots_so_far[-1].known
-    served = [lot for lot in lots_so_far if lot.known == trained_on]
-    if known < REFIT * trained_on:
-        asked = served[1:]
-        return len(asked) < PATIENCE or ASKING_SECONDS * len(asked) <= _saved_seconds(asked, cell_seconds)
-    training = training_seconds(trained_on, parameters)
-    grown = known >= GROWTH * trained_on and training + ASKING_SECONDS <= LIKELY * cells * cell_seconds
-    return grown or training + ASKING_SECONDS * len(served) <= _saved_seconds(served, cell_seconds)
+    sets, batches = ahead[0], max(ahead[1], 1.0)
+    saved = min(fmean([LIKELY * sets / batches, *(lot.released for lot in served[-RECENT_LOTS:])]) * batches, sets)
+    is_due = not served or known >= REFIT * served[-1].known
+    end = known + (sets - saved) * (1.0 - 1.0 / batches)  # nothing is trained after the last batch
+    trainings = min(batches, is_due + math.log(end / known, REFIT))
+    return saved * cell_seconds, trainings * training_seconds((known + round(end)) // 2, parameters) + ASKING_SECONDS * batches
 
 
 def training_seconds(known: int, parameters: int) -> float:
@@ -367,41 +426,20 @@ def training_seconds(known: int, parameters: int) -> float:
     return TRAINING_SECONDS + min(known, MOST_KNOWN) * (SECONDS_PER_ANSWER + SECONDS_PER_VALUE * parameters)
 
 
-def _saved_seconds(served: Sequence[StoredLot], cell_seconds: float) -> float:
-    return sum(lot.released for lot in served) * cell_seconds
-
-
 def released_by_scenario(
-    stored: Sequence[StoredLot],
-    scenarios: Iterable[str],
-    limit: float,
-    batches: int,
-    number: Callable[[StoredLot], int],
-    sizes: Mapping[str, tuple[float, float]],
+    stored: Sequence[StoredLot], scenarios: Iterable[str], limit: float, sizes: Mapping[str, tuple[float, float]]
 ) -> dict[str, Released]:
-    """Sums up lots with a verdict, after so many batches.
-
-    Args:
-        number: returns the number of a lot's batch, from 0.
-        sizes: mean and largest errors by scenario, see `lots.error_sizes`.
-    """
+    """Sums up lots with a verdict; `sizes`: mean and largest errors by scenario, see `lots.error_sizes`."""
     of = {name: [lot for lot in stored if lot.scenario == name] for name in scenarios}
-    return {
-        name: _released(lots, limit, batches, number(lots[0]) if lots else batches, *sizes.get(name, (None, None)))
-        for name, lots in of.items()
-    }
+    return {name: _released(lots, limit, *sizes.get(name, (None, None))) for name, lots in of.items()}
 
 
-def _released(
-    stored: Sequence[StoredLot], limit: float, batches: int, early: int, mean_error: float | None, largest_error: float | None
-) -> Released:
+def _released(stored: Sequence[StoredLot], limit: float, mean_error: float | None, largest_error: float | None) -> Released:
     inspected = [lot for lot in stored if lot.verdict is not None]
     released = sum(lot.released for lot in inspected)
     plans = [(SamplingPlan(lot.size, lot.sample, lot.acceptance), lot.errors or 0) for lot in inspected]
     return Released(
-        batches=batches,
         asked=len(stored),
-        early=early,
         inspected=sum(lot.size for lot in inspected),
         lots=len(inspected),
         rejected=sum(lot.verdict is LotVerdict.REJECTED for lot in inspected),
@@ -414,20 +452,3 @@ def _released(
         upper_95=most_released(plans) / released if released else None,
         seconds=sum(lot.seconds for lot in stored),
     )
-
-
-def skipped_text(released: Mapping[str, Released]) -> str | None:
-    """Returns a note on scenarios whose predictor made no lot in some batches; None if there is none."""
-    early = {name: each.early for name, each in released.items()}
-    late = {name: each.batches - each.asked - each.early for name, each in released.items()}
-    unsure = {name: each.asked - each.lots for name, each in released.items()}
-    parts = [
-        f"{reason}: {', '.join(f'{name} ({count} of {released[name].batches})' for name, count in counts.items() if count)}"
-        for reason, counts in (
-            ("because too little was known yet, or every answer was known", early),
-            ("because predicting would have cost more than it saves, or every answer was known", late),
-            ("because no prediction was sure enough", unsure),
-        )
-        if any(counts.values())
-    ]
-    return f"batches without predictions, {'; '.join(parts)}" if parts else None

@@ -13,12 +13,14 @@ from drivecal.analysis.goals import valued_by
 from drivecal.analysis.solutions import Ranking, over_seeds
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.asking import AskedRound, cells_of
+from drivecal.contracts.campaign import GenerationCounts
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import Indices
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import CellAnswer
 from drivecal.storage import results
+from drivecal.storage.generations import Figures
 
 
 class SearchAnswers(ABC):
@@ -44,11 +46,21 @@ class SearchAnswers(ABC):
         """Returns the answered cells of one iteration, or of all, with the values that the goals need."""
         return list(results.answers(connection, campaign, StageName.CALIBRATION, iteration, valued=valued_by(self._goals)))
 
-    def worst(self, objectives: Floats) -> float | None:
-        """Returns the worst of `objectives`, shape (n,), by their direction; None without a result."""
+    def _worst(self, known: Floats) -> float | None:
         sign = self._sign if self._goals is None else self._goals.objectives[0].sign
-        known = objectives[~np.isnan(objectives)]
         return float(sign * np.min(sign * known)) if known.size else None
+
+    def figures(self, cells: GenerationCounts, objectives: Floats) -> Figures:
+        """Returns the figures of a round with these counts and objectives, shape (n,), NaN without a result."""
+        best, known = self.ranking.best(), objectives[~np.isnan(objectives)]
+        return Figures(
+            cells,
+            best=None if best is None else best[0].objective,
+            rating=None if best is None else best[0].rating,
+            mean=float(known.mean()) if known.size else None,
+            minimum=self._worst(known),
+            alternatives=0 if best is None else best[1],
+        )
 
     def settle(self, population: Indices) -> None:
         """Notes that a population is answered."""

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
@@ -20,8 +19,9 @@ from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.analysis.verdicts import confirmation_verdict
 from drivecal.campaigns.cells.inspection import check_reuse, form_lots_of_references, rejected_text
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
-from drivecal.campaigns.cells.predicting import LotPlanner, skipped_text, slice_size
+from drivecal.campaigns.cells.predicting import CHANGED, LotPlanner, slice_size
 from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.stages import task
 from drivecal.campaigns.stages.answers import CellAnswers, PopulationAnswers
 from drivecal.campaigns.stages.asking import (
     WINDOW,
@@ -29,14 +29,12 @@ from drivecal.campaigns.stages.asking import (
     Asker,
     CellAsker,
     Computation,
-    PopulationAsker,
     cells_of,
     population_round,
     room_for,
 )
 from drivecal.campaigns.stages.replication import Replication, SeededBenches
 from drivecal.campaigns.stages.stage import Round, Stage
-from drivecal.campaigns.stages.task import STALE, affordable, asked_rounds, most_cells, search_task
 from drivecal.contracts.campaign import (
     Baseline,
     Best,
@@ -67,6 +65,8 @@ from drivecal.storage.engine.types import now
 from drivecal.storage.generations import Figures, StoredGeneration
 from drivecal.storage.references import parameter_sets
 
+ENDLESS = 20
+"""Generations ahead of a search that no budget of simulations and no number of iterations ends."""
 CONFIRMED = 3
 """Sets whose confirmation a budget is to suffice for."""
 
@@ -94,6 +94,7 @@ class Calibration(Stage):
         self._notes = problem.notes
         self._repeatable_no_more = campaign.cells.unrepeatable > 0
         self._search = campaign.search or SearchState(room=room_for(view.workers), began_at=now())
+        self._notes = (*self._notes, *task.unused_map(problem))
         self._asker: Asker | None = None
         self._computation: Computation | None = None
         """The search's running computation; None if the next round needs none."""
@@ -108,6 +109,11 @@ class Calibration(Stage):
         if self._by_cell is None and self._policy().predicts:
             reduction, population = problem.specification.reduction, problem.optimization.population
             self._planner = LotPlanner(view, problem.space, reduction, problem.weights, population)
+            self._planner.off = self._search.predictions_off
+        self._has_learned = False
+        """The planner knows the answers of the batch before."""
+        self._changed = CHANGED * self._optimization.population
+        """Sets that a generation requests: those of the last one, or as many as are usual."""
         self._released: dict[str, Released] = dict(campaign.released)
         self._confirming: Confirming | None = None
         """The sets that are simulated after the search; None before its end."""
@@ -115,7 +121,7 @@ class Calibration(Stage):
         self._limit = None if problem.optimization.budget is None else problem.optimization.budget.simulations
         if self._limit is not None:
             within = problem.search_simulations or 0
-            most = 0 if self._by_cell is None else most_cells(within, problem.bench.repeated_share)
+            most = 0 if self._by_cell is None else task.most_cells(within, problem.bench.repeated_share)
             self._tracker.limit(self._limit, most)
             self.budget = self._tracker.budget
         self._kept: set[int] = set()  # individuals of a round for which the budget suffices
@@ -154,11 +160,23 @@ class Calibration(Stage):
             raise NoResultError(f"no parameter set has a result in every scenario; {failed:,} cells failed{self._causes()}")
 
     def _is_ready(self) -> bool:
-        """Returns whether the search has computed the next round."""
+        """Returns whether the search has computed the next round, and what predicts its answers is loaded."""
         if not self._begun:
             self._begin()
             self._begun = True
-        return self._computation is None or self._computation.is_done
+        if self._computation is not None and not self._computation.is_done:
+            return False
+        if self._planner is None or not self._resumed or self._search.ended_by is not None:
+            return True
+        if not self._has_learned:
+            with self._database.transaction() as connection:
+                self._planner.learn(connection)
+            self._has_learned = True
+        iterations, each = self._optimization.iterations, max(1.0, self._changed)
+        most = ENDLESS if iterations is None else iterations - self._next
+        generations = min(most, self._room / len(self._problem.scenarios) / each)
+        waiting = sum(map(len, self._batches)) + generations * each
+        return self._planner.is_ready(waiting, len(self._batches) + generations)
 
     def _begin(self) -> None:
         """Reads the rows, and begins to restore the search as it was after the last round, or to create one."""
@@ -175,10 +193,13 @@ class Calibration(Stage):
                 self._answers.take_in(connection, self._campaign.sequence, range(self._closed))
             self._next = 0 if last is None else last.iteration + 1
             told = max(0, self._next - self._window)
-            rounds = [] if self._by_cell is None else asked_rounds(connection, self._campaign.sequence, self._problem.scenarios)
+            rounds = (
+                [] if self._by_cell is None else task.asked_rounds(connection, self._campaign.sequence, self._problem.scenarios)
+            )
         self._asked = {number: asked for number, asked in enumerate(rounds) if number >= told}
         if last is not None and self._by_cell is None:
             rows, changed = np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_)
+            self._changed = float(changed.sum()) if last.iteration else self._changed
             shape = len(self._problem.scenarios), self._problem.least_replicates
             self._asked = {last.iteration: population_round(rows, changed, dict(last.optimizer_state or {}), *shape)}
             self._batches = [] if last.finished else self._split(last.iteration, self._asked[last.iteration])
@@ -189,21 +210,7 @@ class Calibration(Stage):
             asked = [cells_of(asked, self._problem.least_replicates) for asked in rounds]
             self._compute(partial(self._cell_asker, asked, answers, last))
         else:
-            self._compute(partial(self._population_asker, last, populations))
-
-    def _population_asker(self, last: StoredGeneration | None, populations: Sequence[Any]) -> PopulationAsker:
-        problem, chosen = self._problem, self._optimization
-        if last is None:
-            start = problem.start_indices if problem.start_sets else None
-            optimizer = chosen.begin(problem.constraints, start)
-        elif last.optimizer_state is None:
-            raise RuntimeError(f"generation {last.iteration} has no optimizer state")
-        else:
-            optimizer = chosen.restore(problem.constraints, last.optimizer_state)
-            populations = populations or [last.population]
-        shape = chosen.population, problem.space.n_values
-        scenarios, seeds = len(problem.scenarios), problem.least_replicates
-        return PopulationAsker(optimizer, chosen.plugin.name, shape, scenarios, populations, seeds)
+            self._compute(partial(task.population_asker, self._problem, last, populations))
 
     def _cell_asker(
         self, rounds: Sequence[Sequence[AskedCell]], answers: Sequence[Sequence[CellAnswer]], last: StoredGeneration | None
@@ -211,9 +218,9 @@ class Calibration(Stage):
         plugin, settings = self._by_cell, self._optimization.settings
         if plugin is None or not isinstance(self._answers, CellAnswers):
             raise RuntimeError("the search is no search by the cell")
-        task = search_task(self._database, self._view, self._problem, self._answers.aim)
+        searched = task.search_task(self._database, self._view, self._problem, self._answers.aim)
         state = {} if last is None else (last.optimizer_state or {}).get("search", {})
-        search = plugin.begin(settings, task) if last is None else plugin.resume(settings, task, rounds, answers, state)
+        search = plugin.begin(settings, searched) if last is None else plugin.resume(settings, searched, rounds, answers, state)
         return CellAsker(search, self._search.room, self._problem.least_replicates)
 
     def _compute(self, obtain: Callable[[], Asker]) -> None:
@@ -308,6 +315,8 @@ class Calibration(Stage):
     def _split(self, number: int, asked: AskedRound) -> list[list[int]]:
         """Returns the individuals to request, in batches: the start population is learned from slice by slice if answers are predicted."""
         changed = [int(index) for index in np.flatnonzero(asked.changed)]
+        if number:
+            self._changed = float(len(changed))
         size = slice_size(self._optimization.population) if self._planner is not None and number == 0 else len(changed)
         return [changed[start : start + size] for start in range(0, len(changed), size)] if changed else [[]]
 
@@ -323,9 +332,9 @@ class Calibration(Stage):
         ]
         if self._planner is not None:
             with self._database.transaction() as connection:
-                self._planner.learn(connection)
                 self._answers.take_in(connection, self._campaign.sequence, [number])
             self._planner.predict(sets)
+            self._has_learned = False
         before = None if self._by_cell is None else number - self._window + 1
         return Round(number, self._benches.with_cells(wanted), self._policy(), before=before)
 
@@ -336,6 +345,9 @@ class Calibration(Stage):
         rates = self._error_rate if self._by_cell is None else {}  # known at another moment in each run
         planned = form_lots_of_references(connection, self._view, planned, limit, rates)
         if self._planner is not None:
+            if self._planner.off is not None and self._search.predictions_off is None:
+                events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": self._planner.off})
+            self._search = self._search.model_copy(update={"predictions_off": self._planner.off})
             best = self._ranking.surest()
             given = range(len(self._problem.start_sets)) if asked.number == 0 else ()
             reaches = None if self._problem.goals is None else self._ranking.reaches_front
@@ -354,22 +366,14 @@ class Calibration(Stage):
         by_cell, reduction, room = self._by_cell is not None, self._problem.specification.reduction, self._room
         if not by_cell and self._policy().mode not in {"off", "exact"}:  # may confirm the best set
             room -= min(min(reduction.confirm, CONFIRMED) * len(self._problem.scenarios), (self._limit or 0) // 10)
-        within = affordable(planned, room, [bench.seed for bench, _ in asked.cells], self._kept, by_cell=by_cell)
+        within = task.affordable(planned, room, [bench.seed for bench, _ in asked.cells], self._kept, by_cell=by_cell)
         if len(within) < len(planned):
             self._end_search("budget")
             self._batches.clear()
         return within
 
     def _policy(self) -> Policy:
-        """Returns how cells may be answered. A search by the cell has models of its own, so that no prediction answers its cells. A random
-        simulator's cells have runs of their own."""
-        reduction = self._problem.specification.reduction
-        mode = reduction.mode
-        if self._problem.bench.is_random:
-            mode = "off" if mode == "off" else "exact"
-        elif self._by_cell is not None:
-            mode = "off" if mode == "off" else "influence" if reduction.uses_map else "exact"
-        return Policy(mode, reduction.audit, self._optimization.seed)
+        return task.policy_of(self._problem)
 
     def _store(self, connection: Connection, asked: Round) -> None:
         """Commits a round with the search's state and its cells; a set to confirm belongs to no generation."""
@@ -395,6 +399,8 @@ class Calibration(Stage):
         sequence, first = self._campaign.sequence, self._next
         limit, best = self._problem.specification.reduction.confirm, self._ranking.best()
         believed = self._ranking.doubtful() if best is None else best[0]  # every set may have a predicted score
+        if limit and self._search.last_look is None:
+            self._search = self._search.model_copy(update={"last_look": self._last_look(limit)})
         if limit == 0 or believed is None:
             with self._database.transaction() as connection:
                 self._save(connection)  # what is noted at the end of a search
@@ -402,7 +408,8 @@ class Calibration(Stage):
         with self._database.transaction() as connection:
             if self._confirming is None:
                 tried = results.sets_since(connection, sequence, self.name, first)
-                self._confirming, taken = Confirming(limit, believed.objective, tried), 0
+                last_look = self._search.last_look or []
+                self._confirming, taken = Confirming(limit, believed.objective, tried, last_look), 0
             else:
                 tried, taken = self._confirming.tried, len(self._confirming.tried) - 1
             for number in range(taken, len(tried)):
@@ -423,6 +430,16 @@ class Calibration(Stage):
         tried.append(chosen.parameter_set)
         return Round(first + len(tried) - 1, [(self._problem.bench, wanted)], Policy("exact"))
 
+    def _last_look(self, limit: int) -> list[int]:
+        """Returns the ids of dismissed sets that all answers together believe within reach of the best set."""
+        dismissed = self._ranking.dismissed()
+        if self._planner is None or not dismissed:
+            return []
+        surest, reaches = self._ranking.surest(), None if self._problem.goals is None else self._ranking.reaches_front
+        best = None if surest is None else surest.objective
+        with self._database.transaction() as connection:
+            return self._planner.worth_a_look(connection, dismissed, best, reaches)[: limit // 4]
+
     def _replicate(self) -> Round | None:
         """The runs under further seeds, after the previous answers, that decide which set is the best; None if it is decided, the budget
         is used up, or no run is random."""
@@ -437,7 +454,8 @@ class Calibration(Stage):
     def _end_confirmation(self, connection: Connection, confirming: Confirming) -> None:
         """Stores the outcome of the confirmation, once; its simulations may contradict others."""
         best = self._ranking.best()
-        if confirming.tried and best is not None:
+        dismissed = len(self._ranking.dismissed())
+        if (confirming.tried or dismissed) and best is not None:
             last, scenarios = self._next - 1, self._problem.scenarios
             self._error_rate = check_reuse(connection, self._view, last, scenarios, self._error_rate)
             if self._confirmation is None:
@@ -445,12 +463,13 @@ class Calibration(Stage):
                 is_front, untried = goals is not None and goals.is_vector, self._ranking.doubtful(confirming.tried)
                 front = self._ranking.front() if is_front else []
                 if is_front and (not best[0].reused or any(member.solution.reused for member in front)):
-                    self._confirmation = front_outcome(front, confirming.tried, untried)
+                    outcome = front_outcome(front, confirming.tried, untried)
                 else:
-                    self._confirmation = confirming.outcome(best[0], untried)
+                    outcome = confirming.outcome(best[0], untried)
+                self._confirmation = outcome.model_copy(update={"dismissed": dismissed})
                 text = confirmation_verdict(self._confirmation).text
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": text})
-                if not is_front and confirming.is_changed(best[0]):
+                if not is_front and confirming.tried and confirming.is_changed(best[0]):
                     self._tell_best(connection, best[0])
 
     def _close(self, number: int) -> None:
@@ -463,10 +482,13 @@ class Calibration(Stage):
             objectives = self._answers.objectives(number)
             self._error_rate = check_reuse(connection, self._view, number, self._problem.scenarios, self._error_rate)
             if self._planner is not None:
-                self._released = self._planner.released(connection, number)
+                self._released = self._planner.released(connection)
             is_better = self._describe_best(connection)
             figures = self._figures(connection, number, asked, objectives)
-            self._note_progress(figures.cells, is_better=is_better, is_new=self._ranking.sets > sets)
+            is_new = self._ranking.sets > sets
+            self._search = task.progressed(
+                self._search, figures.cells, self._optimization, number, is_better=is_better, is_new=is_new
+            )
             generations.finish(connection, self._campaign.sequence, number, figures, objectives.tolist())
             self._closed = number + 1
             self._save(connection)
@@ -475,19 +497,6 @@ class Calibration(Stage):
         self._go_on()
         if self._by_cell is None and self._computation is None:
             self._asked.pop(number)
-
-    def _note_progress(self, cells: GenerationCounts, *, is_better: bool, is_new: bool) -> None:
-        """Counts simulations since the last better set, and generations since the last new one, which use up no budget. What a search by
-        the cell asks for must not depend on what was stored."""
-        budget, search = self._optimization.budget, self._search
-        simulated = search.simulated + (cells.simulated + cells.failed if self._by_cell is None else cells.requested)
-        better_at = simulated if is_better else search.better_at
-        stood_still = budget is not None and budget.stagnation is not None and simulated - better_at >= budget.stagnation
-        stale = 0 if is_new or budget is None or self._by_cell is not None else search.stale + 1
-        stood_still = stood_still or stale >= STALE
-        at = self._closed if stood_still and search.stood_still_at is None else search.stood_still_at
-        changed = {"better_at": better_at, "stood_still_at": at, "stale": stale}
-        self._search = search.model_copy(update={"simulated": simulated} | changed)
 
     def _describe_best(self, connection: Connection) -> bool:
         """Stores the best set; returns whether it is a better one than before."""
@@ -539,16 +548,7 @@ class Calibration(Stage):
         cells = evaluations.counts(connection, self._campaign.sequence, self.name, number)
         carried_over = self._carried_over(asked)
         cells = cells.model_copy(update={"carried_over": carried_over, "proposed": cells.requested + carried_over})
-        best = self._ranking.best()
-        known = objectives[~np.isnan(objectives)]
-        return Figures(
-            cells,
-            best=None if best is None else best[0].objective,
-            rating=None if best is None else best[0].rating,
-            mean=float(known.mean()) if known.size else None,
-            minimum=self._answers.worst(objectives),
-            alternatives=0 if best is None else best[1],
-        )
+        return self._answers.figures(cells, objectives)
 
     def _tell_beginning(self, connection: Connection) -> None:
         events.add(connection, self._campaign.sequence, EventKind.STAGE, {"stage": self.name, "cells": self._at_most})
@@ -574,8 +574,8 @@ class Calibration(Stage):
                 " choose another optimizer, or loosen the constraints"
             )
         is_over = self._search.ended_by is not None
-        if (skipped := skipped_text(self._released)) is not None and is_over:
-            notes.append(skipped)
+        if is_over and self._search.predictions_off is not None:
+            notes.append(self._search.predictions_off)
         if self._best is not None and self._best.violation > 0 and is_over:
             notes.append(f"no set keeps all constraints on results: the best set breaks them by {self._best.violation:.1%}")
         return replace(

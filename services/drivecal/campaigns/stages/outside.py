@@ -48,10 +48,6 @@ class OutsideSearch(Calibration):
         self._offered: Sequence[OutsideSet] = ()
         self._look_at = 0.0
 
-    @property
-    def _at_most(self) -> int:
-        return 0 if self._search.ended_by is not None else self._problem.expected_runs().calibration_at_most
-
     def _begin(self) -> None:
         super()._begin()
         for number in range(self._closed):

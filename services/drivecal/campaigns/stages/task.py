@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
@@ -11,7 +12,9 @@ from drivecal.analysis.goals import SCORE
 from drivecal.analysis.replicates import choosing
 from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.stages.asking import WINDOW, AskedRound
+from drivecal.campaigns.resolve.resolvers import Optimization
+from drivecal.campaigns.stages.asking import WINDOW, AskedRound, PopulationAsker
+from drivecal.contracts.campaign import GenerationCounts, SearchState
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import CellScore, RequestedCell
@@ -19,8 +22,10 @@ from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace
 from drivecal.optimizers.population import start_population
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, AskedCell, CellAnswer, SearchTask
+from drivecal.reduction.assignment import Policy
 from drivecal.storage import campaigns, evaluations, generations
 from drivecal.storage.engine.database import Database
+from drivecal.storage.generations import StoredGeneration
 from drivecal.storage.references import runs
 
 MOST_BEST = 3
@@ -30,6 +35,38 @@ MOST_KNOWN = 2_000
 
 STALE = 50
 """Generations without a new set after which a search with a budget ends: its space is exhausted, or its population stands still."""
+
+
+def policy_of(problem: CalibrationProblem) -> Policy:
+    """Returns how cells may be answered. A search by the cell has models of its own, so that no prediction answers its cells, and asks for
+    so few at once that a lot of references would be simulated whole. A random simulator's cells have runs of their own."""
+    chosen, reduction = problem.optimization, problem.specification.reduction
+    mode, seed = reduction.mode, 0 if chosen is None else chosen.seed
+    if mode != "off" and (problem.bench.is_random or chosen is None or chosen.by_cell is not None):
+        mode = "influence" if reduction.uses_map and reduction.max_error >= 1.0 and not problem.bench.is_random else "exact"
+    return Policy(mode, reduction.audit, seed)
+
+
+def unused_map(problem: CalibrationProblem) -> tuple[str, ...]:
+    """Returns a note if the influence map answers no cell of a search by the cell."""
+    uses_map = problem.specification.reduction.uses_map and not policy_of(problem).reuses and not problem.bench.is_random
+    note = "the influence map answers no cell: checks in lots would simulate each cell that this search asks for"
+    return (note,) if uses_map else ()
+
+
+def progressed(
+    search: SearchState, cells: GenerationCounts, chosen: Optimization, number: int, *, is_better: bool, is_new: bool
+) -> SearchState:
+    """Returns the state after a round: counts simulations since the last better set, and generations since the last new one, which use up
+    no budget. What a search by the cell asks for must not depend on what was stored."""
+    budget, by_cell = chosen.budget, chosen.by_cell is not None
+    simulated = search.simulated + (cells.requested if by_cell else cells.simulated + cells.failed)
+    better_at = simulated if is_better else search.better_at
+    stood_still = budget is not None and budget.stagnation is not None and simulated - better_at >= budget.stagnation
+    stale = 0 if is_new or budget is None or by_cell else search.stale + 1
+    stood_still = stood_still or stale >= STALE
+    at = number + 1 if stood_still and search.stood_still_at is None else search.stood_still_at
+    return search.model_copy(update={"simulated": simulated, "better_at": better_at, "stood_still_at": at, "stale": stale})
 
 
 def search_task(database: Database, view: View, problem: CalibrationProblem, aim: WeightedScore | JudgedGoals) -> SearchTask:
@@ -69,6 +106,22 @@ def search_task(database: Database, view: View, problem: CalibrationProblem, aim
         if problem.bench.is_random
         else 1,
     )
+
+
+def population_asker(problem: CalibrationProblem, last: StoredGeneration | None, populations: Sequence[Any]) -> PopulationAsker:
+    """Returns the search by populations as it was after the `last` generation; `populations`: all so far, with constraints only."""
+    chosen = problem.optimization
+    if chosen is None:
+        raise ValueError("the campaign has no search")
+    if last is None:
+        optimizer = chosen.begin(problem.constraints, problem.start_indices if problem.start_sets else None)
+    elif last.optimizer_state is None:
+        raise RuntimeError(f"generation {last.iteration} has no optimizer state")
+    else:
+        optimizer = chosen.restore(problem.constraints, last.optimizer_state)
+        populations = populations or [last.population]
+    shape = chosen.population, problem.space.n_values
+    return PopulationAsker(optimizer, chosen.plugin.name, shape, len(problem.scenarios), populations, problem.least_replicates)
 
 
 def asked_rounds(connection: Connection, campaign: int, scenarios: Sequence[str]) -> list[AskedRound]:
