@@ -3,7 +3,7 @@
 More options: `--arms NAME ... --seeds N --cells N --cache FOLDER`. Optimizers search in this process; a cell is a set in a scenario. The
 figures are the best objective that is simulated in all scenarios after 120, 300, 600 and 1,200 cells, for paired seeds, mean ranks, and
 Wilcoxon's signed-rank tests of `surrogate` against each other optimizer. Finished runs are kept in `.drivecal/bench/economy.jsonl`,
-answers in the folder of `--cache`. Ten seeds of 1,200 cells take a day of a core. Other figures in their place:
+answers in the folder of `--cache`. Ten seeds of 1,200 cells take some two hours of a core. Other figures in their place:
 
 - `--reach`: after how many cells, at most `--cells`, `surrogate` reaches what `genetic` finds with 200 sets x 15 iterations
 - `--outlook`: how often as many cells again improved the best objective by no more than a search expects at its end (`expected_gain`),
@@ -142,6 +142,24 @@ def tpe(run: Run, seed: int) -> None:
         tell(np.array([row], dtype=np.int64), trial)
 
 
+def cma_es(run: Run, seed: int) -> None:
+    """The library cma with populations of 10 sets in the unit cube, from the first start set. It begins again elsewhere when it stops."""
+    import cma
+
+    task = run.problem.task(None)
+    last = np.maximum(np.asarray(task.n_values) - 1, 1)
+    generator, begin = np.random.default_rng(seed), task.start[0] / last if len(task.start) else np.full(len(last), 0.5)
+    while True:
+        options = {"bounds": [0, 1], "popsize": 10, "seed": int(generator.integers(1, 2**31)), "verbose": -9}
+        strategy = cma.CMAEvolutionStrategy(begin, 0.25, options)
+        while not strategy.stop():
+            points = strategy.ask()
+            rows = task.repair(np.rint(np.array(points) * last).astype(np.int64))
+            answers = [run.whole(row) for row in rows.tolist()]
+            strategy.tell(points, [-objective - 1e-3 * rating for objective, rating in answers])
+        begin = task.sample(1, generator)[0] / last
+
+
 def surrogate(room: int, window: int, **changes: Any) -> Callable[[Run, int], None]:
     """The search by the cell in rounds of `room` cells; `window` rounds are under way; `changes` of its task."""
 
@@ -168,6 +186,7 @@ ARMS: Mapping[str, Callable[[Run, int], None]] = {
     "genetic_10": _genetic(10),
     "genetic_20": _genetic(20),
     "genetic_50": _genetic(50),
+    "cma_es": cma_es,
     "tpe": tpe,
     "surrogate": surrogate(1, 1),
     "surrogate_2x5": surrogate(2, 5),
