@@ -70,7 +70,6 @@ REPLAY: dict[str, Any] = {
     "time_s": [0.0, 1.0, 2.0],
     "line": [[0.0, 0.0, 0.0, 0.0], [180.0, 180.0, 0.0, 0.0]],
     "route": {"lanes": [STRIP], "edges": [STRIP["right"], STRIP["left"]], "markings": []},
-    "beside": {"lanes": [], "edges": [], "markings": []},
     "ego": {
         "length_m": 4.7,
         "width_m": 1.9,

@@ -129,14 +129,13 @@ class ReplayEgo(Answer):
 class ReplayAnswer(Answer):
     """A drive on the roads of a network, in its coordinates.
 
-    `line`: rows of place along the route, x, y (m) and heading (rad); `route`: its lanes where the vehicle drives; `beside`: other lanes
-    near them, such as ramps and the other carriageway, without their levels. `time_s`: equally spaced but for the last one.
+    `line`: rows of place along the route, x, y (m) and heading (rad); `route`: its lanes where the vehicle drives. `time_s`: equally
+    spaced but for the last one.
     """
 
     time_s: list[float]
     line: list[list[float]]
     route: RoadSurface
-    beside: RoadSurface
     ego: ReplayEgo
     others: list[ReplayVehicle]
 

@@ -42,7 +42,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.highway.drive.measures import measures, series
     from drivecal.highway.drive.plants import UserVehicleModel, plant_of
     from drivecal.highway.drive.rehearsal import hold, rehearse
-    from drivecal.highway.drive.replay import DriveRecorder, neighbouring
+    from drivecal.highway.drive.replay import DriveRecorder
     from drivecal.highway.drive.road import HighwayRoad
     from drivecal.highway.drive.traffic import Traffic
     from drivecal.highway.drive.trajectories import control_of
@@ -59,7 +59,6 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     roads = read_network(network.read_bytes(), scenario.network)
     route = corridor(roads, scenario.route, scenario.network, scenario.default_limit, crossings=scenario.crossings)
     road = HighwayRoad(route, other_levels(roads, route), unlimited(roads))
-    beside = neighbouring(roads, route)
     changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleValues) else {}
     parameters = SingleTrackParameters.of({entry.name: entry.nominal for entry in TABLE_8} | changes)
     # The last message before a crash names its cause: SUMO can die of a damaged network.
@@ -94,7 +93,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
             answer["failure"] = outcome.failure
         if recorder is not None:
             answer["series"] = series(outcome.record, settings["series"])
-            answer |= replay_beside(answer, lambda: recorder.replay(outcome.record, scenario.ego.length, route, beside))
+            answer |= replay_beside(answer, lambda: recorder.replay(outcome.record, scenario.ego.length, route))
         return answer
 
     return evaluate

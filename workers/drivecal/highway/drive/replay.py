@@ -1,18 +1,14 @@
-"""Replays of drives: the ego vehicle and the others near it, and the roads: areas of lanes, edges of roads, markings between lanes.
+"""Replays of drives: the ego vehicle and the others near it, and the route: areas of its lanes, edges, markings between lanes.
 
-All is in the coordinates of the network. The lanes of the route have the borders of their corridor. All other lanes have their shapes'
-borders in the network.
+All is in the coordinates of the network; lanes have the borders of their corridor.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil, floor
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import KDTree
 
 from drivecal.contracts.evaluation import LaneStrip, ReplayAnswer, ReplayEgo, ReplayVehicle, RoadSurface
 from drivecal.domain.roads import Floats
@@ -20,10 +16,7 @@ from drivecal.highway.drive.measures import Record
 from drivecal.highway.drive.traffic import Traffic
 from drivecal.roads.corridor import Corridor
 from drivecal.roads.lines import lengths
-from drivecal.roads.network import Edge, Lane, Network
 
-ROADS = ("", "internal")
-"""Functions of edges on which vehicles drive."""
 TOLERANCE = 0.03
 """Largest distance (m) from a border to its simplified polyline."""
 LONGEST = 100.0
@@ -32,66 +25,7 @@ LINE_SPACING = 5.0
 """Metres between the points of the route's line."""
 SAME = 0.6
 """Largest distance (m) between the borders of two lanes that share one."""
-ASIDE = 150.0
-"""Metres from the route up to which other lanes are drawn: more than a view shows."""
-SAMPLES = 10.0
-"""Largest distance (m) between the points at which other lanes are cut off."""
-MOST_POINTS = 40_000
-"""Points of other lanes; the nearest lanes come first."""
 DIGITS = 2
-SHARPEST = 0.5
-"""Least cosine of half a corner's angle for a border that is moved outwards; beyond it, a border would stick out far."""
-
-
-@dataclass(frozen=True, slots=True)
-class NeighbouringLane:
-    """A lane off the route. `has_right` and `has_left` are true if the same edge has another lane for cars there."""
-
-    lane: Lane
-    is_road: bool
-    has_right: bool
-    has_left: bool
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Neighbourhood:
-    """Lanes, and the corners (n, 2) of the rectangles around their shapes (m)."""
-
-    lanes: tuple[NeighbouringLane, ...]
-    lower: Floats
-    upper: Floats
-
-    @classmethod
-    def of(cls, lanes: Sequence[NeighbouringLane]) -> Self:
-        """Returns lanes with their rectangles."""
-        if not lanes:
-            return cls((), np.zeros((0, 2)), np.zeros((0, 2)))
-        shapes = [lane.lane.shape for lane in lanes]
-        begins = np.cumsum([0, *map(len, shapes[:-1])])
-        points = np.vstack(shapes)
-        return cls(tuple(lanes), np.minimum.reduceat(points, begins), np.maximum.reduceat(points, begins))
-
-    def near(self, points: Floats) -> Self:
-        """Returns the lanes whose rectangles meet that around points (n, 2), extended by `ASIDE`."""
-        lower, upper = points.min(axis=0) - ASIDE, points.max(axis=0) + ASIDE
-        rows = np.flatnonzero(((self.upper >= lower) & (self.lower <= upper)).all(axis=1))
-        return type(self)(tuple(self.lanes[row] for row in rows.tolist()), self.lower[rows], self.upper[rows])
-
-
-def neighbouring(network: Network, corridor: Corridor) -> Neighbourhood:
-    """Returns the lanes for cars that are not the route's, but in the rectangle around it; the rest of a network may be large."""
-    lanes = [
-        NeighbouringLane(lane, edge.function == "", _is_driven(edge, lane.index - 1), _is_driven(edge, lane.index + 1))
-        for edge in network.edges.values()
-        if edge.function in ROADS
-        for lane in edge.lanes
-        if lane.for_cars and (lane.edge, lane.index) not in corridor.places
-    ]
-    return Neighbourhood.of(lanes).near(corridor.line[:, 1:3])
-
-
-def _is_driven(edge: Edge, index: int) -> bool:
-    return 0 <= index < len(edge.lanes) and edge.lanes[index].for_cars
 
 
 def rows_between(corridor: Corridor, first: float, last: float) -> slice:
@@ -131,55 +65,6 @@ def route_surface(corridor: Corridor, rows: slice) -> RoadSurface:
                 is_marking = exists & shared & ~covered.any(axis=1)
                 surface.markings.extend(_polyline(borders[border][run]) for run in _runs(is_marking))
     return surface
-
-
-def surface_beside(lanes: Neighbourhood, corridor: Corridor, rows: slice) -> RoadSurface:
-    """Returns lanes off the route as far as they are near these rows, the nearest ones first up to `MOST_POINTS`."""
-    surface = RoadSurface(lanes=[], edges=[], markings=[])
-    tree = KDTree(corridor.line[rows, 1:3][:: max(1, round(LINE_SPACING / corridor.line.item(1, 0)))])
-    near = lanes.near(corridor.line[rows, 1:3]).lanes  # each costs a search, and a route may pass thousands of others
-    pieces = [(lane, *piece) for lane in near for piece in _pieces(lane.lane, tree)]
-    points = 0
-    for lane, _, right, left in sorted(pieces, key=lambda piece: piece[1]):
-        points += len(right)
-        if points > MOST_POINTS:
-            break
-        surface.lanes.append(_strip(right, left))
-        if lane.is_road:
-            if not lane.has_right:
-                surface.edges.append(_polyline(right))
-            (surface.markings if lane.has_left else surface.edges).append(_polyline(left))
-    return surface
-
-
-def _pieces(lane: Lane, tree: KDTree) -> Iterator[tuple[float, Floats, Floats]]:
-    """Yields the least distance from the route and both borders of each part of a lane that is near it."""
-    shape = lane.shape[np.concatenate([[True], np.hypot(*np.diff(lane.shape, axis=0).T) > 1e-3])]
-    if len(shape) < 2:
-        return
-    s = lengths(shape)
-    positions = np.unique(np.concatenate([s, np.linspace(0.0, s[-1], max(2, ceil(s[-1] / SAMPLES) + 1))]))
-    positions = positions[np.concatenate([[True], np.diff(positions) > 1e-3])]
-    points = np.column_stack([np.interp(positions, s, column) for column in shape.T])
-    if len(points) < 2:
-        return
-    distances = np.asarray(tree.query(points, distance_upper_bound=ASIDE)[0])
-    widths = lane.width if lane.widths is None else np.interp(positions / s[-1], *lane.widths.T)
-    right, left = beside(points, -0.5 * widths), beside(points, 0.5 * widths)
-    for run in _runs(np.isfinite(distances)):
-        yield float(distances[run].min()), right[run], left[run]
-
-
-def beside(points: Floats, offsets: Floats | float) -> Floats:
-    """Returns a polyline (n, 2) at these distances to the left of another one, whose points differ."""
-    ways = np.diff(points, axis=0)
-    ways /= np.hypot(*ways.T)[:, None]
-    middle = np.vstack([ways[:1], ways[:-1] + ways[1:], ways[-1:]])
-    size = np.hypot(*middle.T)
-    middle[size > 1e-9] /= size[size > 1e-9, None]
-    cosines = np.concatenate([[1.0], 0.5 * size[1:-1], [1.0]])
-    out = np.broadcast_to(offsets, len(points)) / np.maximum(cosines, SHARPEST)
-    return np.asarray(points + out[:, None] * np.column_stack([-middle[:, 1], middle[:, 0]]))
 
 
 def simplified(points: Floats) -> Floats:
@@ -268,8 +153,8 @@ class DriveRecorder:
                 self._poses = sum(len(kept) for kept, _ in self._moments)
         self._seen += 1
 
-    def replay(self, record: Record, length: float, corridor: Corridor, beside: Neighbourhood) -> ReplayAnswer | None:
-        """Returns the run on its roads; None if the vehicle has no place at two moments. `length` is the ego vehicle's (m)."""
+    def replay(self, record: Record, length: float, corridor: Corridor) -> ReplayAnswer | None:
+        """Returns the run on its route; None if the vehicle has no place at two moments. `length` is the ego vehicle's (m)."""
         ego = np.column_stack([record.column(name) for name in EGO])
         count = int(np.argmin(np.append(np.isfinite(ego).all(axis=1), False)))  # an unstable vehicle may have no place
         if count < 2:
@@ -293,7 +178,6 @@ class DriveRecorder:
             time_s=times[shown].round(ANGLES).tolist(),
             line=line_of(corridor, rows),
             route=route_surface(corridor, rows),
-            beside=surface_beside(beside, corridor, rows),
             ego=ReplayEgo(length_m=length, width_m=record.width, **columns),
             others=_vehicles(list(moments.values())),
         )

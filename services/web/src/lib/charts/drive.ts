@@ -24,8 +24,8 @@ export interface Drive {
   time_s: readonly number[];
   /** Rows of place along the road, x, y and heading. */
   line: readonly (readonly number[])[];
-  /** What lies on the ground, the lowest first. */
-  surfaces: readonly RoadSurface[];
+  /** The lanes of the road. */
+  surface: RoadSurface;
   ego: Vehicle;
   others: readonly Vehicle[];
   plans: Trace["plans"];
@@ -43,13 +43,11 @@ export function driveOf(trace: Trace, scene: Scene): Drive {
   return {
     time_s: trace.time_s,
     line: reference_line,
-    surfaces: [
-      {
-        lanes: boundaries.slice(1).map((left, index) => ({ right: boundaries[index] ?? [], left })),
-        edges: boundaries.length > 1 ? [boundaries[0] ?? [], boundaries.at(-1) ?? []] : [],
-        markings: boundaries.slice(1, -1),
-      },
-    ],
+    surface: {
+      lanes: boundaries.slice(1).map((left, index) => ({ right: boundaries[index] ?? [], left })),
+      edges: boundaries.length > 1 ? [boundaries[0] ?? [], boundaries.at(-1) ?? []] : [],
+      markings: boundaries.slice(1, -1),
+    },
     ego: { name: "", ...scene.ego, time_s: trace.time_s, places: trace.ego },
     others: Object.entries(trace.neighbours).map(([name, places]) => {
       const { length_m, width_m } = scene.traffic.find((entry) => entry.id === name) ?? USUAL;
@@ -68,7 +66,7 @@ export function driveIn(replay: ReplayAnswer): Drive {
   return {
     time_s,
     line,
-    surfaces: [replay.beside, replay.route],
+    surface: replay.route,
     ego: { name: "", length_m: ego.length_m, width_m: ego.width_m, time_s, places: places(ego) },
     others: replay.others.map((vehicle) => ({
       name: vehicle.id,

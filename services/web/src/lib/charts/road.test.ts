@@ -2,7 +2,6 @@ import { expect, test } from "vitest";
 import type { ReplayAnswer } from "../server/types";
 import { driveIn, driveOf, type Drive, type Scene } from "./drive";
 import type { Trace } from "./geometry";
-import { SERIES } from "./palette";
 import { colours, seen, type Path, type Shape } from "./road";
 
 const along = Array.from({ length: 60 }, (_, index) => index * 5);
@@ -21,12 +20,6 @@ const DRIVE = driveOf(TRACE, SCENE);
 const at = (moment: number): Shape[] => seen(DRIVE, moment, 800, colours(false));
 const strokes = (shapes: Shape[], colour: string): Shape[] => shapes.filter((shape) => "points" in shape && shape.stroke === colour);
 
-test("the road has two edges and a dashed line between its lanes", () => {
-  const shapes = at(0);
-  expect(shapes.filter((shape) => "points" in shape && shape.dash).length).toBe(1);
-  expect(strokes(shapes, "#ffffff").length).toBe(3);
-});
-
 test("dashes stay where they are on the road while the view moves", () => {
   const [first, other] = [at(0), at(0.5)].map((shapes) => shapes.find((shape) => "points" in shape && shape.dash));
   if (!first || !other || !("points" in first) || !("points" in other)) throw new Error("no dashes");
@@ -41,25 +34,13 @@ test("a plan is there once it was made, and who is not on the road is not drawn"
   expect(at(0).filter((entry) => "text" in entry).map((entry) => ("text" in entry ? entry.text : ""))).toEqual(["a<b"]);
 });
 
-test("an ego vehicle beside another has a colour of its own, with its way and its plan", () => {
-  for (const dark of [false, true]) {
-    const cars = SERIES.slice(0, 2).map((own) => colours(dark, own));
-    expect(new Set(cars.map(({ ego }) => ego)).size).toBe(2);
-    for (const { ego, way, plan } of cars) expect([way, plan]).toEqual([ego, ego]);
-  }
-  const drawn = seen(DRIVE, 0, 800, colours(false, SERIES[1]));
-  expect(strokes(drawn, SERIES[1] ?? "").length).toBeGreaterThan(0);
-  expect(strokes(drawn, colours(false).ego)).toEqual([]);
-});
-
-/** A road of two lanes of 4 and 2.5 m from (0, 0), whose left lane ends after 200 m, with a ramp from the right; at any place in any direction. */
+/** A road of two lanes of 4 and 2.5 m from (0, 0), whose left lane ends after 200 m; at any place in any direction. */
 function network(origin: readonly [number, number], heading: number): ReplayAnswer {
   const place = (along: number, left: number): number[] => [
     origin[0] + along * Math.cos(heading) - left * Math.sin(heading),
     origin[1] + along * Math.sin(heading) + left * Math.cos(heading),
   ];
   const line = (left: number, to = 300): number[][] => [0, 50, 100, 150, 200, 250, 300].filter((along) => along <= to).map((along) => place(along, left));
-  const ramp = { right: [place(0, -40), place(100, -6)], left: [place(0, -36), place(100, -2)] };
   const driven = (from: number, speed: number, moments: number) => {
     const places = Array.from({ length: moments }, (_, index) => place(from + speed * index, 0));
     return { x_m: places.map(([x = 0]) => x), y_m: places.map(([, y = 0]) => y), heading_rad: places.map(() => heading) };
@@ -72,7 +53,6 @@ function network(origin: readonly [number, number], heading: number): ReplayAnsw
       edges: [line(-2), line(4.5, 200), [place(200, 2), place(250, 2), place(300, 2)]],
       markings: [line(2, 200)],
     },
-    beside: { lanes: [ramp], edges: [ramp.right, ramp.left], markings: [] },
     ego: { length_m: 4.7, width_m: 1.9, speed_mps: [30, 30, 30, 30], position_m: [60, 90, 120, 150], offset_m: [0, 0, 0, 0], ...driven(60, 30, 4) },
     others: [{ id: "late", first: 2, length_m: 12, width_m: 2.5, ...driven(140, 20, 2) }],
   };
@@ -81,14 +61,14 @@ const paths = (shapes: Shape[], has: (path: Path) => boolean): Path[] => shapes.
 const view = (drive: Drive, moment: number): Shape[] => seen(drive, moment, 800, colours(false));
 const SCALE = 800 / 155;
 
-test("lanes have their own widths, borders and ends, and ramps lie below the route", () => {
+test("lanes have their own widths, borders and ends", () => {
   const shapes = view(driveIn(network([0, 0], 0)), 0);
   const lanes = paths(shapes, ({ fill }) => fill === colours(false).road);
   const widths = lanes.map(({ points }) => Math.abs((points[0]?.[1] ?? 0) - (points.at(-1)?.[1] ?? 0)) / SCALE);
-  expect(widths.map((width) => Math.round(10 * width) / 10)).toEqual([4, 4, 2.5]);
-  expect(Math.max(...(lanes[2]?.points ?? []).map(([x]) => x)) - Math.max(...(lanes[1]?.points ?? []).map(([x]) => x))).toBeCloseTo(-100 * SCALE);
+  expect(widths.map((width) => Math.round(10 * width) / 10)).toEqual([4, 2.5]);
+  expect(Math.max(...(lanes[1]?.points ?? []).map(([x]) => x)) - Math.max(...(lanes[0]?.points ?? []).map(([x]) => x))).toBeCloseTo(-100 * SCALE);
   const strokes = paths(shapes, ({ fill, stroke }) => fill === undefined && stroke === "#ffffff");
-  expect(strokes.map(({ dash }) => dash !== undefined)).toEqual([false, false, false, false, false, true]);
+  expect(strokes.map(({ dash }) => dash !== undefined)).toEqual([false, false, false, true]);
 });
 
 test("the picture is the same wherever the network lies and whichever way its road leads", () => {
@@ -123,7 +103,7 @@ test("a vehicle is there from its first to its last time", () => {
 test("a line that leaves the view and comes back is not drawn across it", () => {
   const far = network([0, 0], 0);
   const around = [[0, 0], [100, 0], [200, 0], [1000, 0], [1000, 1000], [0, 1000], [-1000, 0], [-50, 6], [60, 6]];
-  const shapes = view(driveIn({ ...far, route: { lanes: [], edges: [around], markings: [] }, beside: { lanes: [], edges: [], markings: [] } }), 0);
+  const shapes = view(driveIn({ ...far, route: { lanes: [], edges: [around], markings: [] } }), 0);
   expect(paths(shapes, ({ stroke }) => stroke === "#ffffff").map(({ points }) => points.length)).toEqual([3, 2]);
 });
 

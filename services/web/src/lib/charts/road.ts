@@ -58,24 +58,22 @@ export function seen(drive: Drive, moment: number, width: number, colour: Colour
   const trail = (xs: readonly number[], ys: readonly number[]): Point[] => views(xs.map((x, index) => [x, ys[index] ?? 0])).filter(visible);
 
   const shapes: Shape[] = [{ points: [[0, 0], [width, 0], [width, HEIGHT], [0, HEIGHT]], fill: colour.ground }];
-  for (const { lanes, edges, markings } of drive.surfaces) {
-    for (const lane of lanes) {
-      const [right, left] = [views(lane.right), views(lane.left)];
-      for (const [from, to] of stretches(right.map((point, index) => visible(point) || visible(left[index] ?? point)))) {
-        // The stroke closes the gap to the next lane.
-        shapes.push({ points: [...right.slice(from, to), ...left.slice(from, to).reverse()], fill: colour.road, stroke: colour.road, width: 1 });
-      }
+  for (const lane of drive.surface.lanes) {
+    const [right, left] = [views(lane.right), views(lane.left)];
+    for (const [from, to] of stretches(right.map((point, index) => visible(point) || visible(left[index] ?? point)))) {
+      // The stroke closes the gap to the next lane.
+      shapes.push({ points: [...right.slice(from, to), ...left.slice(from, to).reverse()], fill: colour.road, stroke: colour.road, width: 1 });
     }
-    for (const line of edges) {
-      const points = views(line);
-      for (const [from, to] of stretches(points.map(visible))) shapes.push({ points: points.slice(from, to), stroke: colour.line, width: 2 });
-    }
-    for (const line of markings) {
-      const points = views(line);
-      for (const [from, to] of stretches(points.map(visible))) {
-        // Dashes stay where they are on the road.
-        shapes.push({ points: points.slice(from, to), stroke: colour.mark, width: 1.4, dash: [6 * scale, 12 * scale], dashOffset: length(line.slice(0, from + 1)) * scale });
-      }
+  }
+  for (const line of drive.surface.edges) {
+    const points = views(line);
+    for (const [from, to] of stretches(points.map(visible))) shapes.push({ points: points.slice(from, to), stroke: colour.line, width: 2 });
+  }
+  for (const line of drive.surface.markings) {
+    const points = views(line);
+    for (const [from, to] of stretches(points.map(visible))) {
+      // Dashes stay where they are on the road.
+      shapes.push({ points: points.slice(from, to), stroke: colour.mark, width: 1.4, dash: [6 * scale, 12 * scale], dashOffset: length(line.slice(0, from + 1)) * scale });
     }
   }
   shapes.push({ points: trail(drive.ego.places["x_m"] ?? [], drive.ego.places["y_m"] ?? []), stroke: colour.way, width: 1.5, opacity: 0.35 });

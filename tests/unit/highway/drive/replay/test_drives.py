@@ -13,7 +13,7 @@ from drivecal.contracts.evaluation import ReplayAnswer
 from drivecal.domain.roads import Floats, to_cartesian
 from drivecal.highway.drive import replay as replays
 from drivecal.highway.drive.measures import COLUMNS, Record
-from drivecal.highway.drive.replay import REACH, DriveRecorder, Neighbourhood
+from drivecal.highway.drive.replay import REACH, DriveRecorder
 from drivecal.highway.drive.traffic import Traffic
 
 ROAD = real_corridor("motorway")
@@ -47,7 +47,7 @@ def recorded(table: Floats, others: list[dict[str, float]]) -> ReplayAnswer | No
         recorder(shown(list(ahead), outlines), row[1:4], None)
         outlines[:] = np.nan  # the next step overwrites it
     record = Record(table, np.zeros((0, 5)), 1.0, 1.0, 1.9)
-    return recorder.replay(record, 4.7, ROAD, Neighbourhood.of(()))
+    return recorder.replay(record, 4.7, ROAD)
 
 
 def test_a_vehicle_that_comes_back_is_there_twice() -> None:

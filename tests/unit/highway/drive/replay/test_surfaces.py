@@ -1,33 +1,18 @@
-"""Roads as a replay draws them: the lanes of a route with its ramps, and what is beside it, where the network has them."""
+"""Roads as a replay draws them: the lanes of a route, where the network has them."""
 
-from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial import KDTree
 from tests.support.networks import REAL, entrance, real_corridor, real_network
 
 from drivecal.contracts.evaluation import RoadSurface
 from drivecal.domain.roads import Floats
-from drivecal.highway.drive import replay
-from drivecal.highway.drive.replay import (
-    ASIDE,
-    LINE_SPACING,
-    LONGEST,
-    TOLERANCE,
-    beside,
-    line_of,
-    neighbouring,
-    route_surface,
-    rows_between,
-    simplified,
-    surface_beside,
-)
+from drivecal.highway.drive.replay import LONGEST, TOLERANCE, line_of, route_surface, rows_between, simplified
 from drivecal.roads.corridor import Corridor, corridor
-from drivecal.roads.network import Lane, read_network
+from drivecal.roads.network import read_network
 
 CENTIMETRE = 0.01
 
@@ -74,17 +59,13 @@ def test_a_strip_is_as_wide_as_its_lane_which_may_be_wider_than_others(name: str
     assert {round(width, 1) for width in widths} <= {round(width, 1) for width in drawn}
 
 
-def test_a_ramp_beside_the_route_joins_it_and_only_the_outer_borders_are_edges() -> None:
+def test_a_ramp_is_left_out_and_only_the_outer_borders_are_edges() -> None:
     network = read_network(entrance(), "entrance.net.xml")
     road = corridor(network, ["before", "beside", "after"], "entrance.net.xml")
-    rows = whole(road)
-    route, other = route_surface(road, rows), surface_beside(neighbouring(network, road), road, rows)
+    route = route_surface(road, whole(road))
     ramp = network.edges["ramp"].lanes[0].shape
     near = 0.5 * (ramp[-2:-1] + ramp[-1:])
-    assert holds(other, near) == [True]
     assert holds(route, near) == [False]
-    way = np.linspace(ramp[-1], network.edges["beside"].lanes[0].shape[0], 40)[1:-1]
-    assert all(np.array(holds(route, way)) | holds(other, way)), "no gap between the ramp and its lane beside the route"
     lanes = len(network.edges["beside"].lanes)
     assert lanes > len(network.edges["before"].lanes)
     in_the_middle = np.mean([lane.shape.mean(axis=0)[0] for lane in network.edges["beside"].lanes])
@@ -108,36 +89,10 @@ def test_a_view_finds_points_on_each_stretch() -> None:
 
 def test_only_roads_near_the_drive_are_drawn() -> None:
     road = real_corridor("motorway")
-    lanes = neighbouring(real_network(REAL["motorway"][0]), road)
-    near, all_ = (surface_beside(lanes, road, rows) for rows in (rows_between(road, 100.0, 300.0), whole(road)))
-    assert 0 < len(near.lanes) < len(all_.lanes)
     part = route_surface(road, rows_between(road, 100.0, 300.0))
     points = np.vstack([np.array(strip.right) for strip in part.lanes])
     here = road.line[rows_between(road, 100.0, 300.0), 1:3]
     assert max(np.hypot(*(here - point).T).min() for point in points) < 40.0
-
-
-@pytest.mark.parametrize("name", REAL)
-def test_lanes_far_from_the_drive_are_left_out_before_they_are_searched(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    road = real_corridor(name)
-    lanes = neighbouring(real_network(REAL[name][0]), road)
-    rows = rows_between(road, 0.4 * road.length, 0.4 * road.length + 50.0)
-    searched: list[Lane] = []
-    pieces = replay._pieces
-
-    def counted(lane: Lane, tree: KDTree) -> Iterator[tuple[float, Floats, Floats]]:
-        searched.append(lane)
-        return pieces(lane, tree)
-
-    monkeypatch.setattr(replay, "_pieces", counted)
-    drawn = surface_beside(lanes, road, rows)
-    points = road.line[rows, 1:3]
-    for shape in (lane.shape for lane in searched):
-        assert (shape.max(axis=0) >= points.min(axis=0) - ASIDE).all()
-        assert (shape.min(axis=0) <= points.max(axis=0) + ASIDE).all()
-    tree = KDTree(points[:: max(1, round(LINE_SPACING / road.line.item(1, 0)))])
-    all_pieces = [piece for lane in lanes.lanes for piece in pieces(lane.lane, tree)]
-    assert len(drawn.lanes) == len(all_pieces)
 
 
 @given(st.lists(st.tuples(st.floats(0.1, 60.0), st.floats(-1.0, 1.0)), min_size=2, max_size=60))
@@ -155,12 +110,3 @@ def test_a_simplified_polyline_stays_within_its_tolerance(steps: list[tuple[floa
         share = ((s[first : last + 1] - s[first]) / (s[last] - s[first]))[:, None]
         chord = points[first] + share * (points[last] - points[first])
         assert np.abs(chord - points[first : last + 1]).max() <= TOLERANCE
-
-
-@given(st.floats(-3.2, 3.2), st.floats(-1e5, 1e5), st.floats(0.5, 4.0))
-def test_a_border_keeps_its_distance_in_any_direction(heading: float, origin: float, width: float) -> None:
-    way = np.array([np.cos(heading), np.sin(heading)])
-    points = origin + np.linspace(0.0, 100.0, 7)[:, None] * way
-    off = beside(points, width) - points
-    assert off @ way == pytest.approx(np.zeros(7), abs=1e-6)
-    assert off @ np.array([-way[1], way[0]]) == pytest.approx(np.full(7, width), abs=1e-6)
