@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { brushText, brushes, parse, selecting, wordsOf, wordsText, write } from "./address";
+import { brushText, brushes, parse, selecting, write } from "./address";
 
 describe("an address", () => {
   test("is read as it was written", () => {
@@ -7,20 +7,8 @@ describe("an address", () => {
     expect(parse(write(place))).toEqual(place);
   });
 
-  test("of nothing is the beginning", () => {
-    expect(parse("")).toEqual({ path: [], query: {} });
-    expect(parse("#/")).toEqual({ path: [], query: {} });
-  });
-
   test("that is damaged is read as far as it goes", () => {
     expect(parse("#/campaigns/%E0%A4%A/x")).toEqual({ path: ["campaigns", "%E0%A4%A", "x"], query: {} });
-  });
-
-  test("holds words with commas", () => {
-    const words = ["a,b", "50 %", "%2C", "S1"];
-    expect(wordsOf(parse(write({ path: [], query: { mode: wordsText(words) } })).query["mode"])).toEqual(words);
-    expect(wordsOf("S1,50 %,,eco")).toEqual(["S1", "50 %", "eco"]);
-    expect(wordsOf(undefined)).toEqual([]);
   });
 
   test("holds ranges, open at either end", () => {

@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import { CsvReader } from "../server/columns";
-import { binned, conditions, drawn, numbered, select } from "../server/select";
+import { binned, conditions, numbered, select } from "../server/select";
 import type { Scale } from "../server/types";
 import { chosen, colouring, marks, parameterAxes, positions, scoreAxis } from "./axes";
 
@@ -53,13 +53,6 @@ test("the axis of a score holds what lies beyond its usual range, and less is br
   expect(colouring("score", { ...COST, direction: "maximise" }, [3, 5])).toEqual({ name: "score", worst: 3, best: 5 });
   const bins = binned(numbered(4), Float64Array.of(120, 40, 10, 70), 100, 0, 4);
   expect(bins.map((bin) => [...bin])).toEqual([[], [0], [3], [1], [2]]);
-});
-
-test("of many lines the best of the search are drawn, by the direction of the score", () => {
-  const rows = numbered(4);
-  const best = (share: number, sign: number) => [...drawn(table(), rows, { by: "score", sign, share, least: 1 })];
-  expect([best(0.25, -1), best(0.25, 1), best(1, -1)]).toEqual([[1], [0], [0, 1, 2, 3]]);
-  expect([...drawn(table(), rows, { by: "score", sign: -1, share: 0.25, least: 10 })]).toEqual([0, 1, 2, 3]);
 });
 
 test("choices are written beside their axis, of many some", () => {

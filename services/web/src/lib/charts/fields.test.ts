@@ -28,12 +28,3 @@ test("the range of a field has its rows alone, also if those of the next lie on 
   const { fields } = gridOf(rows(4), on, on, on, AXIS, AXIS, 1);
   for (const { across: [low, high], rows: count } of fields) expect(on.filter((value) => value >= low && value <= high)).toHaveLength(count);
 });
-
-test("every row lies in a field or is counted as left out, wherever it lies", () => {
-  for (const [x, y] of [[-5, 3], [40, 40], [0, 12], [11.999, 0]] as const) {
-    const grid = gridOf(rows(1), Float64Array.of(x), Float64Array.of(y), Float64Array.of(1), AXIS, AXIS, 1);
-    expect(grid.fields).toHaveLength(1);
-    const [field] = grid.fields;
-    expect([field?.column ?? -1, field?.line ?? -1].every((place) => place >= 0 && place < 12)).toBe(true);
-  }
-});

@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { at, camera, lastBefore, planAt, ticks } from "./geometry";
+import { at, camera, lastBefore, ticks } from "./geometry";
 
 const times = [0.1, 0.2, 0.3];
 
@@ -17,11 +17,6 @@ describe("a series", () => {
     const many = Array.from({ length: 101 }, (_, index) => index / 10);
     for (let moment = -0.05; moment < 11; moment += 0.07) expect(lastBefore(many, moment)).toBe(many.filter((entry) => entry <= moment + 1e-9).length - 1);
   });
-});
-
-test("the plan at a moment is the newest by then", () => {
-  const plans = [{ made_at_s: 0 }, { made_at_s: 0.2 }];
-  expect([planAt(plans, -1), planAt(plans, 0.1), planAt(plans, 0.2), planAt([], 1)]).toEqual([null, plans[0], plans[1], null]);
 });
 
 test("ahead is to the right and left is up, wherever the road turns", () => {

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { byMeasure, haveLikeObjectives, haveLikeScores, measureOf, overOf, overlay, type Over } from "./overlay";
+import { byMeasure, haveLikeObjectives, haveLikeScores, overOf, overlay, type Over } from "./overlay";
 import type { Campaign, Generation } from "../server/types";
 
 const generation = (iteration: number, best: number, requested: number, reused: number): Generation => ({ iteration, best, requested, reused, repeated: 0, predicted: 0 }) as Generation;
@@ -13,20 +13,9 @@ test("a search is drawn over iterations, one with a budget over the simulations 
   expect([overOf([{ budget: null }]), overOf([{ budget: null }, { budget: { simulations: 60 } }])]).toEqual(["iteration", "simulations"]);
 });
 
-test("searches differ in colour and dash, for eyes that see colours alike", () => {
-  const [first, other] = overlay(searches, "iteration");
-  expect(first?.colour).not.toBe(other?.colour);
-  expect(first?.dash).not.toBe(other?.dash);
-});
-
 const scale = { name: "ease", unit: "1", direction: "maximise", lower: 0, upper: 10 };
 const campaign = (objective: Record<string, unknown> | null, spec: Record<string, unknown> = {}): Campaign => ({ spec: { catalogue: "all", weights: {}, ...spec }, scale, objective }) as unknown as Campaign;
 const [scored, cheap, quick] = [campaign(null), campaign({ name: "energy", unit: "kWh", direction: "minimise" }), campaign({ name: "time", unit: "s", direction: "minimise" })];
-
-test("a campaign with objectives is measured by the first of them", () => {
-  expect(measureOf(scored)).toEqual({ name: "ease", unit: "1", direction: "maximise" });
-  expect(measureOf(cheap)).toEqual({ name: "energy", unit: "kWh", direction: "minimise" });
-});
 
 test("only like objectives are compared, under the same weights and scenarios", () => {
   expect(haveLikeObjectives([scored, campaign(null)])).toBe(true);

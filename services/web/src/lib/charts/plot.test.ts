@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { legend, numbersOf, outline, reach, valueNear, type Frame, type Series } from "./plot";
+import { numbersOf, outline, reach, valueNear, type Frame, type Series } from "./plot";
 
 const FRAME: Frame = { width: 120, height: 70, left: 10, right: 10, top: 10, bottom: 10, x: [0, 10], y: [0, 5] };
 const line = (values: (number | null)[], more: Partial<Series> = {}): Series => ({ name: "a", values, colour: "#000000", ...more });
@@ -9,10 +9,6 @@ test("a line goes through its values, leaves out what is not there, and marks a 
   expect(outline(line([0, 5], { steps: true, x: [5, 10] }), [0, 1], FRAME)).toBe("M60.0 60.0L110.0 60.0L110.0 10.0");
   expect(outline(line([null, 5]), [0, 5], FRAME)).toBe("M53.0 10.0L67.0 10.0");
   expect([reach([[3], [null]]), reach([[1, 3], [2]], 0), reach([])]).toEqual([[2.5, 3.5], [1, 3], [0, 1]]);
-});
-
-test("runs of one group have one entry in the legend", () => {
-  expect(legend([line([1], { group: "x" }), line([2], { group: "x" }), line([3])]).map(({ values }) => values)).toEqual([[1], [3]]);
 });
 
 test("lines with places of their own are read at those, and nowhere else", () => {

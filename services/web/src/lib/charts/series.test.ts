@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { beside, chartsOf, reportsBeside, timeOf } from "./series";
+import { chartsOf, reportsBeside, timeOf } from "./series";
 
 test("series are drawn over the time that the simulator reports", () => {
   expect(timeOf({ speed: [1, 2], time: [0, 0.1] })).toBe("time");
@@ -16,17 +16,6 @@ test("series of one unit share a chart, and every series is on one", () => {
     ["mode", "time / s", ""],
   ]);
   expect(charts[2]?.x).toEqual([0, 1]);
-});
-
-test("without a time everything is drawn by its steps", () => {
-  expect(chartsOf({ v: [3, 4, 5] }, { v: "m" })).toMatchObject([{ xTitle: "step", x: [0, 1, 2] }]);
-  expect(chartsOf({}, {})).toEqual([]);
-});
-
-test("runs beside each other keep their own times, and share the longest", () => {
-  const chart = beside("Speed", "m/s", [{ name: "best", colour: "a", x: [0, 1], values: [3, 4] }, { name: "baseline", colour: "b", x: [0, 1, 2], values: [3, 2, 1] }]);
-  expect(chart.x).toEqual([0, 1, 2]);
-  expect(chart.series.map((line) => [line.name, line.x?.length, line.dash !== undefined])).toEqual([["best", 2, false], ["baseline", 3, true]]);
 });
 
 const run = (title: string, reported: Record<string, number[]>) => ({ title, colour: "a", reported });

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { Broken, at, brokenIn, fieldName, gridId, gridPlace, partName, placesOf } from "./faults";
+import { Broken, brokenIn, fieldName, gridPlace, partName } from "./faults";
 import { written, writtenList } from "./schema";
 
 const WANTED = { parameters: [{ name: "P7" }, { name: "P2", lower: 1 }] };
@@ -18,27 +18,6 @@ test("a field is named as the form labels it", () => {
   expect(names.map((name) => fieldName(name, WANTED))).toEqual(["P2, to", "P2", "P7, held at", "weight of S9", "objective 1", "objective 1, aggregate, quantile", "constraint 2, at least", "optimizer, start set 3, P1", "seed 1", "name"]);
   expect(fieldName("vehicle.parameters.yaw_inertia")).toBe("vehicle, parameters, yaw_inertia");
   expect(["[0].P_1", "[1]", ".yaw_inertia", "[2][0]"].map(partName)).toEqual(["1, P_1", "2", "yaw_inertia", "3, 1"]);
-});
-
-test("what is nearest to a fault comes into sight", () => {
-  expect(placesOf("parameters[1].upper", WANTED).slice(0, 2)).toEqual([gridId({ parameter: "P2", column: "to" }), gridId({ parameter: "P2", column: "" })]);
-  expect(placesOf("parameters[1]", WANTED).at(-1)).toBe("field-parameters");
-  expect(placesOf("constraints[0].at_least", {})).toEqual(["field-constraints[0].at_least", "field-constraints[0]", "field-constraints"]);
-  expect(placesOf("fixed.P7", {}).at(-1)).toBe("field-parameters");
-});
-
-const PROBLEMS = [
-  { field: "optimizer.population", message: "-3 is too small", remedy: "give at least 2" },
-  { field: "weights.S9", message: "there is no scenario S9", remedy: "" },
-  { field: "parameters[0].lower", message: "the value is missing", remedy: "give it" },
-];
-
-test("each field says what is wrong with it and what would be right", () => {
-  expect(at(PROBLEMS, "optimizer.population")).toEqual(["-3 is too small; give at least 2"]);
-  expect(at(PROBLEMS, "optimizer", true)).toEqual([]);
-  expect(at(PROBLEMS, "weights")).toEqual(["S9: there is no scenario S9"]);
-  expect(at(PROBLEMS, "parameters")).toEqual(["1, lower: the value is missing; give it"]);
-  expect(at(PROBLEMS, "weight")).toEqual([]);
 });
 
 test("half of a JSON document is neither a word nor a list of words", () => {

@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import { Broken } from "./faults";
-import { changed, describe, differences, emptyText, insteadWith, listText, others, pairsText, withDefault, written, writtenList, writtenPairs, type Definitions } from "./schema";
+import { describe, differences, listText, others, pairsText, writtenList, writtenPairs, type Definitions } from "./schema";
 
 const DEFINITIONS: Definitions = {
   Search: { type: "object", properties: { kind: { enum: ["genetic", "random"] }, seed: { type: "integer", default: 1 } } },
@@ -46,41 +46,6 @@ test("objects are described behind references and choices, and whether they may 
   const described = describe({ anyOf: [{ oneOf: [{ $ref: "#/components/schemas/Search" }, { $ref: "#/components/schemas/Map" }] }, { type: "null" }], default: { seed: 3 } }, DEFINITIONS);
   expect([described.kind, described.optional, Object.keys(described.schema.properties ?? {}), described.schema.default]).toEqual(["object", true, ["kind", "seed"], { seed: 3 }]);
   expect(describe({ $ref: "#/components/schemas/Search" }, DEFINITIONS).optional).toBe(false);
-});
-
-test("a default may depend on what else is wanted", () => {
-  const other = withDefault(DEFINITIONS, "Search", "kind", "random");
-  expect(describe(other["Search"]?.properties?.["kind"] ?? {}, other).schema.default).toBe("random");
-  expect(other["Search"]?.properties?.["seed"]).toEqual(DEFINITIONS["Search"]?.properties?.["seed"]);
-  expect(DEFINITIONS["Search"]?.properties?.["kind"]?.default).toBeUndefined();
-  expect(withDefault(DEFINITIONS, "Search", "none", 1)).toBe(DEFINITIONS);
-});
-
-test("an empty field says which default holds", () => {
-  const empty = (schema: object): string => emptyText(describe(schema, {}));
-  expect(empty({ type: "integer", default: 1000 })).toBe("1000 by default");
-  expect(empty({ type: "number", default: 0 })).toBe("0 by default");
-  expect(empty({ type: "array", items: { type: "integer" }, default: [1, 2] })).toBe("1, 2 by default");
-  expect(empty({ anyOf: [{ type: "number" }, { type: "null" }], default: 3 })).toBe("3 by default");
-  expect(empty({ anyOf: [{ type: "number" }, { type: "null" }] })).toBe("none");
-  expect(empty({ type: "number" })).toBe("needed");
-});
-
-test("a quantile without its share is not sent", () => {
-  const quantile = { properties: { quantile: { type: "number" } }, required: ["quantile"] };
-  expect(insteadWith(quantile, {}, "quantile", 0.5)).toEqual({ quantile: 0.5 });
-  expect(insteadWith(quantile, { quantile: 0.5 }, "quantile", undefined)["quantile"]).toBeInstanceOf(Broken);
-  expect(insteadWith({ properties: quantile.properties }, { quantile: 0.5 }, "quantile", undefined)).toEqual({});
-});
-
-test("what is written is JSON where it can be", () => {
-  expect([written("highway"), written('["S1"]'), written("0.5"), written(" ")]).toEqual(["highway", ["S1"], 0.5, undefined]);
-});
-
-test("a change leaves the rest, and taking it back leaves nothing", () => {
-  const document = changed({ a: 1 }, "b", null);
-  expect(document).toEqual({ a: 1, b: null });
-  expect(changed(document, "b", undefined)).toEqual({ a: 1 });
 });
 
 test("two documents are compared leaf by leaf", () => {

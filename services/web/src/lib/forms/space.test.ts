@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import type { Shape, ShapeParameter } from "../server/shape";
-import { parameterRows, pastedSet, scenarioRows, withBaseline, withBaselineOf, withFixed, withProblem, withRange, withScenario, withWeight, type Wanted } from "./space";
+import { parameterRows, pastedSet, scenarioRows, withBaselineOf, withProblem, withRange, withScenario, withWeight, type Wanted } from "./space";
 
 const parameter = (name: string, changes: Partial<ShapeParameter>): ShapeParameter => ({ name, kind: "continuous", unit: "1", meaning: "", lower: 0, upper: 2, step: null, choices: [], ...changes });
 const SHAPE: Shape = {
@@ -26,15 +26,6 @@ test("a range is written only where it differs, and then with all parameters as 
   expect(parameterRows(SHAPE, eco)[3]?.choices).toEqual(["eco", "boost"]);
   expect(withRange(SHAPE, eco, "mode", { choices: ["eco", "normal", "boost"] })).toEqual({});
   expect(parameterRows(SHAPE, withRange(SHAPE, {}, "gain", { upper: undefined }))[0]?.upper).toBeUndefined();
-});
-
-test("values are held and taken back, and the baseline stays whole", () => {
-  const held = withFixed(withFixed({}, "mode", "eco"), "gain", 1);
-  expect(held).toEqual({ fixed: { mode: "eco", gain: 1 } });
-  expect(withFixed(withFixed(held, "gain", undefined), "mode", undefined)).toEqual({});
-  const compared = withBaseline(SHAPE, {}, "rooms", 4);
-  expect(compared).toEqual({ baseline: { gain: 0.5, stage: 1, rooms: 4, mode: "normal" } });
-  expect(withBaseline(SHAPE, compared, "rooms", 3)).toEqual({});
 });
 
 test("scenarios and weights are written where they differ, and one scenario is always left", () => {

@@ -11,10 +11,10 @@ const PARAMETERS = ["x", "parameter_rank", "mode"].map((column) => ({ name: colu
 const ROWS = [row(1), row(2), row(3)];
 
 test("a front is a table with the columns of its files", () => {
-  const sets = tableOf([row(1), row(2, { parameters: { x: 1, rank: 4, mode: "boost" }, iteration: null })], PARAMETERS, { made: ["of", null] });
+  const sets = tableOf([row(1), row(2, { parameters: { x: 1, rank: 4, mode: "boost" }, iteration: 3 })], PARAMETERS, { made: ["of", null] });
   const table = withColumns(sets, { marks: ["best", null] });
   expect(table.names).toEqual(["rank", "made", "objective_f1", "objective_f2", "violation", "constraint_y", "knee", "best_in", "wins", "alternatives", "degree", "score_plain", "value_f2@plain", "reused", "answer_plain", "x", "parameter_rank", "mode", "iteration", "individual", "marks"]);
-  expect(["mode", "parameter_rank", "iteration", "marks", "knee", "degree"].map((name) => cell(table, name, 1))).toEqual(["boost", 4, null, null, "true", null]);
+  expect(["mode", "parameter_rank", "iteration", "marks", "knee", "degree"].map((name) => cell(table, name, 1))).toEqual(["boost", 4, 3, null, "true", null]);
   expect(tableOf([], PARAMETERS).length).toBe(0);
 });
 
@@ -31,12 +31,6 @@ test("a set is as certain as its least certain answer", () => {
   expect(kindOf({ a: "simulated", b: "confirmed" })).toBe("confirmed");
   expect(madeOfText({ a: "simulated", b: "reused", c: "simulated" })).toBe("1 copied, 2 simulated");
   expect(kindOf(undefined)).toBe("simulated");
-});
-
-test("the winner and the knee are compared until the address names others", () => {
-  expect(pairOf(ROWS, undefined, undefined, null)).toEqual({ current: 0, other: 1 });
-  expect(pairOf(ROWS, "3", "1", null)).toEqual({ current: 2, other: 0 });
-  expect(pairOf(ROWS, "99", undefined, 2)).toEqual({ current: 2, other: 1 });
 });
 
 test("a set is never compared with itself", () => {

@@ -1,25 +1,11 @@
 import { expect, test } from "vitest";
-import { leading, moved, normalised, shares, sums, weightsOf, weightsText } from "./weights";
+import { moved, normalised, shares, weightsOf, weightsText } from "./weights";
 
 const GOALS = [{ name: "comfort", direction: "maximise", tolerance: 0 }, { name: "jerk", direction: "minimise", tolerance: 0 }];
-const ROWS = [{ objectives: { comfort: 6, jerk: 9 } }, { objectives: { comfort: 5, jerk: 4 } }, { objectives: { comfort: 2, jerk: 1 } }];
-
-test("objectives are scaled from the worst to the best on the front, whatever their direction", () => {
-  expect(shares(ROWS, GOALS)).toEqual([[1, 0], [0.75, 0.625], [0, 1]]);
-  expect(shares([{ objectives: { comfort: 3, jerk: 1 } }, { objectives: { comfort: 3, jerk: 2 } }], GOALS)).toEqual([[1, 1], [1, 0]]);
-});
 
 test("differences up to the tolerance do not count", () => {
   const rows = [{ objectives: { comfort: 5.1 } }, { objectives: { comfort: 5 } }, { objectives: { comfort: 2 } }];
   expect(shares(rows, [{ name: "comfort", direction: "maximise", tolerance: 1 }])).toEqual([[1], [1], [0]]);
-});
-
-test("the largest weighted sum wins, of equal ones the first", () => {
-  const scaled = shares(ROWS, GOALS);
-  const winner = (...weights: number[]): number | undefined => leading(sums(scaled, weights), 1)[0];
-  expect([winner(1, 0), winner(1, 1), winner(0, 1)]).toEqual([0, 1, 2]);
-  expect(leading([0.5, 0.5, 0.7], 3)).toEqual([2, 0, 1]);
-  expect(sums([[1, 0]], [0, 0])).toEqual([0.5]);
 });
 
 test("weights are written as the API reads them, also of names with a sign of equality", () => {

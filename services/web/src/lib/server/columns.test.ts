@@ -1,6 +1,6 @@
 import { describe, expect, test } from "vitest";
 import { CsvReader, cell, csvOf, extent, type Table } from "./columns";
-import { binned, conditions, numbered, ordered, select, tally } from "./select";
+import { ordered, select } from "./select";
 
 const TEXT = new Set(["scenario", "failure"]);
 const CSV = `id,scenario,P1,score,failure\n1,S1,0.5,7,\n2,S2,-1.5,,collision\n3,S10,2,0,"off, ""far"" off\nthe road"\n4,S2,2,3,\n`;
@@ -37,24 +37,6 @@ describe("a table", () => {
     expect([0, 1, 2, 3].map((row) => cell(table, "P1", row))).toEqual([1, 2, null, 3]);
     expect(extent(table, "mode")).toBeNull();
   });
-
-  test("has choices as they are written, also where all of them look like numbers", () => {
-    const reader = new CsvReader(new Set(["gear", "mode"]));
-    reader.push("gear,mode,P1\n1.0,'-soft,-1\n05,'=1+1,2\n1e3,'-5,3\n");
-    const table = reader.finish();
-    expect([0, 1, 2].map((row) => cell(table, "gear", row))).toEqual(["1.0", "05", "1e3"]);
-    expect([0, 1, 2].map((row) => cell(table, "mode", row))).toEqual(["-soft", "=1+1", "'-5"]);
-    expect(extent(table, "P1")).toEqual([-1, 3]);
-    expect(conditions({ words: { mode: ["-soft"] }, ranges: {} })).toEqual(["mode=-soft"]);
-    expect([...select(table, { words: { mode: ["-soft"], gear: ["1.0"] }, ranges: {} })]).toEqual([0]);
-  });
-
-  test("grows", () => {
-    const table = read(["id,scenario\n", ...Array.from({ length: 5000 }, (_, at) => `${at},S${at % 3}\n`)]);
-    expect(table.length).toBe(5000);
-    expect(cell(table, "id", 4999)).toBe(4999);
-    expect(tally(table, "scenario")).toEqual([["S0", 1667], ["S1", 1667], ["S2", 1666]]);
-  });
 });
 
 describe("a selection", () => {
@@ -74,22 +56,6 @@ describe("a selection", () => {
     expect([...ordered(table, all, "scenario", false)]).toEqual([0, 1, 3, 2]);
     expect([...ordered(table, all, "P1", true)]).toEqual([2, 3, 0, 1]);
   });
-
-  test("is divided by the size of a value, each row once", () => {
-    const values = Float64Array.of(0, 7, Number.NaN, 3.4, 3.6, 9, -1);
-    expect(binned(numbered(7), values, 0, 7, 2).map((rows) => [...rows])).toEqual([[2], [0, 3, 6], [1, 4, 5]]);
-    expect(binned(numbered(2), null, 0, 0, 2).map((rows) => [...rows])).toEqual([[0, 1], [], []]);
-  });
-});
-
-test("what was read so far can be shown while the rest comes", () => {
-  const reader = new CsvReader(new Set(["outcome"]));
-  reader.push("id,outcome\n1,reused\n2,simu");
-  const begun = reader.soFar();
-  reader.push("lated\n3,failed\n");
-  expect([begun.length, cell(begun, "outcome", 0), cell(begun, "outcome", 1)]).toEqual([1, "reused", null]);
-  expect([reader.finish().length, cell(reader.finish(), "outcome", 2)]).toEqual([3, "failed"]);
-  expect(begun.columns["outcome"]).toMatchObject({ words: ["reused"] });
 });
 
 test("a drawing's file holds no formula for any separator, and numbers stay numbers", () => {

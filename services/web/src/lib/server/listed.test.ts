@@ -30,14 +30,6 @@ beforeEach(() => {
 });
 afterEach(() => void vi.unstubAllGlobals());
 
-test("older campaigns stay when the newest page moves on", async () => {
-  const list = new CampaignList(PATH);
-  expect(await read(list, 2)).toEqual([["5", "4", "3", "2"], true]);
-  stored = [campaign(7), campaign(6), ...stored];
-  expect(await read(list, 2)).toEqual([["7", "6", "5", "4"], true]);
-  expect(await read(list, 4)).toEqual([["7", "6", "5", "4", "3", "2", "1"], false]);
-});
-
 test("no campaign is listed twice, also when a newer one goes", async () => {
   const list = new CampaignList(PATH);
   await Promise.all([list.read(1), list.read(2)]);

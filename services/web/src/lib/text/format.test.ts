@@ -1,5 +1,5 @@
 import { afterEach, describe, expect, test, vi } from "vitest";
-import { ago, capital, clock, duration, measured, number, percent, rounded, scored, spaced, tolerated, yesNo } from "./format";
+import { ago, clock, duration, measured, number, percent, rounded, scored } from "./format";
 
 test("a part is never rounded to nothing, nor to the whole", () => {
   expect(percent(0)).toBe("0.0 %");
@@ -59,17 +59,6 @@ describe("times", () => {
   });
 });
 
-test("what is no error is told in the unit of the score", () => {
-  expect(tolerated({ tolerance: 1, unit: "points" })).toBe("1 point");
-  expect(tolerated({ tolerance: 2, unit: "1" })).toBe("2");
-  expect(tolerated({ tolerance: 0.5, unit: "kWh" })).toBe("0.5 kWh");
-});
-
 test("what is nearly nothing is rounded to it, where decimals are fixed", () => {
   expect([rounded(-5e-8, 2), rounded(0.0049, 2), rounded(1.239, 2)]).toEqual(["0", "0", "1.24"]);
-});
-
-test("names and truth values of the API are words for readers, and its messages sentences", () => {
-  expect(["true", "false", "belt"].map(yesNo)).toEqual(["yes", "no", "belt"]);
-  expect([spaced("task_missed"), capital("there is no campaign")]).toEqual(["task missed", "There is no campaign"]);
 });

@@ -1,18 +1,12 @@
 import { expect, test } from "vitest";
-import { arranged, countedCells, savedShare, subjectOf, weighted } from "./listing";
+import { arranged, countedCells, savedShare, subjectOf } from "./listing";
 import type { Campaign } from "../server/types";
 
 const NONE = { proposed: 0, requested: 0, simulated: 0, repeated: 0, reused: 0, predicted: 0 };
 function campaign(id: string, changes: Record<string, unknown> = {}): Campaign {
   return { id, name: id, kind: "calibration", state: "succeeded", spec: { optimizer: { kind: "genetic" } }, links: {}, best: null, cells: NONE, stages: {}, seconds: { wall: 1 }, created_at: "2026-01-01", tags: [], comment: "", ...changes } as unknown as Campaign;
 }
-const study = (id: string, of: string): Campaign => campaign(id, { spec: { optimizer: null, robustness: { of } } });
 const shown = (listed: { campaign: Campaign; below: boolean }[]): string[] => listed.map((entry) => (entry.below ? `> ${entry.campaign.id}` : entry.campaign.id));
-
-test("studies are listed below what they examine", () => {
-  const known = [study("s2", "a"), campaign("b"), study("s1", "a"), campaign("a"), study("s3", "gone")];
-  expect(shown(arranged(known, "", ["created", "down"]))).toEqual(["b", "a", "> s2", "> s1", "s3"]);
-});
 
 test("a validation belongs to the campaign that made its map", () => {
   const [maker, user] = [campaign("maker", { links: { influence_map: "/api/v1/influence-maps/m" } }), campaign("user", { links: { influence_map: "/api/v1/influence-maps/m" } })];
@@ -45,10 +39,4 @@ test("a study counts the cells of its stages", () => {
   expect(countedCells(made)).toMatchObject({ requested: 10, simulated: 4 });
   expect(savedShare(made)).toBeCloseTo(0.6);
   expect(savedShare(campaign("new"))).toBeNull();
-});
-
-test("weights of a rerun are told in few words, the heaviest first, without those that go without saying", () => {
-  expect(weighted({ S1: 1, S2: 4, S3: 0.5, S4: 0 })).toBe("weights S2 4, S3 0.5, S4 0");
-  expect(weighted({ a: 2, b: 3, c: 4, d: 5, e: 6 })).toBe("weights e 6, d 5, c 4, b 3, …");
-  expect([weighted({ S1: 1 }), weighted({}), weighted(null), weighted(undefined)]).toEqual(["", "", "", ""]);
 });

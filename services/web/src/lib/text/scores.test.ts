@@ -15,22 +15,6 @@ function pushed(digest: string, scores: ProblemAnswer["scores"]): ProblemAnswer 
 const OWN = pushed("d1", { cost: COST, ease: EASE });
 const campaign = (spec: Record<string, unknown> = {}): { spec: Record<string, unknown>; scale: Scale } => ({ spec: { evaluator: "cost", ...spec }, scale: SCALE });
 
-test("the campaign's own score comes first, then the others of its problem with their scales", () => {
-  const [own, ease, ...more] = offeredScores(campaign(), OWN, OWN);
-  expect(own).toEqual({ value: "", title: "cost / EUR, 0 to 100, less is better", scale: SCALE });
-  expect(ease).toMatchObject({ value: "ease", scale: { name: "ease", direction: "maximise", lower: 0, upper: 10, failed: 0, unit: "1" } });
-  expect(more).toEqual([]);
-});
-
-test("a problem with one score leaves nothing to choose", () => {
-  expect(offeredScores(campaign(), pushed("d1", { cost: COST }), null)).toHaveLength(1);
-});
-
-test("a campaign with goals of its own can also be ranked by each score", () => {
-  const values = offeredScores(campaign({ objectives: [{ measure: "e" }] }), OWN, null).map((score) => score.value);
-  expect(values).toEqual(["", "cost", "ease"]);
-});
-
 test("of the latest push those are offered that give other numbers", () => {
   const latest = pushed("d2", { cost: { ...COST, formula: "2*e" }, ease: { ...EASE, range: [0, 10], tolerance: 1 }, new: EASE });
   const values = offeredScores(campaign(), OWN, latest).map((score) => score.value);
