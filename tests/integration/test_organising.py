@@ -37,24 +37,16 @@ def names(client: Client, **query: Any) -> list[str]:
     return [campaign.name for campaign in client.campaigns(**query).items]
 
 
-def test_labels_filter_the_list_and_archived_campaigns_are_hidden_but_found(api: RunningApi, client: Client) -> None:
+def test_labels_filter_the_list(api: RunningApi, client: Client) -> None:
     first, second = ended(api, "first"), ended(api, "second")
     before = api.http.get("/api/v1/campaigns").headers["etag"]
-    labelled = client.label(first[:6], tags=["good", "car-7"], comment="for the review")
-    assert (labelled.tags, labelled.comment) == (["car-7", "good"], "for the review")
+    labelled = client.label(first[:6], tags=["good", "car-7"])
+    assert labelled.tags == ["car-7", "good"]
+    assert api.http.get("/api/v1/campaigns").headers["etag"] != before
     assert client.label(first, tags=["good", "car-7"]) == labelled
     assert client.label(first, add_tags=["new"]).tags == ["car-7", "good", "new"]
     assert client.label(first, remove_tags=["new"]).tags == ["car-7", "good"]
     assert names(client, tags=["good"]) == ["first"]
-    client.label(first, archived=True)
-    assert api.http.get("/api/v1/campaigns").headers["etag"] != before
-    assert (names(client), names(client, archived="only"), names(client, archived="with")) == (
-        ["second"],
-        ["first"],
-        ["second", "first"],
-    )
-    assert client.campaign(first[:6]).archived_at is not None
-    client.label(first, archived=False)
     assert names(client) == ["second", "first"]
     assert client.full_id(second[:6]) == second
 
@@ -69,12 +61,28 @@ def test_a_rerun_keeps_the_weights_that_it_does_not_change(api: RunningApi, clie
 def test_the_command_line_labels_lists_and_deletes(run: Run, api: RunningApi) -> None:
     campaign = ended(api, "mine")
     assert run("label", campaign[:6]).exit_code == 2
-    assert run("label", campaign[:6], "--tag", "good", "--tag", "bad", "--comment", "why").exit_code == 0
-    changed = json.loads(run("label", campaign[:6], "--untag", "bad", "--archive", "--json").stdout)
-    assert (changed["tags"], changed["comment"]) == (["good"], "why")
-    assert json.loads(run("list", "--json").stdout)["items"] == []
-    listed = json.loads(run("list", "--archived", "--tag", "good", "--json").stdout)["items"]
+    assert run("label", campaign[:6], "--tag", "good", "--tag", "bad").exit_code == 0
+    changed = json.loads(run("label", campaign[:6], "--untag", "bad", "--json").stdout)
+    assert changed["tags"] == ["good"]
+    assert json.loads(run("list", "--tag", "bad", "--json").stdout)["items"] == []
+    listed = json.loads(run("list", "--tag", "good", "--json").stdout)["items"]
     assert [item["id"] for item in listed] == [campaign]
     assert "good" in run("show", campaign[:6]).stdout
-    assert json.loads(run("delete", campaign[:6], "--json").stdout)["deleted"]
+    assert json.loads(run("delete", campaign[:6], "--json").stdout) == {"deleted": [campaign]}
     assert run("show", campaign).exit_code == 5
+
+
+def test_a_campaign_to_which_others_refer_is_kept_until_they_are_gone(run: Run, api: RunningApi, client: Client) -> None:
+    first, second = ended(api, "first"), ended(api, "second")
+    rerun = client.rerun(first, {"weights": {"S1": 2}}).id
+    for campaign in (first, second):
+        client.label(campaign, tags=["old"])
+    refused = api.http.delete(f"/api/v1/campaigns/{first}")
+    assert (refused.status_code, rerun in refused.json()["detail"]) == (409, True)
+    answer = run("delete", "--tag", "old", "--json")
+    assert (answer.exit_code, json.loads(answer.stdout)) == (1, {"deleted": [second]})
+    client.act(rerun, "cancel")
+    client.delete(rerun)
+    client.delete(first)
+    client.delete(first)
+    assert names(client) == []

@@ -36,7 +36,7 @@ def submit_comparison(database: Database, stored_map: str | None = None, **chang
 def runs_of(database: Database, tag: str) -> list[StoredCampaign]:
     """The campaigns of a comparison as they are now, in order."""
     with database.read() as connection:
-        return campaigns.page(connection, limit=1000, conditions=labels.listing("with", [tag]))[0][::-1]
+        return campaigns.page(connection, limit=1000, conditions=labels.having([tag]))[0][::-1]
 
 
 def read_comparison(database: Database, tag: str) -> Comparison:

@@ -211,7 +211,7 @@ def _moved(problem: Problem, optimizer: int, reduction: int) -> Problem:
 
 def compared(connection: Connection, tag: str) -> Comparison:
     """Compares the campaigns with a tag that have an optimizer, as far as they are. Raises NotFoundError without such a campaign."""
-    page, _ = campaigns.page(connection, limit=LARGEST_RUNS, conditions=labels.listing("with", [tag]))
+    page, _ = campaigns.page(connection, limit=LARGEST_RUNS, conditions=labels.having([tag]))
     whole = [campaign if campaign.spec else campaigns.by_sequence(connection, campaign.sequence) for campaign in reversed(page)]
     stored = [campaign for campaign in whole if campaign.spec.get("optimizer")]
     if not stored:

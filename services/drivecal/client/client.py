@@ -4,7 +4,6 @@ import json
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -32,7 +31,6 @@ from drivecal.contracts.inventory import (
     ScenarioPage,
     WorkerPage,
 )
-from drivecal.contracts.organising import Archived, Deletion
 from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedRow
 from drivecal.contracts.outside.results import StoredCells
 from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet
@@ -85,7 +83,7 @@ class Client(Transport):
 
         Raises NotFoundError if several begin so. Every method completes abbreviations of at least four characters by itself.
         """
-        return self._completed("campaign", identifier, lambda: ids_on(partial(self.campaigns, archived="with")))
+        return self._completed("campaign", identifier, lambda: ids_on(self.campaigns))
 
     def full_map_id(self, identifier: str) -> str:
         """Returns the id of an influence map, like `full_id`."""
@@ -498,13 +496,7 @@ class Client(Transport):
         return self._get(WorkerPage, "workers")
 
     def campaigns(
-        self,
-        state: str | None = None,
-        limit: int | None = None,
-        cursor: str | None = None,
-        *,
-        tags: Sequence[str] = (),
-        archived: Archived = "without",
+        self, state: str | None = None, limit: int | None = None, cursor: str | None = None, *, tags: Sequence[str] = ()
     ) -> CampaignPage:
         """Returns a page of campaigns, newest first.
 
@@ -513,27 +505,21 @@ class Client(Transport):
             limit: Largest number of campaigns.
             cursor: `next_cursor` of the page before.
             tags: Only campaigns with all of these tags.
-            archived: Whether archived campaigns are listed.
         """
-        query: dict[str, Any] = {"tag": list(tags) or None, "archived": None if archived == "without" else archived}
-        return self._get(CampaignPage, "campaigns", state=state, limit=limit, cursor=cursor, **query)
+        return self._get(CampaignPage, "campaigns", state=state, limit=limit, cursor=cursor, tag=list(tags) or None)
 
     def label(self, identifier: str, **changes: Any) -> Campaign:
-        """Changes the labels of a campaign that are given: `name`, `tags` (all of them), `add_tags`, `remove_tags`, `comment`, `archived`.
-
-        Raises ConflictError if a campaign that runs is archived.
-        """
+        """Changes the labels of a campaign that are given: `name`, `tags` (all of them), `add_tags`, `remove_tags`."""
         document = {label: value for label, value in changes.items() if value is not None}
         place = ("campaigns", identifier)
         return self._answer(self._request("PATCH", place, document=document), Campaign, place)
 
-    def delete(self, identifier: str) -> Deletion:
-        """Deletes an ended campaign, or archives it if others refer to it; what it simulated stays in the reference table.
+    def delete(self, identifier: str) -> None:
+        """Deletes an ended campaign; what it simulated stays in the reference table.
 
-        Raises ConflictError while it runs.
+        Raises ConflictError while it runs, and while other campaigns refer to it.
         """
-        place = ("campaigns", identifier)
-        return self._answer(self._request("DELETE", place), Deletion, place)
+        raise_for(self._request("DELETE", ("campaigns", identifier)), "campaign", identifier)
 
     def report(self, identifier: str) -> bytes:
         """Returns the page with a campaign's results in it, which needs no server: one HTML file.

@@ -158,8 +158,6 @@ class StoredCampaign(CampaignHeading):
     started_at: datetime | None
     ended_at: datetime | None
     tags: tuple[str, ...]
-    comment: str
-    archived_at: datetime | None
     deleted_at: datetime | None
     finish_at: datetime | None
     """The moment at which an outside optimizer said that it proposes no more sets."""

@@ -321,9 +321,6 @@ class Campaign(CellsByStage):
     """Remarks for the reader: scenarios left out by weight 0, stopped reuse."""
     rerun_of: str | None = None
     tags: list[str] = []
-    comment: str = ""
-    archived_at: datetime | None = None
-    """Lists leave archived campaigns out unless they are asked for."""
     created_at: datetime | None = None
     started_at: datetime | None = None
     ended_at: datetime | None = None

@@ -136,7 +136,6 @@ Tag = Annotated[
     str, StringConstraints(min_length=1, max_length=40, pattern=rf"^[^\x00-\x20{_STEERING},]+$"), AfterValidator(_visible)
 ]
 """A word without spaces and commas."""
-Comment = Annotated[str, StringConstraints(max_length=4_000, pattern=rf"^[^\x00-\x08\x0b-\x1f{_STEERING}]*$")]
 Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
 ProblemName = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 """Name of a problem, or digest of a bundle."""

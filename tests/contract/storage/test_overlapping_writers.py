@@ -133,7 +133,7 @@ def test_a_deletion_waits_for_a_submission_that_was_checked_and_is_refused(
     with pytest.raises(ConflictError, match=f"refer to {first.id}"):
         deleting[0].result(PATIENCE)
     with postgres.read() as connection:
-        referring = {reference.campaign for reference in deletion.references(connection, first)}
+        referring = set(deletion.references(connection, first))
     stored = {submitted.id, *(each.id for tag in submitted.tags for each in runs_of(postgres, tag))}
     assert referring
     assert referring <= stored

@@ -37,7 +37,6 @@ DOCUMENTS: list[tuple[type[BaseModel], dict[str, Any], str]] = [
     (CampaignChanges, {"name": "*"}, "name"),
     (CampaignChanges, {"tags": ["a", "b*"]}, "tags[1]"),
     (CampaignChanges, {"add_tags": ["*"]}, "add_tags[0]"),
-    (CampaignChanges, {"comment": "two\nlines*"}, "comment"),
     (Manifest, PROBLEM, "parameters.x.choices[1]"),
 ]
 

@@ -8,7 +8,6 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 from starlette.requests import HTTPConnection
 
 from drivecal.api.responses import ROOT
-from drivecal.contracts.organising import Archived
 from drivecal.contracts.strict_json import Tag, shown
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -79,10 +78,9 @@ class PageOf(Parameters):
 
 
 class CampaignsOf(PageOf):
-    """A page of campaigns: by default without archived ones; with several tags campaigns that have all of them."""
+    """A page of campaigns: with several tags campaigns that have all of them."""
 
     state: CampaignState | None = None
-    archived: Archived = "without"
     tag: Annotated[list[Tag], Field(max_length=20)] = []
 
 

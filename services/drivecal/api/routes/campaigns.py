@@ -12,10 +12,10 @@ from drivecal.api.http.queries import CampaignsQuery, SubmissionQuery
 from drivecal.api.live.dispatcher_health import silence
 from drivecal.api.responses import ROOT, SECONDS_BETWEEN_POLLS, campaign_answer, etag, list_etag, matches
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
-from drivecal.contracts.organising import CampaignChanges, Deletion, Referring
+from drivecal.contracts.organising import CampaignChanges
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.actions import Action
-from drivecal.storage import admission, campaigns, labels, revision_queries
+from drivecal.storage import campaigns, labels, revision_queries
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -49,7 +49,7 @@ def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_
     """Campaigns, newest first. The page has an `ETag`, as a campaign has."""
     moment = now()
     page_of: dict[str, Any] = {"state": query.state, "limit": query.limit, "cursor": query.cursor}
-    page_of["conditions"] = labels.listing(query.archived, query.tag)
+    page_of["conditions"] = labels.having(query.tag)
     with database.read() as connection:
         seen = revision_queries.page(connection, kind="calibration", **page_of)
         silent = silence(revision_queries.heartbeat(connection), moment)
@@ -82,29 +82,21 @@ def read(campaign_id: str, database: DatabaseDependency, if_none_match: IfNoneMa
 def change(
     campaign_id: str, changes: CampaignChanges, request: Request, response: Response, database: DatabaseDependency
 ) -> Campaign:
-    """Changes name, tags or comment of a campaign, archives it or lists it again. Fields that are left out stay."""
+    """Changes name or tags of a campaign. Fields that are left out stay."""
     with database.transaction() as connection:
         refuse_others(request, campaign_id, campaigns.get(connection, campaign_id).owner)
         stored = labels.change(connection, campaign_id, changes)
     return accepted(response, database, stored)
 
 
-@router.delete("/{campaign_id}")
-def delete(campaign_id: str, request: Request, database: DatabaseDependency) -> Deletion:
-    """Deletes an ended campaign with its cells, or archives it if other campaigns refer to it. What it simulated stays in the reference
-    table. Deleting again changes nothing."""
+@router.delete("/{campaign_id}", status_code=204)
+def delete(campaign_id: str, request: Request, database: DatabaseDependency) -> None:
+    """Deletes an ended campaign with its cells; 409 names the campaigns that refer to it, if there are any. What it simulated stays in the
+    reference table. Deleting again changes nothing."""
     with database.transaction() as connection:
-        admission.alone(connection)  # or a campaign queued after this look would be answered 409
-        stored = campaigns.get(connection, campaign_id, deleted=True)
-        refuse_others(request, campaign_id, stored.owner)
-        referring = [] if stored.deleted_at is not None else deletion.references(connection, stored)
-        if referring:
-            labels.change(connection, campaign_id, CampaignChanges(archived=True))
-        deleted = None if referring else deletion.delete_campaign(connection, campaign_id)
-    if deleted is not None:
-        deletion.remove_cells(database, deleted)
-    listed = [Referring.of(reference) for reference in referring]
-    return Deletion(id=campaign_id, deleted=not listed, archived=bool(listed), referring=listed)
+        refuse_others(request, campaign_id, campaigns.get(connection, campaign_id, deleted=True).owner)
+        deleted = deletion.delete_campaign(connection, campaign_id)
+    deletion.remove_cells(database, deleted)
 
 
 @router.post("/{campaign_id}/pause", status_code=202)

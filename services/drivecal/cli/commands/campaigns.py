@@ -33,10 +33,9 @@ from drivecal.client.client import Action, Client
 from drivecal.client.documents import opened_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedRuns
-from drivecal.contracts.organising import Deletion
 from drivecal.contracts.specification import VehicleSpecification
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import NotFoundError
+from drivecal.domain.errors import ConflictError, NotFoundError
 
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
 TimeoutOption = Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; exit status 6 when they are over.")]
@@ -123,14 +122,13 @@ def list_campaigns(
     tags: Annotated[
         list[str] | None, typer.Option("--tag", help="Only campaigns with this tag; with all, if repeated.")
     ] = None,
-    archived: Annotated[bool, typer.Option("--archived", help="Only archived campaigns, which other lists leave out.")] = False,
     limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, newest first.")] = 20,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """List campaigns, newest first."""
     with connect(url) as client:
-        page = client.campaigns(state=state, limit=limit, tags=tags or (), archived="only" if archived else "without")
+        page = client.campaigns(state=state, limit=limit, tags=tags or ())
     header = ["id", "state", "kind", "created", "requested", "simulated", "saved", "best", "owner", "tags", "name"]
     print_page(page, as_json, header, [_row(campaign) for campaign in page.items], limit)
 
@@ -183,32 +181,37 @@ def label(
     name: Annotated[str | None, typer.Option(help="Another name.")] = None,
     tags: Annotated[list[str] | None, typer.Option("--tag", metavar="TAG", help="Add a tag; may be repeated.")] = None,
     untag: Annotated[list[str] | None, typer.Option(metavar="TAG", help="Take a tag away; may be repeated.")] = None,
-    comment: Annotated[str | None, typer.Option(help="A remark of yours, in place of the one before.")] = None,
-    archive: Annotated[
-        bool | None, typer.Option("--archive/--unarchive", help="Leave it out of lists, or list it again.")
-    ] = None,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Change a campaign's name, tags or comment, or archive it."""
-    if not (name or tags or untag or comment is not None or archive is not None):
-        raise typer.BadParameter("say what changes: --name, --tag, --untag, --comment, --archive or --unarchive")
+    """Change a campaign's name or tags."""
+    if not (name or tags or untag):
+        raise typer.BadParameter("say what changes: --name, --tag or --untag")
     with connect(url) as client:
-        place = client.full_id(identifier)
-        changed = client.label(place, name=name, add_tags=tags, remove_tags=untag, comment=comment, archived=archive)
+        changed = client.label(client.full_id(identifier), name=name, add_tags=tags, remove_tags=untag)
     print_answer(changed, as_json, _print_labels)
 
 
 @app.command()
 def delete(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """Delete an ended campaign, or archive it if others refer to it. What it simulated stays in the reference table."""
+    """Delete an ended campaign to which no other refers. What it simulated stays in the reference table."""
     with connect(url) as client:
-        deletions = [client.delete(campaign) for campaign in _chosen(client, identifier, tag)]
+        refused: list[ConflictError] = []
+        deleted: list[str] = []
+        for campaign in _chosen(client, identifier, tag):
+            try:
+                client.delete(campaign)
+                deleted.append(campaign)
+            except ConflictError as error:  # one that is kept holds up no other
+                refused.append(error)
     if as_json:
-        print_json(dumped(deletions) if identifier is None else deletions[0].model_dump(mode="json"))
-        return
-    for deletion in deletions:
-        _print_deletion(deletion)
+        print_json({"deleted": deleted})
+    for campaign in () if as_json else deleted:
+        typer.echo(f"campaign {campaign} is deleted; what it simulated stays in the reference table")
+    for other in refused[1:]:
+        tell(str(other))
+    if refused:
+        raise refused[0]
 
 
 def _chosen(client: Client, identifier: str | None, tag: str | None) -> list[str]:
@@ -217,7 +220,7 @@ def _chosen(client: Client, identifier: str | None, tag: str | None) -> list[str
         raise typer.BadParameter("give a campaign's ID, or --tag TAG of several")
     if identifier is not None:
         return [client.full_id(identifier)]
-    chosen = client.campaigns(limit=MOST_TAGGED, tags=[tag or ""], archived="with").items
+    chosen = client.campaigns(limit=MOST_TAGGED, tags=[tag or ""]).items
     if not chosen:
         raise NotFoundError("campaign with the tag", tag or "")
     return [campaign.id for campaign in chosen]
@@ -331,16 +334,5 @@ def _row(campaign: Campaign) -> list[object]:
 
 
 def _print_labels(campaign: Campaign) -> None:
-    typer.echo(f"campaign {campaign.id}  {campaign.name}{'' if campaign.archived_at is None else '  (archived)'}")
+    typer.echo(f"campaign {campaign.id}  {campaign.name}")
     typer.echo(f"tags     {' '.join(campaign.tags) or '-'}")
-    if campaign.comment:
-        typer.echo(f"comment  {campaign.comment}")
-
-
-def _print_deletion(deletion: Deletion) -> None:
-    if deletion.deleted:
-        typer.echo(f"campaign {deletion.id} is deleted; what it simulated stays in the reference table")
-        return
-    typer.echo(f"campaign {deletion.id} is archived, not deleted: {len(deletion.referring)} others refer to it")
-    for reference in deletion.referring:
-        typer.echo(f"  {reference.campaign}  {reference.use}  {reference.name}")

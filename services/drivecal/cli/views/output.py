@@ -86,12 +86,7 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("rerun of", campaign.rerun_of))
     if campaign.error:
         lines.append(("error", campaign.error))
-    labels = {
-        "owner": campaign.owner or "",
-        "tags": " ".join(campaign.tags),
-        "comment": campaign.comment,
-        "archived": when(campaign.archived_at),
-    }
+    labels = {"owner": campaign.owner or "", "tags": " ".join(campaign.tags)}
     lines += [(title, text) for title, text in labels.items() if text]
     if campaign.sensitivity_cells.requested:
         lines.append(("analysis", f"{campaign.sensitivity_cells.requested:,} requested = {_sum(campaign.sensitivity_cells)}"))

@@ -88,8 +88,6 @@ campaigns = Table(
     Column("started_at", UtcDateTime),
     Column("ended_at", UtcDateTime),
     Column("tags", Document, nullable=False, server_default="[]"),
-    Column("comment", Text, nullable=False, server_default=""),
-    Column("archived_at", UtcDateTime),
     # A deleted campaign's row stays with the cells that made runs of the reference table (`storage.retention.deletion`).
     Column("deleted_at", UtcDateTime),
     Column("finish_at", UtcDateTime),  # when an outside optimizer said that it proposes no more sets

@@ -8,7 +8,6 @@ stays, marked as deleted, and which no list and no look-up by id returns.
 The mark is one transaction, and cells go in slices after it, so that other writers do not wait.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import Connection, delete, exists, func, select, update
@@ -25,19 +24,12 @@ from drivecal.storage.retention import removal
 
 SLICE = 20_000
 """Numbers of cells whose rows go in a transaction."""
+MOST_LISTED = 20
+"""Campaigns that a refusal names."""
 
 
-@dataclass(frozen=True, slots=True)
-class CampaignUse:
-    """A campaign that refers to another one. `use` names the needed part."""
-
-    campaign: str
-    name: str
-    use: str
-
-
-def references(connection: Connection, campaign: StoredCampaign) -> list[CampaignUse]:
-    """Returns the campaigns that refer to a campaign: reruns, studies of its sets or predictions, and users of its map."""
+def references(connection: Connection, campaign: StoredCampaign) -> dict[str, str]:
+    """Returns how campaigns refer to a campaign, by their ids: as reruns, studies of its sets or predictions, or users of its map."""
     table = campaigns.c
     outside = table.sequence != campaign.sequence, table.deleted_at.is_(None)
     maps = select(influence_maps.c.id).where(influence_maps.c.source == campaign.id)
@@ -46,11 +38,11 @@ def references(connection: Connection, campaign: StoredCampaign) -> list[Campaig
         ("study of it", (table.robustness_of == campaign.id) | (table.validation_of == campaign.id)),
         ("use of its influence map", table.influence_map_id.in_(maps)),
     )
-    referring: dict[str, CampaignUse] = {}
+    referring: dict[str, str] = {}
     for use, condition in uses:
-        for row in connection.execute(select(table.id, table.name).where(*outside, condition).order_by(table.sequence)):
-            referring.setdefault(row.id, CampaignUse(row.id, row.name, use))
-    return list(referring.values())
+        for identifier in connection.scalars(select(table.id).where(*outside, condition).order_by(table.sequence)):
+            referring.setdefault(identifier, use)
+    return referring
 
 
 def delete_campaign(connection: Connection, campaign_id: str) -> int:
@@ -68,8 +60,8 @@ def delete_campaign(connection: Connection, campaign_id: str) -> int:
         raise ConflictError(f"{campaign_id} is {campaign.state}; only ended campaigns are deleted: cancel it first")
     referring = references(connection, campaign)
     if referring:
-        listed = ", ".join(f"{reference.campaign} ({reference.use})" for reference in referring[:5])
-        raise ConflictError(f"{len(referring)} campaigns refer to {campaign_id}: {listed}; archive it, or delete them first")
+        listed = ", ".join(f"{identifier} ({use})" for identifier, use in list(referring.items())[:MOST_LISTED])
+        raise ConflictError(f"{len(referring)} campaigns refer to {campaign_id}: {listed}; delete them first")
     _mark(connection, campaign.sequence, campaign.id)
     return campaign.sequence
 
@@ -90,7 +82,7 @@ def remove_cells(database: Database, sequence: int) -> None:
 
 
 def _mark(connection: Connection, sequence: int, identifier: str) -> None:
-    emptied: dict[str, Any] = {"tags": [], "comment": "", "notes": [], "best": None, "confirmation": None, "baseline": None}
+    emptied: dict[str, Any] = {"tags": [], "notes": [], "best": None, "confirmation": None, "baseline": None}
     freed: dict[str, Any] = {"influence_map_id": None, "idempotency_key": None, "error_rate": {}, "released": None}
     marked = {"deleted_at": now(), "revision": campaigns.c.revision + 1}
     connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(emptied | freed | marked))

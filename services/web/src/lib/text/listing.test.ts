@@ -4,7 +4,7 @@ import type { Campaign } from "../server/types";
 
 const NONE = { proposed: 0, requested: 0, simulated: 0, repeated: 0, reused: 0, predicted: 0 };
 function campaign(id: string, changes: Record<string, unknown> = {}): Campaign {
-  return { id, name: id, kind: "calibration", state: "succeeded", spec: { optimizer: { kind: "genetic" } }, links: {}, best: null, cells: NONE, stages: {}, seconds: { wall: 1 }, created_at: "2026-01-01", tags: [], comment: "", ...changes } as unknown as Campaign;
+  return { id, name: id, kind: "calibration", state: "succeeded", spec: { optimizer: { kind: "genetic" } }, links: {}, best: null, cells: NONE, stages: {}, seconds: { wall: 1 }, created_at: "2026-01-01", tags: [], ...changes } as unknown as Campaign;
 }
 const shown = (listed: { campaign: Campaign; below: boolean }[]): string[] => listed.map((entry) => (entry.below ? `> ${entry.campaign.id}` : entry.campaign.id));
 

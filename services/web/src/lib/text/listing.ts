@@ -9,7 +9,7 @@ export const COLUMNS = ["name", "state", "best", "saved", "simulated", "took", "
 export type Column = (typeof COLUMNS)[number];
 export type Order = readonly [Column, "up" | "down"];
 
-type Known = Pick<Campaign, "id" | "name" | "kind" | "state" | "spec" | "links" | "best" | "cells" | "stages" | "seconds" | "created_at" | "tags" | "comment">;
+type Known = Pick<Campaign, "id" | "name" | "kind" | "state" | "spec" | "links" | "best" | "cells" | "stages" | "seconds" | "created_at" | "tags">;
 
 export interface Listed<T> {
   campaign: T;
@@ -46,9 +46,9 @@ function wordsIn(value: unknown): string[] {
   return typeof value === "object" && value !== null ? Object.values(value).flatMap(wordsIn) : [];
 }
 
-/** Whether a search of people finds a campaign: every word is in its name, the beginning of its id, its kind, its problem, its settings, a tag or its comment. */
+/** Whether a search of people finds a campaign: every word is in its name, the beginning of its id, its kind, its problem, its settings or a tag. */
 export function isFound(campaign: Known, search: string, problem = ""): boolean {
-  const text = [campaign.name, campaign.kind, campaign.state, String(campaign.spec["problem"] ?? ""), problem, ...SETTINGS.flatMap((name) => wordsIn(campaign.spec[name])), ...campaign.tags, campaign.comment].join(" ").toLowerCase();
+  const text = [campaign.name, campaign.kind, campaign.state, String(campaign.spec["problem"] ?? ""), problem, ...SETTINGS.flatMap((name) => wordsIn(campaign.spec[name])), ...campaign.tags].join(" ").toLowerCase();
   return search.toLowerCase().split(/\s+/).filter(Boolean).every((word) => text.includes(word) || campaign.id.startsWith(word));
 }
 
