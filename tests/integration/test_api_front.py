@@ -160,7 +160,7 @@ def test_rows_say_how_each_scenario_was_answered(ended: Ended) -> None:
         assert row.answers == {name: asked[place(row.parameters), name] for name in row.scores}
 
 
-def test_the_command_prints_the_front_and_a_trade_off(ended: Ended, tmp_path: Path) -> None:
+def test_the_command_prints_the_front(ended: Ended, tmp_path: Path) -> None:
     shown = command("front", ended.first, "--url", ended.api.url)
     assert shown.exit_code == 0, shown.stderr
     assert f"best {JERK}" in shown.stdout
@@ -171,9 +171,6 @@ def test_the_command_prints_the_front_and_a_trade_off(ended: Ended, tmp_path: Pa
     assert all(f"{name} {amount:.6g}" in line for name, amount in baseline.objectives.items())
     answer = json.loads(command("front", ended.first, "--url", ended.api.url, "--json").stdout)
     assert answer["summary"]["size"] == len(answer["items"])
-    between = command("front", ended.first, "--between", "1,2", "--url", ended.api.url, "--json")
-    assert json.loads(between.stdout)["second"] == 2
-    assert command("front", ended.first, "--between", "1", "--url", ended.api.url).exit_code == 2
     target = tmp_path / "front.parquet"
     written = command(
         "export", ended.first, "--table", "front", "--format", "parquet", "-o", str(target), "--url", ended.api.url

@@ -92,7 +92,7 @@ def test_campaigns_of_a_tag_are_paused_cancelled_and_deleted_together(run: Run, 
         "cancelled"
     }
     assert run("compare-optimizers", "--tag", tag, "--wait").exit_code == 3
-    assert len(json.loads(run("delete", "--tag", tag, "--json").stdout)) == 6
+    assert len(json.loads(run("delete", "--tag", tag, "--json").stdout)["deleted"]) == 6
     assert run("delete", "--tag", tag).exit_code == 5
 
 

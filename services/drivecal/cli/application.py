@@ -81,8 +81,6 @@ EXTRAS = {
 }
 """Extra of drivecal that installs a package, by the package's module."""
 
-SECONDS_TO_COMPLETE = 2.0
-"""Longest time that a shell waits for the ids of campaigns."""
 
 _COMMANDS = (
     (r"\bGET /api/v1/influence-maps\b(?!/)", "`drivecal influence-maps list`"),
@@ -160,21 +158,8 @@ UrlOption = Annotated[
     str | None, typer.Option("--url", help="The server; else DRIVECAL_URL, else the config file, else http://127.0.0.1:8000.")
 ]
 
-
-def campaign_ids(incomplete: str) -> list[str]:
-    """Returns the ids of the newest campaigns that begin so, for the completion of a shell; none if no server answers."""
-    from drivecal.client import Client
-
-    try:
-        with Client(timeout=SECONDS_TO_COMPLETE) as client:
-            return [campaign.id for campaign in client.campaigns(limit=200).items if campaign.id.startswith(incomplete)]
-    except DrivecalError:
-        return []
-
-
 CampaignArgument = Annotated[
-    str,
-    typer.Argument(metavar="ID", help="The campaign's id, or at least its first four characters.", autocompletion=campaign_ids),
+    str, typer.Argument(metavar="ID", help="The campaign's id, or at least its first four characters.")
 ]
 
 

@@ -5,17 +5,7 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import (
-    CampaignArgument,
-    ExitCode,
-    JsonOption,
-    UrlOption,
-    app,
-    campaign_ids,
-    code_of_state,
-    connect,
-    tell,
-)
+from drivecal.cli.application import CampaignArgument, ExitCode, JsonOption, UrlOption, app, code_of_state, connect, tell
 from drivecal.cli.views.output import (
     dumped,
     duration,
@@ -42,8 +32,7 @@ TimeoutOption = Annotated[float | None, typer.Option(min=0, help="Seconds to wai
 
 TagOption = Annotated[str | None, typer.Option(metavar="TAG", help="All campaigns with this tag, in the place of an ID.")]
 MaybeCampaign = Annotated[
-    str | None,
-    typer.Argument(metavar="ID", help="The campaign's id, or at least its first four characters.", autocompletion=campaign_ids),
+    str | None, typer.Argument(metavar="ID", help="The campaign's id, or at least its first four characters.")
 ]
 MOST_TAGGED = 1_000
 _DONE: Mapping[Action, tuple[str, ...]] = {

@@ -16,13 +16,12 @@ from drivecal.calibration_data.files import CalibrationFormat, labels_of
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.commands.problem import NamesOption
 from drivecal.cli.views.fronts import front_blocks
-from drivecal.cli.views.output import dumped, print_answer, print_blocks, print_columns, print_json, print_solutions
+from drivecal.cli.views.output import dumped, print_blocks, print_json, print_solutions
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
 from drivecal.client.mlflow import write_runs
 from drivecal.client.transport import harmless_text
-from drivecal.contracts.assignments import assignments, value_text
-from drivecal.contracts.results import TradeOff, ValuePair
+from drivecal.contracts.assignments import assignments
 from drivecal.contracts.tables import TableName
 from drivecal.domain.errors import InvalidInputError, Problem, file_faults
 
@@ -70,53 +69,21 @@ def front(
             metavar="comfort=2,gap=1", help="Best first under these weights of the objectives; not named means weight 1."
         ),
     ] = None,
-    between: Annotated[
-        str | None, typer.Option(metavar="1,5", help="Show what the second of two ranks gains and costs against the first.")
-    ] = None,
     limit: Annotated[
-        int,
-        typer.Option(
-            min=1, help="How many to print: knee, best of each objective, others spread over the front; --json lists all."
-        ),
+        int, typer.Option(min=1, help="How many to print: knee, best of each objective, the first others; --json lists all.")
     ] = 20,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show the sets of a campaign that no other set beats in every objective."""
-    ranks = None if between is None else _ranks(between)
     with connect(url) as client:
         campaign_id = client.full_id(identifier)
-        if ranks is not None:
-            print_answer(client.trade_off(campaign_id, *ranks, weights), as_json, print_trade_off)
-            return
         rows = client.front(campaign_id, weights)
         summary = client.front_summary(campaign_id, weights)
     if as_json:
         print_json({"summary": summary.model_dump(mode="json"), "items": dumped(rows)})
     else:
         print_blocks(front_blocks(rows, summary, limit))
-
-
-def print_trade_off(answer: TradeOff) -> None:
-    """Prints what the second of two sets gains and costs."""
-    for line in answer.text:
-        typer.echo(line)
-    typer.echo(f"{len(answer.parameters)} parameters differ, by {answer.distance:.3f} of their ranges (root mean square)")
-    typer.echo()
-    listed = [*answer.constraints, *answer.scores, *answer.values, *answer.parameters]
-    print_columns(["", f"rank {answer.first}", f"rank {answer.second}"], [_values(each) for each in listed])
-
-
-def _values(difference: ValuePair) -> list[str]:
-    values = (difference.first, difference.second)
-    return [difference.name, *("-" if value is None else value_text(value) for value in values)]
-
-
-def _ranks(text: str) -> tuple[int, int]:
-    parts = text.split(",")
-    if len(parts) != 2 or not all(part.strip().isdecimal() for part in parts):
-        raise typer.BadParameter("give two ranks, e.g. --between 1,5")
-    return int(parts[0]), int(parts[1])
 
 
 @app.command()

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from drivecal.cli.views.sections import Block, Table, percent
 from drivecal.contracts.results import FrontBaseline, FrontSummary
 from drivecal.contracts.tables import FrontRow
@@ -11,8 +9,6 @@ from drivecal.domain.scales import unit_text
 
 SHOWN = 20
 """Sets that a page shows, if no more are marked."""
-OFTEN = 0.03
-"""Share of all weightings from which on a set of a front wins often."""
 
 
 def front_blocks(rows: Sequence[FrontRow], summary: FrontSummary, limit: int = SHOWN) -> list[Block]:
@@ -22,7 +18,8 @@ def front_blocks(rows: Sequence[FrontRow], summary: FrontSummary, limit: int = S
         return [*lines]
     kept = shown_of_front(rows, limit)
     caption = "The front: no other set is better in one objective without being worse in another"
-    caption += f"; {left_out}" if (left_out := left_out_of_front(kept, rows)) else ""
+    if len(kept) < len(rows):
+        caption += f"; {len(kept):,} of {len(rows):,} sets: the knee, the best of each objective, and the first others"
     if any(row.reused for row in kept):
         caption += ". *: a score is that of a reference"
     first = rows[0]
@@ -70,48 +67,10 @@ def _baseline_line(summary: FrontSummary, baseline: FrontBaseline) -> str:
 
 
 def shown_of_front(rows: Sequence[FrontRow], limit: int) -> list[FrontRow]:
-    """Returns `limit` sets of a front in their order; knee and best of each objective are kept even beyond the limit.
-
-    Then come the sets that win often. The others are the first ones under weights, else spread over the front: each is the farthest from
-    all that are kept.
-    """
-    kept = [place for place, row in enumerate(rows) if row.knee or row.best_in]
-    winners = sorted(
-        (place for place, row in enumerate(rows) if (row.wins or 0) >= OFTEN), key=lambda place: -(rows[place].wins or 0)
-    )
-    kept += [place for place in winners if place not in kept][: max(0, limit - len(kept))]
-    others = [place for place in range(len(rows)) if place not in kept]
-    if rows and rows[0].weighted is not None:
-        kept += others[: max(0, limit - len(kept))]
-    elif rows:
-        kept += _spread(rows, kept or others[:1], min(limit, len(rows)) - len(kept))
-    return [rows[place] for place in sorted(set(kept))]
-
-
-def _spread(rows: Sequence[FrontRow], kept: Sequence[int], count: int) -> list[int]:
-    """Returns `count` further places, by distances of the objectives, scaled to their ranges (Gonzalez 1985, Theoretical Computer Science
-    38, Section 2)."""
-    points = np.array([list(row.objectives.values()) for row in rows])
-    ranges = np.ptp(points, axis=0)
-    points = points / np.where(ranges > 0, ranges, 1.0)
-    nearest = np.full(len(rows), np.inf)
-    for place in kept:
-        nearest = np.minimum(nearest, np.linalg.norm(points - points[place], axis=1))
-    nearest[list(kept)] = -1.0
-    places: list[int] = []
-    for _ in range(count):
-        places.append(int(nearest.argmax()))
-        nearest = np.minimum(nearest, np.linalg.norm(points - points[places[-1]], axis=1))
-        nearest[places] = -1.0
-    return places
-
-
-def left_out_of_front(kept: Sequence[FrontRow], rows: Sequence[FrontRow]) -> str:
-    """Returns how many sets of a front are shown, and which; empty if all are."""
-    if len(kept) == len(rows):
-        return ""
-    others = "the first ones" if rows[0].weighted is not None else "sets spread over the front"
-    return f"{len(kept):,} of {len(rows):,} sets: the knee, the best of each objective, those that win often, and {others}"
+    """Returns the first sets of a front, `limit` in all; knee and best of each objective are kept even beyond the limit."""
+    room = limit - sum(row.knee or bool(row.best_in) for row in rows)
+    others = [row.rank for row in rows if not (row.knee or row.best_in)][: max(0, room)]
+    return [row for row in rows if row.knee or row.best_in or row.rank in others]
 
 
 def front_marks(row: FrontRow) -> str:
