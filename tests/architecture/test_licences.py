@@ -16,7 +16,6 @@ COPYLEFT = re.compile(r"\b(A?GPL|LGPL|MPL|EPL|CDDL|SSPL|EUPL|Mozilla|GNU|Eclipse
 WEAK = {
     "certifi": "MPL-2.0",
     "libsumo": "EPL-2.0",
-    "moocore": "LGPL-2.1-or-later",
     "psycopg": "LGPL-3.0-only",
     "psycopg-binary": "LGPL-3.0-only",
     "sumo-data": "EPL-2.0",

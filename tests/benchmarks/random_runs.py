@@ -155,7 +155,7 @@ SEARCHES: Mapping[str, Callable[[Run, int], None]] = {
 def reported(name: str, arm: str, seed: int, cells: int, noise: float) -> float:
     """Returns the true objective of the set that a campaign reports."""
     chosen = problem(name)
-    kept = 0 if arm == "single" else kept_back(cells, len(chosen.scenarios), USUAL.most)
+    kept = 0 if arm == "single" else kept_back(cells, len(chosen.scenarios), USUAL.most, by_cell=arm == "surrogate")
     run = NoisyRun(chosen, cells - kept, noise, seed)
     with suppress(Ended):
         SEARCHES[arm](run, seed)

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from drivecal.plugins.ports import Floats
 
-KEPT = 0.3
-"""Share of a budget that is kept for the runs after the search."""
+KEPT, KEPT_BY_CELL = 0.3, 0.15
+"""Shares of a budget that are kept for the runs after a search by populations, and after one that asks further seeds itself."""
 FRESH = 0.4
 """Share of a set's runs that report it and do not choose it."""
 SHRINKAGE = 4
@@ -39,9 +39,10 @@ def choosing(most: int) -> int:
     return most - fresh if fresh > 1 else most
 
 
-def kept_back(budget: int, scenarios: int, most: int) -> int:
+def kept_back(budget: int, scenarios: int, most: int, *, by_cell: bool) -> int:
     """Returns the simulations of a budget that are kept for the runs after the search."""
-    return min(budget // 2, max(int(KEPT * budget), fewest(scenarios, most))) if most > 1 else 0
+    share = KEPT_BY_CELL if by_cell else KEPT
+    return min(budget // 2, max(int(share * budget), fewest(scenarios, most))) if most > 1 else 0
 
 
 def fewest(scenarios: int, most: int) -> int:

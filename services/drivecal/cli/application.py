@@ -76,7 +76,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 EXTRAS = {
     **dict.fromkeys(("alembic", "fastapi", "libsumo", "numba", "prometheus_client", "psycopg", "pyarrow", "scipy"), "local"),
-    **dict.fromkeys(("sklearn", "sqlalchemy", "starlette", "structlog", "uvicorn", "websockets"), "local"),
+    **dict.fromkeys(("sklearn", "sqlalchemy", "starlette", "structlog", "uvicorn"), "local"),
     "ray": "cluster",
 }
 """Extra of drivecal that installs a package, by the package's module."""

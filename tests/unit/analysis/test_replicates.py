@@ -212,6 +212,7 @@ def test_runs_that_would_tell_grow_with_the_noise() -> None:
 
 
 def test_a_budget_keeps_runs_for_the_choice() -> None:
-    assert replicates.kept_back(600, 6, 20) == 180
-    assert replicates.kept_back(100, 6, 20) == 50
-    assert replicates.kept_back(600, 6, 1) == 0
+    assert replicates.kept_back(600, 6, 20, by_cell=False) == 180
+    assert replicates.kept_back(1000, 6, 20, by_cell=True) == 150
+    assert replicates.kept_back(100, 6, 20, by_cell=True) == 50
+    assert replicates.kept_back(600, 6, 1, by_cell=True) == 0

@@ -92,7 +92,7 @@ def test_rows_are_a_list_and_a_table() -> None:
 
 
 def test_rows_without_parameters_in_common_have_missing_values() -> None:
-    sets = [JudgedSet(objectives={name: 1.0}, violation=0.0, on_front=True, iteration=None, individual=None) for name in "ab"]
+    sets = [JudgedSet(objectives={name: 1.0}, violation=0.0, on_front=True, iteration=0, individual=0) for name in "ab"]
     table = Rows(JudgedSet, sets).to_arrow()
     assert table.column("objective_a").to_pylist() == [1.0, None]
     assert str(table.schema.field("iteration").type) == "int64"

@@ -77,9 +77,10 @@ class CalibrationProblem:
     def search_simulations(self) -> int | None:
         """The simulations of the budget that the search may use; None without a limit."""
         budget = None if self.optimization is None else self.optimization.budget
-        if budget is None or budget.simulations is None or not self.bench.is_random:
+        if self.optimization is None or budget is None or budget.simulations is None or not self.bench.is_random:
             return None if budget is None else budget.simulations
-        return budget.simulations - kept_back(budget.simulations, len(self.scenarios), self.specification.replicates.most)
+        by_cell, most = self.optimization.by_cell is not None, self.specification.replicates.most
+        return budget.simulations - kept_back(budget.simulations, len(self.scenarios), most, by_cell=by_cell)
 
     @property
     def start_indices(self) -> Indices:
