@@ -59,7 +59,7 @@ def test_a_dry_run_counts_the_runs_and_submits_nothing(run: Run, api: RunningApi
 def test_steering_a_campaign(run: Run, submitted: str) -> None:
     assert json.loads(run("pause", submitted, "--json").stdout)["state"] == "paused"
     assert json.loads(run("resume", submitted, "--json").stdout)["state"] == "queued"
-    assert "queued" in run("resume", submitted).stderr
+    assert "queued" in run("resume", submitted).stdout
     assert "cancelled" in run("cancel", submitted).stdout
     assert run("cancel", submitted).exit_code == 0
     late = run("pause", submitted)

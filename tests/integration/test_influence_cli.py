@@ -31,7 +31,7 @@ def other(api: RunningApi) -> str:
     return identifier
 
 
-def test_influence_shows_a_table_per_scenario_with_a_picture_of_each_range(run: Run, api: RunningApi, analysed: str) -> None:
+def test_influence_shows_a_table_per_scenario(run: Run, api: RunningApi, analysed: str) -> None:
     result = run("influence", analysed[:10])
     assert result.exit_code == 0, result.output
     lines = result.stdout.splitlines()
@@ -43,7 +43,6 @@ def test_influence_shows_a_table_per_scenario_with_a_picture_of_each_range(run: 
         "lower",
         "upper",
         "unit",
-        "range",
         "mu",
         "sigma",
         "mu*",
@@ -53,9 +52,7 @@ def test_influence_shows_a_table_per_scenario_with_a_picture_of_each_range(run: 
         "by",
     ]
     assert lines[4].split()[:3] == ["P1", "yes", "0"]
-    assert "##########" in lines[4]
-    assert lines[4].split()[5].endswith("....")
-    assert lines[5].split()[:6] == ["P2", "no", "-", "-", "s", "." * 20]
+    assert lines[5].split()[:5] == ["P2", "no", "-", "-", "s"]
     assert any(line.startswith("S2  unknown") for line in lines)
     assert "design lines, 5 intervals, 6 samples, threshold 0.02, seed 1" in result.stdout
     basis = api.http.get(api.http.get(f"/api/v1/campaigns/{analysed}").json()["links"]["influence_map"]).json()["basis"]

@@ -1,6 +1,5 @@
 """Commands about campaigns as a whole."""
 
-from collections.abc import Mapping
 from typing import Annotated
 
 import typer
@@ -35,14 +34,6 @@ MaybeCampaign = Annotated[
     str | None, typer.Argument(metavar="ID", help="The campaign's id, or at least its first four characters.")
 ]
 MOST_TAGGED = 1_000
-_DONE: Mapping[Action, tuple[str, ...]] = {
-    "pause": ("paused",),
-    "resume": ("queued", "running"),
-    "cancel": ("cancelled",),
-    "finish": ("succeeded",),
-}
-"""States for which an action has nothing left to do."""
-
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the file and count the runs, submit nothing.")]
 
 
@@ -225,11 +216,7 @@ def _act(identifier: str | None, tag: str | None, action: Action, url: str | Non
             if as_json:
                 print_json(dumped(changed))
             return
-        before = client.campaign(chosen[0])
-        after = client.act(before.id, action)
-        if before.state in _DONE[action] and before.requested_action is None:
-            tell(f"campaign {before.id} was {before.state} already: there was nothing to {action}")
-        _print_whole(client, after, as_json)
+        _print_whole(client, client.act(chosen[0], action), as_json)
 
 
 def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | None, as_json: bool) -> None:

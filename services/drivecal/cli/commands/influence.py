@@ -18,8 +18,6 @@ from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.sensitivity.agreement import Agreement, Pair, agreement
 from drivecal.sensitivity.thresholds import caveats
 
-WIDTH = 20
-"""Characters in the picture of a parameter's range."""
 _NONE = "0.000"
 DECIDED_BY = {
     "intervals": "intervals",
@@ -71,7 +69,7 @@ def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | Non
         typer.echo("no rows: no influence map is in use yet, or it lists nothing; `sensitivity: {}` asks for an analysis")
         return
     measured = any(row.s_rel_intervals is not None for row in rows)
-    header = ["parameter", "influential", "lower", "upper", "unit", f"{'range':{WIDTH}}"]
+    header = ["parameter", "influential", "lower", "upper", "unit"]
     header += ["mu", "sigma", "mu*", "largest s_rel"] if measured else []
     decided = any(row.decided_by for row in rows)
     header += ["decided by"] if decided else []
@@ -101,22 +99,9 @@ def bounds_text(row: InfluenceRow) -> str:
     return " .. ".join(ends) + (" (unknown)" if row.unknown else "")
 
 
-def picture(row: InfluenceRow) -> str:
-    """Returns the parameter's range from left to right: `#` if influential, `.` if not; empty for an unknown range."""
-    if row.space_lower is None or row.space_upper is None:
-        return ""
-    ends = segment(row)
-    if ends is None:
-        return "." * WIDTH
-    lower, upper = ends
-    start = min(WIDTH - 1, int(lower * WIDTH + 1e-9))
-    end = max(start + 1, WIDTH - int((1 - upper) * WIDTH + 1e-9))
-    return "." * start + "#" * (end - start) + "." * (WIDTH - end)
-
-
 def _line(row: InfluenceRow, measured: bool, decided: bool) -> list[object]:
     answer = "unknown" if row.unknown else "yes" if row.influential else "no"
-    line: list[object] = [row.parameter, answer, row.lower, row.upper, row.unit, picture(row)]
+    line: list[object] = [row.parameter, answer, row.lower, row.upper, row.unit]
     if measured:
         line += [fixed(value, 3) for value in (row.mu, row.sigma, row.mu_star, _largest(row))]
     return [*line, DECIDED_BY.get(row.decided_by or "", "")] if decided else line
@@ -182,9 +167,9 @@ def _print_agreement(agreement: Agreement) -> None:
         typer.echo(f"they agree within one interval on {agreement.agreeing} of {agreement.pairs} pairs ({agreement.share:.1%})")
     if agreement.differences:
         typer.echo("")
-        header = ["scenario", "parameter", "first", "second", f"{'first':{WIDTH}}", f"{'second':{WIDTH}}"]
+        header = ["scenario", "parameter", "first", "second"]
         both = [(difference.first, difference.second) for difference in agreement.differences]
-        rows = [[pair[0].scenario, pair[0].parameter, *map(bounds_text, pair), *map(picture, pair)] for pair in both]
+        rows = [[pair[0].scenario, pair[0].parameter, *map(bounds_text, pair)] for pair in both]
         print_columns(header, rows)
     for name, pairs in (("first", agreement.only_first), ("second", agreement.only_second)):
         if pairs:
@@ -246,15 +231,3 @@ def _print_map(influence_map: InfluenceMapAnswer) -> None:
 def by_scenario(rows: Iterable[InfluenceRow]) -> dict[str, list[InfluenceRow]]:
     """Returns the rows of each scenario, in order."""
     return {scenario: list(members) for scenario, members in groupby(rows, key=lambda row: row.scenario)}
-
-
-def segment(row: InfluenceRow) -> tuple[float, float] | None:
-    """Returns the influential part of a parameter's range, from 0 (its lower bound) to 1 (its upper bound); None if nothing is."""
-    if not row.influential:
-        return None
-    if row.space_lower is None or row.space_upper is None:
-        return 0.0, 1.0
-    size = row.space_upper - row.space_lower
-    lower = 0.0 if row.lower is None else (row.lower - row.space_lower) / size
-    upper = 1.0 if row.upper is None else (row.upper - row.space_lower) / size
-    return lower, upper
