@@ -1,7 +1,6 @@
 """What the command line prints."""
 
 import io
-import re
 import time
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -166,7 +165,7 @@ def test_version_and_usage() -> None:
     assert CliRunner().invoke(app, ["list", "--state", "odd"]).exit_code == 2
 
 
-def test_the_bar_colours_outcomes_and_shows_reasons_as_they_are() -> None:
+def test_the_bar_shows_outcomes_and_reasons_as_they_are() -> None:
     console = Console(file=io.StringIO(), force_terminal=True, color_system="truecolor", width=160)
     running = Campaign(id="0" * 32, name="mine", state="running", stage="calibration", stages={"calibration": PREDICTED})
     with RichProgress(TextColumn("{task.fields[detail]}"), console=console, auto_refresh=False) as progress:
@@ -175,7 +174,7 @@ def test_the_bar_colours_outcomes_and_shows_reasons_as_they_are() -> None:
     assert isinstance(console.file, io.StringIO)
     shown = console.file.getvalue()
     assert "no worker [/opt/sim] agrees" in shown
-    assert re.search(r"38;2;230;159;0msimulated 50\b", shown)
+    assert "simulated 50" in shown
 
 
 def test_a_moment_names_its_offset_because_an_hour_comes_twice(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,9 +34,6 @@ from drivecal.domain.scales import objective_text, told
 
 Shown = TypeVar("Shown", bound=BaseModel)
 
-OUTCOME_COLOURS = dict(zip(OUTCOMES, ("#e69f00", "#56b4e9", "#3f9fe0", "#cc79a7", "#d55e00"), strict=True))
-"""Colours on terminals: the same as on the page with a dark ground."""
-
 
 def dumped(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:
     """Returns rows of a table, JSON-ready."""

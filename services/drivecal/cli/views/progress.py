@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Column
 
 from drivecal.cli.application import ExitCode, WaitTimedOutError, tell
-from drivecal.cli.views.output import OUTCOME_COLOURS, by_outcome, duration
+from drivecal.cli.views.output import by_outcome, duration
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign, CellCounts
 from drivecal.contracts.events import CampaignEvent
@@ -40,7 +40,7 @@ class Bar:
             description=stage_text(campaign),
             completed=campaign.progress.done,
             total=campaign.progress.total or None,
-            detail=_detail(campaign, _marked),
+            detail=escape(_detail(campaign)),
         )
 
     def tell(self, text: str, degraded: str | None = None) -> None:
@@ -182,23 +182,14 @@ def current_cells(campaign: Campaign) -> CellCounts:
     return campaign.stages.get(campaign.stage or "", campaign.cells)
 
 
-def _plain(text: str, _colour: str = "") -> str:
-    return text
-
-
-def _marked(text: str, colour: str = "") -> str:
-    return f"[{colour}]{escape(text)}[/]" if colour else escape(text)
-
-
-def _detail(campaign: Campaign, written: Callable[..., str] = _plain) -> str:
-    cells = by_outcome(current_cells(campaign))
-    parts = [written(f"{name} {count:,}", OUTCOME_COLOURS[name]) for name, count in cells.items() if count]
+def _detail(campaign: Campaign) -> str:
+    parts = [f"{name} {count:,}" for name, count in by_outcome(current_cells(campaign)).items() if count]
     if campaign.best:
         parts.append(f"best {campaign.best.objective:.3f}")
     if campaign.progress.eta_seconds is not None and campaign.state == "running":
         parts.append(f"{duration(campaign.progress.eta_seconds)} left")
     if campaign.degraded:
-        parts.append(written(f"degraded: {campaign.degraded}"))
+        parts.append(f"degraded: {campaign.degraded}")
     if campaign.waiting:
-        parts.append(written(f"waiting: {campaign.waiting}"))
+        parts.append(f"waiting: {campaign.waiting}")
     return "  ".join(parts)
