@@ -1,11 +1,12 @@
 """`optimizer: {kind: external}`: another program proposes the sets, by the API, and a campaign evaluates them."""
 
-from typing import Annotated, Literal, NoReturn, get_args
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivecal.plugins.ports import Ability
-from drivecal.plugins.search import SearchPlugin
+from drivecal.plugins.search import AskedCell, CellAnswer, Search, SearchPlugin, SearchTask
 
 
 class ExternalSettings(BaseModel):
@@ -28,11 +29,22 @@ class External:
     settings: type[BaseModel] = ExternalSettings
     supports: frozenset[Ability] = frozenset(get_args(Ability))
 
-    def begin(self, *_: object, **__: object) -> NoReturn:
+    def begin(self, settings: BaseModel, task: SearchTask) -> Search:
         """Raises TypeError."""
+        del settings, task
         raise TypeError("others propose the sets of this search")
 
-    resume = begin
+    def resume(
+        self,
+        settings: BaseModel,
+        task: SearchTask,
+        rounds: Sequence[Sequence[AskedCell]],
+        answers: Sequence[Sequence[CellAnswer]],
+        state: Mapping[str, Any],
+    ) -> Search:
+        """Raises TypeError."""
+        del rounds, answers, state
+        return self.begin(settings, task)
 
 
 EXTERNAL: SearchPlugin = External()

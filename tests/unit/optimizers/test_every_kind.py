@@ -12,6 +12,7 @@ from drivecal.analysis.aims import JudgedGoals
 from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective
 from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
+from drivecal.optimizers.cma_es import CMA_ES
 from drivecal.optimizers.optuna_samplers import OPTUNA
 from drivecal.optimizers.repair import RepairingOptimizer, checked_proposal, create_optimizer
 from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
@@ -23,6 +24,7 @@ POPULATIONS: dict[str, tuple[DeclaringOptimizerPlugin, dict[str, Any]]] = {
     "random": (RANDOM, {}),
     "swarm": (SWARM, {}),
     "tpe": (OPTUNA, {"sampler": "tpe"}),
+    "cma_es": (CMA_ES, {}),
     "optuna nsga2": (OPTUNA, {"sampler": "nsga2"}),
     "optuna random": (OPTUNA, {"sampler": "random"}),
 }

@@ -11,6 +11,7 @@ from tests.support.effort import tries
 
 from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
+from drivecal.optimizers.cma_es import CMA_ES
 from drivecal.optimizers.genetic import BitEncoding
 from drivecal.optimizers.optuna_samplers import OPTUNA
 from drivecal.optimizers.repair import create_optimizer, lacking, restore_optimizer
@@ -22,10 +23,10 @@ TARGET = np.array([0.31, 0.77, 1, 0.5, 0.2])
 START = np.array([[2 * 10**15, 123_456_789, 1, 3, 17], [1_999_999_999_999_999, 0, 0, 6, 200]])
 
 CASES: list[tuple[DeclaringOptimizerPlugin, dict[str, Any]]] = [
-    *((plugin, {}) for plugin in (GENETIC, RANDOM, SWARM)),
+    *((plugin, {}) for plugin in (GENETIC, RANDOM, SWARM, CMA_ES)),
     *((OPTUNA, {"sampler": sampler}) for sampler in ("tpe", "nsga2")),
 ]
-every = pytest.mark.parametrize(("plugin", "chosen"), CASES, ids=["genetic", "random", "swarm", "tpe", "nsga2"])
+every = pytest.mark.parametrize(("plugin", "chosen"), CASES, ids=["genetic", "random", "swarm", "cma_es", "tpe", "nsga2"])
 
 
 def closeness(population: Indices) -> Floats:

@@ -11,14 +11,18 @@ import pytest
 from drivecal.domain.errors import InvalidInputError, ReplayError
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers import optuna_samplers
+from drivecal.optimizers.cma_es import CMA_ES
 from drivecal.optimizers.replayed import Replayed
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin
 
 GRID = np.array([59, 201, 16, 2001])
 OPTUNA = optuna_samplers.OPTUNA
-CASES: list[tuple[OptimizerPlugin, dict[str, Any]]] = [(OPTUNA, {"sampler": sampler}) for sampler in ("tpe", "nsga2", "random")]
-every = pytest.mark.parametrize(("plugin", "chosen"), CASES, ids=["tpe", "nsga2", "random"])
+CASES: list[tuple[OptimizerPlugin, dict[str, Any]]] = [
+    (CMA_ES, {}),
+    *((OPTUNA, {"sampler": sampler}) for sampler in ("tpe", "nsga2", "random")),
+]
+every = pytest.mark.parametrize(("plugin", "chosen"), CASES, ids=["cma_es", "tpe", "nsga2", "random"])
 
 
 def bowl(population: Indices) -> tuple[Floats, Floats]:

@@ -33,7 +33,7 @@ from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.thresholds import SensitivitySettings
 
-ORDERING = ("swarm",)
+ORDERING = ("swarm", "cma_es")
 """Built-in optimizers that move through the values of a parameter in their order."""
 MOST_WRONG_SETS = 200
 """Problems after which further start sets are not checked."""
