@@ -4,13 +4,13 @@ import pytest
 from tests.architecture.plain_words import NAMES, OPENER, PARAMETER, PROSE, patterns_in, phrases_in
 
 CEILINGS = {
-    "services/drivecal": 185,
+    "services/drivecal": 176,
     "services/web": 0,
-    "shared/drivecal": 97,
+    "shared/drivecal": 96,
     "workers/drivecal": 1,
-    "docs": 93,
+    "docs": 92,
     "deploy": 2,
-    "tests": 256,
+    "tests": 251,
 }
 """Largest number of unclear phrases by folder: 0 once the folder is mended."""
 
