@@ -152,7 +152,7 @@ def test_campaigns_are_steered_and_deleted_by_their_owner_and_by_an_admin(tmp_pa
         assert ask("bob", f"{own}/pause").status_code == 202
         assert ask("root", f"{own}/cancel").status_code == 202
         assert ask("alice", own, "DELETE").status_code == 403
-        assert ask("bob", own, "DELETE").status_code == 200
+        assert ask("bob", own, "DELETE").status_code == 204
 
 
 def test_sets_of_an_outside_optimizer_are_taken_from_the_owner_and_an_admin(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ def found(coordinator: Served, campaign_id: str) -> Found:
     for released in campaign["released"].values():
         released.pop("seconds")
     for counted in campaign["stages"].values():
-        counted.pop("runs")  # a run that is lost with its worker is made again
+        del counted["runs"], counted["lost"]  # a run that is lost with its worker is made again
     campaign["notes"] = [
         note for note in campaign["notes"] if not note.startswith("predictions are off")
     ]  # with measured times

@@ -3,8 +3,10 @@
 import os
 import socket
 
+import h11
 import uvicorn
 from fastapi import FastAPI
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from drivecal.cluster.pulse import EVERY_SECONDS, sign
 
@@ -14,6 +16,22 @@ database takes at least 40 of them."""
 SECONDS_IDLE = 15
 """Seconds that a connection stays open for the next request."""
 SECONDS_TO_STOP = 5
+MOST_IGNORED = 64 * 1_048_576
+"""Bytes of a body that a client may still send after its answer, before its connection is closed."""
+
+
+class Protocol(H11Protocol):
+    """A connection of a client, which ends if a body goes on after its answer: uvicorn would read it for ever."""
+
+    _ignored = 0
+
+    def data_received(self, data: bytes) -> None:
+        """Receives data."""
+        super().data_received(data)
+        is_answered = self.cycle is not None and self.cycle.response_complete and self.conn.their_state is h11.SEND_BODY
+        self._ignored = self._ignored + len(data) if is_answered else 0
+        if self._ignored > MOST_IGNORED:
+            self.transport.close()
 
 
 class Server(uvicorn.Server):
@@ -39,7 +57,7 @@ def configuration(app: FastAPI, pulse: int | None = None) -> uvicorn.Config:
         os.set_blocking(pulse, False)
     return uvicorn.Config(
         app,
-        http="h11",
+        http=Protocol,
         limit_concurrency=MOST_CONNECTIONS,
         ws="none",
         log_config=None,
