@@ -7,7 +7,7 @@ from sqlalchemy import Connection, delete, func, select
 
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.parameters import ParameterSet
-from drivecal.storage.engine.bulk import execute_rows, rows_among
+from drivecal.storage.engine.bulk import execute_rows, insert, rows_among
 from drivecal.storage.engine.tables import imported_results, parameter_sets
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import parameter_sets as sets
@@ -54,7 +54,10 @@ def add(connection: Connection, problem: str, given: Sequence[ImportedValues]) -
         | {"scenario": scenario, "scores": dict(each.scores), "measures": dict(each.measures), "created_at": now()}
         for (number, scenario), each in places.items()
     ]
-    execute_rows(connection, imported_results.insert(), rows)
+    new = insert(
+        connection, imported_results
+    ).on_conflict_do_nothing()  # the same rows may be stored by another request right now
+    execute_rows(connection, new, rows)
     return len(rows)
 
 
