@@ -114,10 +114,10 @@ def confirmation_verdict(confirmation: Confirmation) -> ResultVerdict:
             "as the search believed" if equal else f"the search believed {objective_text(confirmation.believed)}"
         )
     lights: dict[str, Light] = {"confirmed": "green", "untried": "amber", "unconfirmed": "red"}
-    found = verdict(code, lights[confirmation.state], **numbers)
+    confirmed = verdict(code, lights[confirmation.state], **numbers)
     if not confirmation.dismissed:
-        return found
-    return found.model_copy(update={"text": f"{found.text} {sentence('dismissed', numbers)}"})
+        return confirmed
+    return confirmed.model_copy(update={"text": f"{confirmed.text} {sentence('dismissed', numbers)}"})
 
 
 class _Words(Formatter):

@@ -122,7 +122,7 @@ class LotPlanner:
         self._shared = 0.0
         """CPU seconds of all scenarios together that no lot accounts for so far: reading, loading, planning."""
         self._chosen: set[str] = set()
-        """Scenarios in which predictions pay to the end of the search."""
+        """Scenarios in which predictions pay."""
         self.off: str | None = None
         """Why predictions are off; None while too little is known, and once they have begun."""
 
@@ -159,8 +159,12 @@ class LotPlanner:
         self._shared += time.thread_time() - began
 
     def is_ready(self, sets: float, batches: float) -> bool:
-        """Decides in which scenarios predictions pay, if so many sets in batches are ahead; returns whether what they need is loaded. Call
-        it after `learn`."""
+        """Decides in which scenarios predictions pay. Returns whether their library is loaded. Call it after `learn`.
+
+        Args:
+            sets: sets that the search will probably still request.
+            batches: number of their batches.
+        """
         known = {scenario: learner.known for scenario, learner in self._learners.items() if learner.trained_on}
         served = {scenario: [lot for lot in self._lots_so_far if lot.scenario == scenario] for scenario in known}
         expected = {
@@ -407,7 +411,7 @@ def expected_saving(
     the end of the search.
 
     Args:
-        served: lots so far, of which the last ones say how much the next ones save.
+        served: lots so far. The last ones tell how much the next ones save.
         known: answers, at least 1.
         ahead: sets that the search will probably still request, and the number of their batches.
         parameters: their number.
