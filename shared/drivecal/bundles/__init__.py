@@ -1,5 +1,5 @@
-"""Problem bundles: a folder with `problem.yaml` and its files, and what follows from its content.
+"""Problem bundles: a folder with `problem.yaml` and its files.
 
-`manifest` and `checks`: the content of `problem.yaml`; `expressions`: formulas and constraints; `archives`: packing, unpacking and
-digests; `fingerprints`: what decides a run and a score; `scoring`: scores of runs.
+`manifest` and `checks` define and check `problem.yaml`. `expressions` has formulas and constraints. `archives` packs and unpacks bundles,
+and computes digests. `fingerprints` lists all inputs of a run and of a score. `scoring` computes the scores of runs.
 """

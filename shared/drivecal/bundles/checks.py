@@ -51,7 +51,7 @@ Executables = Mapping[str, bool]
 OWN_FOLDERS = ("HOME", "TMPDIR", "TMP", "TEMP")
 """Variables that name an empty folder for each simulator."""
 _SECRET = re.compile(r"(?!.*_LICENSE).*(PASSWORD|PASSWD|PASSPHRASE|TOKEN|SECRET|CREDENTIAL|APIKEY|_KEY(_|$))", re.IGNORECASE)
-"""Names of variables that hold secrets by custom; those of licences stay allowed."""
+"""Names of variables that usually hold secrets. Variables for licences stay allowed."""
 WITH_FILES = (PythonSimulator, FmuSimulator, PythonController, FmuController, PythonVehicle, FmuVehicle)
 """Sections that name a Python file or an FMU."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
@@ -79,7 +79,7 @@ def checked(document: object, files: Executables | None = None, taken: Collectio
     Args:
         document: the content of `problem.yaml`.
         files: the bundle's files, None if they are not known.
-        taken: names that the problem must not have, by default those of the installed problems.
+        taken: names that the problem must not have, by default the names of the installed problems.
     """
     strict_json.check_plain(document)
     try:

@@ -26,8 +26,8 @@ def setup_document(
 ) -> dict[str, Any]:
     """Returns the document of a scenario's setup.
 
-    The probe stays beside its answer: results of unknown tools are not those of tools with a known version. So do variables and inputs:
-    the answer holds digests of their values and contents on the workers.
+    The document holds the probe command as well as its answer: unknown tools and tools with a known version are different setups. It also
+    names variables and inputs; the answer holds digests of their values and contents on the workers.
 
     Args:
         manifest: the problem.

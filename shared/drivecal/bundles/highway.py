@@ -89,7 +89,7 @@ class FmuController(ControllerEntry):
 class PlannerController(ControllerEntry):
     """The planner of the built-in motorway, or another installed driving function, in scenarios with a task.
 
-    Parameters of the planner, P1 to P11, are those of the problem, or among `values`.
+    Each of the planner's parameters, P1 to P11, is a parameter of the problem or has a value in `values`.
     """
 
     kind: Literal["planner"]
@@ -102,7 +102,7 @@ AnyController = Annotated[PythonController | ProcessController | FmuController |
 
 
 class VehicleValues(Model):
-    """Values of the single-track model, by default those of the paper."""
+    """Values of the single-track model. The defaults are the paper's."""
 
     mass: Annotated[float, Field(ge=300, le=60_000)] | None = None
     cornering_stiffness_front: Annotated[float, Field(ge=1e4, le=1e7)] | None = None
@@ -118,7 +118,7 @@ class VehicleValues(Model):
 
 
 class VehicleEntry(VehicleValues):
-    """The controlled vehicle: the single-track model, with other values than those of the paper."""
+    """The controlled vehicle: the single-track model with values that replace the paper's."""
 
     model: Literal["single_track"] = "single_track"
 
@@ -133,9 +133,10 @@ def _pose() -> list[StateName]:
 
 
 class UserVehicleEntry(VehicleValues):
-    """A vehicle of the user's, moved every 0.01 s by a steering angle and an acceleration. It starts at its own origin, along its x axis.
+    """A vehicle model of the user's. Every 0.01 s it takes a steering angle and an acceleration, and returns its state.
 
-    `state`: what a step gives, in this order. The values of the single-track model are those that lane keeper and tracker assume.
+    `state` lists the values that a step returns, in order. The vehicle starts at its own origin, along its x axis. The lane keeper and the
+    tracker control it as if it were a single-track model with the inherited values.
     """
 
     state: Annotated[list[StateName], Field(min_length=4, max_length=9, default_factory=_pose)]
@@ -174,7 +175,7 @@ def _form(value: object) -> str:
 
 
 class HighwaySimulator(SimulatorEntry):
-    """A controlled vehicle among SUMO's vehicles. `step`: of the traffic (s), a multiple of 0.01, in which all move evenly."""
+    """A controlled vehicle among SUMO's vehicles. The traffic moves in steps of `step` (s), a multiple of 0.01, evenly within a step."""
 
     kind: Literal["highway"]
     controller: AnyController
@@ -195,8 +196,8 @@ class HighwaySimulator(SimulatorEntry):
 class Placed(Model):
     """A vehicle's place and speed at its start.
 
-    `s`: of its centre (m), along `edge`, or along the scenario's route if no edge is given. `lane`: as in SUMO, of the edge there.
-    `offset`: of its centre from that of the lane (m), positive to the left.
+    `s` (m) is the position of its centre along `edge`, or along the scenario's route if `edge` is missing. `lane` is SUMO's index of the
+    lane there. `offset` is the distance (m) of its centre from the lane's centre, positive to the left.
     """
 
     lane: Lane = 0
@@ -216,9 +217,9 @@ class Ego(Placed):
 class Driver(Model):
     """Driver of a vehicle of the traffic; missing fields have SUMO's defaults, without randomness.
 
-    `constant` keeps its speed whatever happens. `desired_speed` (m/s) holds whatever the limit is; without it, a vehicle wants the lane's
-    limit times `speed_factor`, at most `max_speed`. `length`, `width`: by default those of a passenger car here, else SUMO's of the
-    `vehicle_class`. `parameters`: further numeric attributes of SUMO's vehicle type, e.g. `lcAssertive`.
+    A `constant` driver always keeps its speed. `desired_speed` (m/s) ignores the speed limit; without it, a vehicle wants the lane's limit
+    times `speed_factor`, at most `max_speed`. `length` and `width` default to a passenger car's, or to SUMO's for another `vehicle_class`.
+    `parameters` holds further numeric attributes of SUMO's vehicle type, e.g. `lcAssertive`.
     """
 
     model: Literal["IDM", "Krauss", "EIDM", "ACC", "CACC", "W99", "constant"] = "IDM"
@@ -252,10 +253,10 @@ class Driver(Model):
 
 
 class TrafficEntry(Placed, Driver):
-    """A vehicle that exists from the start. `id`: by default `vehicle0` and so on.
+    """A vehicle that exists from the start. `id` defaults to `vehicle0` and so on.
 
-    `path`: points (x, y, m, in the network's coordinates) along which its centre moves, straight on beyond them, on no lane; `s` counts
-    along it. Riders and pedestrians have such paths. Its model is `constant`, and SUMO's vehicles do not see it.
+    With a `path`, its centre follows these points (x, y, m, in the network's coordinates) instead of a lane, straight on after the last.
+    `s` counts along the path. Riders and pedestrians have such paths. Its model is `constant`, and SUMO's vehicles do not see it.
     """
 
     id: VehicleId | None = None
@@ -276,7 +277,7 @@ class Surroundings(Model):
     begin: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """The route file's time at the run's time 0, s."""
     warm_up: Annotated[float, Field(ge=0, le=3600)] = 0.0
-    """Seconds before the run's time 0 in which the route file's vehicles drive alone; each run simulates them."""
+    """Duration (s) of the traffic before the run's time 0: the route file's vehicles drive alone. Each run simulates it again."""
     traffic: Annotated[list[TrafficEntry], Field(max_length=2000, default_factory=list)]
     seed: Seed = 1
     data: Annotated[dict[Identifier, Any], Field(default_factory=dict)]
@@ -299,11 +300,11 @@ class TaskOfEgo(Model):
     start_lane: Lane
     target_lane: Lane
     speeds: Annotated[list[Annotated[tuple[Number, SpeedLimit], Field(strict=False)]], Field(min_length=1, max_length=100)]
-    """Desired speed (m/s) from each arc length (m) of the road on."""
+    """Pairs of arc length (m) and desired speed (m/s): the speed applies beyond that point of the road."""
     lane_change_after: Annotated[float, Field(ge=0, le=3600)] = 0.0
-    """Time (s) from which the target lane is wanted."""
+    """Earliest time (s) at which the vehicle wants the target lane."""
     hold: Annotated[float, Field(gt=0, le=3600)] = 1.0
-    """Seconds before the end in which the tolerances hold."""
+    """Duration (s) at the end of the run: the tolerances must hold throughout."""
     lane_tolerance: Metres = 0.8
     speed_tolerance: Metres = 2.0
 
@@ -342,7 +343,7 @@ class TaskScenario(Model):
     title: str = ""
     """For readers."""
     rated_as: Identifier
-    """Class by which evaluators rate its runs."""
+    """Class of the scenario. Evaluators choose their rating by it."""
     network: File
     route: Route
     duration: Duration
@@ -354,7 +355,7 @@ class TaskScenario(Model):
 
     def on(self, name: str, network: bytes) -> Scenario:
         """Returns the scenario on the road of its network file. Raises InvalidInputError if that is no road of equal lanes."""
-        from drivecal.roads.carriageway import carriageway  # scipy is not for those who only read manifests
+        from drivecal.roads.carriageway import carriageway  # scipy takes long to import, and manifests need none
 
         as_it_is = self.model_dump(exclude={"route", "ego", "task", "traffic", "network"})
         task = self.task.model_dump(exclude={"speeds"})
@@ -374,9 +375,8 @@ class TaskScenario(Model):
 class OpenScenario(Surroundings):
     """The data of a scenario that an OpenSCENARIO file describes.
 
-    `parameters`: values for its ParameterDeclarations; `ego`: the name of its entity that the controller drives. What the file says and
-    the others leave out: `network` (its LogicFile), `route` (along the road, from where the vehicles are) and `duration` (its StopTrigger).
-    `default_limit`: the speed limit (m/s) of lanes for which the OpenDRIVE file has none.
+    `parameters` has values for its ParameterDeclarations, and `ego` the name of the entity that the controller drives. By default,
+    `network` is the file's LogicFile, `route` follows the road of the vehicles, and `duration` is the file's StopTrigger.
     """
 
     openscenario: File

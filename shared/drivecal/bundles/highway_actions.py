@@ -1,4 +1,4 @@
-"""Actions of the traffic's vehicles in a scenario of kind `highway`: what they do, and the conditions on which they begin."""
+"""Actions of the traffic's vehicles in scenarios of the simulator `highway`, and the conditions that start them."""
 
 from typing import Annotated, Literal
 
@@ -19,12 +19,12 @@ EGO = "ego"
 class Condition(Model):
     """A condition of an action: a `quantity` is `above` or `below` a value, or other actions, by id, have `begun` or are `done`.
 
-    Quantities: `time` (s), `speed` (m/s), `s` (m, along the scenario's route) and `travelled` (m, since the start, by its speed) of
-    `vehicle`, by default the one that acts; from it to the vehicle `to`, by default ego: `gap` (m, along the road, whichever is ahead),
-    `headway` (s, if `to` is ahead), `ttc` (s, if they approach each other). These are measured between bumpers, or with `centres`
-    between centres. `distance` (m): least of the last step, from the vehicle's centre to the place at `s` (m) of the scenario's route,
-    `d` (m) to the left of its line.
-    `rising`: it was not fulfilled in the step before. `delay`: it is fulfilled as it was so many seconds ago, in whole steps.
+    `time` is in s. `speed` (m/s), `s` (m, along the scenario's route) and `travelled` (m, since the start) belong to `vehicle`, by default
+    the acting vehicle. `gap` (m, along the road), `headway` (s, if `to` is ahead) and `ttc` (s, if they approach each other) lead from it
+    to the vehicle `to`, by default ego. They are measured between bumpers, or with `centres` between centres. `distance` (m) is the least
+    distance in the last step from the vehicle's centre to the point at `s` (m) of the scenario's route, `d` (m) to the left of its line.
+
+    A `rising` condition must have been false in the step before. With `delay` (s, in whole steps), its state of that time ago counts.
     """
 
     quantity: Literal["time", "speed", "s", "travelled", "gap", "headway", "ttc", "distance"] | None = None
@@ -59,8 +59,8 @@ class Trigger(Model):
 class Brake(Trigger):
     """The vehicle brakes, or accelerates, to `speed` at `rate` (m/s²), and holds it for `hold` seconds, by default to the end.
 
-    `like`: another vehicle, whose speed times `factor` is added to `speed`; `continuous`: as it changes. Instead of the rate, by default
-    4: in so many `seconds`, or `metres`.
+    `like` names another vehicle: its speed times `factor` is added to `speed`, with `continuous` in every step. `rate` defaults to 4;
+    `seconds` or `metres` replace it with the duration or the distance of the change.
     """
 
     do: Literal["brake"]
@@ -75,10 +75,10 @@ class Brake(Trigger):
 
 
 class CutIn(Trigger):
-    """The vehicle changes to `lane` of the edge where it is, in `seconds`, whatever gap there is.
+    """The vehicle changes to `lane` of its edge, in `seconds`, even into a gap that is too small.
 
-    Instead of the lane: `by` so many lanes to the left of its own, or of that of the vehicle `beside`. Instead of seconds: in so many
-    `metres`, or at most at `lateral_speed` (m/s).
+    `by` replaces `lane`: the number of lanes to the left of its own lane, or of the lane of the vehicle `beside`. `metres` or
+    `lateral_speed` (m/s, at most) replace `seconds`.
     """
 
     do: Literal["cut_in"]

@@ -13,7 +13,7 @@ LONGEST = 100.0
 
 
 class Quantity(NamedTuple):
-    """A named quantity. `source`: of its definition, if it is not obvious."""
+    """A named quantity. `source` cites its definition if that is not obvious."""
 
     unit: str
     meaning: str

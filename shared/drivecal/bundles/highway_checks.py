@@ -59,7 +59,7 @@ ABOVE_ZERO = frozenset({"accel", "decel", "emergencyDecel", "apparentDecel", "ta
 
 
 def simulator_problems(simulator: HighwaySimulator) -> Iterator[Problem]:
-    """Yields the faults of the simulator section itself; files are checked with those of other kinds."""
+    """Yields the faults of the simulator section, except in its files: `checks` reads the files of all kinds."""
     controller, step = simulator.controller, simulator.step
     period = step if controller.period is None else controller.period
     if not _is_multiple(step, TICK):
@@ -134,7 +134,7 @@ def _signal_table(controller: FmuController) -> Iterator[Problem]:
 
 
 def planner_problems(controller: PlannerController, parameters: Collection[str], varied: Collection[str]) -> Iterator[Problem]:
-    """Yields the parameters of the built-in planner that are missing or given twice, and varied ones that its vehicle lacks.
+    """Yields the parameters of the built-in planner that are missing or given twice, and varied parameters that its vehicle lacks.
 
     Args:
         controller: the section of the planner.
@@ -159,7 +159,7 @@ def planner_problems(controller: PlannerController, parameters: Collection[str],
 
 
 def task_problems(controller: AnyController, scenarios: Mapping[str, Any]) -> Iterator[Problem]:
-    """Yields scenarios with a task but without a planner, and those without a task for the planner."""
+    """Yields scenarios with a task but without a planner, and the planner's scenarios without a task."""
     planned = isinstance(controller, PlannerController)
     for name, data in scenarios.items():
         if planned != ("task" in data):

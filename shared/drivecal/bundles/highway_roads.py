@@ -1,7 +1,7 @@
 """Roads of the simulator `highway`: converts OpenDRIVE files of a bundle, and checks that each scenario fits its network.
 
-A converted network is a file of the archive beside its OpenDRIVE file (`road.xodr.net.xml`). It counts in digests as every other
-file does: what is driven is the network. It names the digest of its source, so that one that is older than its source is refused.
+A converted network is a file of the archive (`road.xodr.net.xml`), next to its OpenDRIVE file. Vehicles drive on the network, so it counts
+in digests like every other file. It names the digest of its source: a network that is older than its source is refused.
 """
 
 import hashlib
@@ -173,7 +173,7 @@ def _check_effort(descriptions: Iterable[Description]) -> None:
 
 
 class _Roads:
-    """Networks of a bundle, each read once, and the corridor of the last scenario: those of all might not fit into the memory."""
+    """Networks of a bundle, each read once, and the corridor of the last scenario: all corridors might not fit into memory."""
 
     def __init__(self, files: Mapping[str, BundleFile]) -> None:
         self._files = files
@@ -332,7 +332,7 @@ def _scenarios(manifest: Manifest) -> Iterator[tuple[str, Described]]:
 
 
 def _by_road(descriptions: Mapping[str, Description]) -> list[tuple[str, Description]]:
-    """Returns the scenarios, those of one network and route after each other."""
+    """Returns the scenarios, sorted so that scenarios on the same network and route follow each other."""
     return sorted(descriptions.items(), key=lambda entry: _road(entry[1].scenario))
 
 

@@ -1,4 +1,4 @@
-"""Units as texts: equal ones that are written differently, such as m/s², m/s^2, m/s2 and m.s-2."""
+"""Units as texts. Compares units that are equal and written differently, such as m/s², m/s^2, m/s2 and m.s-2."""
 
 import re
 from collections.abc import Mapping

@@ -49,7 +49,7 @@ class Progress(Answer):
 
 
 class OutcomeCounts(Answer):
-    """Cells with an answer: `requested`, and how many got it in which way; requested = repeated + reused + predicted + simulated + failed.
+    """Cells with an answer, by its kind: requested = repeated + reused + predicted + simulated + failed.
 
     This class and its subclasses are the only list of the counters: columns and JSON in SQL, exports, metrics, checks and the page's types
     follow from their fields. `certified` is always 0: there are no certificates any more, and `reduction.certified` has no effect.
@@ -115,14 +115,14 @@ class CellsByStage(Answer):
 
 
 class ErrorRate(Answer):
-    """Results of the self-check in a scenario: `different`: any change; `wrong`: by more than the tolerance; `contradictions`: reference
-    keys under which simulated results have different scores, among the campaign's own and the references of their keys. Of the inspected
-    `lots` of reused answers so many were `rejected` and simulated whole. `stopped` is always false: wrong answers are bounded by lots.
+    """Results of the self-check in a scenario. Audited answers with any change are `different`, beyond the tolerance `wrong`.
 
-    R_err is wrong / audited. `upper_95`: with lots, a time-uniform upper limit of the share of wrong answers among the released ones;
-    without lots, the upper end of the 95 % Clopper-Pearson interval of R_err; null before the first audit or, with lots, the first released
-    one, and for several runs with lots.
-    Lots are sampled in different shares, so that with them R_err is what the audits saw, and no estimate of all answers."""
+    `contradictions` counts reference keys under which simulated results have different scores: the campaign's own results, or the
+    references of their keys. Among the `lots` of reused answers, the `rejected` ones were simulated whole. `stopped` is always false.
+
+    R_err is wrong / audited. Lots are sampled in different shares: with lots, R_err is no estimate for all answers. `upper_95` is the upper
+    end of the 95 % Clopper-Pearson interval of R_err, or with lots a time-uniform upper limit of the share of wrong answers among the
+    released ones. It is null before the first audit (with lots: release), and for several runs with lots."""
 
     audited: int = 0
     different: int = 0
@@ -137,12 +137,11 @@ class ErrorRate(Answer):
 class Released(Answer):
     """Lots of predicted answers in a scenario: `rejected` ones were simulated whole, the others' `predicted` answers were released.
 
-    Of the `sampled` predictions so many were `different`, i.e. off by more than the tolerance. The expected number of errors released is
-    at most `limit` (AOQL) times the `inspected` predictions: all in lots, with samples and rejected lots. `upper_95`: a time-uniform
-    upper limit of the share of errors among released answers; null before the first. `mean_error`, `largest_error`: how far off the
-    samples of released lots were, in the score's unit, which estimates the released answers; null before the first.
-    `asked`: batches in which the predictor was asked: not before enough is known, and not if it costs more than it saves. `seconds`: CPU
-    time of the predictor.
+    `different` counts the `sampled` predictions with an error above the tolerance. The expected number of errors released is at most
+    `limit` (AOQL) times the `inspected` predictions: all in lots, with samples and rejected lots. `upper_95` is a time-uniform upper limit
+    of the share of errors among released answers. `mean_error` and `largest_error`, in the score's unit, are errors of the samples of
+    released lots, and estimate the released answers. All three are null before the first release. `asked` counts the predictor's batches:
+    it predicts once it knows enough, unless it costs more than it saves. `seconds` is its CPU time.
     """
 
     asked: int = 0
@@ -185,11 +184,11 @@ class Best(Answer):
     probability_best: float | None = None
     """Probability that no other evaluated set is better; null if the simulator is not random."""
     close: int = 0
-    """Sets that cannot be told from it with the campaign's confidence."""
+    """Number of sets that may be equally good, at the campaign's confidence."""
 
 
 class Baseline(Answer):
-    """The parameter set that the user gave to compare with; null scores are still missing. `violation`: of the constraints, in shares."""
+    """The user's parameter set for comparison. Null scores are still missing. `violation` is the sum of the violations, as shares."""
 
     objective: float | None
     parameters: dict[str, float | str]
@@ -198,13 +197,13 @@ class Baseline(Answer):
 
 
 class Confirmation(Answer):
-    """Simulation of the best set of a search, or of its front, whose scores may be copies. `confirmed`: it has only scores of its own;
-    `untried`: so it has, but others that are believed to be better were not simulated; `unconfirmed`: a score is still a copy.
+    """Simulation of the best set of a search, or of its front, because scores may be copies. `confirmed`: all its scores were simulated;
+    `untried`: so were they, but sets with a better believed score were not simulated; `unconfirmed`: a score is still a copy.
 
-    `tried`: simulated sets, `dismissed`: sets that were dismissed on a prediction alone. `objective`: that of the best set, `believed`:
-    that with which the search ended, `reach`: that of an untried set; all null for a front. `copied`: scenarios in which the best set's
-    score is a copy, `failed`: its simulation failed. `front`: sets of the front, null for a single objective, `front_copied`: those with
-    a copy."""
+    `tried` counts the simulated sets, `dismissed` the sets that a prediction alone ruled out. `objective` is the best set's, `believed` is
+    the best at the end of the search, `reach` is an untried set's; all three are null for a front. `copied` lists the scenarios of the
+    best set's copied scores. `failed` is true if its simulation failed. `front` counts the sets of the front, and is null for a single
+    objective. `front_copied` counts the front's sets with a copy."""
 
     state: Literal["confirmed", "untried", "unconfirmed"]
     tried: int
@@ -363,17 +362,18 @@ class ExpectedRuns(Answer):
     robustness: int
     validation: int
     break_even_share: float | None = None
-    """The share of requested cells that would have to be reused for all runs of the interval analysis to pay within this campaign, all
-    counted alike: above 1 they cannot. Null without both stages. How many will be reused cannot be known before."""
+    """The share of requested cells that must be reused so that the interval analysis saves as many runs in this campaign as it takes. Above
+    1, it cannot pay. Null without both stages. The actual share is unknown before the campaign runs."""
     milliseconds: float | None = None
-    """Time for which one simulation occupies a worker: CPU time, or wall-clock time if the simulator waits. Null if none of a user's own
-    simulator was made in these setups yet."""
+    """Time for which one simulation occupies a worker: CPU time, or wall-clock time if the simulator waits. Null before a user's own
+    simulator has run in these setups."""
     measured: bool = False
-    """Whether that was measured in these setups; else it is assumed."""
+    """True if `milliseconds` was measured in these setups, false if it is assumed."""
     workers: int | None = None
     """Workers at this moment; null if the dispatcher is silent."""
     seconds: float | None = None
-    """All simulations at most, on the `workers`, without planning, optimizer and predictions; null if time or workers are unknown."""
+    """Upper limit of the simulations' time on the `workers`, without planning, optimizer and predictions. Null if time or workers are
+    unknown."""
     notes: list[str] = []
 
 

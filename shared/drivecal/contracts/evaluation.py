@@ -177,11 +177,11 @@ class Evaluation(Answer):
 
 
 class FailureCause(Answer):
-    """Cells of a campaign that failed alike.
+    """Cells of a campaign that failed for the same cause.
 
-    `kind`: `no_result` (cause: crash, hang, memory or error; `detail`: what was reported last), `failed` (the failure that the simulation
-    reports of the system under test) or `unscored` (the formula has no value for the measures; cause: why). `example`: the number of the
-    first of these `cells`; details that differ in numbers and temporary paths only are one cause, with the example's detail.
+    For the `kind` `no_result`, the cause is crash, hang, memory or error, and `detail` is the last message. For `failed`, the cause is the
+    failure of the system under test that the simulation reported. For `unscored`, it is the reason why the formula has no value for the
+    measures. `example` is the first of the `cells`. Details that differ only in numbers and temporary paths are one cause.
     """
 
     kind: Literal["no_result", "failed", "unscored"]

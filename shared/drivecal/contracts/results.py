@@ -14,9 +14,9 @@ Light = Literal["green", "amber", "red"]
 
 
 class ResultVerdict(Answer):
-    """A finding about a campaign's result. `code`: one of `analysis.verdicts.SENTENCES`; `numbers`: what it was found from, by name;
-    `text`: both as a sentence. `question`: whether it says that the scores are right, or that the search is finished. A `neutral` light
-    speaks neither for nor against the result."""
+    """A finding about a campaign's result. `code` is a key of `analysis.verdicts.SENTENCES`, `numbers` are its figures by name, and `text`
+    is the sentence. The `question` is `scores` (are they right?) or `search` (is it finished?). A `neutral` light speaks neither for nor
+    against the result."""
 
     code: str
     question: Literal["scores", "search"]
@@ -155,10 +155,11 @@ class StudyResult(Answer):
 
 
 class CampaignResults(Answer):
-    """The results of a campaign, which page and command line draw: what was asked for (`campaign.spec`, `setup`),
-    what is best, what was checked and what is doubtful (`trust`), and what it cost (`accounting`, null before the first answered cell).
-    `front`: null with a single objective and before a set has a value of each. `failures`: causes of failed cells. `studies`: those that
-    succeeded, made by any campaign, those in the campaign's own vehicle first, the newest first."""
+    """The results of a campaign, for page and command line: its settings (`campaign.spec`, `setup`), the best sets, checks and doubts
+    (`trust`), and costs (`accounting`, null before the first answered cell).
+
+    `front` is null with a single objective, and before a set has a value of each. `failures` lists the causes of failed cells. `studies`
+    lists the succeeded studies of any campaign: in the campaign's own vehicle first, the newest first."""
 
     campaign: Campaign
     setup: CampaignSetup

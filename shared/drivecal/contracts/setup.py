@@ -31,8 +31,8 @@ class SearchedParameter(Answer):
 
 
 class ScenarioSetup(Answer):
-    """Setup of a scenario. `weight`: its share of the objective. `fingerprint` is the content hash of all the rest, under which the
-    reference table keeps its runs; what it was made of is null if no run has been asked for yet."""
+    """Setup of a scenario. `weight` is its share of the objective. `fingerprint` is the content hash of the setup, and the key of its runs
+    in the reference table. The setup's other fields are null before the first run is requested."""
 
     scenario: str
     weight: float
@@ -58,5 +58,5 @@ class CampaignSetup(Answer):
     scenarios: list[ScenarioSetup]
     server: str
     settings: dict[str, str] = Field(default_factory=dict)
-    """What was asked for, in words, by what it concerns."""
+    """Settings of the campaign in words, by name."""
     constraints: list[str] = Field(default_factory=list)

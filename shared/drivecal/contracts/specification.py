@@ -172,14 +172,14 @@ ReductionMode = Literal["off", "exact", "influence", "predicted", "both"]
 class ReductionSpecification(Model):
     """Cells that may be answered without a simulation.
 
-    `off`: every cell is simulated; `exact`: equal parameter sets; `influence`: by an influence map (the paper's
-    Figure 6); `predicted`: equal sets and predictions in inspected lots; `both`: `influence` and `predicted`, the default with an
-    analysis or a map. `limit` and `max_error` bound expected numbers of released errors (AOQL), by scenario.
+    The mode `off` simulates every cell. `exact` repeats results of equal parameter sets. `influence` copies results by an influence map
+    (the paper's Figure 6). `predicted` adds predictions in inspected lots to `exact`. `both` is `influence` and `predicted`; it is the
+    default with an analysis or a map. `limit` and `max_error` bound expected numbers of released errors (AOQL) in each scenario.
     """
 
     mode: ReductionMode = "predicted"
     tolerance: Annotated[float, Field(ge=0)] | None = None
-    """Largest error of a prediction that counts as none; null: the score's own tolerance, or 0 if it has steps."""
+    """Largest error of a prediction that does not count; null: the score's own tolerance, or 0 if it has steps."""
     limit: Annotated[float, Field(ge=0.001, le=0.5)] = 0.05
     """Largest expected number of errors released, per prediction in lots: samples and rejected lots included."""
     audit: Annotated[float, Field(ge=0, le=1)] = 0.02
@@ -196,19 +196,19 @@ class ReductionSpecification(Model):
     """Sees no result of other campaigns, so that what it asks for and finds does not depend on them. Comparisons are."""
 
     def tolerance_on(self, scale: Scale) -> float:
-        """Returns the largest error of a prediction that counts as none."""
+        """Returns the largest error of a prediction that does not count."""
         if self.tolerance is not None:
             return self.tolerance
         return scale.tolerance if scale.step is None else 0.0
 
     @property
     def uses_map(self) -> bool:
-        """Whether references may answer cells by an influence map."""
+        """True if references may answer cells by an influence map."""
         return self.mode in {"influence", "both"}
 
     @property
     def predicts(self) -> bool:
-        """Whether predictions may answer cells."""
+        """True if predictions may answer cells."""
         return self.mode in {"predicted", "both"}
 
     def beside(self, sensitivity: object) -> Self:
@@ -229,7 +229,7 @@ class Quantile(Model):
 class GoalSpecification(Model):
     """A declared score or a stored measure, over scenarios.
 
-    `min`, `max` and quantiles are those of the values, whichever direction is better.
+    `min`, `max` and quantiles are computed from the values, even if lower values are better.
     """
 
     score: Identifier | None = None
@@ -262,7 +262,7 @@ class ObjectiveSpecification(GoalSpecification):
     """An objective."""
 
     aggregate: Literal["mean", "min", "max"] | Quantile = "mean"
-    """Makes one value of those of the scenarios."""
+    """Combines the values of all scenarios into one."""
     direction: Literal["maximise", "minimise"] | None = None
     """Needed for a measure; a score has its own."""
     tolerance: Annotated[float, Field(ge=0, le=1e6)] = 0.0
@@ -275,7 +275,7 @@ class ConstraintSpecification(GoalSpecification):
     """A constraint: without `aggregate`, it has to hold in every scenario."""
 
     aggregate: Literal["mean", "min", "max"] | Quantile | None = None
-    """Makes one value of those of the scenarios; null: it holds in each."""
+    """Combines the values of all scenarios into one; null: the constraint holds in each."""
     at_least: Number | None = None
     at_most: Number | None = None
 
@@ -289,9 +289,9 @@ class ConstraintSpecification(GoalSpecification):
 class RobustnessSpecification(Model):
     """Robustness of the best sets against other vehicles (Sections II-C and IV-D).
 
-    Boxes of half width k `delta`, k = 1 .. `steps`, in shares of the vehicle parameters' ranges (the paper's Table 8), `samples` vehicles
-    in each. `condition`: `max` allows a change of at most `eta` (in units of the score) in every scenario and vehicle (as in the paper);
-    `mean` over the vehicles is relative and strict.
+    Boxes have the half widths k `delta`, k = 1 .. `steps`, in shares of the vehicle parameters' ranges (the paper's Table 8); each box has
+    `samples` vehicles. The `condition` `max` allows a change of at most `eta` (in units of the score) in every scenario and vehicle (as in
+    the paper). The condition `mean` bounds the vehicles' mean change, relative to the score, strictly below `eta`.
     """
 
     delta: Annotated[float, Field(gt=0, le=1)] = 0.01
@@ -300,7 +300,7 @@ class RobustnessSpecification(Model):
     eta: Annotated[float, Field(gt=0)] = 1.0
     condition: Literal["max", "mean"] = "max"
     solutions: Annotated[int, Field(ge=0, le=1000)] = 20
-    """The most sets that are examined beside `sets`, of those that share the best objective: one from every region of the space first."""
+    """Largest number of sets with the best objective to examine, in addition to `sets`. One set of each region of the space comes first."""
     sets: Annotated[list[Values], Field(max_length=1000)] = []
     """Sets to be examined in any case."""
     of: Annotated[str, StringConstraints(min_length=1, max_length=64)] | None = None
@@ -309,11 +309,11 @@ class RobustnessSpecification(Model):
 
 
 class ValidationSpecification(Model):
-    """Whether reuse is right where the influence map allows it (Section V), or released predictions `of` an ended campaign are right.
+    """A check of results that the influence map allows to reuse (Section V), or of released predictions `of` an ended campaign.
 
-    Latin hypercubes of `samples`, twice as many, ... at most `largest` sets are drawn until those that qualify for a reduction cover all
-    effects of the reducible parameters; each is compared with `references` variants. Of a campaign's predictions `samples` are simulated
-    in each scenario.
+    A Latin hypercube of `samples` sets is drawn, then of twice as many, up to `largest`, until the sets that qualify for a reduction cover
+    all effects of the reducible parameters. Each is compared with `references` variants. To check predictions, `samples` of them are
+    simulated in each scenario.
     """
 
     samples: Annotated[int, Field(ge=1, le=1_000_000)] = 200

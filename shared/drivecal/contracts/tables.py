@@ -240,8 +240,8 @@ class Generation(GenerationCounts, _Iteration):
 
 
 class Solution(Answer):
-    """An evaluated parameter set; `rank` counts from 1, equal objectives are ordered by `rating`, then by discovery. Sets that keep the
-    constraints come first. `violation`: of the constraints, in shares; `constraints`: what each of them bounds, by its name."""
+    """An evaluated parameter set. `rank` counts from 1: sets that keep the constraints come first, then objective, `rating` and discovery
+    decide. `violation` is the sum of the violations, as shares. `constraints` has the bounded values by constraint name."""
 
     rank: int
     objective: float
@@ -268,14 +268,14 @@ class Solution(Answer):
     probability_best: float | None = None
     """Probability that no other set is better."""
     runs_to_tell: int | None = None
-    """Number of runs of this set and of the best set that would tell them apart; null if they are told apart."""
+    """Number of runs of this set and of the best set that would show which is better; null if that is known."""
 
 
 class OptimumRow(Solution):
     """An alternative optimum: a set with the best objective (Section IV-C).
 
-    `region`: sets of one number are neighbours, or joined by a chain of neighbours; `to_worse`: how far, as a root mean square in shares
-    of the searched ranges, the nearest set of a worse objective lies; null if there is none.
+    Sets with the same `region` are neighbours, or joined by a chain of neighbours. `to_worse` is the distance of the nearest set with a
+    worse objective, as a root mean square in shares of the searched ranges; null without such a set.
     """
 
     region: int
@@ -285,10 +285,11 @@ class OptimumRow(Solution):
 class FrontRow(Answer):
     """A set that no other evaluated set dominates; `rank` counts from 1, best first objective first, or largest `weighted` first.
 
-    `alternatives`: sets with the same objectives, this one included. `knee`: it gives the most for what it costs; `best_in`: the objectives
-    in which no set is better. `wins`: its share of all weightings of the objectives, scaled to the front, and `weights` the corners of that
-    region; null for more than three objectives, and for more than 1,000 sets of three. `violation`: of the constraints, in shares; above 0
-    only if no set keeps them all. `constraints`: what each of them bounds, by its name. `degree`: that of the robustness stage, if any.
+    `alternatives` counts the sets with the same objectives, with this one. The `knee` gives the most for what it costs. No set is better in
+    the objectives `best_in`. `wins` is its share of all weightings of the objectives, scaled to the front, and `weights` has the corners of
+    that region; both are null for more than three objectives, and for more than 1,000 sets of three. `violation` is the sum of the
+    violations, as shares; above 0 only if no set keeps all constraints. `constraints` has the bounded values by constraint name. `degree`
+    comes from the robustness stage, if any.
     """
 
     rank: int
@@ -376,9 +377,9 @@ class BoxTrial(Answer):
 class RobustnessRow(Answer):
     """A best set; rows are ordered by degree of robustness, objective, rating.
 
-    `scores`: simulated in the nominal vehicle. `degree`: the multiples of delta up to which the condition holds, at least so many where
-    `at_least`; `radius`: the widest box in which it held (delta_max from below). `region`: sets of one number are neighbours;
-    `to_worse`: how far, in shares of the ranges, the nearest set of a worse objective lies.
+    `scores` were simulated in the nominal vehicle. The condition holds up to `degree` multiples of delta, or more with `at_least`. `radius`
+    is the half width of the widest box that holds (delta_max from below). Sets with the same `region` are neighbours. `to_worse` is the
+    distance of the nearest set with a worse objective, in shares of the ranges.
     """
 
     rank: int
@@ -403,15 +404,15 @@ class RobustnessRow(Answer):
 class ValidationRow(Answer):
     """A scenario of the validation (Tables 1 and 2 and Figure 14 of the paper).
 
-    `reducible` parameters have a region in which they do not matter; of their `effects` (main effects and interactions) so many were
-    `covered`. `drawn`: the size of the Latin hypercube; the `bases` that qualify were kept (n*_LHS), each compared with
-    `references` variants (n_ref). `wrong`: |dF| > the scale's tolerance; R_err = wrong / compared; `different`: any change.
-    `lower_95` and `upper_95` limit the mean over base sets of the share of wrong variants, with a confidence of at least 95 %. `histogram`:
-    how many variants differ from their base by how many times `histogram_step`; the outermost numbers hold all beyond the scale's span.
+    `reducible` parameters have a region without influence; `covered` counts their `effects` (main effects and interactions) that the sets
+    cover. A Latin hypercube of `drawn` sets yields the `bases` that qualify (n*_LHS); each is compared with `references` variants (n_ref).
+    Variants with |dF| above the scale's tolerance are `wrong`, with any change `different`; R_err = wrong / compared. `lower_95` and
+    `upper_95` limit the mean over bases of the share of wrong variants, with a confidence of at least 95 %. `histogram` counts variants by
+    their difference from the base, in units of `histogram_step`; its ends hold all differences beyond the scale's span.
 
-    For the predictions of a campaign: `released` ones, of them `compared` with a simulation, `beyond` the tolerance (or without a result),
-    a share of at least `beyond_lower_95` (Clopper and Pearson); their expected number among all released ones is at most `limit` times
-    the `inspected` predictions. Null for a map.
+    For a campaign, `compared` of its `released` predictions were simulated. Errors `beyond` the tolerance (or runs without a result) have a
+    share of at least `beyond_lower_95` (Clopper and Pearson). Their expected number among all released predictions is at most `limit` times
+    the `inspected` predictions. These fields are null for a map.
     """
 
     scenario: str

@@ -37,9 +37,9 @@ def start_limit(timeout: float) -> float:
 class RunOutcome:
     """Result of one simulation: `measures` by name, the name of a `failure` of the system under test, and time series by name.
 
-    `cpu_seconds`: CPU time of child processes during the run, no part of the result; `start_seconds`: time before the run for
-    another start of the simulator, which is no run's; `queued_seconds`: time in which the run waited for a core. `replay`: the drive from
-    above, reported with the series by `highway` alone.
+    `cpu_seconds` is the CPU time of child processes during the run, not part of the result. `start_seconds` is the time for another start
+    of the simulator before the run, and belongs to no run. `queued_seconds` is the time that the run waited for a core. `replay` shows the
+    drive from above; `highway` alone reports it, with the series.
     """
 
     measures: Mapping[str, float]

@@ -14,9 +14,9 @@ from drivecal.roads.network import read_network
 SPACING = 0.5
 """Metres between rows of the reference line, exactly: a power of two, so that the row of an s is computed without rounding."""
 LANE_TOLERANCE = 0.1
-"""Metres by which a lane's centre may lie beside its place, as chords of a curve do."""
+"""Largest distance (m) of a lane's centre from its expected place: the points of a curve are joined by chords."""
 WIDTH_TOLERANCE = 0.01
-"""Metres by which the widths of lanes may differ."""
+"""Largest difference (m) of the widths of lanes."""
 MEASURED = 32
 """Networks that stay measured, for roads and simulations that ask again."""
 
@@ -30,7 +30,7 @@ def corridor_of(network: bytes, route: tuple[str, ...], name: str) -> Corridor:
 def carriageway(network: bytes, route: Sequence[str], name: str) -> Road:
     """Returns the road of a route through a network file.
 
-    Raises InvalidInputError if the file or the route cannot be used, or the lanes are not those of a carriageway.
+    Raises InvalidInputError if the file or the route cannot be used, or the lanes do not form a carriageway.
     """
     return _road(network, tuple(route), name)
 

@@ -71,9 +71,9 @@ class Track:
 class Corridor:
     """The lanes of a route in Frenet coordinates.
 
-    `line`: the reference line (n, 5) as in `domain.roads`; `tracks`: from right to left. At `stations` (k,), equally spaced in s:
-    offsets of the tracks' centres from the line `centres` (k, m), positive to the left, NaN if the track is not there; lane `widths`
-    and speed `limits` (k, m), in m and m/s, which hold from a station to the next.
+    `line` is the reference line (n, 5) as in `domain.roads`. `tracks` go from right to left. `stations` (k,) are equally spaced in s; the
+    arrays (k, m) have a row for each. `centres` are the tracks' offsets from the line (m), positive to the left, NaN if the track is not
+    there. Lane `widths` (m) and speed `limits` (m/s) apply up to the next station.
     """
 
     line: Floats

@@ -101,10 +101,9 @@ class FmuDescription:
 
 
 def read_fmu(file: str | Path | IO[bytes], name: str | None = None) -> FmuDescription:
-    """Returns the description of an FMU. `name`: for messages, by default the path.
+    """Returns the description of an FMU. Raises InvalidInputError if the file is not an FMU or cannot be calibrated.
 
-    Raises InvalidInputError if the file is not an FMU or cannot be calibrated.
-    """
+    Messages call the file `name`, by default its path."""
     name = str(file) if name is None else name
     try:
         with Path(file).open("rb") if isinstance(file, str | Path) else nullcontext(file) as whole:

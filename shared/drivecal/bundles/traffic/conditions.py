@@ -99,12 +99,12 @@ class Triggers:
     def __init__(
         self, ids: Mapping[str, str], centres: Mapping[str, float], parts: Parts, reached: Reached, notes: Notes
     ) -> None:
-        """`ids`: of vehicles by the names of entities; `centres`: how far their centres lie ahead of their reference points (m), by id;
-        `parts`: of the storyboard."""
+        """`ids` maps names of entities to ids of vehicles. `centres` maps ids to the distance (m) from a vehicle's reference point forward
+        to its centre. `parts` must hold all parts of the storyboard."""
         self._ids, self._centres, self._parts, self._reached, self._notes = ids, centres, parts, reached, notes
 
     def conditions(self, trigger: Element | None) -> Conditions:
-        """Returns conditions that must be fulfilled at once; none means that it begins at once. Raises InvalidInputError."""
+        """Returns conditions that must all hold at the same time. A trigger without any fires at once. Raises InvalidInputError."""
         groups = trigger.every("ConditionGroup") if trigger is not None else []
         if len(groups) > 1:
             raise groups[1].fault("alternatives (several groups) are not supported", "give one group of conditions")

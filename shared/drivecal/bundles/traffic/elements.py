@@ -118,7 +118,7 @@ class Element(Attributes):
                 yield child
 
     def read_in_part(self) -> "Iterator[tuple[Element, list[str]]]":
-        """Yields the elements that were read, with those of their attributes that were not."""
+        """Yields the elements that were read in part, with their unread attributes."""
         if rest := [key for key in self.values if key not in NAMING and key not in self.known]:
             yield self, rest
         for child in self.children:
@@ -138,9 +138,9 @@ class Notes:
         self._lines.setdefault((element.file, element.element, text), []).append(element.line)
 
     def texts(self, root: Element) -> tuple[str, ...]:
-        """Returns the notes, those of equal text in one, and one on each element and attribute below `root` that was not read.
+        """Returns the notes, merged if their text is equal, and a note on each unread element and attribute below `root`.
 
-        Attributes of entities are not noted: masses, names of models and heights do not drive.
+        Attributes of entities get no note: masses, names of models and heights do not change the drive.
         """
         for element in root.unread():
             self.add(element, "ignored")

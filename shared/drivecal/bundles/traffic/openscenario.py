@@ -101,7 +101,7 @@ class ScenarioFile:
 
     @property
     def network(self) -> str:
-        """Path of the network in the bundle. Raises InvalidInputError if the file names one that cannot be in a bundle."""
+        """Path of the network in the bundle. Raises InvalidInputError if the file names a path that no bundle can have."""
         logic = self._root.only("RoadNetwork").optional("LogicFile")
         if self._scenario.network is not None:
             return self._scenario.network
@@ -361,7 +361,7 @@ class ScenarioFile:
         return FilePlace(moved.edge, moved.index + shift, min(moved.position, lanes[moved.index + shift].length), mine.offset)
 
     def _route(self, starts: Mapping[str, _Start], ego: Entity, roads: Map, duration: float) -> list[str]:
-        """Returns the route along the road of the ego vehicle, from the farthest vehicle behind it on."""
+        """Returns the route along the road of the ego vehicle. It begins at the farthest vehicle behind it."""
         start = starts[ego.name]
         length = start.place.position + max(SHORTEST, SPARE * max(start.speed, 10.0) * duration)
         ahead = along(roads.network, start.place.edge, length)

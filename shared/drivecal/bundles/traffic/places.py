@@ -48,11 +48,11 @@ def links(network: Network, edge: str) -> Iterator[Connection]:
 
 
 FARTHEST = 2.0
-"""Metres between a place of the file and the lane of the network: more, and the place lies in a junction."""
+"""Largest distance (m) of a place of the file from a lane of the network. A place that is farther away lies in a junction."""
 BESIDE = 50.0
-"""Metres between the carriageways of a motorway, at most."""
+"""Largest distance (m) between the carriageways of a motorway."""
 ALIGNED, PARALLEL = cos(pi / 4.0), sin(pi / 6.0)
-"""Cosine of the angle to a heading, and sine of that to another road, at most."""
+"""Cosine of the largest angle to a heading, and sine of the largest angle to another road."""
 DECIMALS, ROUNDING = 6, 1e-6
 
 
@@ -60,7 +60,7 @@ DECIMALS, ROUNDING = 6, 1e-6
 class FilePlace:
     """A place on a lane of the network: `position` along it (m, as SUMO counts), `offset` to the left of its centre (m).
 
-    `road`, `lane`, `s`, `t`: in the OpenDRIVE file, if it was given so.
+    `road`, `lane`, `s` and `t` are its coordinates in the OpenDRIVE file, if the scenario gives them.
     """
 
     edge: str
@@ -84,17 +84,17 @@ class _Candidate(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether the coordinates are on the lane."""
+        """True if the coordinates are on the lane."""
         return self.beyond <= ROUNDING and abs(self.left) <= 0.5 * self.lane.width
 
     @property
     def beyond(self) -> float:
-        """Metres by which the coordinates lie before the begin of the lane, or behind its end."""
+        """Distance (m) of the coordinates before the lane's begin or behind its end; 0 between them."""
         return max(self.off - abs(self.left), 0.0)
 
 
 def nearest(lanes: Iterable[Lane], x: float, y: float, element: Element) -> FilePlace:
-    """Returns the place on one of these lanes that is closest to coordinates. Raises InvalidInputError if it lies on none of them."""
+    """Returns the place on these lanes that is closest to coordinates. Raises InvalidInputError if no lane is near them."""
     return _closest(list(_candidates(lanes, x, y, None, element)), x, y, None, element)
 
 
@@ -107,12 +107,11 @@ class Ground:
         self._within: dict[tuple[str, ...], frozenset[str]] = {}
 
     def place(self, x: float, y: float, heading: float | None, route: Sequence[str], element: Element) -> FilePlace:
-        """Returns the place at coordinates. Lanes count that belong to a drive along `route`: its own, those from which it is reached or
-        which are reached from it, and those beside them; without a route, all. `heading`: of the vehicle (rad), if it is known.
+        """Returns the place at coordinates, on a lane that belongs to a drive along `route`; without a route, on any lane.
 
-        If several roads without a common junction hold the coordinates, that of the heading counts, then that of the route. Raises
-        InvalidInputError if none does, or that decides nothing.
-        """
+        Lanes of the route belong to the drive, lanes on the way to it or from it, and parallel lanes nearby. If several roads without a
+        common junction hold the coordinates, the vehicle's `heading` (rad, None if unknown) decides between them, then the route. Raises
+        InvalidInputError if no lane is near, or several roads remain."""
         route = [edge for edge in route if edge in self._network.edges]  # others are refused with the route itself
         near = list(_candidates(self._around(x, y, FARTHEST), x, y, heading, element))
         drive = [candidate for candidate in near if not route or self._belongs(candidate, x, y, route)]
@@ -139,7 +138,7 @@ class Ground:
         raise element.fault(message, "give a heading `h`, a LanePosition, or `route` in the scenario")
 
     def _roads(self, candidates: Iterable[_Candidate]) -> list[set[str]]:
-        """Returns the junctions of the roads of candidates: edges with a common junction are of one road, and of one level."""
+        """Returns the junctions of each road of the candidates. Edges with a common junction belong to the same road and level."""
         roads: list[set[str]] = []
         for candidate in candidates:
             edge = self._network.edges[candidate.place.edge]
@@ -151,7 +150,7 @@ class Ground:
         return roads
 
     def _belongs(self, candidate: _Candidate, x: float, y: float, route: Sequence[str]) -> bool:
-        """Returns whether a lane is within reach of a route, or beside one that is."""
+        """Returns whether a lane is within reach of a route, or runs parallel to such a lane nearby."""
         within = self._reach(route)
         return candidate.place.edge in within or any(
             abs(sin(other.direction - candidate.direction)) <= PARALLEL
@@ -160,7 +159,7 @@ class Ground:
         )
 
     def _reach(self, route: Sequence[str]) -> frozenset[str]:
-        """Returns the edges from which a route is reached, those that are reached from it, and the other directions of all."""
+        """Returns all edges that lead to a route or that it leads to, with their opposite directions."""
         key = tuple(route)
         if key not in self._within:
             there = _reached(route, lambda edge: (link.end for link in links(self._network, edge)))
@@ -169,7 +168,7 @@ class Ground:
         return self._within[key]
 
     def _directions(self, edges: Collection[str]) -> frozenset[str]:
-        """Returns edges with those of the other direction."""
+        """Returns edges and their opposite directions."""
         known = self._network.edges
         turned = {(known[edge].end, known[edge].begin) for edge in edges}
         return frozenset(edges) | {
@@ -226,7 +225,7 @@ def _closest(candidates: list[_Candidate], x: float, y: float, heading: float | 
 
 
 def _candidates(lanes: Iterable[Lane], x: float, y: float, heading: float | None, element: Element) -> Iterator[_Candidate]:
-    """Yields the lanes that coordinates are on, or at most `FARTHEST` beside, in whose direction the heading is."""
+    """Yields the lanes within `FARTHEST` metres of coordinates, unless the heading points against the lane."""
     if not (isfinite(x) and isfinite(y)):
         raise element.fault("the place is not finite", "correct it")
     for candidate in _projections(lanes, x, y):
@@ -284,9 +283,9 @@ class Map:
         return None if self._source is None else self._source()
 
     def place(self, position: Element, places: Mapping[str, FilePlace], route: Sequence[str]) -> FilePlace:
-        """Returns the place of a <Position>. `places`: of the entities that are known so far; `route`: of the drive, if it is known. Raises
-        InvalidInputError.
-        """
+        """Returns the place of a <Position>. Raises InvalidInputError.
+
+        `places` holds the known places of entities. `route` holds the edges of the drive, and is empty while they are unknown."""
         kind = position.only("LanePosition", "WorldPosition", "RoadPosition", "RelativeLanePosition", "RelativeRoadPosition")
         if kind.element == "WorldPosition":
             x, y = (kind.number(key, -1e8, 1e8) for key in ("x", "y"))
@@ -322,12 +321,12 @@ class Map:
         return None
 
     def lane_numbers(self, edges: Sequence[str]) -> list[str]:
-        """Returns the numbers of the file's lanes from which edges were made."""
+        """Returns the numbers of the lanes in the file that became these edges."""
         lanes = (lane for edge in edges for lane in self.network.edges[edge].lanes)
         return sorted({origin.rpartition("_")[2] for lane in lanes for origin in (lane.origin or "").split()}, key=int)
 
     def moved(self, place: FilePlace, metres: float, element: Element) -> FilePlace:
-        """Returns the place that lies so many metres along the lanes from a place, or before it. Raises InvalidInputError if they end."""
+        """Returns the place that is `metres` farther along the lanes. Raises InvalidInputError if the lanes end before."""
         lane, position = self.network.edges[place.edge].lanes[place.index], place.position + metres
         for _ in range(MOST_LANES):
             if 0.0 <= position <= lane.length:
@@ -364,7 +363,7 @@ class Map:
         return self.file.roads[name]
 
     def _on_lane(self, road: FileRoad, lane: int, s: float, offset: float, element: Element) -> FilePlace:
-        """Returns the place beside a lane's centre."""
+        """Returns the place at an offset from a lane's centre."""
         if not 0.0 <= s <= road.length:
             message = f"road {shown(road.id)} is {road.length:.2f} m long, and has no s = {s:g} m"
             raise element.fault(message, f"give 0 to {road.length:.2f}")

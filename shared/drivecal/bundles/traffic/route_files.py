@@ -1,7 +1,7 @@
 """SUMO route files: SUMO drives what they say, and refuses what it cannot drive.
 
-SUMO ignores misspelt attributes, and reads or writes other files if an element says so: elements and attributes are those of a list, and
-edges those of the network. Vehicles that a run does not see are left out.
+SUMO ignores misspelt attributes, and reads or writes other files if an element says so. Therefore elements and attributes must be in the
+lists below, and edges in the network. Vehicles that a run does not see are left out.
 """
 
 from collections.abc import Mapping

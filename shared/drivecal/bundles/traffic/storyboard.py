@@ -43,7 +43,7 @@ class Storyboard:
     def __init__(
         self, root: Element, ids: Mapping[str, str], centres: Mapping[str, float], ways: Ways, reached: Reached, notes: Notes
     ) -> None:
-        """`ids`: of vehicles by entity; `centres`: as in `Triggers`. Raises InvalidInputError."""
+        """Reads a storyboard. `ids` and `centres` have the form that `Triggers` expects. Raises InvalidInputError."""
         self._ids, self._ways, self._notes, self._centres, self._reached = ids, ways, notes, centres, reached
         self._parts = Parts()
         self._count = 0
@@ -87,7 +87,7 @@ class Storyboard:
                 driven.append(awaited)
 
     def _planned(self, root: Element) -> Iterator[_Planned]:
-        """Yields the actions of the traffic's vehicles; notes those of the ego vehicle."""
+        """Yields the actions of the traffic's vehicles, and adds notes on the ego vehicle's actions."""
         for element in root.every("Story"):
             declare(element, {})
             story = self._parts.new("story", element)
@@ -142,7 +142,7 @@ class Storyboard:
         return _Planned(name, vehicle, action.element, event, act)
 
     def _ended(self, entry: _Planned, planned: Sequence[_Planned]) -> list[str]:
-        """Returns the actions of the same vehicle that end when an action begins: those of the other events of its maneuver."""
+        """Returns the actions that end when an action begins: the same vehicle's, from the other events of its maneuver."""
         if entry.event.element.text("priority", "parallel") not in ENDING or entry.event.owner is None:
             return []
         others = set(entry.event.owner.actions).difference(entry.event.actions)

@@ -71,7 +71,7 @@ ALL = (1 << LANES) - 1
 
 @inlined
 def aside_of(weights: Any, work: Any, i: int) -> Any:
-    """Returns the costs of eight lateral plans from place i on."""
+    """Returns the costs of eight lateral plans, beginning with plan i."""
     at = LATERAL + i
     return (
         weights[0] * load(work, at + LATERAL_BASE * LATERAL_PLANS)
