@@ -1,7 +1,7 @@
 """Builds the documentation as a site, which drivecal serves under /help. The wheel's build hook and `make check` run it.
 
-Pages are those of docs/pages and the documents of the other folders that are listed here. A link to a file that is no page keeps its text
-only. Zensical refuses broken links and anchors. The site asks no other host and holds no inline script, so that it works offline under a
+The site has the pages of docs/pages and the documents of other folders that are listed here. A link to a file without a page becomes plain
+text. Zensical refuses broken links and anchors. The site asks no other host and holds no inline script, so that it works offline under a
 strict content security policy.
 
 python docs/build.py            # builds it if its sources changed

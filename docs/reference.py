@@ -125,7 +125,7 @@ rates the time series ([card](../../../workers/drivecal/highway/comfort/learned.
 `single_track` or `hybrid` ([card](../../../workers/drivecal/highway/vehicle/hybrid.md)).
 """
 LARGE = 2**62
-"""Limits beyond it are those of the machine."""
+"""A larger limit only states the range of the data type: the reference omits it."""
 METHODS = ("get", "post", "put", "patch", "delete")
 Schema = Mapping[str, Any]
 
