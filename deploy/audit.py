@@ -1,6 +1,6 @@
-"""Prints what PyPI's advisories know of the packages in deploy/requirements.lock, which holds those of the images, too: `make audit`.
+"""Prints PyPI's advisories on the packages in deploy/requirements.lock, which include the packages of the images: `make audit`.
 
-A report. Ends with 1 if a weakness is known; with 0 if none is, and if nothing could be learned: without a network, or within SECONDS.
+Exits with 1 if a weakness is known, else with 0. Also exits with 0 without a network, or without an answer within SECONDS.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SECONDS = 300.0
 
 
 def command() -> list[str]:
-    """Returns how pip-audit is run: by the uv of the system, or the one that the installation brought along."""
+    """Returns the command that runs pip-audit, with the system's uv or else the uv of the installation."""
     uv = shutil.which("uv") or shutil.which("uv", path=Path(sys.executable).parent) or "uv"
     auditing = [
         "tool",

@@ -4,12 +4,12 @@ import pytest
 from tests.architecture.plain_words import NAMES, OPENER, PARAMETER, PROSE, patterns_in, phrases_in
 
 CEILINGS = {
-    "services/drivecal": 176,
+    "services/drivecal": 65,
     "services/web": 0,
     "shared/drivecal": 0,
     "workers/drivecal": 0,
     "docs": 4,
-    "deploy": 2,
+    "deploy": 0,
     "tests": 251,
 }
 """Largest number of unclear phrases by folder: 0 once the folder is mended."""

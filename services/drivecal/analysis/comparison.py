@@ -12,7 +12,7 @@ from drivecal.domain.rounding import grain, same
 
 
 def labels(settings: Sequence[Mapping[str, Any]], by: str) -> list[str]:
-    """Returns a label for each optimizer or reduction: its value of `by`, with the settings in which others of that value differ."""
+    """Returns a label for each optimizer or reduction: its value of `by`, and settings that distinguish it from others with that value."""
     fixed: dict[object, dict[str, Any]] = {}
     varied: dict[object, dict[str, None]] = {}
     for each in settings:
@@ -47,15 +47,15 @@ class Course:
     reused: bool = False
     """True if references or predictions answered any cell."""
     simulated_best: float | None = None
-    """Then: the best objective of a set whose every score was simulated for itself."""
+    """If `reused`, the best objective of a set whose scores were all simulated."""
     confirmations: int = 0
-    """Simulations after the search, by which its best set was confirmed."""
+    """Simulations after the search that confirm its best set."""
 
     @property
     def optimum(self) -> float | None:
-        """The best objective of the whole run that is true of its set; None before any result. What is reused may be off, and a
-        search prefers what is off upwards, so scores of references count for the search and not here. Of a confirmed run it is that of
-        the first set of its ranking, of others a lower bound."""
+        """The best objective of the whole run whose scores were simulated; None before any result. Scores of references do not count here:
+        they may be wrong, and a search prefers sets with an error upwards. For a confirmed run, this is the objective of the first set of
+        its ranking; for others, it is a lower bound."""
         believed = self.best[-1] if self.best else None
         if not self.reused:
             return believed
@@ -74,7 +74,7 @@ class Course:
 
     @property
     def improvements(self) -> list[Improvement]:
-        """The first iteration with a result, those that improved on it, and the last one."""
+        """The first iteration with a result, each iteration that improved the best set, and the last iteration."""
         listed: list[Improvement] = []
         taken = accumulate(self.simulations)
         for iteration, (simulations, best, rating) in enumerate(zip(taken, self.best, self.ratings, strict=True), start=1):
@@ -95,7 +95,7 @@ class Course:
 
     @property
     def simulations_to_converge(self) -> int | None:
-        """Simulations up to and with the iteration in which it had converged."""
+        """Number of simulations to the end of the iteration `converged_at`."""
         at = self.converged_at
         return None if at is None else sum(self.simulations[:at])
 

@@ -21,14 +21,13 @@ Course = Sequence[CoursePoint]
 UNCHANGED_BEST = 10
 """Table 5: iterations for which the best solution stays as it is."""
 UNCHANGED_ALTERNATIVES = 5
-"""Table 7: the number of alternative optima stays for more than so many iterations."""
+"""Table 7: the number of alternative optima stays the same for more iterations than this."""
 
 
 def converged_at(values: Sequence[float | None], unchanged: int) -> int | None:
-    """The iteration, counted from 1, from which on `values` stayed the same for at least `unchanged` further ones; None if that never
-    happened. The last such stretch counts: what changed after a rest had not converged.
+    """Returns the iteration, counted from 1, of the last change in `values`, if at least `unchanged` iterations follow; else None.
 
-    A stretch may end with the run: 20 iterations with the best found in the 12th have only 8 further ones, which is less than 10.
+    For instance, of 20 iterations with the best set in the 12th, only 8 follow: fewer than 10, so the search has not converged.
     """
     since = 0
     for index in range(1, len(values)):
@@ -40,13 +39,13 @@ def converged_at(values: Sequence[float | None], unchanged: int) -> int | None:
 
 
 def best_at(best: Sequence[float | None]) -> int | None:
-    """Table 5: the iteration in which the best solution was found, if it then stayed for at least 10 iterations."""
+    """Returns the iteration that found the best solution, if it then stayed for at least 10 iterations (Table 5)."""
     return converged_at(best, UNCHANGED_BEST)
 
 
 def alternatives_at(best: Sequence[float | None], alternatives: Sequence[int]) -> int | None:
-    """Table 7: the iteration from which on the number of alternative optima stayed for more than 5 iterations. The number is that of a best
-    objective: if this changes, so has the number, whatever it is."""
+    """Returns the iteration after which the number of alternative optima stayed for more than 5 iterations (Table 7). A change of the best
+    objective counts as a change of the number."""
     if not best or best[-1] is None:
         return None
     return converged_at(changes(best, alternatives), UNCHANGED_ALTERNATIVES + 1)

@@ -139,18 +139,18 @@ def extremes(points: Floats) -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class WinningWeights:
-    """The weights of scaled objectives, of sum 1, under which a set has the largest weighted sum: corners of a convex region, and the
-    region's share of all weightings."""
+    """A convex region of weights: a set has the largest weighted sum of scaled objectives there. The weights add up to 1. `corners` bound
+    the region, and `share` is its part of all weightings."""
 
     corners: tuple[tuple[float, ...], ...]
     share: float
 
 
 def winning_weights(points: Floats) -> list[WinningWeights] | None:
-    """Returns where each point of a front wins: an interval for two objectives, a polygon for three, empty for one that never wins.
+    """Returns the winning weights of each point of a front: an interval for two objectives, a polygon for three, empty if it never wins.
 
-    Exact, by cutting the simplex of all weights with the half plane of each other point. Points win together where they are equal. None
-    for more than MOST_EXACT objectives, and for more than MOST_WINNING points of three.
+    Cuts the simplex of all weights with the half plane of each other point, so the result is exact. Equal points win together. None for
+    more than MOST_EXACT objectives, and for more than MOST_WINNING points of three.
     """
     if points.shape[1] > MOST_EXACT or (points.shape[1] == MOST_EXACT and len(points) > MOST_WINNING):
         return None
@@ -188,8 +188,7 @@ def _region(shares: Floats, place: int) -> WinningWeights:
 
 
 def _cut(corners: Floats, normal: Floats) -> Floats:
-    """Returns the part of a convex polygon, shape (k, m), in which the product with `normal` is at least 0 (Sutherland and Hodgman
-    1974)."""
+    """Returns a convex polygon, shape (k, m), cut to the half space on the side of `normal` (Sutherland and Hodgman 1974)."""
     sides = corners @ normal
     before, earlier = np.roll(sides, 1), np.roll(corners, 1, axis=0)
     crossed = sides * before < 0

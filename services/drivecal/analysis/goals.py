@@ -64,7 +64,7 @@ class CellValue:
 
 @dataclass(frozen=True, slots=True)
 class Aggregate:
-    """A number of the values in several scenarios. `level`: of a quantile, the least value that so much of the weight does not exceed."""
+    """Combines the values of several scenarios into one. A quantile is the least value whose weight, with all lower values, is `level`."""
 
     kind: AggregateKind = "mean"
     level: float = 0.5
@@ -173,7 +173,7 @@ class Goals:
 
     @cached_property
     def bound_names(self) -> list[str]:
-        """Names of the constraints, each once: equal ones are numbered from the second on."""
+        """Names of the constraints, made unique: the second and later uses of a name get a number."""
         names: list[str] = []
         for bound in self.bounds:
             names.append(_numbered(bound.name, names))
@@ -214,7 +214,7 @@ class Goals:
         return len(self.objectives) > 1 or bool(self.bounds)
 
     def values(self, measures: Mapping[str, float | None], failure: str | None) -> dict[str, float]:
-        """Returns the computed values of a run, by key; those that it lacks are missing."""
+        """Returns the computed values of a run, by key, without values that the run lacks."""
         values = {key: value.of(measures, failure) for key, value in self.computed.items()}
         return {key: value for key, value in values.items() if value is not None}
 

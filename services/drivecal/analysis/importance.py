@@ -20,10 +20,9 @@ RESAMPLED = 1_000
 
 @dataclass(frozen=True, slots=True)
 class Importances:
-    """By how much R² on held-out sets falls when a parameter's values are shuffled among them: `mean` and `deviation` over the
-    repetitions, shape (n_parameters,). `lower`, `upper`: the 95 % interval over the choice of held-out sets. `r2`: of the undisturbed
-    forest, 1 if it predicts the held-out sets exactly, 0 if no better than their mean. `sets`: that were used, `held_out` of them to
-    judge."""
+    """The fall of R² on held-out sets when a parameter's values are shuffled among them. `mean` and `deviation`, shape (n_parameters,), are
+    over the repetitions. `lower` and `upper` bound the 95 % interval over the choice of held-out sets. `r2` is R² without shuffling: 1 if
+    the forest predicts the held-out sets exactly, 0 if no better than their mean. `held_out` of the `sets` were kept for the test."""
 
     mean: Floats
     deviation: Floats

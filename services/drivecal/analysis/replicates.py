@@ -14,13 +14,13 @@ import numpy.typing as npt
 from drivecal.plugins.ports import Floats
 
 KEPT, KEPT_BY_CELL = 0.3, 0.15
-"""Shares of a budget that are kept for the runs after a search by populations, and after one that asks further seeds itself."""
+"""Shares of a budget for the runs after a search by populations, and after a search that requests further seeds itself."""
 FRESH = 0.4
 """Share of a set's runs that report it and do not choose it."""
 SHRINKAGE = 4
 """Degrees of freedom of the pooled variance in the variance of a set."""
 FEWEST = 3
-"""Degrees of freedom from which on the noise is known."""
+"""Degrees of freedom that make the noise known."""
 FIRST = 4
 """Sets that get a second run before the noise is known."""
 SWEEPS = 30

@@ -72,22 +72,22 @@ def deviation(nominal: Floats, scores: Floats, condition: Condition, least: floa
 
 
 def holds(deviations: Floats, nominal: Floats, settings: RobustnessSettings) -> bool:
-    """Returns whether the condition holds in every scenario. A vehicle without a result cannot be vouched for: it does not hold then.
-    `nominal`: the scores of which they are deviations, whose size is that of rounding."""
+    """Returns whether the condition holds in every scenario; false if a vehicle has no result. The rounding errors of the `deviations`
+    follow from the size of the scores in the nominal vehicle, `nominal`."""
     room = grains(nominal, settings.eta)
     within = deviations <= settings.eta + room if settings.condition == "max" else deviations < settings.eta
     return bool(within.all())  # a comparison with NaN is false
 
 
 def undetected_share(samples: int, compared: int = 1) -> float:
-    """Returns the share of failing vehicles that `samples` independent vehicles without a failure leave possible (95 %), in the box of
-    whichever of `compared` sets is chosen by them."""
+    """Returns an upper 95 % limit of the share of failing vehicles in a box without a failure among `samples` independent vehicles. The
+    boxes may decide which of `compared` sets is chosen."""
     return float(1.0 - ((1.0 - 0.95) / max(1, compared)) ** (1.0 / samples))
 
 
 def vehicles_text(settings: Mapping[str, Any], compared: int) -> str:
-    """Returns a sentence about what a box that holds says of vehicles that were not simulated. `compared`: number of examined sets, all in
-    the same directions, of which the recommended one was chosen by its boxes."""
+    """Returns a sentence about vehicles that were not simulated, in a box that holds. The recommended set was chosen by its boxes from
+    `compared` examined sets, all with vehicles in the same directions."""
     samples = settings["samples"]
     if settings["condition"] == "mean":
         return (
@@ -122,8 +122,8 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class Robustness:
-    """Robustness of one solution, so far. `degree`: the multiples of delta up to which the condition holds, or more with `at_least`;
-    `radius`: the widest box in which it was seen to hold, in shares of the parameters' ranges (delta_max, from below)."""
+    """Robustness of one solution, so far. The condition holds up to `degree` multiples of delta, or more with `at_least`. `radius` is the
+    half width of the widest simulated box that holds, in shares of the parameters' ranges (delta_max, from below)."""
 
     degree: int
     at_least: bool
@@ -196,5 +196,5 @@ class RobustnessStudy:
 
 
 def key_of(parameters: Mapping[str, float | str]) -> tuple[tuple[str, float | str], ...]:
-    """Returns a key of a parameter set, by which rows of two studies are compared."""
+    """Returns a key of a parameter set, to compare the rows of two studies."""
     return tuple(sorted(parameters.items()))

@@ -1,4 +1,4 @@
-"""Savings and costs of reuse: the simulations that it saved beside what it took. Pure.
+"""Savings and costs of reuse: the simulations that it saved, and the time that it took. Pure.
 
 Runs that occupy their workers for much longer than they compute are accounted in wall-clock time, all others in CPU time. Their simulator
 waits (for a licence, a device, another machine), or other processes take its processors: an account cannot tell which.
@@ -31,8 +31,8 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class MapOrigin:
-    """The influence map in use. `made_by`: the campaign whose sensitivity stage made it, None if a user posted it; `costs`: of that
-    campaign's cells."""
+    """The influence map in use. The sensitivity stage of the campaign `made_by` made it, with these `costs` of its cells; None if a user
+    posted the map."""
 
     id: str
     made_by: str | None
@@ -53,8 +53,8 @@ def account(
     Args:
         campaign: its id.
         state: its state.
-        scenarios: in the order in which they are to be listed.
-        costs: of its cells.
+        scenarios: its scenarios, in the order of the account.
+        costs: the costs of its cells.
         origin: the influence map in use.
         confirmed: number of cells that were simulated after the search, by scenario and first answer.
         predictors: CPU time of the predictor, by scenario.

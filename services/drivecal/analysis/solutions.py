@@ -28,11 +28,11 @@ class EvaluatedSet:
     rating: float
     scores: Mapping[str, float]
     reused: tuple[str, ...]
-    """Scenarios whose score is a reference's or a prediction, also if it counts for goals alone: this very set was not simulated there."""
+    """Scenarios whose score is copied or predicted, even if it counts for goals alone: this very set was not simulated there."""
     iteration: int
     individual: int
     sign: int = 1
-    """Of the scale: -1 if lower objectives are better."""
+    """The scale's sign: -1 if lower objectives are better."""
     judgement: Judged | None = None
     """All objectives and the violations; None without goals."""
     span: float = 0.0
@@ -395,7 +395,7 @@ class Ranking:
 
     @staticmethod
     def _alike(goals: Goals, points: Floats) -> Sequence[Sequence[int]]:
-        """Groups points by the first one that they equal but for what does not count."""
+        """Groups points that differ from the group's first point only by amounts that do not count."""
         groups: list[list[int]] = []
         firsts = np.empty_like(points)
         for place, point in enumerate(points):

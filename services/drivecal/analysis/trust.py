@@ -32,25 +32,25 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.rounding import grain
 
 FEW = 0.01
-"""Share of cells without a result, or without a score, up to which a search is as good as one without them."""
+"""Largest share of cells without a result or a score that leaves a search as good as a search without such cells."""
 LONG = 3
-"""Iterations from which on a search had time to improve what its first one found."""
+"""Least number of iterations that gives a search time to improve its first result."""
 NEARLY = 80
-"""Percentage of the sets on the grid from which on a search has seen nearly all of them."""
+"""Least percentage of a grid's sets that counts as nearly all."""
 LARGEST_COUNT = 10**9
-"""Sets on a grid up to which their number is written out."""
+"""Largest number of a grid's sets that is written out."""
 AT_END = 0.005
-"""Distance from an end of its range, as a share of it, up to which a value lies at the end."""
+"""Largest distance of a value at the end of its range, as a share of the range."""
 RECORD = 0.95
-"""Share of estimates by searches by `surrogate` in which as many simulations again gained no more than expected: 38 of 40, after 150 and
-300 simulations (`economy --outlook --problems acc_curve monotone_curve cliff funnel few_matter --arms surrogate --seeds 4`)."""
+"""Share of correct estimates by the optimizer `surrogate`: twice the simulations gained no more than expected. 38 of 40, after 150 and 300
+simulations (`economy --outlook --problems acc_curve monotone_curve cliff funnel few_matter --arms surrogate --seeds 4`)."""
 _ORDER = ("red", "amber", "neutral", "green")
 _DEFAULT = ReductionSpecification()
 
 
 @dataclass(frozen=True, slots=True)
 class BesideBaseline:
-    """The value of an objective beside the baseline's. `sign`: 1 if more is better, else -1; `tolerance`: differences that do not count."""
+    """A set's and the baseline's value of an objective. `sign` is -1 if less is better. Differences within `tolerance` do not count."""
 
     name: str
     value: float
@@ -61,7 +61,7 @@ class BesideBaseline:
 
     @property
     def gain(self) -> float:
-        """Difference by which the value is better; below 0 if it is worse."""
+        """Improvement over the baseline's value; below 0 if the set's value is worse."""
         return self.sign * (self.value - self.baseline)
 
     @property
@@ -72,8 +72,8 @@ class BesideBaseline:
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """A set that was chosen. `compared`: the objectives that the baseline has as well; `copied`: scenarios whose score is a reference's;
-    violations in shares. `is_judged`: whether every objective and constraint has a value; `is_best`: whether the search ended with it."""
+    """A set that was chosen. `compared` has the objectives that the baseline has as well, and `copied` the scenarios with a reference's
+    score. Violations are shares. `is_judged`: every objective and constraint has a value. `is_best`: the search ended with this set."""
 
     parameters: Mapping[str, float | str]
     compared: Sequence[BesideBaseline] = ()
@@ -86,9 +86,9 @@ class Chosen:
 
 @dataclass(frozen=True, slots=True)
 class SearchCourse:
-    """The course of an ended search. `course`: by finished iteration; empty with several objectives, which have no single course.
-    `ranges`: lower and upper value of the searched parameters with an order. `grid`: number of
-    all sets of the space, 0 if it is no grid; `requested`: number of those that the search asked for, an upper limit unless `is_exact`."""
+    """The course of an ended search. `course` has a point for each finished iteration, and is empty with several objectives. `ranges` has
+    the lower and upper value of each searched parameter with an order. `grid` is the number of sets of the space, 0 if it is no grid. The
+    search requested `requested` of them, or fewer unless `is_exact`."""
 
     course: Course
     ranges: Mapping[str, tuple[float, float]]
@@ -99,8 +99,8 @@ class SearchCourse:
 
 @dataclass(frozen=True, slots=True)
 class Compromises:
-    """The front of several objectives. `dominating`: sets that are better than the baseline in an objective and worse in none; None
-    without an evaluated baseline. `copied`: sets with a score of a reference."""
+    """The front of several objectives. `dominating` counts the sets that are better than the baseline in an objective and worse in none;
+    None without an evaluated baseline. `copied` counts the sets with a score of a reference."""
 
     size: int
     dominating: int | None
@@ -109,8 +109,8 @@ class Compromises:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Facts about a campaign's result beside its own record. `studies`: the newest first. `front`: of several objectives, in the place of
-    a best set. `chosen`: a set to judge instead."""
+    """Facts about a campaign's result that are not in its own record. `studies` has the newest first. With several objectives, `front`
+    replaces the best set. A `chosen` set, if given, is judged instead of the best."""
 
     studies: Sequence[StudyResult] = ()
     search: SearchCourse | None = None

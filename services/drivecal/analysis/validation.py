@@ -1,7 +1,7 @@
 """Validation of the reduction (Section V of the paper): are answers really the same when the influence map says so?
 
-Sets are drawn over the whole space until those that lie in some non-influential region cover all main effects and interactions of the
-parameters that can be reduced; each is compared with variants that differ from it inside those regions only.
+Sets are drawn over the whole space until the sets in non-influential regions cover all main effects and interactions of the reducible
+parameters. Each of these sets is compared with variants that differ from it only inside its regions.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +16,7 @@ from drivecal.plugins.ports import Floats
 ROWS = 1_000
 """Rows of the table of all pairs of combinations that are in memory at a time."""
 MOST_EXACT = 16
-"""Reducible parameters up to which all 2^n - 1 effects are examined; beyond, those of up to three parameters."""
+"""Largest number of reducible parameters whose 2^n - 1 effects are all examined; for more, effects of up to three parameters are."""
 HYPERCUBE, VARIANTS = 0, 1
 """Purposes of the stream."""
 
@@ -26,10 +26,10 @@ Region = range | tuple[int, ...]
 
 
 class ReducibleSpace:
-    """Regions in which a scenario's map lets the searched parameters vary: grid indices that answer for each other."""
+    """Regions of a scenario's map without influence. Values of a parameter in the same region answer for each other."""
 
     def __init__(self, n_values: Indices, regions: Sequence[Sequence[Region]]) -> None:
-        """`n_values`: grid sizes, shape (n_searched,); `regions`: of each parameter, disjoint; those of one value are left out."""
+        """Leaves out regions of one value. `n_values` are grid sizes, shape (n_searched,). The `regions` of a parameter are disjoint."""
         self.n_values = n_values
         self._regions = [[region for region in listed if len(region) > 1] for listed in regions]
 
@@ -81,7 +81,7 @@ class Coverage:
 def coverage(masks: npt.NDArray[np.bool_]) -> Coverage:
     """Returns the coverage of sets that can vary in the reducible parameters of `masks`, shape (n_sets, n_reducible).
 
-    A set in which the parameters A can vary covers the effect of every non-empty subset of A.
+    If the parameters A of a set can vary, the set covers the effect of every non-empty subset of A.
     """
     n = masks.shape[1]
     if n > MOST_EXACT:
@@ -122,13 +122,13 @@ def design(
     largest: int,
     feasible: Callable[[Indices], npt.NDArray[np.bool_]] | None = None,
 ) -> ValidationDesign | None:
-    """The validation of one scenario; None if nothing can be reduced.
+    """Returns the validation design of a scenario; None if no parameter can be reduced.
 
     Latin hypercubes of `samples`, 2 `samples`, 4 `samples` ... points are drawn until their qualifying sets cover all effects, at most
-    `largest`: the coverage reports what is left uncovered then. Of those sets as many are kept as it takes to cover the same, and in the
-    order of the draw up to `samples`: a large hypercube finds the few sets in which small regions meet, and is full of others. Each variant
-    changes a random non-empty subset of what can vary. Bases that are not `feasible` are left out; variants may break constraints, and must
-    not be run then.
+    `largest` points. If some effects stay uncovered, the coverage reports them. A large hypercube finds the few sets with several small
+    regions among many others. So only the sets that the coverage needs are kept, and the first others up to `samples` in total. Each
+    variant changes a random non-empty subset of the values that can vary. Bases that are not `feasible` are left out. Variants may break
+    constraints; the caller must not run these.
     """
     reducible = space.reducible
     if not reducible.size:

@@ -14,9 +14,9 @@ class Job(ABC):
     stage: StageName | None = None
     """The running stage, for the log; None before the first, and for a job without stages."""
     goes_on: bool = False
-    """Whether work remains that needs no result."""
+    """True if work remains that needs no result."""
     asks_ahead: bool = False
-    """Whether `work` may return more while earlier cells are at workers."""
+    """True if `work` may return more cells while earlier cells are at workers."""
     budget: RunBudget | None = None
     """Runs that the campaign may start, known after the first `work`; None without a limit."""
 

@@ -29,7 +29,7 @@ _SIGNED = re.compile(r"([0-9a-f]{64}):([0-9a-f]{64})")
 
 @dataclass(frozen=True, slots=True)
 class Pushing:
-    """Who may push problems. A server without tokens has a `secret`, which the folder `home` holds."""
+    """Permission to push problems. A server without tokens keeps a `secret` in the folder `home`."""
 
     allowed: bool
     secret: bytes | None = field(default=None, repr=False)

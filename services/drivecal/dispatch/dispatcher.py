@@ -261,7 +261,7 @@ class Dispatcher:
                 self._active[campaign.sequence] = Active(campaign, stopping=stopping)
 
     def _has_room(self, campaign: CampaignHeading) -> bool:
-        """Whether the campaign may start now. The caller asks in starting order."""
+        """Returns whether the campaign may start now. The caller asks in starting order."""
         return campaign.kind == "evaluation" or not self._is_full
 
     @property

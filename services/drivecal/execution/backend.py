@@ -87,8 +87,8 @@ class Backend(Protocol):
         """Returns all workers, in a stable order."""
 
     def replace(self, worker: str, fault: str | None) -> None:
-        """Replaces an idle worker's process. `fault`: what was wrong, None for nothing; `trouble` reports it until the place returns a
-        result, and repeated faults cause longer and longer pauses."""
+        """Replaces an idle worker's process. `fault` is the reason, None if the worker is healthy. `trouble` reports it until the new
+        process returns a result. Each repeated fault causes a longer pause."""
 
     def trouble(self) -> str | None:
         """Returns the reason for missing workers, or None."""

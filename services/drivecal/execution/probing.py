@@ -121,7 +121,7 @@ class Disputes:
 
     @property
     def are_open(self) -> bool:
-        """Whether there are disputes."""
+        """True if there are disputes."""
         return bool(self._open)
 
     def keep(self, setups: Collection[SetupKey]) -> None:

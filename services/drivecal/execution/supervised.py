@@ -75,9 +75,9 @@ class SupervisedBackend(Backend, ABC):
     """A `Backend` on worker processes. Subclasses start them, call them, and end them."""
 
     settle_seconds = SETTLE_SECONDS
-    """How long runs may go on at most after their worker is gone."""
+    """Longest time that runs may go on after their worker is gone."""
     waits_for_workers = False
-    """Whether workers that do not start are waited for without end."""
+    """True if it waits without end for workers that do not start."""
 
     def __init__(self, limits: WorkerLimits) -> None:
         self._limits = limits
@@ -113,7 +113,7 @@ class SupervisedBackend(Backend, ABC):
         return False
 
     def _changes(self) -> list[Finished | Lost]:
-        """Follows the machines of the cluster; returns the lost batches of those that are gone. Raises BackendLostError."""
+        """Follows the machines of the cluster; returns the lost batches of machines that are gone. Raises BackendLostError."""
         return []
 
     def _lost_with_machine(self, worker: WorkerProcess) -> list[Finished | Lost] | None:  # noqa: ARG002  # for subclasses
@@ -121,7 +121,7 @@ class SupervisedBackend(Backend, ABC):
         return None
 
     def _complaints(self) -> list[str | None]:
-        """Returns reasons for missing workers beyond those of the workers themselves."""
+        """Returns reasons for missing workers, except the workers' own."""
         return []
 
     def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:

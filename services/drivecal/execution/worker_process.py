@@ -59,7 +59,7 @@ class WorkerProcess:
 
     @property
     def name(self) -> str:
-        """With a number from its second process on."""
+        """Its name, with a number after its first process."""
         return f"worker-{self.index}" if self.incarnation <= 1 else f"worker-{self.index}.{self.incarnation}"
 
     def pause(self, times: int) -> None:
@@ -73,7 +73,7 @@ class WorkerProcess:
 
     @property
     def ready(self) -> bool:
-        """Whether it has started."""
+        """True if it has started."""
         return self.handle is not None and self.warming is None
 
     @property
@@ -89,7 +89,7 @@ class WorkerProcess:
         return self.calls[0].reference if self.calls else None
 
     def room(self, *, alone: bool) -> bool:
-        """Whether it can take another call, one without neighbours for `alone`."""
+        """Returns whether it can take another call; an `alone` call has no neighbours."""
         if not self.ready:
             return False
         if not self.calls:

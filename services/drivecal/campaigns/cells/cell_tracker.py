@@ -147,7 +147,7 @@ class CellTracker:
         """Loads the cells that wait for an answer, draws the samples of new lots, and returns the work to simulate, without the cells that
         this tracker returned before.
 
-        The transaction must not be the one that stores new predictions: these are committed before their sample is drawn.
+        Predictions must be committed before their sample is drawn, so store new predictions in an earlier transaction.
 
         With `share_runs`, a cell takes a run that another campaign simulated in the meantime. It counts as simulated, because the campaign
         did not see that run when it planned. Without it, every cell is simulated for this campaign alone. `benches` lists the cells'

@@ -97,12 +97,12 @@ class Inspection:
     def conclude(
         self, connection: Connection, pending: Collection[int]
     ) -> tuple[list[tuple[StoredEvaluation, AnsweredCell]], list[StoredEvaluation]]:
-        """Stores the verdicts of lots with a complete sample, and returns the released cells, with their answers, and those to simulate.
-        The answers of predicted cells are stored, those of reused ones are not.
+        """Stores the verdicts of lots with a complete sample. Returns the released cells with their answers, and the cells to simulate.
 
-        All answers so far must be stored; `pending` cells have none. A verdict waits for the whole sample even if it cannot change any
-        more, so that it does not depend on the workers' timing, and for the references of all cells. A member whose very set was drawn as
-        another individual is simulated: its score is known, and its reference's may be refuted.
+        Stores answers of predicted cells, not of reused cells. All answers so far must be stored; `pending` cells have none. A verdict
+        waits for the references of all cells and for the whole sample, even if it is certain before: it must not depend on the workers'
+        timing. If the sample holds a member's very set as another individual, the member is simulated: this score is known, and its
+        reference's may be refuted.
         """
         for lot in self._open.values():
             lot.awaited.intersection_update(pending)
@@ -205,7 +205,7 @@ def check_reuse(
 
 
 def _most_wrong(connection: Connection, campaign: int) -> dict[str, float]:
-    """Returns an upper 95 % limit of the share of wrong answers among those that lots of references released, by scenario."""
+    """Returns an upper 95 % limit of the share of wrong answers among the released ones of lots of references, by scenario."""
     plans: dict[str, list[tuple[SamplingPlan, int]]] = defaultdict(list)
     for lot in lots.of_campaign(connection, campaign, Outcome.REUSED):
         if lot.verdict is not None:
@@ -215,7 +215,7 @@ def _most_wrong(connection: Connection, campaign: int) -> dict[str, float]:
 
 
 def rejected_text(rates: Mapping[str, ErrorRate]) -> str | None:
-    """Returns a note on the scenarios in which lots of references were rejected; None without any."""
+    """Returns a note on the scenarios with rejected lots of references; None without any."""
     rejected = [f"{name} ({rate.rejected} of {rate.lots})" for name, rate in rates.items() if rate.rejected]
     if not rejected:
         return None

@@ -122,9 +122,9 @@ class LotPlanner:
         self._shared = 0.0
         """CPU seconds of all scenarios together that no lot accounts for so far: reading, loading, planning."""
         self._chosen: set[str] = set()
-        """Scenarios in which predictions pay."""
+        """Scenarios whose predictions pay."""
         self.off: str | None = None
-        """Why predictions are off; None while too little is known, and once they have begun."""
+        """The reason why predictions are off; None while too little is known, and once they have begun."""
 
     def learn(self, connection: Connection) -> None:
         """Reads the answers and lots since the last call. No cell of the campaign may wait for its answer."""
@@ -159,10 +159,10 @@ class LotPlanner:
         self._shared += time.thread_time() - began
 
     def is_ready(self, sets: float, batches: float) -> bool:
-        """Decides in which scenarios predictions pay. Returns whether their library is loaded. Call it after `learn`.
+        """Chooses the scenarios whose predictions pay. Returns whether the library of predictors is loaded. Call it after `learn`.
 
         Args:
-            sets: sets that the search will probably still request.
+            sets: number of sets that the search will probably still request.
             batches: number of their batches.
         """
         known = {scenario: learner.known for scenario, learner in self._learners.items() if learner.trained_on}
@@ -212,8 +212,8 @@ class LotPlanner:
             learner.observe(predicted, confidence, scores[asked], weight)
 
     def predict(self, sets: Mapping[int, ParameterSet]) -> None:
-        """Predicts a batch, by individual; takes seconds, so call it outside of any transaction, once `is_ready`. Skips scenarios in which
-        predictions do not pay."""
+        """Predicts a batch, by individual, in scenarios whose predictions pay. It takes seconds: call it outside of any transaction, once
+        `is_ready`."""
         self._rows, self._forecasts = {individual: row for row, individual in enumerate(sets)}, {}
         if not sets:
             return
@@ -280,8 +280,8 @@ class LotPlanner:
     ) -> list[RequestedCell]:
         """Stores the batch's lots, and returns its cells with accepted predictions in the place of simulations.
 
-        Sets in `whole` (individuals) and those believed within reach of the `best` simulated objective, or of the front if `reaches` is
-        given, are simulated whole; so are audited cells and those that answer others.
+        All cells of the individuals in `whole` are simulated, and of sets that may reach the `best` simulated objective, or with `reaches`
+        the front. Audited cells are simulated as well, and cells that answer others.
         """
         if not self._forecasts or not cells:
             return list(cells)
@@ -388,18 +388,18 @@ class LotPlanner:
 
 
 CHANGED = 0.3
-"""Share of a population that a generation requests: no more than that of the paper's genetic algorithm, unless one is known."""
+"""Share of a population that a generation requests, if unknown: the share of the paper's genetic algorithm at most."""
 LIKELY = 0.25
 """Share of a batch, or of all cells ahead, that a predictor is expected to save if it has saved nothing yet."""
 RECENT_LOTS = 6
-"""Lots of a scenario that say how much the next ones save, beside what is likely."""
+"""Number of a scenario's last lots that, together with LIKELY, predict the saving of the next lots."""
 LOADING_SECONDS = 2.0
 """CPU time of loading the predictors. Each campaign counts it, so that its decision is the same in every process."""
 
 
 TRAINING_SECONDS, SECONDS_PER_ANSWER, SECONDS_PER_VALUE = 0.015, 20e-6, 4e-6
-"""CPU time of a training: in any case, for each known answer, and for each parameter of it. Usual times in the place of measured ones:
-a dispatcher that was killed trains once more, and its campaign would go on with other lots."""
+"""CPU time of a training: in any case, for each known answer, and for each of its parameters. Usual times replace measured ones: a killed
+dispatcher trains once more, and measured times would give its campaign other lots."""
 ASKING_SECONDS = 0.01
 """CPU time of a batch's predictions."""
 
@@ -426,7 +426,7 @@ def expected_saving(
 
 
 def training_seconds(known: int, parameters: int) -> float:
-    """Returns the usual CPU time of a training on so many known answers."""
+    """Returns the usual CPU time of a training on `known` answers."""
     return TRAINING_SECONDS + min(known, MOST_KNOWN) * (SECONDS_PER_ANSWER + SECONDS_PER_VALUE * parameters)
 
 

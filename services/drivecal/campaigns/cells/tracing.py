@@ -27,7 +27,7 @@ AGAIN_AFTER = timedelta(seconds=30)
 
 
 def is_to_be_made(connection: Connection, trace: StoredTrace | None) -> bool:
-    """Whether a request starts a simulation: no trace was requested before, or the failed request may be repeated."""
+    """Returns whether a request starts a simulation: no trace was requested before, or the failed request may be repeated."""
     if trace is None:
         return True
     if trace.content is not None:
@@ -99,5 +99,5 @@ def _cell(connection: Connection, made: StoredCampaign) -> StoredEvaluation | No
 
 
 def _may_pass(made: StoredCampaign, cell: StoredEvaluation | None) -> bool:
-    """Whether a failed trace may succeed later: the evaluation failed as a whole, or broke down without an exception."""
+    """Returns whether a failed trace may succeed later: the evaluation failed as a whole, or broke down without an exception."""
     return made.state is CampaignState.FAILED or (cell is not None and cell.failure in PASSING)

@@ -45,7 +45,7 @@ class Bench:
     seed: int = 0
     """Seed of all runs; 0 if the simulator does not depend on one."""
     is_driven: bool = False
-    """Whether the runs need no child process (`SetupRequest.is_driven`)."""
+    """True if the runs need no child process (`SetupRequest.is_driven`)."""
     repeat: float = 0.0
     """Share of simulated cells that run twice on a simulator that does not claim to be deterministic."""
 
@@ -138,7 +138,7 @@ class Bench:
 
     @property
     def rates(self) -> bool:
-        """Whether the coordinator rates the results of workers; otherwise workers do, which have the time series of the run."""
+        """True if the coordinator rates the results of workers. Otherwise workers do, because they have the time series of the run."""
         return self.evaluator is None or not self.is_driven
 
     @property
@@ -172,7 +172,7 @@ class Bench:
         return Rating(scale.worth(rating.rating), scale.worth(rating.score)) if isfinite(rating.rating) else None
 
     def _rated_as(self, scenario: str) -> str:
-        """Returns the class of a scenario, by which evaluators rate: its `rated_as`, or its id."""
+        """Returns the class of a scenario for evaluators: its `rated_as`, or its id."""
         data = self.scenarios[scenario]
         if "catalogue" in data and self.is_driven:
             return registry.catalogue(data["catalogue"]).scenarios[scenario].rated_as

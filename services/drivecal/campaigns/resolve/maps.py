@@ -138,8 +138,8 @@ def measure(scale: Scale) -> dict[str, float]:
 
 
 def is_outdated(stored: StoredInfluenceMap, problem: CalibrationProblem) -> bool:
-    """Whether a map was made from other runs, ratings or measures than a campaign has, or under constraints that the campaign lacks.
-    Posted maps never are."""
+    """Returns whether a map was made from other runs, ratings or measures than a campaign has, or under constraints that it lacks. False
+    for posted maps."""
     return stored.basis is not None and bool(_differences(stored.basis, problem))
 
 
@@ -199,9 +199,9 @@ def warnings_of(
 
 
 def doubts(connection: Connection, influence_map_id: str, largest_error: float, before: datetime) -> list[str]:
-    """Returns a warning for every scenario in which the map is known to be wrong: more than `largest_error` of what a validation compared
-    was wrong, or certainly more of what was audited. Campaigns that ended `before` then count. At 1, where nothing inspects references, the
-    default counts, as in the light of a campaign."""
+    """Returns a warning for every scenario whose map is wrong: a validation found more than the share `largest_error` of wrong answers, or
+    audits show a larger share at 95 % confidence. Counts campaigns that ended `before`. A `largest_error` of 1 turns inspection off, so the
+    default replaces it, as in the light of a campaign."""
     largest_error = largest_error if largest_error < 1 else ReductionSpecification().max_error
     worst: dict[str, MapError] = {}
     for error in errors_of_map(connection, influence_map_id, before):
@@ -239,7 +239,7 @@ def map_to_document(influence_map: InfluenceMap) -> dict[str, Any]:
 
 
 def analysis_to_document(analysis: Mapping[str, ScenarioInfluence]) -> dict[str, Any]:
-    """An analysis's result as `map_to_document` writes it, with each parameter's measures beside its bounds."""
+    """Returns an analysis's result in the form of `map_to_document`, with each parameter's measures added to its bounds."""
     bounds = map_to_document(
         InfluenceMap(
             {

@@ -224,7 +224,7 @@ def find_start_sets(
     start_sets: list[ParameterSet | None] = []
     for index, given in enumerate(listed):
         if len(diagnostics.problems) > MOST_WRONG_SETS:
-            break  # who has so many to mend begins with them
+            break  # enough for one message
         start_sets.append(given_set(given, constraints, f"optimizer.start_sets[{index}]", diagnostics))
     together = tuple(dict.fromkeys(parameter_set for parameter_set in (baseline, *start_sets) if parameter_set is not None))
     if population is not None and len(together) > population:

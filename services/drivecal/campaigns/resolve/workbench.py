@@ -282,7 +282,7 @@ def _refuse_driving_settings(wanted: Wanted, problem: str, diagnostics: Diagnost
 
 
 def _scenarios(catalogue: str | list[str], manifest: Manifest, diagnostics: Diagnostics) -> dict[str, Mapping[str, Any]]:
-    """Returns the data of the chosen scenarios: the manifest's, and those of installed catalogues if drivecal's own planner drives them."""
+    """Returns the data of the chosen scenarios, from the manifest and, for drivecal's own planner, from installed catalogues."""
     if catalogue in (WHOLE, manifest.problem):
         return dict(manifest.scenarios)
     listed = [catalogue] if isinstance(catalogue, str) else catalogue
@@ -299,10 +299,10 @@ def _scenarios(catalogue: str | list[str], manifest: Manifest, diagnostics: Diag
 
 
 def _score(wanted: Wanted, manifest: Manifest, diagnostics: Diagnostics) -> tuple[str, Evaluator | None] | None:
-    """Returns the campaign's score, and the evaluator that gives it, None for a formula.
+    """Returns the campaign's score, and the evaluator that computes it, None for a formula.
 
-    The score is the one that `evaluator` names, or else the first that an objective names, or else the manifest's first. The name of an
-    installed evaluator replaces the evaluator of the first score that has one.
+    `evaluator` names the score; if it is missing, the first objective with a score does, else the manifest's first score counts. If
+    `evaluator` is an installed evaluator, it replaces the evaluator of the first score that has one.
     """
     evaluator, scores = wanted.evaluator, manifest.scores
     rated = next((name for name, entry in scores.items() if entry.evaluator is not None), None)

@@ -40,7 +40,7 @@ class _Case:
 
     @cached_property
     def influence_map(self) -> InfluenceMap:
-        """The map by which the cell could be reused; one without entries if only equal sets could answer it."""
+        """The map that may let a reference answer the cell; a map without entries if only equal sets could answer it."""
         specification, map_id = self.specification, self.campaign.influence_map_id
         if specification is None or map_id is None or self.cell.stage is not StageName.CALIBRATION:
             return InfluenceMap({})

@@ -43,7 +43,7 @@ class CampaignFront:
 
     @cached_property
     def is_feasible(self) -> bool:
-        """Whether the sets of the front keep all constraints."""
+        """True if the sets of the front keep all constraints."""
         return bool(self.members) and self.members[0].solution.violation == 0
 
     @cached_property

@@ -27,7 +27,7 @@ WINDOW = 5
 SMALLEST_ROOM, LARGEST_ROOM = 2, 1024
 """Cells of a round. With few under way, a search knows more when it asks."""
 LIKE_ONE = 8
-"""Up to so many workers get the same rounds, so that what is asked does not depend on their number."""
+"""Largest number of workers with the same rounds as one worker: the requested sets do not depend on their number."""
 
 
 def room_for(workers: int) -> int:

@@ -113,7 +113,7 @@ class Calibration(Stage):
         self._has_learned = False
         """The planner knows the answers of the batch before."""
         self._changed = CHANGED * self._optimization.population
-        """Sets that a generation requests: those of the last one, or as many as are usual."""
+        """Number of sets that a generation requests: as in the last generation, or the usual number."""
         self._released: dict[str, Released] = dict(campaign.released)
         self._confirming: Confirming | None = None
         """The sets that are simulated after the search; None before its end."""

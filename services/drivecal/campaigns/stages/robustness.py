@@ -257,8 +257,7 @@ class RobustnessStage(StudyStage):
         return 0.0 if judged is None else judged.violation
 
     def _recommend(self, objectives: Floats, ratings: Floats, known: Sequence[Robustness]) -> tuple[int, str] | None:
-        """The most robust of the sets with the best objective, or of those that no other dominates, and the reason. `ratings`: higher is
-        better."""
+        """Returns the most robust of the sets with the best objective or on the front, and the reason. Higher `ratings` are better."""
         usable = [number for number in range(len(known)) if not np.isnan(objectives[number])]
         if self._study is None or not usable:
             return None
@@ -270,7 +269,7 @@ class RobustnessStage(StudyStage):
         return chosen, f"the best objective ({objectives[chosen]:.4g}, {len(best)} sets), and of these {degree}"
 
     def _best_of(self, usable: Sequence[int], objectives: Floats) -> list[int]:
-        """Returns the sets with the best objective, or with goals those that no other dominates."""
+        """Returns the sets with the best objective, or with goals the non-dominated sets."""
         if self._goals is None:
             best = levels(-self._sign * objectives[usable], self._problem.bench.scale.span) == 0
         else:

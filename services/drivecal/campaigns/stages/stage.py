@@ -80,10 +80,10 @@ class Stage(Job):
 
     name: ClassVar[StageName]
     uses_map: ClassVar[bool] = False
-    """Whether its view needs the campaign's influence map."""
+    """True if its view needs the campaign's influence map."""
 
     ends_early: ClassVar[bool] = True
-    """Whether it fails if its first cells give no result."""
+    """True if it fails when its first cells return no result."""
 
     def __init__(self, database: Database, campaign: StoredCampaign, view: View) -> None:
         counts = campaign.counts(self.name)
@@ -118,7 +118,7 @@ class Stage(Job):
         return []
 
     def _is_ready(self) -> bool:  # a hook
-        """Whether the stage can resume, and ask for its next round: it must not compute for long in the dispatcher's loop."""
+        """Returns whether the stage can resume and ask for its next round without long computations in the dispatcher's loop."""
         return True
 
     def _may_ask(self) -> bool:  # a hook

@@ -182,7 +182,7 @@ def delete(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOpti
             try:
                 client.delete(campaign)
                 deleted.append(campaign)
-            except ConflictError as error:  # one that is kept holds up no other
+            except ConflictError as error:  # the other campaigns are deleted all the same
                 refused.append(error)
     if as_json:
         print_json({"deleted": deleted})

@@ -69,7 +69,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class CheckedSet:
-    """A set with its cells by score and scenario, those of the baseline, and the limits; the first score comes first."""
+    """A set: its cells and the baseline's cells by score and scenario, and its limits. The problem's first score comes first."""
 
     cells: Mapping[str, Mapping[str, EvaluatedCell]]
     baseline: Mapping[str, Mapping[str, EvaluatedCell]]
@@ -208,8 +208,8 @@ def _evaluated(
     *,
     fresh: bool = False,
 ) -> tuple[dict[str, dict[str, EvaluatedCell]], int]:
-    """Returns the cells of a set by score and scenario, and how many new runs differ from stored ones. A file may hold other values
-    besides those of the problem."""
+    """Returns the cells of a set by score and scenario, and the number of new runs that differ from stored ones. `parameters` may hold
+    values of other problems as well."""
     missing = [name for name in problem.parameters if name not in parameters]
     if missing:
         remedy = "give one value per parameter; --names has the labels of a calibration file"

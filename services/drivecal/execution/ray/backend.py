@@ -172,7 +172,7 @@ class RayBackend(SupervisedBackend):
         return events
 
     def _is_to_blame(self, worker: WorkerProcess) -> bool:
-        """Whether a dead worker died by itself: Ray answered afterwards. If all of Ray is gone, the cells are innocent."""
+        """Returns whether a dead worker died by itself: Ray answered afterwards. If all of Ray is gone, the cells are innocent."""
         if worker.died_at is None:
             worker.died_at = time.monotonic()
         return self._cluster.answered_since(worker.died_at)

@@ -125,7 +125,7 @@ class Cluster:
         self._values.pop(key, None)
 
     def answered_since(self, moment: float) -> bool:
-        """Whether Ray has answered after a moment of the monotonic clock; it is asked twice a second."""
+        """Returns whether Ray has answered after a moment of the monotonic clock; it is asked twice a second."""
         return self._watch is not None and self._watch.answered_since(moment)
 
     def close(self) -> None:
@@ -192,8 +192,8 @@ def _spare_processes_left_out() -> Iterator[None]:
 
 
 class _PrivateFolder:
-    """A new folder for a local Ray's sockets and logs that only this user can enter. Those of processes that were killed go; the lock
-    on a folder says that its process lives."""
+    """A new folder for a local Ray's sockets and logs. Only this user can enter it. Folders of killed processes are removed: a living
+    process holds the lock on its folder."""
 
     def __init__(self) -> None:
         parent = Path(tempfile.gettempdir())

@@ -1,4 +1,4 @@
-"""The dispatcher's own node in a Ray cluster: only programs beside a node can take part. It has no CPUs and simulates nothing."""
+"""The dispatcher's own node in a Ray cluster: a program joins only through a node on its machine. It has no CPUs and simulates nothing."""
 
 import os
 import signal
@@ -45,7 +45,7 @@ class OwnNode:
             time.sleep(LOOK_SECONDS)
 
     def ended(self) -> bool:
-        """Whether the node is gone."""
+        """Returns whether the node is gone."""
         return self._process.poll() is not None
 
     def close(self) -> None:
@@ -59,7 +59,7 @@ class OwnNode:
 
 
 def here(nodes: Collection[Node]) -> bool:
-    """Whether one of these nodes runs on this machine."""
+    """Returns whether one of these nodes runs on this machine."""
     services: Any = import_module("ray._private.services")
     return bool({node.id for node in nodes} & set(services.find_node_ids()))
 

@@ -27,7 +27,7 @@ def missing(nodes: Sequence[Node], placed: Collection[str], most: int | None, ve
 
 
 def fits(node: Node, version: str) -> bool:
-    """Whether a node has the coordinator's drivecal (`release()`), or an unknown one."""
+    """Returns whether a node has the coordinator's version of drivecal (`release()`), or an unknown version."""
     return node.version in {None, version}
 
 

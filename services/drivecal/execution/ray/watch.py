@@ -44,7 +44,7 @@ class ClusterWatch:
         return self._gone or (self.trouble() if self._clock() - self._answered > GIVEN_UP_AFTER else None)
 
     def answered_since(self, moment: float) -> bool:
-        """Whether the store answered after a moment of the clock."""
+        """Returns whether the store answered after a moment of the clock."""
         return self._answered > moment
 
     def stop(self) -> None:

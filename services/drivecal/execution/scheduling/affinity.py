@@ -1,8 +1,8 @@
 """The setups that each worker has loaded, and the setup to take next. Pure.
 
-Loading a setup takes time: a simulator starts, kernels are compiled, roads are read. So a worker stays with its setup, and returns to those
-that it has loaded before. Setups in which nothing but failures came back take turns, so that a campaign without any result shows that
-soon in all its scenarios.
+Loading a setup takes time: a simulator starts, kernels are compiled, roads are read. So a worker stays with its setup, and returns to
+setups that it has loaded before. Setups with failures alone take turns, so that a campaign without any result shows that soon in all its
+scenarios.
 """
 
 from collections import Counter
@@ -15,7 +15,7 @@ MOST_KNOWN = 10_000
 
 
 class SetupAffinity:
-    """Tracks the setups that each worker has loaded, of which the last one is current."""
+    """Tracks the setups that each worker has loaded; the last is its current setup."""
 
     def __init__(self) -> None:
         self._last: dict[str, SetupKey] = {}
@@ -58,16 +58,15 @@ class SetupAffinity:
             self._failed[setup] = self._failed.get(setup, 0) + 1
 
     def is_fruitless(self, setup: SetupKey) -> bool:
-        """Whether all cells of a setup that came back have failed."""
+        """Returns whether all cells of a setup that came back have failed."""
         return setup in self._failed
 
     def choose(self, worker: str, to_do: Mapping[SetupKey, float]) -> SetupKey | None:
         """Returns the setup to take next of those with seconds `to_do`; None without any.
 
-        Setups without a result come after those with fewer failures. Otherwise a worker stays at its setup, or takes the setup with the
-        most seconds per worker at it: among those that it has loaded and those that no worker has loaded, or among all if there are none.
-        If no worker is at a setup, one of several workers at another setup moves there, so that no setup is left to the end and to a
-        single worker.
+        Setups without a result come after setups with fewer failures. Otherwise a worker stays at its setup, or takes the setup with the
+        most seconds per worker at it. It prefers setups that it has loaded, or that no worker has loaded. If no worker is at a setup, one
+        of several workers at another setup moves there: no setup is left to the end and to a single worker.
         """
         least = min((self._failed.get(setup, 0) for setup in to_do), default=0)
         to_do = {setup: seconds for setup, seconds in to_do.items() if self._failed.get(setup, 0) == least}

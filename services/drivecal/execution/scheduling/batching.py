@@ -15,9 +15,9 @@ class BatchPolicy:
 
     target_seconds: float = 0.5
     beside_small_seconds: float = 0.1
-    """Target beside a small campaign, which waits for running batches in each of its generations. For many workers it is longer."""
+    """Target while a small campaign runs, which waits for running batches in each generation. With many workers, the target is longer."""
     dispatch_seconds: float = 0.008
-    """The dispatcher's time for a batch besides its cells. Beside a small campaign it takes half of a core at most."""
+    """The dispatcher's time for a batch without its cells. While a small campaign runs, batches may take half a core of the dispatcher."""
     shortest_seconds: float = 0.04
     """Batches shrink to this towards the end of the queue."""
     largest: int = 128
@@ -78,7 +78,7 @@ def batch_size(
     policy: BatchPolicy, seconds_per_cell: float | None, waiting_seconds: float, workers: int, *, beside_small: bool = False
 ) -> int:
     """Returns the size of the next batch: the target's seconds of work, at most half a worker's share of the waiting work (guided
-    self-scheduling), and a single cell before the first measurement. `beside_small`: whether a small campaign needs workers as well."""
+    self-scheduling), and a single cell before the first measurement. `beside_small`: a small campaign needs workers as well."""
     if seconds_per_cell is None:
         return 1
     target = policy.target_seconds

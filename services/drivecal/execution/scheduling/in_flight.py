@@ -191,7 +191,7 @@ class Completed:
 
     @property
     def shared(self) -> bool:
-        """Whether an identical cell was simulated instead."""
+        """True if an identical cell was simulated instead."""
         return self.leader is not None
 
 

@@ -1,9 +1,9 @@
-"""Room for quick cells: a long batch is never taken back from its worker, so that it must not take the last one. Pure.
+"""Workers for quick cells: no worker is taken from a long batch, so long batches must not hold all workers. Pure.
 
-A cell that takes longer than `LONG_SECONDS`, or that was never measured, is long. A campaign whose last cells were not long is quick. While
+A cell is long if it takes longer than `LONG_SECONDS`, or was never measured. A campaign whose last cells were not long is quick. While
 quick campaigns of the same or a higher priority need workers, the long cells of all campaigns together hold at most their share of them. No
-worker is kept for a campaign that may come later: it waits for a long cell at most. A quick campaign with little work at a time is small:
-beside it, the batches of others are short.
+worker is kept for a later campaign: it waits for a long cell at most. A quick campaign with little work at a time is small: while it runs,
+the batches of other campaigns are short.
 """
 
 import math
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from drivecal.execution.scheduling.queue import Line
 
 LONG_SECONDS = 5.0
-"""Cells of this time share the workers by turns alone: nothing waits long for them."""
+"""Longest time of a cell that is not long: other cells do not wait long for it."""
 REMEMBERED_SECONDS = 5.0
 """Time for which a quick campaign without waiting cells keeps its workers: between two generations, for instance."""
 SMALL_SECONDS = 2.0
@@ -26,14 +26,14 @@ class _Campaign:
 
     is_quick: bool = False
     cells: int = 0
-    """Cells that it had at most at a time since it last had none."""
+    """Largest number of its cells at a time since it last had none."""
     seconds: float = math.inf
-    """Expected work of the cells that it was given since it last had none; infinite if some were never measured."""
+    """Expected work of its new cells since it last had none; infinite if some were never measured."""
     seen: float = 0.0
 
 
 class Reservation:
-    """The workers that long batches may hold, and the campaigns beside which batches are short."""
+    """Decides how many workers long batches may hold, and which campaigns get short batches."""
 
     def __init__(self) -> None:
         self._campaigns: dict[tuple[int, str], _Campaign] = {}
@@ -45,16 +45,16 @@ class Reservation:
 
     @staticmethod
     def is_long(seconds_per_cell: float | None) -> bool:
-        """Whether cells of this cost are long; None: never measured."""
+        """Returns whether cells of this cost are long; None: never measured."""
         return seconds_per_cell is None or seconds_per_cell > LONG_SECONDS
 
     def given(self, tag: str, priority: int, seconds: float | None, *, had_none: bool) -> None:
-        """Notes new cells of a campaign. `seconds`: their expected work, None if never measured; `had_none`: before them."""
+        """Notes new cells of a campaign. `seconds` is their expected work, None if never measured. `had_none`: it had no cells before."""
         known = self._campaigns.setdefault((priority, tag), _Campaign())
         known.seconds = (0.0 if had_none else known.seconds) + (math.inf if seconds is None else seconds)
 
     def sent(self, line: Line, seconds_per_cell: float | None, cells: int) -> None:
-        """Notes a batch of a line; `cells`: those of its campaign without an answer."""
+        """Notes a batch of a line; `cells` is the number of its campaign's cells without an answer."""
         known = self._campaigns.setdefault((line.priority, line.tag), _Campaign())
         if self._now - known.seen > REMEMBERED_SECONDS:
             known.cells = 0
@@ -72,8 +72,8 @@ class Reservation:
         self._campaigns = {place: known for place, known in self._campaigns.items() if place[1] != tag}
 
     def is_beside_small(self, line: Line, workers: int) -> bool:
-        """Returns whether another campaign, of the same or a higher priority, is small and has had a batch lately, and that of `line` is
-        not small."""
+        """Returns whether the campaign of `line` is not small, and another one of the same or a higher priority is small and had a batch
+        lately."""
         most = SMALL_SECONDS * workers
         own = self._campaigns.get((line.priority, line.tag))
         return (own is None or own.seconds > most) and any(

@@ -97,7 +97,7 @@ class WorkerHealth:
             self._note(worker, _Shown(self._shown.get(worker, _NOTHING).proven))
 
     def refuses(self, worker: str, setup: Hashable) -> bool:
-        """Whether the worker refused the setup, and was not asked again since."""
+        """Returns whether the worker refused the setup, and was not asked again since."""
         return worker in self._refusing(setup)
 
     def ask_again(self, worker: str, setup: Hashable) -> None:
@@ -105,18 +105,18 @@ class WorkerHealth:
         self._asked_again.add((worker, setup))
 
     def may_try(self, worker: str, setup: Hashable, avoid: Collection[str]) -> bool:
-        """Whether this worker may try a cell that broke down at those in `avoid`: only the most trusted others may."""
+        """Returns whether this worker may try a cell that broke down at the workers in `avoid`: only the most trusted other workers may."""
         if worker not in self._ready or worker in avoid or self.refuses(worker, setup):
             return False
         own = self._trust(worker)
         return not avoid or not any(self._any_able(trust, setup, avoid) for trust in Trust if trust > own)
 
     def no_worker_left(self, setup: Hashable, avoid: Collection[str]) -> bool:
-        """Whether every worker is in `avoid` or refuses the setup."""
+        """Returns whether every worker is in `avoid` or refuses the setup."""
         return not any(self._any_able(trust, setup, avoid) for trust in Trust)
 
     def on_probation(self, worker: str) -> bool:
-        """Whether a worker has no results while others have some: it gets single cells."""
+        """Returns whether a worker has no results while others have some: it gets single cells."""
         return self._trust(worker) is not Trust.PROVEN and self._trusted[Trust.PROVEN] > 0
 
     def fault(self, worker: str) -> str | None:
@@ -136,7 +136,7 @@ class WorkerHealth:
         }
 
     def _any_able(self, trust: Trust, setup: Hashable, avoid: Collection[str]) -> bool:
-        """Whether a worker of this trust is not in `avoid` and does not refuse."""
+        """Returns whether a worker of this trust is not in `avoid` and does not refuse."""
         number, refusing = self._trusted[trust], self._refusing(setup)
         if number == 0 or number > len(avoid) + len(refusing):
             return number > 0
