@@ -4,7 +4,7 @@ import pytest
 from tests.architecture.plain_words import NAMES, OPENER, PARAMETER, PROSE, patterns_in, phrases_in
 
 CEILINGS = {
-    "services/drivecal": 65,
+    "services/drivecal": 0,
     "services/web": 0,
     "shared/drivecal": 0,
     "workers/drivecal": 0,

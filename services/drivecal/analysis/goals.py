@@ -64,7 +64,7 @@ class CellValue:
 
 @dataclass(frozen=True, slots=True)
 class Aggregate:
-    """Combines the values of several scenarios into one. A quantile is the least value whose weight, with all lower values, is `level`."""
+    """Combines values of several scenarios into one. A quantile is the least value that, with all lower ones, has the weight `level`."""
 
     kind: AggregateKind = "mean"
     level: float = 0.5

@@ -69,8 +69,8 @@ Chosen = TypeVar("Chosen", bound=OptimizerSpecification)
 
 @dataclass(frozen=True, slots=True)
 class Beginning:
-    """Start of an optimizer. `kinds`: of the parameters; positions, bits and ranks of choices follow the order of their lists. An engine
-    that a replay must find unchanged has a generator of its own, and does not use `generator`."""
+    """Start of an optimizer. `kinds` are the parameters' kinds; positions, bits and ranks of choices follow the order of their lists.
+    Engines of a `Replayed` optimizer have random numbers of their own, and do not use `generator`."""
 
     population: Indices
     n_values: Indices
@@ -108,7 +108,7 @@ class BuiltIn(ABC, Generic[Chosen]):
         return ONE_OBJECTIVE
 
     def requested_individuals(self, settings: BaseModel) -> int:
-        """The first population and those that each further iteration renews."""
+        """Returns the size of the first population, plus the individuals that each further iteration renews."""
         chosen = self._checked(settings)
         return chosen.population + (chosen.iterations - 1) * self._renewed(chosen)
 

@@ -17,7 +17,7 @@ from drivecal.plugins.ports import Ability, DeclaringOptimizerPlugin, Floats
 require("optuna", extra="optuna")
 
 TIE = 1e-6
-"""Weight of the rating beside the objective: it orders equal objectives, and outweighs no step of a score with some steps."""
+"""Weight of the rating, which is added to the objective: it orders equal objectives, and is less than a step of a score with few steps."""
 
 VIOLATION = "violation"
 """Name of the constraint that holds the sum of all violations."""

@@ -75,8 +75,8 @@ def checked_vectors(objectives: Floats, violations: Floats, count: int) -> tuple
 
 
 def checked_proposal(name: str, proposal: Proposal, count: int, n_values: Indices, before: Indices | None) -> Proposal:
-    """Returns a proposal of the optimizer `name`. Raises InvalidInputError unless it has `count` individuals of the space, and those
-    that are not `changed` are what they were `before`."""
+    """Returns a proposal of the optimizer `name`. Raises InvalidInputError unless it has `count` individuals of the space, and its
+    individuals that are not `changed` equal those in `before`."""
     population, changed = proposal.population, proposal.changed
     message = ""
     if population.shape != (count, len(n_values)) or population.dtype.kind not in "iu":

@@ -23,12 +23,12 @@ class Policy:
 
     @property
     def reuses(self) -> bool:
-        """Whether references may answer cells."""
+        """True if references may answer cells."""
         return self.mode in {"influence", "both"}
 
     @property
     def predicts(self) -> bool:
-        """Whether predictions may answer cells."""
+        """True if predictions may answer cells."""
         return self.mode in {"predicted", "both"}
 
 

@@ -13,12 +13,12 @@ PRIOR_WRONG, PRIOR_AUDITS = 0.25, 50.0
 
 
 def is_audited(scenario: str, parameters: ParameterSet, share: float, seed: int) -> bool:
-    """Whether a reusable cell is simulated as an audit: by a hash of seed, scenario and parameter set."""
+    """Returns whether a reusable cell is simulated as an audit: a hash of seed, scenario and parameter set decides."""
     return _drawn(f"{seed}:{scenario}:".encode() + parameters.key, share)
 
 
 def is_checked(scenario: str, parameters: ParameterSet, share: float, campaign: int) -> bool:
-    """Whether a cell is run twice to see whether its simulator repeats itself: by a hash of campaign, scenario and set."""
+    """Returns whether a cell runs twice, as a test that its simulator is deterministic: a hash of campaign, scenario and set decides."""
     return _drawn(f"twice:{campaign}:{scenario}:".encode() + parameters.key, share)
 
 
@@ -50,10 +50,10 @@ def error_rates(
     lots: Mapping[str, tuple[int, int]] | None = None,
     released: Mapping[str, float] | None = None,
 ) -> dict[str, ErrorRate]:
-    """The error rate of each scenario (Eq. 8: wrong / audited), with its `contradictions` and its inspected and rejected `lots` beside it.
-    `released`: upper limits of the share of wrong answers among those that lots released. Samples of lots are of different shares of these,
-    so that only audits without lots have an interval.
-    """
+    """Returns the error rate of each scenario (Eq. 8: wrong / audited), with `contradictions` and inspected and rejected `lots`.
+
+    `released` has upper limits of the share of wrong answers that lots released. Lots are sampled in different shares, so only audits
+    without lots have a Clopper-Pearson interval."""
     by_scenario = {count.scenario: count for count in counts}
     rates: dict[str, ErrorRate] = {}
     for scenario in scenarios:

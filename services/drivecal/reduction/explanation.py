@@ -1,7 +1,7 @@
-"""Reasons why a stored set may, or may not, answer a cell: the parameters in which they differ, and the regions in which their values lie.
+"""Reasons why a stored set may, or may not, answer a cell: their differing parameters, and the regions of these values.
 
-Reference keys say whether two sets are of one class (`drivecal.reduction.keys`); this says by which parameters they are not, and puts the
-reason into a sentence. Pure.
+Reference keys only show whether two sets belong to the same class (`drivecal.reduction.keys`). This module finds the parameters that
+separate them, and puts the reason into a sentence. Pure.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ _NONE_BELOW, _NONE_ABOVE = np.iinfo(np.int64).min, np.iinfo(np.int64).max
 
 @dataclass(frozen=True, slots=True)
 class ParameterDifference:
-    """A parameter in which a cell and a stored set differ. It `blocks` if the difference may change the score."""
+    """A parameter that differs between a cell and a stored set. It `blocks` if the difference may change the score."""
 
     parameter: str
     region: Region
@@ -36,7 +36,7 @@ class ParameterDifference:
 
 @dataclass(frozen=True, slots=True)
 class Nearest:
-    """A stored set: how many parameters block it, how far it is away in them, its place in the order of references, its evaluation."""
+    """A stored set: the number of parameters that block it, its distance in them, its place in the order of references, its evaluation."""
 
     blocking: int
     distance: float
@@ -55,8 +55,8 @@ class CellComparison:
     def __init__(
         self, influence_map: InfluenceMap, scenario: str, names: Sequence[str], values: Integers, ranges: Integers
     ) -> None:
-        """`values`: the cell's, as `keys.billionths_matrix` codes them, in the order of `names`, shape (n_p,); `ranges`: the extent of each
-        parameter, by which distances are measured, positive, in billionths, shape (n_p,)."""
+        """`values` are the cell's, coded by `keys.billionths_matrix`, in the order of `names`, shape (n_p,). `ranges` are the parameters'
+        extents in billionths, positive, shape (n_p,): the units of distances."""
         self._names = tuple(names)
         self._influences = [influence_map.influence(scenario, name) for name in names]
         self._values = values
@@ -106,10 +106,10 @@ class CellComparison:
         return np.sqrt(total)
 
     def nearest(self, stored: Integers, places: Integers, evaluations: Integers) -> Nearest | None:
-        """The stored set with the fewest blocking parameters, then the smallest distance, then the first place in the order of references.
+        """Returns the stored set with the fewest blocking parameters; None without stored sets.
 
-        `places`: what references are ordered by, shape (n, k); `evaluations`: their ids, shape (n,). None if nothing is stored. Of two
-        chunks of stored sets the one with the smaller `order` is the nearest of both.
+        Among equal ones, the smallest distance decides, then the first of the `places`, shape (n, k), which order references. `evaluations`
+        are their ids, shape (n,). To combine two chunks of stored sets, take the result with the smaller `order`.
         """
         if not len(stored):
             return None
@@ -121,7 +121,7 @@ class CellComparison:
         return Nearest(int(counts[first]), float(distances[first]), place, int(evaluations[first]))
 
     def differences(self, stored: Integers) -> list[ParameterDifference]:
-        """Every parameter in which one stored set, shape (n_p,), differs from the cell; in the order of the names."""
+        """Returns the parameters that differ between a stored set, shape (n_p,), and the cell, in the order of the names."""
         blocking = self.blocking(stored[np.newaxis, :])[0]
         return [
             ParameterDifference(

@@ -29,7 +29,7 @@ DISPERSION = 50.0
 
 
 GROWTH = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
-"""Growth rates that share half of the mixture behind `most_released`; the largest one that the first plan permits has the other half."""
+"""Growth rates that share half of the mixture behind `most_released`. The largest rate that the first plan permits has the other half."""
 FASTEST = 3.0
 """Largest growth rate that is tried."""
 MOST_PER_ERROR = 60.0
@@ -45,7 +45,7 @@ class SamplingPlan:
     acceptance: int
 
     def releases(self, errors: int) -> bool:
-        """Whether a lot with so many errors in its sample is released."""
+        """Returns whether a lot with this number of errors in its sample is released."""
         return errors <= self.acceptance
 
     def expected_saving(self, error_rate: float) -> float:
@@ -70,10 +70,10 @@ def outgoing_errors(plan: SamplingPlan, wrong: Positions | None = None) -> Float
 
 
 def _keeps(plan: SamplingPlan, limit: float) -> bool:
-    """Whether no number of `outgoing_errors` exceeds `limit`, found without most of them.
+    """Returns whether all `outgoing_errors` stay within `limit`, without computing most of them.
 
-    One more wrong prediction releases at most one more error, so the share grows by at most d / size over d numbers: stretches that stay
-    below the limit by this bound are left out, the others divided.
+    One more wrong prediction releases at most one more error, so the share grows by at most d / size over d numbers. Stretches that stay
+    below the limit by this bound are skipped, others are divided.
     """
     step = max(1, plan.size // COARSEST)
     wrong = np.arange(0, plan.size + 1, step)

@@ -23,7 +23,7 @@ Positions = npt.NDArray[np.int64]
 RECENT = 6
 """Batches that a calibration remembers."""
 LEFT_OUT = 0.5
-"""Weight of a left-out error of the training data beside a prediction's own."""
+"""Weight of a left-out error of the training data; a prediction's own error has the weight 1."""
 FINENESS = 32
 """Lot sizes between a number and its double: so few that most plans are known from earlier lots, because finding one takes a while."""
 LEVELS = 40
@@ -33,7 +33,7 @@ REFIT = 1.1
 FEWEST_KNOWN, MOST_KNOWN = 100, 10_000
 """Known answers before the first prediction, and the newest answers that a predictor is trained on."""
 DOUBT = 2.0
-"""Weight of the prior in each level: so many observations of the record's mean error."""
+"""Weight of the prior in each level, as a number of observations of the record's mean error."""
 
 
 ROOM = 1.25
@@ -93,7 +93,7 @@ class FeatureSpace:
         return features
 
     def holds(self, parameters: ParameterSet) -> bool:
-        """Whether a set has these parameters, with values of their kinds; a problem may have had others when the set was simulated."""
+        """Returns whether a set has these parameters, with values of their kinds: the problem may have changed since its simulation."""
         if set(parameters.names) != set(self._names):
             return False
         values = zip(parameters.names, parameters.billionths, strict=True)
@@ -189,7 +189,7 @@ class ScenarioLearner:
         self._record.add(confidence, self.is_wrong(predicted, scores), weight)
 
     def is_wrong(self, predicted: Floats, scores: Floats) -> Bools:
-        """Whether predicted scores are off by more than the tolerance."""
+        """Returns the predicted scores with an error above the tolerance, as a mask."""
         wrong: Bools = np.abs(predicted - scores) > self._tolerance + grains(predicted, scores)
         return wrong
 

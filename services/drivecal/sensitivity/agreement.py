@@ -69,10 +69,10 @@ def agreement(
     first_map: Iterable[InfluenceRow] = (),
     second_map: Iterable[InfluenceRow] = (),
 ) -> Agreement:
-    """Two maps agree on a pair if it is influential in both or in neither and both bounds are within one interval.
+    """Compares two maps. They agree on a pair if it is influential in both or in neither, and both bounds differ by at most one interval.
 
-    `first_map`, `second_map`: rows of the maps in their own spaces, if `first` and `second` are those of campaigns: these may search
-    narrower ranges, and intervals are parts of the map's.
+    If `first` and `second` are rows of campaigns, `first_map` and `second_map` are the rows of the maps in their own spaces. Campaigns may
+    search narrower ranges, but intervals are parts of the map's range.
     """
     ours, theirs = _by_pair(first), _by_pair(second)
     our_intervals, their_intervals = ours | _by_pair(first_map), theirs | _by_pair(second_map)
@@ -94,9 +94,9 @@ def _by_pair(rows: Iterable[InfluenceRow]) -> dict[Pair, InfluenceRow]:
 
 
 def agree(first: InfluenceRow, second: InfluenceRow, analysed: tuple[InfluenceRow, InfluenceRow] | None = None) -> bool:
-    """Whether two maps agree on one pair. Bounds may differ by one interval of the coarser analysis, and by half a grid step, by which
-    an interval's edge may be snapped; not at all where neither map comes from an analysis. `analysed`: both rows in the maps' own spaces,
-    None if `first` and `second` are these."""
+    """Returns whether two maps agree on one pair. Bounds may differ by one interval of the coarser analysis, plus half a grid step for the
+    rounding of an interval's edge. Without an analysis behind either map, they must be equal. `analysed` has both rows in the maps' own
+    spaces, None if `first` and `second` are these."""
     if not (first.influential and second.influential):
         return first.influential == second.influential
     whole = analysed or (first, second)
@@ -113,7 +113,7 @@ def _range(row: InfluenceRow) -> float:
 
 
 def _interval(row: InfluenceRow) -> float:
-    """The width of the intervals that were analysed, in parameter units; 0 if none were. `row`: in the map's own space."""
+    """Returns the width of the analysed intervals, in parameter units; 0 without any. The `row` is in the map's own space."""
     if not row.s_rel_intervals or row.n_values is None:
         return 0.0
     return _range(row) * (1 / len(row.s_rel_intervals) + 0.5 / max(1, row.n_values - 1))

@@ -4,10 +4,10 @@ confirmation over the whole range of the parameters that only the global analysi
 Nothing is saved: an analysis recreated from the same arguments that receives the scores of all finished phases again continues
 exactly as this one would.
 
-Intervals may be run sequentially, from both ends inwards to the first influential interval on each side. What is cut follows from these
-intervals alone (`scenario.cut`), so the rest needs no run. An interval that is influential whatever its missing effects are
-(`thresholds.is_surely_influential`) takes no more samples either. Points, effects and bounds are those of the whole design. An interval
-that may still turn out without influence takes all its samples, for one missing effect over the whole scale outweighs any tolerance.
+Intervals may be run sequentially, from both ends inwards to the first influential interval on each side. The cut regions follow from these
+intervals alone (`scenario.cut`), so the rest needs no run. An interval takes no more samples once missing effects cannot change that it is
+influential (`thresholds.is_surely_influential`). Points, effects and bounds equal the whole design's. An interval that may still turn out
+without influence takes all its samples, because one missing effect over the whole scale outweighs any tolerance.
 
 The rounds of all parameters and both sides run together, so that each has enough runs for many workers.
 """
@@ -46,7 +46,7 @@ from drivecal.sensitivity.scenario import (
 from drivecal.sensitivity.thresholds import SensitivitySettings, Threshold, is_surely_influential, verdict
 
 PARTS = 2
-"""Looks at an interval, after each of so many equal parts of its samples. More save little more and make rounds smaller (decision 026)."""
+"""Equal parts of an interval's samples, each followed by a check. More parts save little more and make rounds smaller (decision 026)."""
 
 
 class IntervalRuns:
@@ -237,7 +237,7 @@ class SensitivityAnalysis:
         self._take(complete)
 
     def _take(self, scores: Mapping[str, Floats]) -> None:
-        """Takes the scores of all points of the phase, NaN for those that were not run."""
+        """Takes the scores of all points of the phase, NaN for points without a run."""
         for scenario in scores:
             state, answers = self._states[scenario], scores[scenario]
             if self._name == "intervals":

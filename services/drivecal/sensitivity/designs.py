@@ -83,7 +83,7 @@ class DesignBuilder:
         self._pairs += [(column, nothing, nothing)] * count
 
     def design(self, *shape: int) -> Design:
-        """The design, its analyses in the order in which they were added, shaped (*shape, r)."""
+        """Returns the design, with its analyses in the order of their addition, shaped (*shape, r)."""
         points = np.concatenate(self._points)
         points.flags.writeable = False  # scenarios share them, and effects are computed from them later
         first = np.stack([pair for _, pair, _ in self._pairs])

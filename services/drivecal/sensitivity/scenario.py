@@ -55,7 +55,7 @@ def check_intervals(space: ParameterSpace, intervals: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """Intervals that may be cut: so many from the lower end (`below`), from the upper end (`above`), or all of them (`whole`)."""
+    """Intervals that may be cut: a number of them at the lower end (`below`) or the upper end (`above`), or all of them (`whole`)."""
 
     column: int
     side: Literal["below", "above", "whole"]
@@ -110,8 +110,8 @@ class RegionConfirmation:
 class ParameterInfluence:
     """Result for a parameter in a scenario.
 
-    `influence`: what holds. `intervals`: from the lower end to the upper. `confirmations`: of its cut regions, in order. `overall`: the
-    global analysis inside the influential box, None if there was none (the scenario is unknown).
+    `influence` is the result of all analyses. `intervals` go from the lower end to the upper. `confirmations` are the analyses of its cut
+    regions, in order. `overall` is the global analysis inside the influential box; None without it (the scenario is unknown).
     """
 
     influence: Influence
@@ -127,10 +127,10 @@ class ParameterInfluence:
 
 @dataclass(frozen=True, slots=True)
 class ScenarioInfluence:
-    """By parameter name. `unknown`: no run scored better than a failed one, so nothing is known and everything counts as influential.
+    """Results by parameter name. If `unknown`, no run scored better than a failed run, so every parameter counts as influential.
 
-    `smallest_interval_s_rel`, `smallest_overall_s_rel`: the smallest that are not zero, None if all are. A threshold below them
-    means any change at all.
+    `smallest_interval_s_rel` and `smallest_overall_s_rel` are the smallest values above zero; None if all are zero. With a threshold below
+    them, any change counts.
     """
 
     parameters: Mapping[str, ParameterInfluence]
@@ -140,15 +140,15 @@ class ScenarioInfluence:
 
 
 def tells_nothing(scores: Floats, scale: Scale = COMFORT) -> bool:
-    """Whether no run scored better than a failed one: then equal scores do not mean that parameters are without influence."""
+    """Returns whether no run scored better than a failed run: then equal scores do not mean that parameters are without influence."""
     return bool(np.all(np.isnan(scores) | (scores == scale.failed)))
 
 
 class ScenarioState:
-    """Takes in the effects of each phase and says what is to be analysed next."""
+    """Takes the effects of each phase and decides the next analyses."""
 
     def __init__(self, space: ParameterSpace, edges: Sequence[Indices], threshold: Threshold, scale: Scale = COMFORT) -> None:
-        """`edges`: of each searched parameter's intervals; their numbers may differ."""
+        """`edges` has the edges of each searched parameter's intervals; their numbers may differ."""
         self._space = space
         self._edges = edges
         self._threshold, self._scale = threshold, scale
@@ -161,7 +161,7 @@ class ScenarioState:
         """Regions to be confirmed in the next round."""
 
     def take_intervals(self, scores: Floats, effects: Floats, steps: Floats) -> None:
-        """Cuts. `scores`: of all runs; `effects`, `steps`: shape (n_p, n_Int, r)."""
+        """Cuts regions without influence. `scores` has all runs; `effects` and `steps` have the shape (n_p, n_Int, r)."""
         for column in range(len(self._edges)):
             count = len(self._edges[column]) - 1
             rows = zip(effects[column][:count], steps[column][:count], strict=True)
@@ -201,7 +201,7 @@ class ScenarioState:
 
     @property
     def awaits_overall(self) -> bool:
-        """Whether the global analysis is still to come."""
+        """True if the global analysis is still to come."""
         return not self.unknown and self._overall is None
 
     def bounds(self, region: Region) -> tuple[int, int]:
@@ -255,7 +255,7 @@ class ScenarioState:
                 self.waiting.append(region)
 
     def _is_refuted(self, column: int) -> bool:
-        """Whether an analysis over the whole range found the parameter influential."""
+        """Returns whether an analysis over the whole range found the parameter influential."""
         return any(done.region.side == "whole" and done.verdict.influential for done in self._confirmations[column])
 
     def _verdict(self, effects: Floats, steps: Floats) -> Verdict:

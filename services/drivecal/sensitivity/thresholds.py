@@ -4,15 +4,15 @@
 between two runs is an effect of 1/(r d) for a step d of the parameter, however little the rating behind it moved, and s_rel is about the
 root mean square of the effects. So s_rel mainly counts changed runs: k such changes in n effects give s_rel = sqrt(k / (n - 1)) / (r d)
 nearly. In an interval of a tenth of the range that is ten times as much as in the whole range; one number for both either lets every
-change count in the interval or next to none in the whole range. `auto` therefore fixes the number of changes that are tolerated, not s_rel:
+change count in the interval or next to none in the whole range. `auto` therefore fixes the number of tolerated changes, not s_rel:
 
-* A change by the tolerance is what the paper accepts in a reused result (Equation 8), and it calls a rate of 1.08 % negligible (Table 2).
-  Tolerated are as many such changes as n effects show with a probability of at least 95 % when their rate is 1 %: none up to n = 5, one
-  up to n = 35, three at n = 100.
-* The threshold lies halfway between so many and one more, for the steps that were made. A change by twice the tolerance weighs as four,
-  more than is tolerated up to n = 137.
+* The paper accepts a change by the tolerance in a reused result (Equation 8), and calls a rate of 1.08 % negligible (Table 2). `auto`
+  tolerates the least number of changes that n effects do not exceed, with a probability of at least 95 %, at a rate of 1 %: none up to
+  n = 5, one up to n = 35, three at n = 100.
+* The threshold lies halfway between this number and one more, for the steps that were made. A change by twice the tolerance weighs as
+  four, more than is tolerated up to n = 137.
 
-It depends on the design alone, not on the scores, so that it is known before the first run and does not bend to what is found.
+It depends on the design alone, not on the scores: it is known before the first run, and no result changes it.
 
 A score without steps has no smallest change; in any scale, a change by the tolerance is an effect of tolerance / (span step). Simulations
 are deterministic, so smaller changes are influence and no noise, but influence that no audit calls wrong. They add up by their squares:
@@ -42,12 +42,12 @@ CONFIDENCE = 0.95
 SEEN_RATE = 0.1
 """The rate of changes for which the probability of a miss is reported: ten times what is tolerated."""
 ROUNDING = 1 + 1e-9
-"""Factor by which sums of squares must exceed proved bounds: their own rounding errors are far smaller."""
+"""Least ratio of sums of squares to proved bounds: their own rounding errors are far smaller."""
 
 
 @dataclass(frozen=True, slots=True)
 class MuSigmaThresholds:
-    """Influential from |mu| >= `mu` or sigma >= `sigma` on (Section IV-E)."""
+    """A parameter is influential if |mu| >= `mu` or sigma >= `sigma` (Section IV-E)."""
 
     mu: float
     sigma: float
@@ -112,9 +112,9 @@ class Verdict:
 
 
 def verdict(statistics: EffectStatistics, steps: Floats, threshold: Threshold, scale: Scale = COMFORT) -> Verdict:
-    """Applies a threshold to measures; `steps` are those of the effects that count, shape (n_effects,).
+    """Applies a threshold to measures. `steps` belong to the effects that count, shape (n_effects,).
 
-    With fewer than two effects nothing is known, which counts as influential.
+    With fewer than two effects, the parameter counts as influential.
     """
     if statistics.n_effects < 2:
         return Verdict(statistics, None, influential=True)
@@ -127,15 +127,14 @@ def verdict(statistics: EffectStatistics, steps: Floats, threshold: Threshold, s
 def is_surely_influential(
     effects: Floats, steps: Floats, missing: Floats, threshold: Threshold, scale: Scale = COMFORT
 ) -> bool:
-    """Whether an analysis is influential whatever its missing effects will be, and whichever of them fail.
+    """Returns whether an analysis is influential for all possible values and failures of its missing effects.
 
-    `effects`, `steps`: of the runs made, shape (n,), NaN effects of failed runs; `missing`: the steps of those to come.
+    `effects` and `steps` belong to the finished runs, shape (n,); failed runs have NaN effects. `missing` has the steps of the other runs.
 
     With S the sum of squares of n effects, s_rel^2 = (S - mean^2) / (n - 1), and mean^2 <= S / n, so s_rel^2 >= S / n. S only grows. A
-    number is certainly reached if S >= n threshold^2 for the largest possible n; `auto` if (1 - 1/n) S >= (m + 1/2) mean(e^2), e being
-    the effects of changes by the tolerance,
-    for every possible n and the shortest of the missing steps. Squared deviations from the mean only grow as well, which settles a
-    threshold on sigma; mu may still return to 0.
+    number is certainly reached if S >= n threshold^2 for the largest possible n; `auto` if (1 - 1/n) S >= (m + 1/2) mean(e^2) for every
+    possible n and the shortest missing steps, with e the effects of changes by the tolerance. Squared deviations from the mean only grow
+    as well, which settles a threshold on sigma; mu may still return to 0.
     """
     failed = np.isnan(effects)
     known, steps = effects[~failed], steps[~failed]
@@ -158,9 +157,9 @@ def is_surely_influential(
 
 @dataclass(frozen=True, slots=True)
 class SensitivitySettings:
-    """`design`: how the intervals are analysed; `intervals`: n_Int per parameter; `samples`: r effects per analysis; `seed`: of all points.
-
-    `sequential`: the design `lines` makes only the runs that its bounds take. `paper` makes all of Equation 3 in any case.
+    """Settings of an analysis: the `design` of the intervals, n_Int `intervals` per parameter, r `samples` (effects) per analysis, the
+    `threshold`, and the `seed` of all points. If `sequential`, the design `lines` makes only the runs that its bounds need. The design
+    `paper` always makes all runs of Equation 3.
 
     Raises InvalidInputError naming every setting that cannot be used, under `sensitivity`.
     """

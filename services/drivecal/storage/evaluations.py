@@ -307,7 +307,7 @@ def scored(connection: Connection, campaign_sequence: int, score: float, most: i
 
 
 def cells_from(connection: Connection, campaign_sequence: int, stage: StageName, first: int) -> tuple[int, int]:
-    """Returns the last iteration of a stage from the `first` on, and the number of cells; the iteration before `first` without a cell."""
+    """Returns the last iteration of a stage, and the number of cells in `first` and later iterations; `first` - 1 and 0 without cells."""
     table = evaluations.c
     query = select(func.max(table.iteration), func.count()).where(
         table.campaign_sequence == campaign_sequence, table.stage == stage, table.iteration >= first

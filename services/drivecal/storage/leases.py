@@ -25,15 +25,15 @@ from drivecal.storage.engine.types import now
 from drivecal.storage.processes import term_in_office
 
 OVER = datetime(1970, 1, 1, tzinfo=UTC)
-"""End of a lease that was given back: long ago, whatever the clock is set to afterwards."""
+"""End of a lease that was given back: long ago, even if the clock is set back."""
 
 
 def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float, twice: Collection[int] = ()) -> dict[int, int]:
-    """Leases evaluations for `seconds`; returns the numbers of the granted leases by id. `breakdowns` says, by id,
-    how often each broke down so far; those in `twice` are simulated twice.
+    """Leases evaluations for `seconds`; returns the numbers of the granted leases by id. `breakdowns` has the number of breakdowns of each
+    evaluation by id. Evaluations in `twice` are simulated twice.
 
-    Not granted are those that have their answer, those under a lease of this term that has neither expired nor been given back, and, on
-    PostgreSQL, cells that another transaction is leasing: they are skipped without waiting.
+    Grants no lease for answered evaluations, nor while a lease of this term is neither expired nor given back. On PostgreSQL, it also skips
+    cells that another transaction is leasing, without waiting.
     """
     term, moment = term_in_office(connection), now()
     by_count: dict[tuple[int, int], list[int]] = defaultdict(list)

@@ -164,8 +164,8 @@ def conclude(connection: Connection, verdicts: Mapping[int, tuple[LotVerdict, in
 
 @dataclass(frozen=True, slots=True)
 class KnownAnswer:
-    """A simulated answer that a predictor may learn from. `predicted_score` and `confidence`: of a cell that was predicted
-    first; `stands_for`: the number of predictions that a sampled cell of a released lot represents, else 1."""
+    """A simulated answer that a predictor may learn from. A cell that was predicted first has `predicted_score` and `confidence`.
+    `stands_for` is the number of predictions that a sampled cell of a released lot represents, else 1."""
 
     id: int
     scenario: str

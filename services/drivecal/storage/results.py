@@ -76,7 +76,7 @@ class StoredEvaluation:
     predicted_score: float | None
     predicted_rating: float | None
     seed: int
-    """Of the run; 0 if the simulator does not depend on one."""
+    """Seed of the run; 0 if the simulator does not depend on one."""
 
     @property
     def audited(self) -> bool:
@@ -104,8 +104,8 @@ def by_id(connection: Connection, evaluation_id: int) -> StoredEvaluation:
 
 
 def number_at(connection: Connection, campaign_sequence: int, iteration: int, individual: int, scenario: str) -> int:
-    """The number of the cell by which the set at a place of the calibration stage is ranked in a scenario: one of its own, where another
-    was answered by a reference. Raises NotFoundError."""
+    """Returns the number of the cell that decides the rank of a set of the calibration stage in a scenario. It prefers simulated cells of
+    this set to cells that a reference answered. Raises NotFoundError."""
     table = evaluations.c
     here = (table.campaign_sequence == campaign_sequence, table.stage == StageName.CALIBRATION, table.scenario == scenario)
     at = select(table.parameter_set_id).where(*here, table.iteration == iteration, table.individual == individual)

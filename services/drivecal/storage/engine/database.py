@@ -59,21 +59,21 @@ log = logging.getLogger(__name__)
 class Turns:
     """Turns of drivecal's threads and processes that write to a SQLite file.
 
-    SQLite itself lets writers try again after growing pauses, so that one of many, or one beside a process that writes without a pause,
+    SQLite itself lets writers try again after growing pauses. Among many writers, or during another process's constant writes, a writer
     may try in vain until its time is up.
     """
 
     def __init__(self, file: Path, seconds: float) -> None:
         self._queue = file.with_name(f"{file.name}.queue")
-        """A process locks this file while it begins to write, so that others begin after it, and while more of its threads wait."""
+        """A process locks this file while it begins to write and while more of its threads wait: other processes begin after it."""
         self._seconds = seconds
         self._lock = threading.Lock()
         self._counting = threading.Lock()
         self._waiting = 0
         self._locked: tuple[IO[bytes], float] | None = None
-        """The locked file, and the time of `time.monotonic` since when."""
+        """The locked file, and the time of its lock (`time.monotonic`)."""
         self._queue_again = 0.0
-        """The time of `time.monotonic` from which on the file is locked again after it could not be."""
+        """The time of the next attempt to lock the file after a failure (`time.monotonic`)."""
 
     @contextmanager
     def take(self) -> Iterator[float]:

@@ -203,7 +203,7 @@ reference_keys = Table(
     sqlite_with_rowid=False,
 )
 
-reference_indexes = Table(  # the keys of one setup's runs under one map, of those that one evaluator has rated: up to which run
+reference_indexes = Table(  # the last run with a key, for each setup, map and evaluator that rated its runs
     "reference_indexes",
     metadata,
     Column("id", Identity, primary_key=True),
@@ -262,12 +262,12 @@ evaluations = Table(
     Column("worker", Text),
     Column("attempts", Integer, nullable=False),
     Column("detail", Text),
-    # Of cells that the predictor was asked about; `lot` of those that it was trusted with, and of those that references are to answer.
+    # Set for cells that the predictor predicted. `lot` is set if it was trusted, or if references are to answer the cell.
     Column("lot", Identity),
     Column("confidence", Float),
     Column("predicted_score", Score),
     Column("predicted_rating", Float),
-    # Of cells that an outside optimizer asked for: the place of the answer by arrival in its campaign.
+    # Set for cells that an outside optimizer requested: the place of the answer by arrival in its campaign.
     Column("answered", Integer),
     Column("seed", Integer, nullable=False, server_default="0"),  # 0: the simulator does not depend on one
     UniqueConstraint("campaign_sequence", "stage", "iteration", "individual", "scenario", "seed"),
@@ -326,7 +326,7 @@ processes = Table(
     Column("term", Integer, nullable=False, server_default="0"),
 )
 
-leases = Table(  # cells at workers, and those that broke down there before; a cell with its answer has none
+leases = Table(  # for cells at workers, and cells that broke down there before; an answered cell has no lease
     "leases",
     metadata,
     Column("evaluation_id", Identity, ForeignKey("evaluations.id"), primary_key=True, autoincrement=False),

@@ -1,17 +1,16 @@
 """Reference keys of stored runs under an influence map: one indexed look-up answers a population (Figure 6 of the paper).
 
-Which reference answers a key must not depend on when keys were computed, nor on what other campaigns store meanwhile: of the runs up
-to a campaign's watermark, the first in the order of (campaign, stage, iteration, individual) wins. Runs are stored in the order in
-which workers finish, so the first one may come late. Therefore a key keeps each run that comes before all runs of a smaller id: the
-last of those up to the watermark is the winner, for every watermark. A run whose rating is younger than itself has, in all of this, the
-number of its rating (`since`) in place of its id.
+The reference for a key must depend neither on the time when keys are computed, nor on results that other campaigns store meanwhile. Among
+the runs up to a campaign's watermark, the first in the order of (campaign, stage, iteration, individual) wins. Workers finish in any order,
+so this run may be stored late. Therefore a key keeps each run that precedes all runs with a smaller id: for every watermark, the last kept
+run up to it wins. If a rating is younger than its run, the number of the rating (`since`) replaces the run's id here.
 
-What a donor gives (evaluation, score, rating, failure) is copied to its key, since neither a run nor its ratings ever change: so a look-up
-reads one tree only, and not the rows of runs, which are ten times as large and lie all over the table.
+The answer of a donor (evaluation, score, rating, failure) is copied to its key, because runs and ratings never change. So a look-up reads
+one tree only, and not the rows of runs, which are ten times as large and lie all over the table.
 
-Keys are indexed for each evaluator apart, of the runs that it has rated: one that it cannot rate answers nothing, and must not hide a
-later one that it can. Which it can rate follows from what is stored up to a campaign's watermark (`runs.insert_results`), so it is the same
-for everybody.
+Each evaluator has an index of its own, with the runs that it has rated: a run without its rating answers no cell, and must not hide a later
+run with one. The data up to a campaign's watermark decide which runs it can rate (`runs.insert_results`), so all campaigns with this
+watermark agree.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -72,10 +71,10 @@ def sync(
     key_function: KeyFunction,
     chunk: int = CHUNK,
 ) -> int:
-    """Computes the missing keys of one setup's runs up to `upto_run_id`, of those that `evaluator` rated. Returns their number.
+    """Computes the missing keys of one setup's runs up to `upto_run_id` that `evaluator` has rated. Returns their number.
 
-    Call it when the evaluator has rated the runs (`ratings`): a run that is rated later is not looked at again. Works
-    in transactions of `chunk` runs and goes on where it was interrupted.
+    Call it when the evaluator has rated the runs (`ratings`): runs that are rated later get no key. Works in transactions of `chunk` runs,
+    and continues after an interruption.
     """
     total = 0
     while True:
@@ -237,8 +236,8 @@ CHUNK = 20_000
 class ReferenceCandidates:
     """Parameter sets that have a result in one setup, all of the same parameters.
 
-    `values` in billionths, shape (n, n_p), columns in the order asked for; `places`: what references are ordered by (campaign, stage,
-    iteration, individual), shape (n, 4); `evaluations`: the ids of those that simulated them, shape (n,).
+    `values` are in billionths, shape (n, n_p), with columns in the requested order. `places` (campaign, stage, iteration, individual),
+    shape (n, 4), order references. `evaluations` are the ids of the evaluations that simulated the sets, shape (n,).
     """
 
     values: Integers

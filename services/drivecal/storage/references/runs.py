@@ -71,9 +71,9 @@ def occupying() -> ColumnElement[float]:
 def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[StoredRun]:
     """Stores results exactly once and returns the stored run of each, in order. The first result of a cell stays.
 
-    A rating is stored together with its run, or it follows from the run's stored metrics (`ratings`): then a campaign that sees the run
-    sees it too, whatever other campaigns simulate meanwhile. Only a rating `from_series` needs a stored run to be simulated again; if
-    that gave the stored bits, it is kept with a number of its own, so that campaigns see it which begin from now on, and no other.
+    A rating is stored together with its run, or follows from the run's stored metrics (`ratings`): a campaign that sees the run sees both.
+    Only a rating `from_series` needs a new simulation of a stored run. If this returns the stored bits, the rating gets a number of its
+    own, so that only later campaigns see it.
     """
     if not results:
         return []
@@ -236,7 +236,7 @@ def _row(number: int, run: NewRun, packed: Stored, created_at: Any) -> dict[str,
 
 
 def _insert_ratings(connection: Connection, new: Mapping[tuple[int, str], NewRun], since: Iterable[int]) -> None:
-    """`since`: of each, in order."""
+    """Inserts ratings, with their numbers in `since`."""
     rows = [
         {"run_id": run, "evaluator": evaluator, "score": result.score, "rating": float(result.rating), "since": number}
         for ((run, evaluator), result), number in zip(new.items(), since, strict=False)

@@ -1,9 +1,9 @@
 """Deletion of campaigns that nothing refers to.
 
-A deleted campaign loses its tables, events and every cell that was repeated, reused, predicted, or has no result. What it simulated stays
-in the reference table, with the cells that made these runs. Its other simulated cells stay as well, such as those that a
-simulation of another campaign answered: copies of other campaigns may name them. They need the campaign's row, which
-stays, marked as deleted, and which no list and no look-up by id returns.
+A deleted campaign loses its tables, events and every cell that was repeated, reused, predicted, or has no result. Its runs stay in the
+reference table, with the cells that made them. Its other simulated cells stay as well, for instance cells that a simulation of another
+campaign answered: copies in other campaigns may name them. The campaign's row stays for them, marked as deleted. No list and no look-up by
+id returns it.
 
 The mark is one transaction, and cells go in slices after it, so that other writers do not wait.
 """

@@ -1,7 +1,7 @@
 """All tables of `storage.engine.tables`.
 
-No release has these tables yet, so a change to `tables.py` changes this revision and no other. A release freezes them: from then on, this
-file lists the tables of that release, and each later change is a revision of its own.
+No release has these tables yet, so a change to `tables.py` changes this revision and no other. A release freezes them: this file then lists
+the tables of that release, and each later change is a revision of its own.
 """
 
 from alembic import op
