@@ -90,14 +90,19 @@ def test_every_view_comes_back_with_the_server(shown: Shown, opening: Opening, p
         away_and_back(page, address)
 
 
-def test_the_overview_decides_by_a_light_and_sets_the_best_beside_the_baseline(shown: Shown, opening: Opening) -> None:
+def test_the_overview_answers_two_questions_and_sets_the_best_beside_the_baseline(shown: Shown, opening: Opening) -> None:
     page = opening(shown.at())
     light = page.get_by_role("region", name="Trust in the result")
     judged = shown.api.http.get(f"/api/v1/campaigns/{shown.campaign.id}/results").json()["trust"]
     for verdict in judged["verdicts"]:
         expect(light).to_contain_text(verdict["text"], use_inner_text=True)  # without the closed meanings of its words
-    title = {"green": "trustworthy", "amber": "check first", "red": "do not use"}[judged["light"]]
-    expect(light.get_by_role("heading", level=2)).to_have_text(re.compile(title, re.IGNORECASE))
+    said = [f"{each['title']} {each['text']}" for each in judged["answers"]]
+    assert [each["question"] for each in judged["answers"]][:2] == ["scores", "search"]
+    for heading, text in zip(light.get_by_role("heading", level=2).all(), said, strict=True):
+        expect(heading).to_contain_text(text)
+    expect(light.get_by_role("link")).to_have_count(len(judged["verdicts"]))
+    light.get_by_role("link", name="course").first.click()
+    expect(page.locator("#course")).to_be_in_viewport()
     best = page.get_by_role("table", name="Parameters of the set")
     expect(best.get_by_role("row", name="P1")).to_contain_text("smoothing")
     expect(page.get_by_text("Held: P5 0.5")).to_be_visible()

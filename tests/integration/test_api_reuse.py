@@ -129,7 +129,7 @@ def test_a_validation_of_its_map_by_another_campaign_changes_the_light_of_a_camp
     study = _carry_out(ended.api, ended.api.http.post("/api/v1/campaigns", json=spec).json())
     assert study["state"] == "succeeded"
     assert light() == {"map_validated": "green"}
-    assert results_of(ended, study).trust == ResultTrust(light=None, verdicts=[])
+    assert results_of(ended, study).trust == ResultTrust(answers=[], verdicts=[])
 
 
 def test_before_a_campaign_the_share_from_which_the_map_pays_is_told(ended: Ended) -> None:

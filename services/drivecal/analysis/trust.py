@@ -1,9 +1,8 @@
-"""Trust in the result of a search: a light, and the verdicts behind it. Pure.
+"""Trust in the result of a search: verdicts, and the answers to the questions that they are about. Pure.
 
-Two questions have answers of their own: are the scores right, and is the search finished. Red: there is no result, its scores are in doubt,
-or a limit of the reduction is broken. Amber: the best set has its scores, but the search may have missed better ones, or something was
-not examined. Green: nothing that is known speaks against it. There is no light before the end, unless it is red already, and none for
-a campaign without a search.
+A light says what a finding means for an engineer. Scores: red if they are in doubt, or a limit of the reduction is broken; amber if
+something was not examined. Search: amber if more simulations, wider ranges or another optimizer may find better sets; green if it
+converged, or saw nearly everything. There are no lights before the end, but red ones, and none for a campaign without a search.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -23,7 +22,7 @@ from drivecal.analysis.convergence import (
     last_change,
     stood_still,
 )
-from drivecal.analysis.verdicts import confirmation_verdict, verdict
+from drivecal.analysis.verdicts import answers, confirmation_verdict, verdict
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.results import Light, ResultTrust, ResultVerdict, StudyResult
 from drivecal.contracts.specification import ReductionSpecification
@@ -39,6 +38,8 @@ NEARLY = 80
 """Least percentage of a grid's sets that counts as nearly all."""
 LARGEST_COUNT = 10**9
 """Largest number of a grid's sets that is written out."""
+LITTLE = 0.01
+"""Largest gain of as many simulations again that is no reason to go on, as a share of the whole gain of the search."""
 AT_END = 0.005
 """Largest distance of a value at the end of its range, as a share of the range."""
 RECORD = 0.95
@@ -88,13 +89,15 @@ class Chosen:
 class SearchCourse:
     """The course of an ended search. `course` has a point for each finished iteration, and is empty with several objectives. `ranges` has
     the lower and upper value of each searched parameter with an order. `grid` is the number of sets of the space, 0 if it is no grid. The
-    search requested `requested` of them, or fewer unless `is_exact`."""
+    search requested `requested` of them, or fewer unless `is_exact`. The sets of the best objective lie in `regions` of
+    the space, if there are several."""
 
     course: Course
     ranges: Mapping[str, tuple[float, float]]
     requested: int = 0
     grid: int = 0
     is_exact: bool = True
+    regions: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,13 +129,14 @@ def sign_of(campaign: Campaign) -> int:
 
 
 def trust(campaign: Campaign, known: Evidence | None = None) -> ResultTrust:
-    """Returns the light of a campaign, or of a chosen set, and the verdicts behind it, the gravest first."""
+    """Returns the verdicts on a campaign, or on a chosen set, the gravest first, and the answers that they add up to."""
     if campaign.kind != "calibration" or campaign.spec.get("optimizer", {}) is None:
-        return ResultTrust(light=None, verdicts=[])
+        return ResultTrust(answers=[], verdicts=[])
     known = known or Evidence()
     verdicts = [
         *_end(campaign),
         *_result(campaign, known),
+        *_budget(campaign),
         *_map(campaign, _newest(known.studies, of_predictions=False)),
         *_references(campaign),
         *_predictions(campaign, _newest(known.studies, of_predictions=True)),
@@ -142,17 +146,7 @@ def trust(campaign: Campaign, known: Evidence | None = None) -> ResultTrust:
         *_robustness(known.studies),
     ]
     verdicts.sort(key=lambda each: _ORDER.index(each.light))
-    ended = CampaignState(campaign.state).ended
-    parts = {question: [each for each in verdicts if each.question == question] for question in ("scores", "search")}
-    lights = {question: _light(each, ended=ended) for question, each in parts.items()}
-    return ResultTrust(light=_light(verdicts, ended=ended), **lights, verdicts=verdicts)
-
-
-def _light(verdicts: Sequence[ResultVerdict], *, ended: bool) -> Light | None:
-    """Returns the light of verdicts, the gravest first."""
-    lights = [each.light for each in verdicts if each.light != "neutral"]
-    worst = lights[0] if lights else None
-    return worst if ended or worst == "red" else None
+    return ResultTrust(answers=answers(verdicts, ended=CampaignState(campaign.state).ended), verdicts=verdicts)
 
 
 def _end(campaign: Campaign) -> Iterator[ResultVerdict]:
@@ -225,7 +219,7 @@ def _at_ends(
         and min(abs(value - end) for end in ends) <= AT_END * (ends[1] - ends[0])
     }
     if at_end:
-        yield verdict("at_ends", "neutral", subject=subject, values=at_end)
+        yield verdict("at_ends", "amber", subject=subject, values=at_end)
 
 
 def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:
@@ -281,15 +275,39 @@ def _course(campaign: Campaign, search: SearchCourse | None) -> Iterator[ResultV
     if search is None or campaign.best is None:
         return
     yield from _seen(campaign, search)
+    if search.regions is not None:
+        yield verdict("optima", "neutral", sets=campaign.best.alternatives, regions=search.regions)
     yield from _convergence(search.course) if campaign.budget is None else _ended(campaign, search.course)
     if CampaignState(campaign.state) is not CampaignState.SUCCEEDED:
         return
-    if improved_last(search.course):
-        yield verdict("still_rising", "neutral", iterations=len(search.course))
-    if 100 * search.requested >= NEARLY * search.grid > 0:  # whole numbers: a grid may have more sets than a float can hold
+    if improved_last(search.course) and not _has_outlook(campaign):
+        yield verdict("still_rising", "amber", iterations=len(search.course))
+    if _saw_nearly_all(search):
         return
     if len(search.course) >= LONG and stood_still(search.course, campaign.best.objective) and not _is_the_highest(campaign):
         yield verdict("stood_still", "amber", tried=len(search.course) - 1)
+
+
+def _saw_nearly_all(search: SearchCourse) -> bool:
+    return 100 * search.requested >= NEARLY * search.grid > 0  # whole numbers: a grid may have more sets than a float can hold
+
+
+def _has_outlook(campaign: Campaign) -> bool:
+    """Returns whether it is known how well searches of its kind foretell what more simulations would bring."""
+    return campaign.budget is not None and (campaign.spec.get("optimizer") or {}).get("kind") == "surrogate"
+
+
+def _budget(campaign: Campaign) -> Iterator[ResultVerdict]:
+    """Yields how much of the budget is used."""
+    if campaign.budget is None:
+        return
+    used = [
+        f"{round(spent, 1):,} of {limit:,.12g} {unit}"
+        for unit, spent in (("simulations", campaign.spent.simulations), ("minutes", campaign.spent.minutes))
+        if (limit := campaign.budget.get(unit)) is not None
+    ]
+    if used:
+        yield verdict("budget", "neutral", used=", ".join(used))
 
 
 def _ended(campaign: Campaign, course: Course) -> Iterator[ResultVerdict]:
@@ -297,10 +315,12 @@ def _ended(campaign: Campaign, course: Course) -> Iterator[ResultVerdict]:
     if campaign.ended_by is not None and course:
         best = [each.best for each in course]
         share = (last_change(best) + 1) / len(course)
-        yield verdict("ended", "neutral", by=campaign.ended_by, simulations=campaign.spent.simulations, share=share)
-        is_measured = (campaign.spec.get("optimizer") or {}).get("kind") == "surrogate"
-        if is_measured and (gain := expected_gain(best)) is not None:
-            yield verdict("outlook", "neutral", gain=gain, record=RECORD)
+        yield verdict("ended", "green" if campaign.ended_by == "stagnation" else "neutral", by=campaign.ended_by, share=share)
+        if _has_outlook(campaign) and (gain := expected_gain(best)) is not None:
+            known = [value for value in best if value is not None]
+            tolerance = 0.0 if campaign.objective else campaign.scale.tolerance
+            light: Light = "green" if gain <= max(tolerance, LITTLE * abs(known[-1] - known[0])) else "amber"
+            yield verdict("outlook", light, gain=gain, record=RECORD)
 
 
 def _convergence(course: Course) -> Iterator[ResultVerdict]:
@@ -320,7 +340,8 @@ def _convergence(course: Course) -> Iterator[ResultVerdict]:
     for of, values, converged, unchanged in criteria:
         code = "not_converged" if converged is None else "converged"
         iteration = last_change(values) if converged is None else converged
-        yield verdict(code, "neutral", of=of, iteration=iteration, iterations=len(course), unchanged=unchanged)
+        light: Light | Literal["neutral"] = "neutral" if values is not best else "amber" if converged is None else "green"
+        yield verdict(code, light, of=of, iteration=iteration, iterations=len(course), unchanged=unchanged)
 
 
 def _seen(campaign: Campaign, search: SearchCourse | None) -> Iterator[ResultVerdict]:
@@ -329,7 +350,7 @@ def _seen(campaign: Campaign, search: SearchCourse | None) -> Iterator[ResultVer
         return
     grid = f"{search.grid:,}" if search.grid < LARGEST_COUNT else f"about {Decimal(search.grid):.0e}".replace("e+", " · 10^")
     asked = f"{'' if search.is_exact else 'at most '}{search.requested:,}"
-    yield verdict("seen", "neutral", asked=asked, grid=grid)
+    yield verdict("seen", "green" if _saw_nearly_all(search) else "neutral", asked=asked, grid=grid)
 
 
 def _is_the_highest(campaign: Campaign) -> bool:

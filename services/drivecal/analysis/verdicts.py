@@ -7,7 +7,7 @@ from typing import Any, Literal
 from drivecal.bundles.scoring import REMEDY
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Confirmation
-from drivecal.contracts.results import Light, ResultVerdict
+from drivecal.contracts.results import Light, Question, ResultAnswer, ResultVerdict
 from drivecal.domain.rounding import same
 from drivecal.domain.scales import objective_text, unit_text
 
@@ -58,8 +58,7 @@ SCORES = CONFIRMED | {
     "not_robust": "The recommended set breaks the study's limit in its first box of vehicles (it holds up to {least}{radius:.1%} of the "
     "ranges).",
 }
-SEARCH = {
-    "cancelled": "The campaign was cancelled before its search was complete.",
+BASELINE = {
     "baseline_breaks_more": "The baseline breaks the constraints more than {subject}.",
     "beside_baseline": "The chosen set beside the baseline: {objectives:compared}.",
     "better_than_baseline": "The best set is better than the baseline, by {gain:.4g}.",
@@ -67,11 +66,16 @@ SEARCH = {
     "not_better": "No set is better than the baseline.",
     "front_beats_baseline": "{dominating:,} of {size:,} sets of the front are better than the baseline in an objective and worse in none.",
     "front_not_better": "No set is better than the baseline in an objective and worse in none: each is worse in one, or equal.",
+}
+SEARCH = {
+    "cancelled": "The campaign was cancelled before its search was complete.",
+    "budget": "Of its budget the search used {used}.",
+    "optima": "{sets:n set} share the best objective, in {regions:n region} of the space.",
     "seen": "The search asked for {asked} of the {grid} sets on the grid of its space, constraints aside.",
     "still_rising": "The best set was improved in the last of {iterations} iterations: more may improve it further.",
     "stood_still": "No iteration after the first found a better objective ({tried} tried). More iterations, wider ranges or another "
     "optimizer may find one.",
-    "ended": "The search ended by its {by}, after {simulations:,} simulations; the best set was found after {share:.0%} of its rounds.",
+    "ended": "The search ended by its {by}; the best set was found after {share:.0%} of its rounds.",
     "outlook": "As many simulations again would probably improve the best objective by at most {gain:.3g}; of such estimates in the "
     "benchmark {record:.0%} held.",
     "converged": "Converged by the paper's criterion for the {of}: found in iteration {iteration} of {iterations}, it then stayed as it "
@@ -80,7 +84,14 @@ SEARCH = {
     "would have to stay for at least {unchanged} iterations.",
     "at_ends": "In {subject} {values:ends} at or near an end of the range; a wider range may hold better sets.",
 }
-SENTENCES: Mapping[str, str] = SCORES | SEARCH
+QUESTIONS: Mapping[Question, Mapping[str, str]] = {"scores": SCORES, "search": SEARCH, "baseline": BASELINE}
+SENTENCES: Mapping[str, str] = SCORES | SEARCH | BASELINE
+_ANSWERS: Mapping[Question, tuple[str, Mapping[Light, str]]] = {
+    "scores": ("Are the scores right?", {"green": "Yes", "amber": "Check first", "red": "No"}),
+    "search": ("Is the search finished?", {"green": "Yes", "amber": "Perhaps not", "red": "No"}),
+    "baseline": ("Is it better than the baseline?", {"green": "Yes", "amber": "Not clearly", "red": "No"}),
+}
+_WEIGHT: Sequence[Light] = ("red", "amber", "green")
 
 
 def verdict(code: str, light: Light | Literal["neutral"], scenario: str | None = None, **numbers: Any) -> ResultVerdict:
@@ -92,9 +103,21 @@ def verdict(code: str, light: Light | Literal["neutral"], scenario: str | None =
         scenario: the only scenario that it is about.
         numbers: what it was found from, by the names in its sentence.
     """
-    question: Literal["scores", "search"] = "scores" if code in SCORES else "search"
+    question = next(question for question, codes in QUESTIONS.items() if code in codes)
     text = sentence(code, numbers | {"scenario": scenario})
     return ResultVerdict(code=code, question=question, light=light, scenario=scenario, numbers=numbers, text=text)
+
+
+def answers(verdicts: Sequence[ResultVerdict], *, ended: bool) -> list[ResultAnswer]:
+    """Returns the answer to each question that a verdict is about: only red ones before the end."""
+    given = []
+    for question, (title, words) in _ANSWERS.items():
+        lights = [each.light for each in verdicts if each.question == question]
+        if lights:
+            light: Light | None = next((each for each in _WEIGHT if each in lights and (ended or each == "red")), None)
+            text = "Not known" if light is None and ended else "Open until the end" if light is None else words[light]
+            given.append(ResultAnswer(question=question, title=title, light=light, text=text))
+    return given
 
 
 def sentence(code: str, numbers: Mapping[str, Any]) -> str:

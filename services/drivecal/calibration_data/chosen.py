@@ -31,7 +31,7 @@ def characteristics_of(
 
 def quality_of(known: CampaignResults, chosen: Solution | FrontRow, figures: Iterable[tuple[str, str]]) -> Quality:
     """Returns the quality data of a chosen set. It is preliminary while a score is a reference's, the campaign has not succeeded, the
-    set breaks constraints, or its light is red.
+    set breaks constraints, or the light of its scores is red.
 
     Args:
         known: the results of the campaign, with the verdicts on the set.
@@ -40,7 +40,7 @@ def quality_of(known: CampaignResults, chosen: Solution | FrontRow, figures: Ite
     """
     campaign, setup = known.campaign, known.setup
     own = not chosen.reused and not chosen.violation
-    sure = campaign.state == "succeeded" and own and known.trust.light != "red"
+    sure = campaign.state == "succeeded" and own and known.trust.light("scores") != "red"
     time = campaign.ended_at or campaign.created_at
     problem = str(campaign.spec.get("problem", "highway"))
     simulators = sorted({scenario.simulator for scenario in setup.scenarios if scenario.simulator})
@@ -57,10 +57,9 @@ def quality_of(known: CampaignResults, chosen: Solution | FrontRow, figures: Ite
 
 
 def _trust(deserved: ResultTrust) -> Iterator[tuple[str, str]]:
-    if deserved.light is not None:
-        yield "light of the set", deserved.light
-        worst = (each.text for each in deserved.verdicts if each.light == deserved.light != "green")
-        yield from ((f"reason {number}", text) for number, text in enumerate(worst, 1))
+    yield from ((f"light of the {answer.question}", answer.light) for answer in deserved.answers if answer.light is not None)
+    doubts = (each.text for each in deserved.verdicts if each.light in {"red", "amber"})
+    yield from ((f"reason {number}", text) for number, text in enumerate(doubts, 1))
 
 
 def figures_of(

@@ -11,30 +11,43 @@ from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
 
 Light = Literal["green", "amber", "red"]
+Question = Literal["scores", "search", "baseline"]
+"""Questions: are the scores right, is the search finished, and is its result better than the baseline?"""
 
 
 class ResultVerdict(Answer):
     """A finding about a campaign's result. `code` is a key of `analysis.verdicts.SENTENCES`, `numbers` are its figures by name, and `text`
-    is the sentence. The `question` is `scores` (are they right?) or `search` (is it finished?). A `neutral` light speaks neither for nor
+    is the sentence. The verdict is a reason for the answer to its `question`. A `neutral` light speaks neither for nor
     against the result."""
 
     code: str
-    question: Literal["scores", "search"]
+    question: Question
     light: Light | Literal["neutral"]
     scenario: str | None = None
     numbers: dict[str, Any] = Field(default_factory=dict)
     text: str
 
 
-class ResultTrust(Answer):
-    """The trust that a campaign's result deserves. `light`: that of the gravest of the `verdicts` that are not neutral. Only evidence for
-    a result is green, never a warning. Null before the end, unless it is red already, and if all are neutral. `scores` and `search`: the
-    same of the verdicts on one question, whether the scores are right, and whether the search is finished."""
+class ResultAnswer(Answer):
+    """The answer to a question about a result. `light`: that of the gravest of its verdicts that are not neutral: only evidence for a
+    result is green, never a warning. Null before the end, unless it is red already, and if all are neutral. `text`: the answer in words."""
 
+    question: Question
+    title: str
     light: Light | None
-    scores: Light | None = None
-    search: Light | None = None
+    text: str
+
+
+class ResultTrust(Answer):
+    """The trust that a campaign's result deserves: an answer to each question that a verdict is about, and the verdicts, the gravest
+    first."""
+
+    answers: list[ResultAnswer]
     verdicts: list[ResultVerdict]
+
+    def light(self, question: Question) -> Light | None:
+        """Returns the light of a question; None without an answer."""
+        return next((each.light for each in self.answers if each.question == question), None)
 
 
 class ParameterImportance(Answer):

@@ -18,6 +18,7 @@ from drivecal.contracts.campaign import (
     ErrorRate,
     FirstObjective,
     Released,
+    Spent,
     Study,
 )
 from drivecal.contracts.results import ResultVerdict, StudyResult
@@ -89,7 +90,7 @@ def stalled(*course: tuple[float | None, float | None]) -> list[CoursePoint]:
 )
 def test_the_outcome_of_a_confirmation_decides(confirmation: Confirmation, light: str, words: str) -> None:
     judged = trust(campaign("predicted", confirmation=confirmation))
-    assert (judged.light, judged.verdicts[0].light, judged.verdicts[0].question) == (light, light, "scores")
+    assert (judged.light("scores"), judged.verdicts[0].light, judged.verdicts[0].question) == (light, light, "scores")
     assert words in judged.verdicts[0].text
 
 
@@ -175,13 +176,13 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
 def test_the_best_set_is_held_against_the_baseline(objective: float, given: dict[str, Any], code: str) -> None:
     result = verdicts(campaign(baseline=before(objective), **given))
     assert {"better_than_baseline", "not_better", "alike_baseline"} & set(result) == {code}
-    assert result[code].question == "search"
+    assert result[code].question == "baseline", "a better set finishes no search"
 
 
 def test_constraints_come_first() -> None:
     broken = BEST.model_copy(update={"violation": 0.1})
     judged = trust(campaign("exact", best=broken, **EXACT))
-    assert (judged.light, judged.verdicts[0].code) == ("red", "no_set_keeps_constraints")
+    assert (judged.light("scores"), judged.verdicts[0].code) == ("red", "no_set_keeps_constraints")
     assert "baseline_breaks_more" in lights(campaign(baseline=before(7.0, violation=0.1)))
 
 
@@ -196,23 +197,35 @@ def test_constraints_come_first() -> None:
     ],
 )
 def test_the_end_of_a_campaign_decides_first(state: str, best: Best | None, light: str | None) -> None:
-    assert trust(campaign("exact", state=state, best=best, error="out of memory", **EXACT)).light == light
+    judged = trust(campaign("exact", state=state, best=best, error="out of memory", **EXACT))
+    assert judged.light("search" if light == "amber" else "scores") == light
 
 
-def test_a_campaign_without_a_search_has_no_light() -> None:
-    assert trust(campaign().model_copy(update={"spec": {"optimizer": None}})).light is None
+def test_a_campaign_without_a_search_has_no_answers() -> None:
+    assert trust(campaign().model_copy(update={"spec": {"optimizer": None}})).answers == []
 
 
 @pytest.mark.parametrize(
-    ("course", "gain"),
-    [([4.0, 5.0, 5.5, 6.0], 1.0), ([4.0, 6.0, 6.0, 6.0, 6.0], 0.0), ([None, None, 5.5, 6.0], None), ([6.0], None)],
+    ("course", "gain", "light"),
+    [
+        ([4.0, 5.0, 5.5, 7.0], 2.0, "amber"),
+        ([4.0, 5.0, 5.5, 6.0], 1.0, "green"),
+        ([4.0, 6.0, 6.0, 6.0, 6.0], 0.0, "green"),
+        ([None, None, 5.5, 6.0], None, None),
+        ([6.0], None, None),
+    ],
 )
-def test_a_search_with_a_budget_says_what_more_would_bring(course: list[float | None], gain: float | None) -> None:
-    subject = campaign(budget={"simulations": 100}, ended_by="budget")
+def test_a_search_with_a_budget_says_what_more_would_bring(
+    course: list[float | None], gain: float | None, light: str | None
+) -> None:
+    subject = campaign(budget={"simulations": 100}, ended_by="budget", spent=Spent(simulations=98))
     subject = subject.model_copy(update={"spec": subject.spec | {"optimizer": {"kind": "surrogate"}}})
-    by_code = verdicts(subject, search=SearchCourse(stalled(*((best, None) for best in course)), {}))
-    assert "ended" in by_code
+    known = Evidence(search=SearchCourse(stalled(*((best, None) for best in course)), {}))
+    by_code = {each.code: each for each in trust(subject, known).verdicts}
+    assert by_code["budget"].numbers == {"used": "98 of 100 simulations"}
     assert (None if gain is None else by_code["outlook"].numbers["gain"]) == gain
+    assert (trust(subject, known).light("search"), by_code["ended"].light) == (light, "neutral")
+    assert lights(subject.model_copy(update={"ended_by": "stagnation"}), search=known.search)["ended"] == "green"
     assert "outlook" not in verdicts(campaign(), search=SearchCourse(stalled((4.0, None), (6.0, None)), {}))
 
 
@@ -241,15 +254,17 @@ def test_a_search_that_its_first_iteration_decided_is_amber(course: Any, given: 
 def test_a_search_that_saw_nearly_all_sets_missed_little(requested: int, grid: int, is_doubted: bool) -> None:
     result = verdicts(campaign(), search=SearchCourse(stalled(*[(6.0, 6.0)] * 5), {}, requested, grid))
     assert ("stood_still" in result) is is_doubted
-    assert result["seen"].numbers["asked"] == str(requested)
+    assert (result["seen"].numbers["asked"], result["seen"].light == "green") == (str(requested), not is_doubted)
 
 
 def test_what_a_search_did_not_see_is_never_green() -> None:
     search = SearchCourse(stalled((4.0, None), (6.0, None)), {"P1": (0.5, 1.0)}, 1000, 10**27)
     result = trust(campaign(**EXACT), Evidence(search=search))
-    assert {each.code: each.light for each in result.verdicts if each.question == "search"} | {"all": result.search} == {
-        "seen": "neutral", "not_converged": "neutral", "still_rising": "neutral", "at_ends": "neutral", "all": None,
+    assert [each.light for each in result.verdicts if each.code == "not_converged"] == ["amber", "neutral"]
+    assert {each.code: each.light for each in result.verdicts if each.question == "search" and each.code != "not_converged"} == {
+        "seen": "neutral", "still_rising": "amber", "at_ends": "amber",
     }  # fmt: skip
+    assert (result.light("search"), result.light("scores")) == ("amber", "green")
 
 
 def test_the_highest_score_in_steps_is_not_doubted() -> None:
@@ -273,7 +288,7 @@ def test_convergence_is_told_by_both_criteria_of_the_paper() -> None:
     result = [
         each for each in trust(campaign(), Evidence(search=SearchCourse(rested, {}))).verdicts if each.code == "converged"
     ]
-    assert [(each.light, each.numbers["iteration"]) for each in result] == [("neutral", 2), ("neutral", 11)]
+    assert [(each.light, each.numbers["iteration"]) for each in result] == [("neutral", 11), ("green", 2)]
 
 
 def test_values_at_an_end_of_their_range_are_named() -> None:

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from drivecal.analysis.verdicts import answers
 from drivecal.calibration_data import cdfx, dcm
 from drivecal.calibration_data.chosen import characteristics_of, figures_of, quality_of
 from drivecal.calibration_data.files import CalibrationFormat, write
@@ -38,11 +39,12 @@ class Data:
 
     def results(self) -> CampaignResults:
         worst = ResultVerdict(code="failed", question="scores", light=self.light or "green", text="Worst.")
-        better = ResultVerdict(code="better_than_baseline", question="search", light="green", text="Better.")
+        better = ResultVerdict(code="better_than_baseline", question="baseline", light="green", text="Better.")
+        verdicts = [worst, better] if self.light else []
         return CampaignResults(
             campaign=self.campaign(),
             setup=self.setup(),
-            trust=ResultTrust(light=self.light, verdicts=[worst, better]),
+            trust=ResultTrust(answers=answers(verdicts, ended=True), verdicts=verdicts),
             studies=[],
         )
 
@@ -110,10 +112,10 @@ def _read(content: bytes, form: str) -> Any:
 
 
 @pytest.mark.parametrize(("light", "state"), [("red", "prelimCalibrated"), ("amber", "calibrated"), ("green", "calibrated")])
-def test_a_set_of_a_campaign_with_a_red_light_is_preliminary(light: Light, state: str) -> None:
+def test_a_set_whose_scores_have_a_red_light_is_preliminary(light: Light, state: str) -> None:
     lines = written(Data(light=light), "dcm").decode().splitlines()
     assert f"* state: {state}" in lines
-    assert f"* light of the set: {light}" in lines
+    assert f"* light of the scores: {light}" in lines
     assert ("* reason 1: Worst." in lines) is (light != "green")
     assert "* reason 2: Better." not in lines
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from drivecal.analysis.verdicts import verdict
+from drivecal.analysis.verdicts import answers, verdict
 from drivecal.cli.views import sections
 from drivecal.cli.views.sections import Table
 from drivecal.contracts.accounting import Accounting, BalanceItem
@@ -17,13 +17,14 @@ def rows_of(blocks: Any) -> list[list[str]]:
     return [[str(value) for value in row] for block in blocks if isinstance(block, Table) for row in block.rows]
 
 
-def test_verdicts_are_listed_by_question() -> None:
-    known = ResultTrust(light="red", verdicts=[verdict("failed", "red", error="no memory"), verdict("not_better", "amber")])
-    light, scores, failed, search, _ = sections.trust_blocks(known)
-    assert "red" in str(light)
-    assert [scores, search] == list(sections.QUESTIONS.values())
-    assert "no memory" in str(failed)
-    assert sections.trust_blocks(ResultTrust(light=None, verdicts=[])) == []
+def test_verdicts_are_listed_below_the_answers_to_their_questions() -> None:
+    given = [verdict("failed", "red", error="no memory"), verdict("not_better", "amber")]
+    scores, failed, baseline, not_better = sections.trust_blocks(
+        ResultTrust(answers=answers(given, ended=True), verdicts=given)
+    )
+    assert [scores, baseline] == ["Are the scores right? No.", "Is it better than the baseline? Not clearly."]
+    assert [failed, not_better] == [f"  {each.light}: {each.text}" for each in given]
+    assert sections.trust_blocks(ResultTrust(answers=[], verdicts=[])) == []
 
 
 def test_an_account_adds_up_in_its_table() -> None:

@@ -3,6 +3,7 @@
 import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from math import prod
 from typing import Any
@@ -16,12 +17,14 @@ from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidence, SearchCourse, trust
 from drivecal.api.responses import campaign_answer
 from drivecal.api.tables.front import bound_text, summary
+from drivecal.api.tables.ranking import ranking
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of, stored_scale
 from drivecal.campaigns.resolve.workbench import bundles_of, find_workbench
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.campaigns.results.front import CampaignFront, baseline_of, front_of
+from drivecal.campaigns.results.optima import alternatives
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Study
 from drivecal.contracts.results import CampaignResults, ResultTrust, StudyResult
@@ -149,6 +152,10 @@ def _trust(
 ) -> ResultTrust:
     with database.read() as connection:
         search = _search(connection, campaign)
+    if search is not None and search.course and campaign.best is not None and campaign.best.alternatives > 1:
+        begun_with = resolved_spec(campaign)
+        ranked = ranking(database, campaign, begun_with, None).ranked
+        search = replace(search, regions=len(set(alternatives(database, ranked, begun_with.space).regions.tolist())))
     known = Evidence(studies=made, search=search, front=_compromises(database, campaign, front), chosen=chosen)
     return trust(campaign_answer(campaign, now(), silent=None), known)
 

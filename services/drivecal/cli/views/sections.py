@@ -16,7 +16,6 @@ from drivecal.domain.scales import Scale, objective_text, told
 
 OUTCOMES = ("simulated", "repeated", "reused", "predicted", "failed")
 """Outcomes of requested cells, frequent ones first."""
-QUESTIONS = {"scores": "Are the scores right?", "search": "Is the search finished?"}
 LOTS_NOTE = (
     "The limit holds for the expected number of errors over all lots together, by the rule that releases them; the 95 % bound is what the "
     "samples of this campaign alone prove, even if all are right: a few samples of a lot prove little about its other answers."
@@ -67,13 +66,11 @@ def shortened(words: str | None) -> str | None:
 
 
 def trust_blocks(trust: ResultTrust) -> list[Block]:
-    """Returns the light of a result, and the verdicts by question, the gravest first; nothing without a verdict."""
-    if not trust.verdicts:
-        return []
-    blocks: list[Block] = [f"Light: {trust.light or 'open until the end'}."]
-    for question, title in QUESTIONS.items():
-        said = [f"  {each.light}: {each.text}" for each in trust.verdicts if each.question == question]
-        blocks += [title, *said] if said else []
+    """Returns the answers about a result, each with its verdicts, the gravest first."""
+    blocks: list[Block] = []
+    for answer in trust.answers:
+        said = [f"  {each.light}: {each.text}" for each in trust.verdicts if each.question == answer.question]
+        blocks += [f"{answer.title} {answer.text}.", *said]
     return blocks
 
 

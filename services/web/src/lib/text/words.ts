@@ -75,11 +75,5 @@ export function sentence(campaign: Moving): string {
   return "Running.";
 }
 
-/** The lights of a result; `open` while its search goes on. */
-export const LIGHTS: Record<"green" | "amber" | "red" | "neutral" | "open", { sign: string; title: string; meaning: string }> = {
-  green: { sign: "✓", title: "Trustworthy", meaning: "Nothing that is known speaks against the result." },
-  amber: { sign: "!", title: "Check first", meaning: "The best set has its scores, but something limits what they mean." },
-  red: { sign: "✕", title: "Do not use", meaning: "There is no result, or its scores are in doubt." },
-  neutral: { sign: "≈", title: "Neutral", meaning: "It speaks neither for nor against the result." },
-  open: { sign: "…", title: "Verdict after the search", meaning: "The light comes when the search has ended." },
-};
+/** The signs of lights; `open` while a search goes on. */
+export const LIGHTS: Record<"green" | "amber" | "red" | "neutral" | "open", string> = { green: "✓", amber: "!", red: "✕", neutral: "≈", open: "…" };
