@@ -58,7 +58,6 @@ PROBLEM = (
     manifest.FmuSimulator,
     highway.HighwaySimulator,
     highway.FmuController,
-    highway.FmuVehicle,
     highway.PlannerController,
     highway.TaskScenario,
     highway.TaskOfEgo,

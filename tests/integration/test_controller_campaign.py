@@ -7,9 +7,9 @@ from typing import Any
 
 import httpx
 import pytest
+from tests.support.lane_keeper import LANE_KEEPER, write_lane_keeper
 from tests.support.motorways import CONTROLLERS, compile_fmu, drive, driven, motorway
 from tests.support.serve import serving
-from tests.support.vehicles import LANE_KEEPER, write_vehicles
 
 from drivecal.bundles.highway_catalogue import MEASURES
 from drivecal.client import Client
@@ -75,7 +75,7 @@ def made(name: str, folder: Path) -> Path:
     controller, parameters = PROBLEMS[name]
     path = motorway(folder / name)
     compile_fmu(path)
-    write_vehicles(path)
+    write_lane_keeper(path)
     manifest = {
         "problem": name,
         "parameters": parameters,

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.lane_keeper import LANE_KEEPER, write_lane_keeper
 from tests.support.motorways import CONTROLLERS, EVERYTHING, PARAMETERS, ROUTE, drive, driven, motorway
 from tests.support.simulators import lost
-from tests.support.vehicles import LANE_KEEPER, VEHICLES, write_vehicles
 
 import drivecal.highway.drive
 import drivecal.highway.vehicle
@@ -34,12 +34,11 @@ def ahead(o, p):
     return [[0.25 * i, o["position"] + o["speed"] * 0.25 * i, 0.0] for i in range(11)]
 """
 PYTHON: dict[str, Any] = {"kind": "python", "file": "steers.py"}
-SESSIONS: dict[str, tuple[dict[str, Any], Any]] = {
-    "acceleration": (CONTROLLERS["python"], "single_track"),
-    "curvature": (LANE_KEEPER, "single_track"),
-    "steering": (PYTHON | {"output": ["steering", "acceleration"]}, "single_track"),
-    "trajectory": (PYTHON | {"function": "ahead", "output": ["trajectory"], "period": 0.2}, "single_track"),
-    "vehicle": (CONTROLLERS["python"], VEHICLES["python"]),
+SESSIONS: dict[str, dict[str, Any]] = {
+    "acceleration": CONTROLLERS["python"],
+    "curvature": LANE_KEEPER,
+    "steering": PYTHON | {"output": ["steering", "acceleration"]},
+    "trajectory": PYTHON | {"function": "ahead", "output": ["trajectory"], "period": 0.2},
 }
 WATCHED = """
 import json, sys
@@ -122,24 +121,21 @@ def control(observation, parameters):
 """A controller whose first child leaves files for the second one."""
 
 
-@pytest.mark.faults("steering", "trajectory", "acceleration", "warm_up", "vehicle")
+@pytest.mark.faults("steering", "trajectory", "acceleration", "warm_up")
 @pytest.mark.parametrize(
     ("kind", "scenario"),
     [(kind, drive(TRAFFIC, 5.0)) for kind in SESSIONS] + [("curvature", drive([], 5.0, **FILLED))],
     ids=[*SESSIONS, "warm_up"],
 )
 def test_every_kernel_is_there_before_a_users_code_is_loaded(kind: str, scenario: dict[str, Any], tmp_path: Path) -> None:
-    controller, vehicle = SESSIONS[kind]
     bundle, scratch = motorway(tmp_path / "bundle"), tmp_path / "scratch"
-    write_vehicles(bundle)
+    write_lane_keeper(bundle)
     (bundle / "steers.py").write_text(STEERS)
     (bundle / "filled.rou.xml").write_text(ENTERING)
     (scratch / "work").mkdir(parents=True)
     for path in bundle.iterdir():
         (scratch / "work" / path.name).symlink_to(path)
-    section = HighwaySimulator.model_validate(
-        {"kind": "highway", "controller": controller, "vehicle": vehicle, "timeout": 60.0}
-    )
+    section = HighwaySimulator.model_validate({"kind": "highway", "controller": SESSIONS[kind], "timeout": 60.0})
     settings = {
         "folder": str(bundle),
         "work": str(scratch / "work"),

@@ -9,15 +9,7 @@ from typing import Any
 
 from drivecal.bundles.archives import MANIFEST, BundleFile
 from drivecal.bundles.expressions import Constraint, Formula
-from drivecal.bundles.highway import (
-    FmuController,
-    FmuVehicle,
-    HighwaySimulator,
-    PlannerController,
-    ProcessController,
-    PythonController,
-    PythonVehicle,
-)
+from drivecal.bundles.highway import FmuController, HighwaySimulator, PlannerController, ProcessController, PythonController
 from drivecal.bundles.highway_checks import (
     files_named,
     measures_problems,
@@ -52,7 +44,7 @@ OWN_FOLDERS = ("HOME", "TMPDIR", "TMP", "TEMP")
 """Variables that name an empty folder for each simulator."""
 _SECRET = re.compile(r"(?!.*_LICENSE).*(PASSWORD|PASSWD|PASSPHRASE|TOKEN|SECRET|CREDENTIAL|APIKEY|_KEY(_|$))", re.IGNORECASE)
 """Names of variables that usually hold secrets. Variables for licences stay allowed."""
-WITH_FILES = (PythonSimulator, FmuSimulator, PythonController, FmuController, PythonVehicle, FmuVehicle)
+WITH_FILES = (PythonSimulator, FmuSimulator, PythonController, FmuController)
 """Sections that name a Python file or an FMU."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _REDUCTION = re.compile(r"(?:last|min|max|mean|integral)\(\s*\S(?:.*\S)?\s*\)")
@@ -311,7 +303,6 @@ def _simulator(simulator: Any, files: Executables | None) -> Iterator[Problem]:
     if isinstance(simulator, HighwaySimulator):
         yield from simulator_problems(simulator)
         yield from _code("simulator.controller", simulator.controller, files)
-        yield from _code("simulator.vehicle", simulator.vehicle, files)
         if isinstance(simulator.controller, ProcessController):
             yield from _command("simulator.controller.command", simulator.controller.command, files)
     if isinstance(simulator, FmuSimulator):
@@ -345,7 +336,7 @@ def _code(field: str, section: Any, files: Executables | None) -> Iterator[Probl
     yield from _file(f"{field}.file", section.file, files)
     if not section.file.endswith(ending):
         yield Problem(f"{field}.file", f"{shown(section.file)} is no {ending} file", f"give the path of a {ending} file")
-    if isinstance(section, PythonSimulator | PythonController | PythonVehicle) and section.wheels is not None:
+    if isinstance(section, PythonSimulator | PythonController) and section.wheels is not None:
         folder = section.wheels.removesuffix("/") + "/"
         named = None if files is None else {folder: False} if any(name.startswith(folder) for name in files) else {}
         yield from _file(f"{field}.wheels", folder, named)
@@ -391,7 +382,7 @@ def script_problems(simulator: AnySimulator, files: Mapping[str, BundleFile]) ->
     """Yields the commands that begin with a script whose first line ends as on Windows: no machine has such an interpreter."""
     parts: list[tuple[str, Any]] = [("simulator", simulator)]
     if isinstance(simulator, HighwaySimulator):
-        parts += [("simulator.controller", simulator.controller), ("simulator.vehicle", simulator.vehicle)]
+        parts.append(("simulator.controller", simulator.controller))
     for part, section in parts:
         for field in ("command", "probe"):
             path = (getattr(section, field, None) or [""])[0].removeprefix("./")

@@ -123,74 +123,21 @@ class VehicleEntry(VehicleValues):
     model: Literal["single_track"] = "single_track"
 
 
-StateName = Literal[
-    "x", "y", "heading", "speed", "side_slip", "yaw_rate", "longitudinal_acceleration", "lateral_acceleration", "steering_angle"
-]
-
-
-def _pose() -> list[StateName]:
-    return ["x", "y", "heading", "speed"]
-
-
-class UserVehicleEntry(VehicleValues):
-    """A vehicle model of the user's. Every 0.01 s it takes a steering angle and an acceleration, and returns its state.
-
-    `state` lists the values that a step returns, in order. The vehicle starts at its own origin, along its x axis. The lane keeper and the
-    tracker control it as if it were a single-track model with the inherited values.
-    """
-
-    state: Annotated[list[StateName], Field(min_length=4, max_length=9, default_factory=_pose)]
-
-
-class PythonVehicle(UserVehicleEntry):
-    """A class, made of parameters, scenario and start speed for each run, with `step(steering, acceleration, dt)`."""
-
-    kind: Literal["python"]
-    file: File
-    function: Identifier = "Vehicle"
-    wheels: File | None = None
-
-
-class FmuVehicle(UserVehicleEntry):
-    """An FMI 2 or 3 co-simulation FMU. Each of its inputs needs a signal, a parameter of the same name, or a constant."""
-
-    kind: Literal["fmu"]
-    file: File
-    """The FMU."""
-    signals: Annotated[dict[SignalName, Variable], Field(max_length=20)]
-    """Its variable for steering, acceleration, each state, and the parameter `start_speed`."""
-    constants: Constants | None = None
-    """Values of further inputs and parameters, for all runs."""
-    reset: bool = True
-    """Between runs the FMU is reset; false: each run has a new process, for FMUs whose reset is missing or leaves something."""
-
-
-UserVehicle = Annotated[PythonVehicle | FmuVehicle, Field(discriminator="kind")]
-
-
-def _form(value: object) -> str:
-    if isinstance(value, UserVehicleEntry) or (isinstance(value, dict) and "kind" in value):
-        return "user"
-    return "values" if isinstance(value, (dict, VehicleEntry)) else "name"
-
-
 class HighwaySimulator(SimulatorEntry):
     """A controlled vehicle among SUMO's vehicles. The traffic moves in steps of `step` (s), a multiple of 0.01, evenly within a step."""
 
     kind: Literal["highway"]
     controller: AnyController
     vehicle: Annotated[
-        Annotated[Literal["single_track"], Tag("name")]
-        | Annotated[VehicleEntry, Tag("values")]
-        | Annotated[UserVehicle, Tag("user")],
-        Discriminator(_form),
+        Annotated[Literal["single_track"], Tag("name")] | Annotated[VehicleEntry, Tag("values")],
+        Discriminator(lambda given: "values" if isinstance(given, (dict, VehicleEntry)) else "name"),
     ] = "single_track"
     step: Annotated[float, Field(ge=0.01, le=0.5)] = 0.1
 
     @property
     def renews(self) -> bool:
         """True if each run has a new process."""
-        return not all(getattr(part, "reset", True) for part in (self.controller, self.vehicle))
+        return not getattr(self.controller, "reset", True)
 
 
 class Placed(Model):

@@ -31,21 +31,6 @@ COMMANDS: Mapping[str, Quantity] = MappingProxyType(
     }
 )
 """Outputs of a controller: acceleration, and curvature or steering; or a trajectory alone."""
-VEHICLE_INPUTS = ("steering", "acceleration")
-VEHICLE_STATES: Mapping[str, Quantity] = MappingProxyType(
-    {
-        "x": Quantity("m", "place along the direction of the start, 0 at the start"),
-        "y": Quantity("m", "place to the left of it"),
-        "heading": Quantity("rad", "heading, 0 at the start, positive to the left; it may jump by whole turns"),
-        "speed": Quantity("m/s", "speed"),
-        "side_slip": Quantity("rad", "course over ground minus heading; else 0"),
-        "yaw_rate": Quantity("rad/s", "yaw rate; else the change of the heading"),
-        "longitudinal_acceleration": Quantity("m/s²", "longitudinal acceleration; else the change of the speed"),
-        "lateral_acceleration": Quantity("m/s²", "lateral acceleration; else speed times yaw rate"),
-        "steering_angle": Quantity("rad", "angle of the front wheels; else the commanded one"),
-    }
-)
-"""States that a user's vehicle gives after a step, with their values if it leaves them out; the first four are needed."""
 PLANNER_PARAMETERS = tuple(f"P{number}" for number in range(1, 12))
 """Parameters of the built-in planner."""
 

@@ -11,7 +11,6 @@ from drivecal.bundles.highway import (
     Described,
     Driver,
     FmuController,
-    FmuVehicle,
     HighwayScenario,
     HighwaySimulator,
     OpenScenario,
@@ -20,7 +19,6 @@ from drivecal.bundles.highway import (
     ProcessController,
     TaskScenario,
     TrafficEntry,
-    UserVehicleEntry,
     VehicleValues,
 )
 from drivecal.bundles.highway_action_checks import actions_problems
@@ -32,8 +30,6 @@ from drivecal.bundles.highway_catalogue import (
     SERIES,
     SIGNALS,
     TYPE_PARAMETERS,
-    VEHICLE_INPUTS,
-    VEHICLE_STATES,
     Quantity,
 )
 from drivecal.contracts.input_errors import nearest, validated
@@ -70,8 +66,6 @@ def simulator_problems(simulator: HighwaySimulator) -> Iterator[Problem]:
         message = f"{period:g} s is neither a multiple nor a part of the simulator's step of {step:g} s"
         yield Problem("simulator.controller.period", message, f"give e.g. {step:g}")
     yield from _outputs(controller)
-    if isinstance(simulator.vehicle, UserVehicleEntry):
-        yield from _vehicle(simulator.vehicle)
     if isinstance(controller, FmuController):
         yield from _signal_table(controller)
     elif isinstance(controller, ProcessController):
@@ -81,27 +75,6 @@ def simulator_problems(simulator: HighwaySimulator) -> Iterator[Problem]:
                 yield Problem(field, f"{shown(name)} is not a signal", nearest(name, list(SIGNALS)))
             elif name in (controller.signals or ())[:index]:
                 yield Problem(field, f"{name} appears twice", "give each signal once")
-
-
-def _vehicle(vehicle: UserVehicleEntry) -> Iterator[Problem]:
-    """Yields the faults of a vehicle of the user's."""
-    state: list[str] = list(vehicle.state)
-    for index, name in enumerate(state):
-        if name in state[:index]:
-            yield Problem(f"simulator.vehicle.state[{index}]", f"{name} is there twice", "give each state once")
-    for name in list(VEHICLE_STATES)[:4]:
-        if name not in state:
-            yield Problem("simulator.vehicle.state", f"{name} is missing", "give x, y, heading and speed at least")
-    if isinstance(vehicle, FmuVehicle):
-        needed = [*VEHICLE_INPUTS, *state, "start_speed"]
-        for name in needed:
-            if name not in vehicle.signals:
-                remedy = f"add `{name}: VARIABLE`"
-                yield Problem("simulator.vehicle.signals", f"the FMU's variable for {name} is missing", remedy)
-        for name in vehicle.signals:
-            if name not in needed:
-                remedy = nearest(name, needed)
-                yield Problem(f"simulator.vehicle.signals.{shown(name)}", "there is no such signal of a vehicle", remedy)
 
 
 def _outputs(controller: AnyController) -> Iterator[Problem]:

@@ -11,29 +11,26 @@ from drivecal.domain.errors import UnavailableError
 from drivecal.plugins.simulators import Declared, UnsuitableError
 
 CONTROLLER = {"kind": "fmu", "file": "acc.fmu", "signals": {"acceleration": "y"}, "output": ["acceleration"]}
-VEHICLE = {"kind": "fmu", "file": "car.fmu", "signals": {}}
 
 
 @pytest.mark.parametrize(
-    ("controller", "vehicle", "most_runs"),
+    ("controller", "most_runs"),
     [
-        (CONTROLLER, "single_track", kinds.MOST_FMU_RUNS),
-        (CONTROLLER | {"reset": True}, VEHICLE | {"reset": True}, kinds.MOST_FMU_RUNS),
-        (CONTROLLER | {"reset": False}, "single_track", 1),
-        (CONTROLLER, VEHICLE | {"reset": False}, 1),
-        ({"kind": "python", "file": "acc.py"}, "single_track", kinds.MOST_HIGHWAY_RUNS),
-        ({"kind": "python", "file": "acc.py"}, VEHICLE | {"reset": False}, 1),
+        (CONTROLLER, kinds.MOST_FMU_RUNS),
+        (CONTROLLER | {"reset": True}, kinds.MOST_FMU_RUNS),
+        (CONTROLLER | {"reset": False}, 1),
+        ({"kind": "python", "file": "acc.py"}, kinds.MOST_HIGHWAY_RUNS),
     ],
 )
-def test_a_part_that_is_not_reset_has_a_child_for_each_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, controller: dict[str, Any], vehicle: Any, most_runs: int
+def test_a_controller_that_is_not_reset_has_a_child_for_each_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, controller: dict[str, Any], most_runs: int
 ) -> None:
     opened: list[dict[str, Any]] = []
     monkeypatch.setattr(kinds, "ProcessSession", lambda *_, **settings: opened.append(settings))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # nobody removes the folder of a session that does not open
-    for name in ("acc.fmu", "acc.py", "car.fmu", "road.net.xml"):
+    for name in ("acc.fmu", "acc.py", "road.net.xml"):
         (tmp_path / name).touch()
-    section = {"controller": controller, "vehicle": vehicle, "timeout": 1.0, "memory_mb": 100}
+    section = {"controller": controller, "vehicle": "single_track", "timeout": 1.0, "memory_mb": 100}
     kinds.simulator("highway").open(section, "S", {"network": "road.net.xml"}, tmp_path, Declared("trial", ("energy_kwh",)))
     assert [settings["most_runs"] for settings in opened] == [most_runs]
 

@@ -11,7 +11,7 @@ from drivecal.bundles.highway import FmuController, HighwayScenario, HighwaySimu
 from drivecal.bundles.highway_checks import scenarios_problems, simulator_problems
 
 PAGE = Path(catalogue.__file__).with_name("highway.md")
-TABLES = (catalogue.COMMANDS, catalogue.VEHICLE_STATES, catalogue.SIGNALS, catalogue.MEASURES, catalogue.SERIES)
+TABLES = (catalogue.COMMANDS, catalogue.SIGNALS, catalogue.MEASURES, catalogue.SERIES)
 
 
 def test_every_table_is_that_of_the_catalogue() -> None:

@@ -225,37 +225,6 @@ def test_faults_of_trajectories_are_named(controller: dict[str, Any], field: str
     assert faults(changed("simulator/controller", controller), FILES) == {f"simulator.{field}"}
 
 
-CAR = {"kind": "python", "file": "acc.py"}
-FMU_CAR = {
-    "kind": "fmu",
-    "file": "acc.fmu",
-    "signals": {name: name for name in ("steering", "acceleration", "x", "y", "heading", "speed", "start_speed")},
-}
-
-
-def test_vehicles_of_users_pass() -> None:
-    for vehicle in (CAR, CAR | {"mass": 1200}, FMU_CAR):
-        assert checked(changed("simulator/vehicle", vehicle), FILES)
-
-
-@pytest.mark.parametrize(
-    ("vehicle", "field"),
-    [
-        (CAR | {"file": "car.py"}, "file"),
-        (CAR | {"state": ["x", "y", "heading", "yaw_rate"]}, "state"),
-        (CAR | {"state": ["x", "y", "heading", "speed", "x"]}, "state[4]"),
-        (CAR | {"state": ["x", "y", "heading", "fast"]}, "state[3]"),
-        (FMU_CAR | {"signals": {name: name for name in FMU_CAR["signals"] if name != "steering"}}, "signals"),
-        (FMU_CAR | {"signals": {name: name for name in FMU_CAR["signals"] if name != "start_speed"}}, "signals"),
-        (FMU_CAR | {"signals": dict.fromkeys([*FMU_CAR["signals"], "gap"], "u")}, "signals.gap"),
-        ({"kind": "tank"}, "kind"),
-        ({"model": "single_track", "kind": "python", "file": "acc.py"}, "model"),
-    ],
-)  # fmt: skip
-def test_faults_of_vehicles_are_named(vehicle: dict[str, Any], field: str) -> None:
-    assert faults(changed("simulator/vehicle", vehicle), FILES) == {f"simulator.vehicle.{field}"}
-
-
 def test_a_setup_holds_the_version_of_sumo(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another SUMO may give other bits: its results are kept apart."""
     said = setup_document(checked(VALID), "merge", "")

@@ -156,11 +156,9 @@ def _open_highway(
 ) -> SimulatorSession:
     """Starts the child, which reads the network, loads SUMO and starts the controller."""
     folder, controller = folder.resolve(), section["controller"]
-    vehicle = section["vehicle"] if isinstance(section["vehicle"], Mapping) else {}
-    parts = (controller, vehicle)
-    has_fmu = any(part.get("kind") == "fmu" for part in parts)
+    has_fmu = controller["kind"] == "fmu"
     network = network_file(data["network"]) if "network" in data else None
-    files = [part.get(key) for part in parts for key in ("file", "wheels")]
+    files = [controller.get(key) for key in ("file", "wheels")]
     _refuse_missing(folder, (network, data.get("routes"), data.get("openscenario"), *files))
     _refuse_without("libsumo", "numba", *(["fmpy"] if has_fmu else []))
     kernels = os.environ.get("NUMBA_CACHE_DIR")
@@ -180,9 +178,8 @@ def _open_highway(
             "series": list(declared.series),
             "parameters": dict(declared.parameters),
         }
-        for part in parts:
-            if part.get("kind") == "process":
-                check_command(part["command"], scratch.work)
+        if controller["kind"] == "process":
+            check_command(controller["command"], scratch.work)
         text = json.dumps(settings, allow_nan=False)
         file = scratch.keep("highway.json", text)  # may be larger than a command line
         # An earlier child can change the file; a later one refuses it then.
@@ -195,7 +192,7 @@ def _open_highway(
             timeout=section["timeout"],
             scenario=scenario,
             data={},
-            most_runs=most_runs if all(part.get("reset", True) for part in parts) else 1,
+            most_runs=most_runs if controller.get("reset", True) else 1,
             replays=True,
             blames_files=True,
         )

@@ -7,7 +7,7 @@ from itertools import islice
 from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.fmus.checks import input_notes, section_problems, unit_notes, unit_problems, value_problems
 from drivecal.bundles.fmus.description import read_fmu
-from drivecal.bundles.highway import FmuController, FmuVehicle, HighwaySimulator
+from drivecal.bundles.highway import FmuController, HighwaySimulator
 from drivecal.bundles.manifest import FmuSimulator, Manifest
 from drivecal.domain.errors import InvalidInputError, Problem
 
@@ -65,13 +65,10 @@ def fields_of_resets(manifest: Manifest) -> list[str]:
     return [] if manifest.simulator.renews else [field for field, _ in fmu_sections(manifest)]
 
 
-def fmu_sections(manifest: Manifest) -> Iterator[tuple[str, FmuSimulator | FmuController | FmuVehicle]]:
+def fmu_sections(manifest: Manifest) -> Iterator[tuple[str, FmuSimulator | FmuController]]:
     """Yields the parts of a problem that are FMUs, with their fields."""
     simulator = manifest.simulator
     if isinstance(simulator, FmuSimulator):
         yield "simulator", simulator
-    elif isinstance(simulator, HighwaySimulator):
-        if isinstance(simulator.controller, FmuController):
-            yield "simulator.controller", simulator.controller
-        if isinstance(simulator.vehicle, FmuVehicle):
-            yield "simulator.vehicle", simulator.vehicle
+    elif isinstance(simulator, HighwaySimulator) and isinstance(simulator.controller, FmuController):
+        yield "simulator.controller", simulator.controller

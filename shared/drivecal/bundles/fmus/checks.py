@@ -24,11 +24,11 @@ LARGEST_FLOAT32 = (2 - 2**-23) * 2.0**127
 def section_problems(
     field: str, section: Mapping[str, Any], description: FmuDescription, parameters: Mapping[str, str]
 ) -> Iterator[Problem]:
-    """Yields what does not fit between an FMU and the `section` of a controller or vehicle.
+    """Yields what does not fit between an FMU and the `section` of a controller.
 
     Args:
         field: The section's place in the manifest.
-        section: Of a controller or vehicle.
+        section: Of a controller.
         description: The FMU.
         parameters: Units of the problem's parameters by name.
     """
@@ -68,7 +68,7 @@ def unit_notes(description: FmuDescription, parameters: Mapping[str, str]) -> It
 
 
 def input_notes(field: str, section: Mapping[str, Any], description: FmuDescription) -> Iterator[str]:
-    """Yields a note for each input that the `section` of a controller or vehicle leaves out and that no manifest can give."""
+    """Yields a note for each input that the `section` of a controller leaves out and that no manifest can give."""
     given = set(section["signals"].values())
     for variable in description.variables:
         if variable.causality == "input" and not variable.is_settable and variable.name not in given:
@@ -85,7 +85,7 @@ def _parameters(description: FmuDescription, parameters: Mapping[str, str]) -> I
 
 def _signals(field: str, section: Mapping[str, Any], variables: Mapping[str, FmuVariable]) -> Iterator[Problem]:
     """Yields the signals whose variables have the wrong direction."""
-    read = section.get("output") or section["state"]
+    read = section["output"]
     for name, variable in section["signals"].items():
         if variable not in variables:
             continue  # named by the check of all names

@@ -230,25 +230,6 @@ def test_a_parameter_without_a_unit_is_noted_with_that_of_the_fmu(description: s
     assert "km/h" in noted[0]
 
 
-def test_the_inputs_of_a_vehicle_need_values_as_well() -> None:
-    names = ("steering", "acceleration", "x", "y", "heading", "speed", "start_speed")
-    variable = '<ScalarVariable name="{}" valueReference="1" causality="{}"><Real/></ScalarVariable>'
-    causalities = {"steering": "input", "acceleration": "input", "start_speed": "parameter", "road_grip": "input"}
-    variables = "".join(variable.format(name, causalities.get(name, "output")) for name in (*names, "road_grip"))
-    description = (
-        SECOND[: SECOND.index("<ModelVariables>")] + f"<ModelVariables>{variables}</ModelVariables></fmiModelDescription>"
-    )
-    given = problem()
-    vehicle = {"kind": "fmu", "file": "car.fmu", "signals": dict(zip(names, names, strict=True))}
-    given["simulator"] |= {"controller": {"kind": "python", "file": "acc.py", "output": ["acceleration"]}, "vehicle": vehicle}
-    files = {"car.fmu": file_of(description)}
-    with pytest.raises(InvalidInputError) as refusal:
-        check_fmus(checked(given), files)
-    assert [entry.field for entry in refusal.value.problems] == ["simulator.vehicle.constants"]
-    given["simulator"]["vehicle"] = vehicle | {"constants": {"road_grip": 0.9}}
-    assert check_fmus(checked(given), files) == ()
-
-
 @pytest.mark.parametrize("compression", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_an_fmu_that_cannot_be_read_is_left_to_the_worker(compression: int) -> None:
     whole = BytesIO()
@@ -353,23 +334,17 @@ def test_an_fmu_of_a_stranger_is_checked_in_seconds() -> None:
 
 
 def test_resets_and_constants_of_fmus_are_part_of_a_setup() -> None:
-    vehicle = {"kind": "fmu", "file": "car.fmu", "signals": {}}
 
     def section(**fields: Any) -> Any:
         given = problem(constants=None)
-        given["simulator"]["vehicle"] = vehicle | {
-            "signals": {name: name for name in ("steering", "acceleration", "x", "y", "heading", "speed", "start_speed")}
-        }
-        for part in ("controller", "vehicle"):
-            given["simulator"][part] |= fields
-        return setup_document(checked(given), "S", "f")["simulator"]
+        given["simulator"]["controller"] |= fields
+        return setup_document(checked(given), "S", "f")["simulator"]["controller"]
 
     plain = section()
     assert section(reset=True) == plain
-    for part in ("controller", "vehicle"):
-        assert "constants" not in plain[part]
-        assert section(reset=False)[part] == plain[part] | {"reset": False}
-        assert section(constants={"a": 1})[part] == plain[part] | {"constants": {"a": 1.0}}
+    assert "constants" not in plain
+    assert section(reset=False) == plain | {"reset": False}
+    assert section(constants={"a": 1}) == plain | {"constants": {"a": 1.0}}
 
 
 @pytest.mark.parametrize(("reset", "renews"), [(None, False), (True, False), (False, True)])

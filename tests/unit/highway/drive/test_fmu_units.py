@@ -1,4 +1,4 @@
-"""Units that controllers and vehicles in FMUs state, against those of signals, commands and states."""
+"""Units that controllers in FMUs state, against those of signals and commands."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,9 +10,8 @@ import pytest
 
 from drivecal.adapters.driver import UnusableError
 from drivecal.adapters.fmu_driver import Fmu
-from drivecal.highway.drive import controllers, plants
+from drivecal.highway.drive import controllers
 from drivecal.highway.drive.controllers import FmuControl
-from drivecal.highway.drive.plants import FmuPlant
 
 UNITS = """<UnitDefinitions>
 <Unit name="mps"><BaseUnit m="1" s="-1"/></Unit><Unit name="kmh"><BaseUnit m="1" s="-1" factor="0.2777777777777778"/></Unit>
@@ -45,7 +44,6 @@ class Described(Fmu):
 @pytest.fixture(autouse=True)
 def _described(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(controllers, "Fmu", Described)
-    monkeypatch.setattr(plants, "Fmu", Described)
 
 
 @pytest.fixture(params=VERSIONS)
@@ -122,28 +120,3 @@ def test_an_input_that_nothing_gives_is_refused_when_a_session_opens(described: 
     assert controller(file, {"enable": "1"})
     with pytest.raises(UnusableError, match=r"simulator\.controller\.constants\.enabled: .*enable"):
         controller(file, constants={"enable": 1.0, "enabled": 1.0})
-
-
-STATE = ["x", "y", "heading", "speed"]
-SIGNALS = {name: name for name in ("steering", "acceleration", "x", "y", "heading", "speed", "start_speed")}
-
-
-@pytest.mark.parametrize("name", SIGNALS)
-def test_a_vehicle_s_inputs_states_and_start_speed_have_units(described: Callable[..., Path], name: str) -> None:
-    variables = dict.fromkeys(SIGNALS, "")
-    section = {"signals": SIGNALS, "state": STATE}
-    assert FmuPlant(described(**variables), Path(), section)
-    with pytest.raises(UnusableError, match=rf"the variable {name} is in deg "):
-        FmuPlant(described(**(variables | {name: 'unit="deg"'})), Path(), section)
-
-
-def test_an_input_of_a_vehicle_that_nothing_gives_is_refused(described: Callable[..., Path]) -> None:
-    file = described(**(dict.fromkeys(SIGNALS, "") | {"grip": ""}))
-    text = file.read_text()
-    for written in ('<ScalarVariable name="grip"', '<Float64 name="grip"'):
-        text = text.replace(written, f'{written} causality="input"')
-    file.write_text(text)
-    section = {"signals": SIGNALS, "state": STATE}
-    with pytest.raises(UnusableError, match=r"simulator\.vehicle\.constants: .*grip"):
-        FmuPlant(file, Path(), section)
-    assert FmuPlant(file, Path(), section | {"constants": {"grip": 0.9}})

@@ -21,9 +21,9 @@ def vehicle(speed: float = 25.0) -> SingleTrackModel:
 def drive(model: SingleTrackModel, dynamics: np.ndarray, acceleration: float = 0.0, **lateral: float) -> bool:
     """Drives by a `steering` angle or a `curvature`."""
     ((by, value),) = lateral.items()
-    return model.drive(
-        {"steering": kernels.STEERING, "curvature": kernels.CURVATURE}[by], value, acceleration, NO_PATH, 0.0, dynamics
-    )
+    kind = {"steering": kernels.STEERING, "curvature": kernels.CURVATURE}[by]
+    stable: bool = kernels.drive(*model.arrays, kind, value, acceleration, NO_PATH, 0.0, len(dynamics), dynamics)
+    return stable
 
 
 def arc(radius: float, speed: float, seconds: float) -> np.ndarray:
@@ -71,7 +71,7 @@ def test_a_path_is_kept_whatever_the_acceleration() -> None:
     model = vehicle()
     path = arc(400.0, 25.0, 12.0)
     for tenth in range(100):
-        assert model.drive(kernels.PATH, 0.0, 0.0, path, 0.1 * tenth, np.zeros((10, 5)))
+        assert kernels.drive(*model.arrays, kernels.PATH, 0.0, 0.0, path, 0.1 * tenth, 10, np.zeros((10, 5)))
     x, y = model.pose[:2]
     assert abs(math.hypot(x, y - 400.0) - 400.0) < 0.1
 

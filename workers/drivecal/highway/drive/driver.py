@@ -35,12 +35,11 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
             f"the library of SUMO was {settings['sumo']} when the worker opened this scenario, and is {installed} in its new process;"
             " install the former again, or restart the server and submit the campaign again"
         )
-    from drivecal.bundles.highway import HighwaySimulator, UserVehicleEntry, VehicleValues
+    from drivecal.bundles.highway import HighwaySimulator, VehicleValues
     from drivecal.bundles.traffic.description import described_in
     from drivecal.highway.drive.controllers import controller
     from drivecal.highway.drive.loop import Loop
     from drivecal.highway.drive.measures import measures, series
-    from drivecal.highway.drive.plants import UserVehicleModel, plant_of
     from drivecal.highway.drive.rehearsal import hold, rehearse
     from drivecal.highway.drive.replay import DriveRecorder
     from drivecal.highway.drive.road import HighwayRoad
@@ -74,11 +73,6 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     work, units = Path(settings["work"]), settings["parameters"]
     checked = controller(section, folder, work, scratch, settings["data"], simulator.step, units)
     control = control_of(checked, simulator.controller.output, road, section.get("period", simulator.step))
-    if isinstance(simulator.vehicle, UserVehicleEntry):
-        print("the vehicle starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
-        entry = simulator.vehicle.model_dump(mode="json", exclude_none=True)
-        plant = plant_of(entry, folder, scratch, settings["data"], units)
-        vehicle = UserVehicleModel(plant, simulator.vehicle.state, parameters)
     loop = Loop(traffic, vehicle, control)
     loop.prepare()
 

@@ -14,7 +14,6 @@ from drivecal.highway.drive import geometry
 from drivecal.highway.drive.control import Control, RunView
 from drivecal.highway.drive.geometry import S, path_of
 from drivecal.highway.drive.measures import TICK, Record, distance_at_limit
-from drivecal.highway.drive.plants import UserVehicleModel
 from drivecal.highway.drive.traffic import Traffic
 from drivecal.highway.geometry import hit
 from drivecal.highway.vehicle import equations, kernels
@@ -174,7 +173,7 @@ class Loop:
         """
         line, lanes, dynamics, motion, pose = self._road.line, self._road.lanes, self._dynamics, self._motion, self._pose
         samples, tick, track = self._count, self._tick, int(motion.item(geometry.TRACK))
-        if isinstance(vehicle, SingleTrackModel) and type(vehicle).follow is SingleTrackModel.follow:
+        if isinstance(vehicle, SingleTrackModel):
             state, plant, controller = vehicle.arrays
 
             def move(trajectory: Floats, since: float, lateral: float, acceleration: float, index: int) -> int:
@@ -189,13 +188,9 @@ class Loop:
             return move
 
         def move_by_port(trajectory: Floats, since: float, lateral: float, acceleration: float, index: int) -> int:
+            del lateral, acceleration
             rows = dynamics[index * samples : (index + 1) * samples]
-            if by == TRAJECTORY or not isinstance(vehicle, SingleTrackModel):
-                stable = vehicle.follow(trajectory, since, tick, rows)
-            else:
-                if by == PATH:
-                    path_of(line, lanes, track, motion.item(S), pose.item(3), trajectory)
-                stable = vehicle.drive(by, lateral, acceleration, trajectory, 0.0, rows)
+            stable = vehicle.follow(trajectory, since, tick, rows)  # installed vehicles have planners
             pose[:] = vehicle.pose
             motion[geometry.STEERING] = rows[-1, 4]
             on_road = geometry.place(line, lanes, pose, motion.item(S), motion)
@@ -216,8 +211,6 @@ class Loop:
         traffic, vehicle, control, view, motion = self._traffic, self._vehicle, self._control, self._view, self._motion
         per_step, per_period, tick, finish = self._ticks_per_step, self._ticks_per_period, self._tick, self._finish
         traffic.reset(is_warm=is_warm)
-        if isinstance(vehicle, UserVehicleModel):
-            vehicle.begin(parameters)
         self._begin()
         pose, act, advance, settle = self._pose, control.act, traffic.advance, geometry.settle
         line, lanes, rows, at = self._road.line, self._road.lanes, self._rows, motion.data

@@ -12,12 +12,11 @@ from typing import Any
 import numba
 
 from drivecal.adapters.confinement import confine, ruleset
-from drivecal.bundles.highway import HighwaySimulator, UserVehicleEntry
+from drivecal.bundles.highway import HighwaySimulator
 from drivecal.highway.drive.controllers import Checked, Controller, ControllerError
 from drivecal.highway.drive.geometry import NAMES
 from drivecal.highway.drive.loop import Loop, StartError
 from drivecal.highway.drive.measures import measures
-from drivecal.highway.drive.plants import prepare_trackers
 from drivecal.highway.drive.traffic import Traffic, TrafficError
 from drivecal.highway.drive.trajectories import control_of
 from drivecal.highway.vehicle.model import SingleTrackModel
@@ -48,8 +47,6 @@ def rehearse(simulator: HighwaySimulator, traffic: Traffic, model: SingleTrackMo
     control = control_of(
         Checked(_Straight(controller.output, period), controller.output), controller.output, traffic.road, period
     )
-    if isinstance(simulator.vehicle, UserVehicleEntry):
-        prepare_trackers(model)
     loop = Loop(traffic, model, control)
     loop.prepare()
     with suppress(ControllerError, TrafficError):  # the user's run tells of what is wrong

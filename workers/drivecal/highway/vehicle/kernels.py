@@ -9,16 +9,7 @@ import numpy as np
 
 from drivecal.highway.compilation import compiled_with
 from drivecal.highway.vehicle import equations
-from drivecal.highway.vehicle.equations import (
-    DRIVE_LAG,
-    DYNAMIC_ABOVE,
-    HIGHEST_ACCELERATION,
-    LOWEST_ACCELERATION,
-    STEERING_LAG,
-    STEERING_LIMIT,
-    STEP,
-    move,
-)
+from drivecal.highway.vehicle.equations import DRIVE_LAG, DYNAMIC_ABOVE, STEERING_LAG, STEP, move
 from drivecal.highway.vehicle.parameters import SingleTrackParameters, understeer_gradient
 from drivecal.plugins.ports import Floats
 
@@ -228,27 +219,3 @@ def drive(
             return False
         _record(state, dynamics, k)
     return True
-
-
-@compiled
-def commands(
-    state: Floats, controller: Floats, by: int, lateral: float, acceleration: float, path: Floats, time: float
-) -> tuple[float, float]:
-    """Returns the steering angle and the acceleration with which `drive`, or `follow` with TRAJECTORY, would move the plant at a time of
-    the path, cut off at the actuators' limits: for plants that are not the single-track model.
-    """
-    steering = lateral
-    if by >= PATH:
-        spacing = path[1, 0] - path[0, 0]
-        row = _row_due(path, time, spacing)
-        position_error, lateral_error, course_error = _errors(state, path, time, spacing, row, _directions(path, row))
-        steering = _steering(state, controller, lateral_error, course_error, path, time, spacing)
-        if by == TRAJECTORY:
-            acceleration = _acceleration(state, position_error, course_error, path, time, spacing)
-    elif by == CURVATURE:
-        v = max(state[3], DYNAMIC_ABOVE)
-        steering = (controller[0] + controller[1] * v * v) * (lateral + YAW_RATE_GAIN * (lateral - state[5] / v))
-    return (
-        min(max(steering, -STEERING_LIMIT), STEERING_LIMIT),
-        min(max(acceleration, LOWEST_ACCELERATION), HIGHEST_ACCELERATION),
-    )

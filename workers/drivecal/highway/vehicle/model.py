@@ -52,15 +52,6 @@ class SingleTrackModel:
             raise ValueError(f"the trajectory does not cover {since} s to {since + duration} s after its start")
         return bool(status == kernels.FOLLOWED)
 
-    def drive(self, by: int, lateral: float, acceleration: float, path: Floats, since: float, dynamics: Floats) -> bool:
-        """Drives at constant commands for 0.01 s per row of `dynamics`, as `kernels.drive`; returns False if the vehicle became unstable.
-
-        `dynamics` has the columns of `follow`.
-        """
-        return kernels.drive(
-            self._state, self._plant, self._controller, by, lateral, acceleration, path, since, len(dynamics), dynamics
-        )
-
 
 class HybridModel(SingleTrackModel):
     """The single-track vehicle with a neural residual, which is the same for all `parameters`.
