@@ -1,7 +1,7 @@
-"""The sensitivity analysis of a campaign as ask/tell in phases: intervals, confirmation of what is cut, global analysis in what is left,
-confirmation over the whole range of the parameters that only the global analysis found without influence.
+"""The sensitivity analysis of a campaign as ask/tell. Its phases are the intervals, a confirmation of the cut regions, and the global
+analysis in the rest. A parameter that only the global analysis finds without influence gets a confirmation over its whole range.
 
-Nothing is saved: an analysis recreated from the same arguments that receives the scores of all finished phases again continues
+Nothing is saved. An analysis that is recreated from the same arguments, and receives the scores of all finished phases again, continues
 exactly as this one would.
 
 Intervals may be run sequentially, from both ends inwards to the first influential interval on each side. The cut regions follow from these

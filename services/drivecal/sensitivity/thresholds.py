@@ -1,10 +1,10 @@
 """Settings of an analysis, and thresholds from which a parameter counts: on s_rel, on |mu| and sigma, or derived (`auto`).
 
-`auto` starts from what a score with steps does to s_rel. With a tolerance of one step and a range of r steps, a change by the tolerance
-between two runs is an effect of 1/(r d) for a step d of the parameter, however little the rating behind it moved, and s_rel is about the
-root mean square of the effects. So s_rel mainly counts changed runs: k such changes in n effects give s_rel = sqrt(k / (n - 1)) / (r d)
-nearly. In an interval of a tenth of the range that is ten times as much as in the whole range; one number for both either lets every
-change count in the interval or next to none in the whole range. `auto` therefore fixes the number of tolerated changes, not s_rel:
+`auto` starts from the effect of a score with steps on s_rel. Take a tolerance of one step and a range of r steps. A change by the tolerance
+between two runs is then an effect of 1/(r d) for a step d of the parameter, even if the rating behind it hardly moved. s_rel is about the
+root mean square of the effects. So s_rel mainly counts changed runs: k such changes in n effects give about sqrt(k / (n - 1)) / (r d). In
+an interval of a tenth of the range, that is ten times as much as in the whole range. With one number for both, either every change counts
+in the interval or hardly any in the whole range. `auto` therefore fixes the number of tolerated changes, not s_rel:
 
 * The paper accepts a change by the tolerance in a reused result (Equation 8), and calls a rate of 1.08 % negligible (Table 2). `auto`
   tolerates the least number of changes that n effects do not exceed, with a probability of at least 95 %, at a rate of 1 %: none up to
@@ -132,9 +132,9 @@ def is_surely_influential(
     `effects` and `steps` belong to the finished runs, shape (n,); failed runs have NaN effects. `missing` has the steps of the other runs.
 
     With S the sum of squares of n effects, s_rel^2 = (S - mean^2) / (n - 1), and mean^2 <= S / n, so s_rel^2 >= S / n. S only grows. A
-    number is certainly reached if S >= n threshold^2 for the largest possible n; `auto` if (1 - 1/n) S >= (m + 1/2) mean(e^2) for every
-    possible n and the shortest missing steps, with e the effects of changes by the tolerance. Squared deviations from the mean only grow
-    as well, which settles a threshold on sigma; mu may still return to 0.
+    number is certainly reached if S >= n threshold^2 for the largest possible n. `auto` is reached if (1 - 1/n) S >= (m + 1/2) mean(e^2)
+    for every possible n and the shortest missing steps; e are the effects of changes by the tolerance. Squared deviations from the mean
+    only grow as well, which settles a threshold on sigma; mu may still return to 0.
     """
     failed = np.isnan(effects)
     known, steps = effects[~failed], steps[~failed]

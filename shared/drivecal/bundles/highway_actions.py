@@ -20,9 +20,9 @@ class Condition(Model):
     """A condition of an action: a `quantity` is `above` or `below` a value, or other actions, by id, have `begun` or are `done`.
 
     `time` is in s. `speed` (m/s), `s` (m, along the scenario's route) and `travelled` (m, since the start) belong to `vehicle`, by default
-    the acting vehicle. `gap` (m, along the road), `headway` (s, if `to` is ahead) and `ttc` (s, if they approach each other) lead from it
-    to the vehicle `to`, by default ego. They are measured between bumpers, or with `centres` between centres. `distance` (m) is the least
-    distance in the last step from the vehicle's centre to the point at `s` (m) of the scenario's route, `d` (m) to the left of its line.
+    the acting vehicle. `gap` (m, along the road), `headway` (s) and `ttc` (s) lead from it to the vehicle `to`, by default ego: between
+    bumpers, or with `centres` between centres. `headway` needs `to` ahead, `ttc` vehicles that approach each other. `distance` (m)
+    leads from the vehicle's centre to the point at `s` (m) of the scenario's route, `d` (m) to its left; its least in a step counts.
 
     A `rising` condition must have been false in the step before. With `delay` (s, in whole steps), its state of that time ago counts.
     """

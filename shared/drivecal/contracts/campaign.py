@@ -117,12 +117,12 @@ class CellsByStage(Answer):
 class ErrorRate(Answer):
     """Results of the self-check in a scenario. Audited answers with any change are `different`, beyond the tolerance `wrong`.
 
-    `contradictions` counts reference keys under which simulated results have different scores: the campaign's own results, or the
-    references of their keys. Among the `lots` of reused answers, the `rejected` ones were simulated whole. `stopped` is always false.
+    `contradictions` counts reference keys with different simulated scores, among the campaign's results and their references. Of the `lots`
+    of reused answers, the `rejected` ones were simulated whole. `stopped` is always false.
 
-    R_err is wrong / audited. Lots are sampled in different shares: with lots, R_err is no estimate for all answers. `upper_95` is the upper
-    end of the 95 % Clopper-Pearson interval of R_err, or with lots a time-uniform upper limit of the share of wrong answers among the
-    released ones. It is null before the first audit (with lots: release), and for several runs with lots."""
+    R_err is wrong / audited. Lots are sampled in different shares: with lots, R_err is no estimate for all answers. Without lots,
+    `upper_95` is the upper end of the 95 % Clopper-Pearson interval of R_err; null before the first audit. With lots, it is a time-uniform
+    upper limit of the share of wrong answers among the released ones; null before the first release, and for several runs."""
 
     audited: int = 0
     different: int = 0
@@ -198,7 +198,7 @@ class Baseline(Answer):
 
 class Confirmation(Answer):
     """Simulation of the best set of a search, or of its front, because scores may be copies. `confirmed`: all its scores were simulated;
-    `untried`: so were they, but sets with a better believed score were not simulated; `unconfirmed`: a score is still a copy.
+    `untried`: likewise, but a set with better copied or predicted scores was not; `unconfirmed`: a score is still a copy.
 
     `tried` counts the simulated sets, `dismissed` the sets that a prediction alone ruled out. `objective` is the best set's, `believed` is
     the best at the end of the search, `reach` is an untried set's; all three are null for a front. `copied` lists the scenarios of the

@@ -311,9 +311,9 @@ class RobustnessSpecification(Model):
 class ValidationSpecification(Model):
     """A check of results that the influence map allows to reuse (Section V), or of released predictions `of` an ended campaign.
 
-    A Latin hypercube of `samples` sets is drawn, then of twice as many, up to `largest`, until the sets that qualify for a reduction cover
-    all effects of the reducible parameters. Each is compared with `references` variants. To check predictions, `samples` of them are
-    simulated in each scenario.
+    Latin hypercubes of `samples`, twice as many, ... at most `largest` sets are drawn until their sets with a reduction cover all effects
+    of the reducible parameters. Each of these is compared with `references` variants. To check predictions, `samples` of them are simulated
+    in each scenario.
     """
 
     samples: Annotated[int, Field(ge=1, le=1_000_000)] = 200

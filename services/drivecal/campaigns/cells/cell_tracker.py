@@ -144,8 +144,8 @@ class CellTracker:
         self.budget, self._counts_starts = RunBudget(runs - self._counts["runs"] + self._counts["lost"], kept), True
 
     def load(self, connection: Connection, *, share_runs: bool, benches: Sequence[Bench] = ()) -> list[Work]:
-        """Loads the cells that wait for an answer, draws the samples of new lots, and returns the work to simulate, without the cells that
-        this tracker returned before.
+        """Loads the cells that wait for an answer, and draws the samples of new lots. Returns the work to simulate, without cells that it
+        returned before.
 
         Predictions must be committed before their sample is drawn, so store new predictions in an earlier transaction.
 
