@@ -102,7 +102,7 @@ MOTORWAY_TEXT = """\
 # The built-in motorway
 
 The planner takes the candidate of lowest cost. Each parameter weighs a term of the cost (a mean over the planned seconds), so only their
-proportions matter. The ranges are those of the paper's Table 6; the meanings are ours.
+proportions matter. The ranges come from the paper's Table 6; the meanings are ours.
 
 PARAMETERS
 

@@ -46,9 +46,9 @@ LONG_FILES = {
     *("test_problems_whole_way.py", "test_tutorials.py", "test_notebooks.py"),
     "test_hostile_drives.py",
 }
-"""Files that take most of a minute: those of `make test`, and further ones of `make test-slow`."""
+"""Files that take most of a minute, in `make test` or only in `make test-slow`."""
 SUITES = ("compose", "faults", "browser", "integration", "contract", "golden", "architecture", "unit")
-"""From those with long files to those with short ones."""
+"""Suites with long files come first."""
 
 
 MARKERS = ("slow", "faults", "compose", "packages")
@@ -71,7 +71,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> WholeFi
 
 
 def holds(mark: pytest.Mark, item: pytest.Item) -> bool:
-    """Whether a mark is the item's: `slow("postgresql", "S2")` is that of cases with one of these ids, or with one in a row of ids."""
+    """Returns whether a mark applies to an item: `slow("postgresql", "S2")` applies to cases with one of these ids among theirs."""
     case = item.nodeid.partition("[")[2].removesuffix("]")
     return not mark.args or any(f"-{name}-" in f"-{case}-" for name in mark.args)
 
@@ -164,7 +164,7 @@ def postgres_scratch(postgres_server: str) -> str:
 
 @pytest.fixture
 def postgres_url(postgres_scratch: str) -> str:
-    """The URL of a PostgreSQL database in which nothing is yet. Sessions that earlier tests left open are ended."""
+    """Returns the URL of an empty PostgreSQL database. Ends sessions that earlier tests left open."""
     with psycopg.connect(postgres_scratch, autocommit=True) as connection:
         connection.execute(
             "SELECT pg_terminate_backend(pid, 5000) FROM pg_stat_activity"

@@ -30,7 +30,7 @@ PARAMETERS = re.compile(r"`[\w.]+`(?:(?:,| and) `[\w.]+`)*: (?:of|for|in|by|to|f
 OPENER = "opener"
 OPENERS = re.compile(r"(?:What|Of|Those|Who|That|Where|Whether)\b")
 """First words of docstrings."""
-NAMES = {"for one in": r"\bfor one in\b", "found =": r"^\s*found\b[^=]* = "}
+NAMES = {"one as a name": r"\bfor one in\b", "found =": r"^\s*found\b[^=]* = "}
 """Patterns of lines of Python code."""
 SPAN = re.compile(r"`[^`\n]*`")
 BLOCK = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
@@ -102,7 +102,7 @@ def patterns_in(start: int, text: str, *, is_docstring: bool) -> Iterator[tuple[
 
 
 def python_prose(text: str) -> Iterator[tuple[int, str, bool]]:
-    """Yields line, text and kind of docstrings, also those of attributes, and of comments."""
+    """Yields line, text and kind of each comment and docstring, docstrings of attributes included."""
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
             yield node.lineno, node.value.value, True

@@ -186,7 +186,7 @@ def source(module: str) -> Path | None:
 
 
 def imported(begin: Sequence[str], *, late: bool) -> set[str]:
-    """The packages of others that are imported from these modules on, if `late` also in functions."""
+    """Returns the third-party packages that these modules import, also through other modules; with `late` also inside functions."""
     waiting, seen, others = [f"drivecal.{module}" for module in begin], set(), set()
     while waiting:
         module = waiting.pop()

@@ -21,7 +21,7 @@ sys.path[:] = roots + [entry for entry in sys.path if not entry.rstrip('/').ends
 from importlinter.cli import lint_imports
 sys.exit(lint_imports(config_filename=config, no_cache=True, no_logo=True))
 """
-"""Lints the namespace package of other roots than those that are installed."""
+"""Lints the namespace package in copied roots, not in the installed ones."""
 
 PLANTED = {
     "The coordinator's imports point down": ("services/drivecal/storage", "import drivecal.campaigns"),

@@ -82,7 +82,7 @@ def test_the_client_alone_runs_commands_that_need_no_more(words: tuple[str, ...]
 
 def test_the_client_alone_talks_to_a_server() -> None:
     done = run(None, COMMAND, "list", "--url", "http://127.0.0.1:9")
-    assert done.returncode == 4, done.stderr  # nobody answers there
+    assert done.returncode == 4, done.stderr  # no server listens there
 
 
 @pytest.mark.slow("words1")

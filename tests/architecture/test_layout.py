@@ -20,7 +20,7 @@ TOP_LEVEL = {
 HOOKS = {"pause_reading", "process_bind_param", "process_result_value", "resume_reading"}
 """Methods that a library calls and documents."""
 BUILT = {"build", "dist"}
-"""What tools make and git ignores."""
+"""Folders that tools make and git ignores."""
 FOLDERS = sorted({path.parent for path in modules()})
 
 every_package = pytest.mark.parametrize("name", sorted(name for root in ROOTS for name in packages(root)))
@@ -33,7 +33,7 @@ def test_the_top_level_holds_what_the_floor_plan_names_and_nothing_else() -> Non
 
 @pytest.mark.parametrize("root", ROOTS, ids=shown)
 def test_a_root_holds_packages_only(root: Path) -> None:
-    """An `__init__.py` here would hide the other two roots; a module here would belong to nobody."""
+    """An `__init__.py` here would hide the other two roots; a module here would have no package."""
     assert [path.name for path in root.iterdir() if path.is_file()] == []
 
 
@@ -99,7 +99,7 @@ def protocols() -> list[set[str]]:
 
 
 def is_described_elsewhere(node: ast.Module | ast.ClassDef, name: str) -> bool:
-    """Returns whether a method overrides or implements one that another class, a protocol or a library documents."""
+    """Returns whether a base class, a protocol or a library documents the method."""
     if not isinstance(node, ast.ClassDef) or name in HOOKS:
         return name in HOOKS
     implements = any(name in protocol and protocol <= methods_of(node) for protocol in protocols())
@@ -107,7 +107,7 @@ def is_described_elsewhere(node: ast.Module | ast.ClassDef, name: str) -> bool:
 
 
 def undocumented(node: ast.Module | ast.ClassDef, prefix: str) -> list[str]:
-    """Public classes, functions and methods without a docstring; what is inside a function or starts with _ is nobody's business."""
+    """Returns public classes, functions and methods without a docstring. Names inside a function, or with a leading _, are not public."""
     result: list[str] = []
     for child in node.body:
         if isinstance(child, (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)) and not child.name.startswith("_"):

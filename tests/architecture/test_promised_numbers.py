@@ -1,4 +1,4 @@
-"""The numbers in promises are those of the code."""
+"""Documented promises contain the numbers of the code."""
 
 from pathlib import Path
 

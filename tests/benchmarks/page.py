@@ -48,11 +48,11 @@ MOST_SECONDS, MOST_FRAME, MOST_SERVER = 3.0, 51.0, 100.0
 MOST_FRONT_FRAME = 50.0
 """Milliseconds."""
 ITERATIONS = 12
-"""Of the campaign that is followed."""
+"""Length of the campaign that the page follows."""
 STEPS = 40
-"""Of the pointer along an axis."""
+"""Moves of the pointer along an axis."""
 TRIES = 3
-"""Of which the least counts: other work of the machine only adds to a frame."""
+"""Repeats of a measurement. The smallest value counts: other work of the machine only lengthens a frame."""
 OBJECTIVES = ("offset_peak_m", "peak_lateral_jerk_mps3")
 WATCH = """() => {
     window.longest = 0;

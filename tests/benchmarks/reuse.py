@@ -1,4 +1,4 @@
-"""What reuse saves in a first campaign, everything counted, against none: `python tests/benchmarks/run.py reuse [--seeds 10] [...]`.
+"""Measures what reuse saves in a first campaign, its own cost included: `python tests/benchmarks/run.py reuse [--seeds 10] [...]`.
 
 `--pairs` prints for each campaign its printed and its true net saving, i.e. the CPU time of `off` less its own. Both are of all
 processes: workers, dispatcher, API, supervisor. `--of function` takes a function of 10 ms in the place of the built-in problem.
@@ -10,8 +10,8 @@ by seed, with 95 % t-intervals.
 
 A seed takes 15 to 20 minutes on two cores. Every finished campaign adds a line to `docs/pages/results/data/reuse.jsonl`, with the machine,
 the versions and the commit of the code, so that seeds of several days add up: campaigns of the same code and machine are not made again.
-`--commit` counts those of other commits too. Runs and optima do not depend on the machine: `--counts` prints these alone, next to campaigns
-of any machine and under any load.
+`--commit` includes campaigns of other commits. `--counts` prints only runs and optima, which do not depend on the machine: of
+campaigns on all machines and under any load.
 """
 
 import argparse
@@ -58,7 +58,7 @@ WANTED = {"predicted": {"runs": 0.60}, "predicted, a point off": {"runs": 0.40}}
 WANTED_ELSEWHERE = {"wall": 1.05}
 """Largest mean ratios of every kind with predictions, at any other size: a small search may save less, but not lose."""
 MARGIN = 1 / 12
-"""Points by which the confirmed optimum may be worse in the mean."""
+"""Largest mean loss of the confirmed optimum, in points."""
 OFF_BY = 0.1, 1.0
 """Largest error of the printed net saving: a share of the true one, or seconds."""
 LEAST_NET = -0.02
@@ -94,7 +94,7 @@ class Circumstances:
 
     @staticmethod
     def here() -> "Circumstances":
-        """Returns those of this process."""
+        """Returns the circumstances of this process."""
         commit = _git("log", "-1", "--format=%h", "--", *CODE) + "+" * bool(_git("status", "--porcelain", "--", *CODE))
         models = [line.split(":", 1)[1].strip() for line in _cpu_lines() if line.startswith("model name")]
         versions = {"python": platform.python_version()} | {package: version(package) for package in PACKAGES}

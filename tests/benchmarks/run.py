@@ -1,8 +1,8 @@
 """Runs the benchmarks next to this file, all or those named: `python tests/benchmarks/run.py [NAME ...] [OPTION ...]`.
 
-Options are those of the benchmark: `run.py reuse --help`. Each is a program of its own, in a process of its own (a process holds one
-simulation, and memory figures shall not add up): it prints a table, writes its figures to `.drivecal/bench/NAME.json` and ends with 0
-where what it measured is good enough. One that fails does not stop the others.
+The benchmark defines the options: `run.py reuse --help`. Each benchmark is a program and runs in its own process, because a process holds
+one simulation and memory figures shall not add up. It prints a table, writes its figures to `.drivecal/bench/NAME.json` and exits with 0
+if the figures are good enough. After a failure the other benchmarks still run.
 """
 
 import os

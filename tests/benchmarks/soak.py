@@ -1,9 +1,9 @@
 """Does anything grow for hours? `python tests/benchmarks/run.py soak [--minutes 20] [--backend processes|ray]`.
 
-Runs a server with many small campaigns and comparisons, clients and a page's event stream that follow them, and workers that are killed now
-and then. Every few seconds it notes memory, handles, threads and number of the processes of each role of the server, the largest process
-of each, temporary files, and Ray's store. It prints the slope of each per hour (Theil-Sen, of the time after a first part in which caches
-fill) and a verdict: flat, if the slope adds less than a tenth, or than a floor, in the measured time. Writes `.drivecal/bench/soak.json`
+Runs a server with many small campaigns and comparisons. Clients and a page's event stream follow them, and the benchmark kills workers now
+and then. Every few seconds it notes memory, handles, threads and number of the server's processes by role, the largest process of each
+role, temporary files, and Ray's store. It prints each slope per hour (Theil-Sen; the first part, while caches fill, does not count)
+and a verdict: flat, if the slope adds less than a tenth, or than a floor, in the measured time. Writes `.drivecal/bench/soak.json`
 every ten minutes and at the end, which Ctrl+C brings forward; 0 if all is flat and no campaign failed.
 """
 
@@ -30,9 +30,9 @@ from drivecal.domain.errors import DrivecalError
 
 TARGET = Path(".drivecal/bench/soak.json")
 EVERY = 5.0
-"""Seconds between two looks."""
+"""Seconds between two measurements."""
 SETTLING = 0.3
-"""Share of the time in which caches fill and that does not count."""
+"""Share of the time that does not count, because caches still fill."""
 KILL_EVERY = 60.0
 SHARE = 0.1
 FLOORS = {"MB": 8.0, "handles": 4.0, "threads": 2.0, "processes": 1.0, "files": 20.0}

@@ -44,7 +44,7 @@ REACH = {
     "memory_mb": 4000,
     "disk_mb": 3000,
 }
-"""What the attacks try on a node: more memory and disk than its container has."""
+"""Sizes of the attacks: more memory and disk than the node's container has."""
 NOT_THERE = {"overwrites_the_database", "holds_up_the_database", "reads_the_secret_of_another_server"}
 """Attacks on files that no node has; the database itself is among the others that are out of reach."""
 IN_CONTAINERS = {

@@ -16,8 +16,8 @@ NETWORK = f"{PROJECT_NAME}-machines"
 
 @pytest.fixture
 def head(cluster: Cluster, tmp_path: Path) -> Iterator[Cluster]:
-    """The first machine: database, API, dispatcher, head and a node, as in `how-to/cluster.md` for several. Its images are
-    those of `cluster`, which goes on next to it."""
+    """The first of several machines (`how-to/cluster.md`): database, API, dispatcher, head and a node. It shares its images
+    with `cluster`, which keeps running."""
     files = (FILE, "deploy/docker-compose.machines.yml")
     settings = {"DRIVECAL_NETWORK": NETWORK, "DRIVECAL_NODES": "1"}
     running = Cluster(tmp_path, f"{PROJECT_NAME}-head", files, settings)

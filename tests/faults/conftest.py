@@ -14,7 +14,7 @@ from tests.support.faults.postgres import KillablePostgres, killable_postgres
 
 @pytest.fixture(scope="session")
 def postgres() -> Iterator[KillablePostgres]:
-    """A PostgreSQL server that the suite may kill; whoever does starts it again."""
+    """A PostgreSQL server that a test may kill and must then start again."""
     with killable_postgres() as server:
         yield server
 
@@ -42,5 +42,5 @@ def server_on(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callab
 
 @pytest.fixture(scope="session")
 def base_seed() -> int:
-    """Of all random points: DRIVECAL_FAULTS_SEED repeats a suite that failed, otherwise every suite has its own."""
+    """Returns the seed of all random moments: DRIVECAL_FAULTS_SEED to repeat a failed suite, else a new one."""
     return int(os.environ.get("DRIVECAL_FAULTS_SEED") or random.randrange(10**6) * 1000)

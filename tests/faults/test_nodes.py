@@ -24,9 +24,9 @@ LONG = {
 """Lasts until a node that comes later has started, worked and lost its neighbour."""
 START_SECONDS = 120.0
 NOTICED_SECONDS = 10.0
-"""In which a lost node is known, and its cells are elsewhere."""
+"""Longest time until the server notices a lost node and gives its cells to others."""
 SETTINGS = {"RAY_AUTH_MODE": "disabled", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", **QUIET, **ALERT}
-"""Despite its name the second one makes Ray on Linux, too, listen on 127.0.0.1 only."""
+"""The second variable makes Ray listen on 127.0.0.1 only, on Linux as well."""
 
 
 @pytest.fixture

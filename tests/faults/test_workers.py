@@ -20,7 +20,7 @@ from drivecal.domain.errors import DrivecalError
 EVERY_SECONDS = 2.0
 FOR_SECONDS = 180.0
 LEAST = 30
-"""Workers that are killed in any case: one that starts cannot be, and on a busy machine starting takes long."""
+"""Smallest number of killed workers: a worker cannot be killed while it starts, which takes long on a busy machine."""
 PATIENCE_SECONDS = 900.0
 UNREDUCED: dict[str, Any] = {
     "sensitivity": None,

@@ -1,4 +1,4 @@
-"""What the multi-body vehicle did in the manoeuvres that the hybrid vehicle's card is measured on: driving them again takes far too long
+"""Stores the multi-body vehicle's runs of the manoeuvres that rate the hybrid vehicle in its card: simulating them takes too long
 for a test. After a change of `drivecal.highway.training.multibody` or of the manoeuvres: `python tests/golden/held_out.py`.
 
 Whole numbers of the units below, as second differences over time, which take little room. What that rounds away is a hundredth of the

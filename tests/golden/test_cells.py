@@ -1,8 +1,8 @@
-"""Tests of what a handful of cells gave, to the last digit: numerics shall not change without anybody noticing.
+"""A handful of cells repeat their results to the last digit: no change of the numerics goes unnoticed.
 
-Stored results are found again by fingerprint, so whoever changes what a run gives must change a version: `FRENET.version` follows its
-sources, `SINGLE_TRACK.version`, `REFERENCE.version` and `drivecal.plugins.setups.CLOSED_LOOP` (traffic, loop and metrics) are
-counted up by hand, a scenario's digest follows its definition. Then write the file anew: `python tests/golden/test_cells.py`.
+drivecal finds stored results by fingerprint, so a change of results needs a new version. `FRENET.version` follows its sources, a
+scenario's digest its definition. Raise `SINGLE_TRACK.version`, `REFERENCE.version` and `drivecal.plugins.setups.CLOSED_LOOP` (traffic,
+loop and metrics) by hand. Then write the file again: `python tests/golden/test_cells.py`.
 
 Another kind of processor differs in the last bits, which a closed loop enlarges: up to 6e-7 of a value were seen between two kinds. So the
 file is compared within a tolerance; on one machine two fresh processes must agree in every bit.

@@ -1,4 +1,4 @@
-"""The model cards' tables are those of the arrays that are shipped: they drive and rate what is held out again, nothing is trained.
+"""The tables of the model cards describe the shipped arrays: the tests drive and rate the held-out data again, and train nothing.
 
 `make train` writes both anew. Another processor, libm or integrator may move a figure's last digit.
 """

@@ -119,7 +119,7 @@ def test_solutions_are_ranked_by_any_weights(api: RunningApi) -> None:
     [
         (
             {"optimizer": {"kind": "genetik", "population": "abc"}, "weights": {"S9": 1}, "reduction": {"audt": 1}},
-            ["optimizer.population", "reduction.audt"],  # those of meaning come once all fields fit
+            ["optimizer.population", "reduction.audt"],  # faults of meaning appear once all fields fit
         ),
         ({"optimizer": {"kind": "genetik"}, "weights": {"S9": 1}}, ["weights.S9", "optimizer.kind"]),
         ({"sensitivity": {"map": "0" * 32}, "weights": {"S9": 1}}, ["weights.S9", "sensitivity.map"]),
@@ -136,7 +136,7 @@ def test_all_faults_of_a_document_come_in_one_answer(api: RunningApi, document: 
 
 
 def test_faults_of_a_comparison_and_of_an_evaluation_come_together(api: RunningApi) -> None:
-    """Those of fields that do not fit before those of what they mean together."""
+    """Faults of single fields come first, then faults of their combination."""
     optimizers = [{"kind": "swarm"}, {"kind": "swarm", "label": ""}]
     comparison = {"optimizers": optimizers, "populations": [10], "seeds": [1, 2, 3], "iterations": 0}
     for document, field in ((comparison, "iterations"), (comparison | {"iterations": 2}, "optimizers[1].label")):

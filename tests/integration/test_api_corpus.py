@@ -106,7 +106,7 @@ def chunks(megabytes: int | None) -> Iterator[bytes]:
 
 
 def fill(field: str) -> bytes:
-    """A document in which one field is a megabyte of text."""
+    """A document with a megabyte of text in one field."""
     return compact({field: LONG})
 
 

@@ -78,7 +78,7 @@ def test_a_failure_at_the_commit_is_unavailable_and_a_retry_makes_one_campaign(a
 
 
 def test_a_commit_whose_answer_is_lost_is_found_by_the_retry(api: RunningApi) -> None:
-    """As after a kill between the commit and its answer: the row is there, and the client was told that nobody knows."""
+    """As after a kill between the commit and its answer: the row is stored, but the client was told that this is unknown."""
     key = uuid.uuid4().hex
     stored = post(api.http, key).json()["id"]
     run_sql(

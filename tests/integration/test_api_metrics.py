@@ -41,7 +41,7 @@ UNITLESS = {
         "drivecal_http_event_streams",
     ),
 }
-"""What counts things, or is a truth, and so has no unit."""
+"""Metrics without a unit: counts and truth values."""
 
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])

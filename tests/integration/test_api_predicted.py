@@ -29,7 +29,7 @@ class Ended:
     api: RunningApi
     campaign: Campaign
     rows: list[dict[str, str]]
-    """Of the table of evaluations, exported."""
+    """Rows of the exported table of evaluations."""
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ TOKENS = f"writer write {WRITE}\nreader read {READ}\n"
 OPEN = {"/healthz", "/readyz"}
 PAGE = "/page/"
 OWN = "/api/v1/session"
-"""A session is its holder's own and nothing of the server's: whoever may read begins one and ends it."""
+"""A session belongs to its holder and changes nothing on the server: every role that may read can begin and end one."""
 SMALL = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 2}}
 
 

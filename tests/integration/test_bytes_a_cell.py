@@ -31,7 +31,7 @@ METRICS = (
 
 
 def measured(scenario: str, cell: Cell) -> CellResult:
-    """Metrics as many and as long as those of the built-in problem."""
+    """Returns as many metrics, of the same length, as a run of the built-in problem."""
     result = computed(scenario, cell)
     values = [result.rating or 0.0, *(sin(cell.id * factor) for factor in range(2, len(METRICS) + 1))]
     return replace(result, milliseconds=40.0 + cell.id % 1000 / 7, metrics=dict(zip(METRICS, values, strict=True)))

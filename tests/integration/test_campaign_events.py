@@ -1,4 +1,4 @@
-"""What a whole campaign tells, from its submission to its end."""
+"""Events of a whole campaign, from its submission to its end."""
 
 from typing import Any
 

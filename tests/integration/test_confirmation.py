@@ -1,4 +1,4 @@
-"""A search that believed references ends with a best set that was simulated, whoever dies meanwhile."""
+"""A search with reused scores ends with a simulated best set, also if dispatchers die meanwhile."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,12 +23,12 @@ from drivecal.storage.engine.database import Database
 
 ITERATIONS = 4
 STRIDE = tries(40, 10)
-"""Of moments to die at, so that those before, in and after transactions are among them; all of them take half a minute."""
+"""Dispatchers die at every STRIDE-th moment: before, in and after transactions. All moments would take half a minute."""
 MATTERS = {"S1": "P1", "S2": "P3"}
 BLIND_MAP = {
     scenario: {f"P{i}": {"influential": False} for i in range(1, 12) if f"P{i}" != name} for scenario, name in MATTERS.items()
 }
-"""What spoils S1 is what is good for S2, and the map knows nothing of it."""
+"""A map that calls the parameter that spoils S1 and helps S2 irrelevant."""
 
 
 def spoiled(scenario: str, cell: Cell) -> CellResult:
@@ -63,7 +63,7 @@ def told(database: Database, campaign: StoredCampaign, kind: str) -> list[Any]:
 
 @pytest.fixture(scope="module")
 def confirmed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Database, StoredCampaign, StoredCampaign]]:
-    """A campaign that confirms its best, and one that does not, which sees the same."""
+    """Two campaigns with the same search: only the first confirms its best set."""
     opened = [migrated(f"sqlite:///{tmp_path_factory.mktemp('confirmed') / str(confirm)}.db") for confirm in (50, 0)]
     one, plain = (
         run(database, ask(database, confirm), ComputedBackend(answer=spoiled))

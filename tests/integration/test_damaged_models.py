@@ -1,4 +1,4 @@
-"""A learned part whose file is damaged: whoever asks for it is told which file and why, and nobody else notices."""
+"""A damaged file of a learned model fails only requests that use the model. The message names file and cause."""
 
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ CHOICES: dict[str, dict[str, Any]] = {"hybrid.npz": {"vehicle": {"model": "hybri
 
 
 def damage(folder: Path, patch: pytest.MonkeyPatch) -> None:
-    """Both files lack their ends, and nobody has read them yet."""
+    """Truncates both files, before the process has read them."""
     copies = [folder / residual.FILE.name, folder / regressions.FILE.name]
     for file, copy in zip((residual.FILE, regressions.FILE), copies, strict=True):
         copy.write_bytes(file.read_bytes()[:-40])

@@ -26,7 +26,7 @@ def db(*arguments: str | Path) -> Result:
 
 @pytest.fixture
 def url(database: Database) -> str:
-    """The URL of a database with a campaign that has ended and one that runs."""
+    """The URL of a database with a finished and a running campaign."""
     run(database, submit(database, catalogue=["S1"], optimizer=SEARCH))
     running = submit(database, catalogue=["S1"], optimizer=SEARCH | {"seed": 2})
     working = dispatcher(database, ComputedBackend(1))

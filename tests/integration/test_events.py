@@ -77,12 +77,12 @@ def opened(
         yield (event for chunk in response.iter_bytes() for event in parser.feed(chunk))
 
 
-def stored_only(found: Iterator[ServerSentEvent]) -> list[str]:
-    """Kind of each event with an id, and the text of notes, in the order in which they came."""
-    told = [item for item in found if item.id is not None]
-    numbers = [int(entry.id or 0) for entry in told]
+def stored_only(received: Iterator[ServerSentEvent]) -> list[str]:
+    """Returns the kind of each event with an id, or the text of a note, in order of arrival."""
+    stored = [event for event in received if event.id is not None]
+    numbers = [int(event.id or 0) for event in stored]
     assert numbers == sorted(set(numbers)), "out of order, or twice"
-    return [json.loads(element.data)["data"].get("text", element.event) for element in told]
+    return [json.loads(event.data)["data"].get("text", event.event) for event in stored]
 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])

@@ -1,4 +1,4 @@
-"""Failed cells of a user's problem: their causes with counts, scores without a value, and campaigns in which everything fails."""
+"""Failed cells of a user's problem: their causes with counts, scores without a value, and campaigns without any result."""
 
 import re
 from dataclasses import dataclass, field

@@ -22,7 +22,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_child_with_another_sumo_than_the_worker_s_names_both_versions(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A worker replaces children for days, in which libsumo may be upgraded."""
+    """libsumo may be upgraded while a worker lives and starts further child processes."""
     installed = setups.sumo()
     monkeypatch.setattr(setups, "sumo", lambda: "libsumo 0.9")
     with pytest.raises(UnavailableError, match=r"libsumo 0\.9") as error, driven(folder, drive()):

@@ -1,4 +1,4 @@
-"""A problem that attacks whatever it reaches, next to one that works: on a real server with workers, as users have them."""
+"""A problem attacks whatever it reaches, next to a harmless problem, on a real server with workers, as users have them."""
 
 import os
 import socket

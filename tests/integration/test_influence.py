@@ -1,4 +1,4 @@
-"""Influence maps over HTTP: what an analysis found, what a user posted, within the bounds of whoever asks."""
+"""Influence maps over HTTP: made by an analysis or posted by a user, shown within requested bounds."""
 
 import csv
 import io

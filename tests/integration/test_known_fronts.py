@@ -102,7 +102,7 @@ def begin(database: Database, known: Known, document: dict[str, Any]) -> StoredC
 @pytest.mark.slow("zdt1")
 @KNOWN
 def test_a_campaign_searches_as_the_bare_optimizer_does(known: Known, tmp_path: Path) -> None:
-    """So figures of the bare optimizer, such as those of the benchmark `fronts`, hold for campaigns of problems."""
+    """So figures of the bare optimizer, such as the former benchmark `fronts`, hold for campaigns of problems."""
     database = Database.open(f"sqlite:///{tmp_path}/drivecal.db")
     database.upgrade()
     ended = run(database, begin(database, known, known.campaign()), ComputedBackend(answer=evaluated))

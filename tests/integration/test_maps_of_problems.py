@@ -1,4 +1,4 @@
-"""Influence maps of problems of users' own: posted ones, and those of analyses after another push."""
+"""Influence maps of user problems: posted maps, and maps of analyses after another push."""
 
 from collections.abc import Mapping
 from pathlib import Path

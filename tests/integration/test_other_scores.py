@@ -47,7 +47,7 @@ def simulated(scenario: str, cell: Cell) -> CellResult:
 
 @dataclass(frozen=True)
 class Asked:
-    """A campaign by its own score, and one that searched the same sets by the other."""
+    """Two campaigns that search the same sets by different scores."""
 
     http: TestClient
     first: str

@@ -1,4 +1,4 @@
-"""Predicted answers in whole campaigns: lots, samples and verdicts are stored as they happen, whoever dies meanwhile."""
+"""Predicted answers in whole campaigns: each lot, sample and verdict is stored at once, also if dispatchers die meanwhile."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -154,7 +154,7 @@ def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples(tmp_path: Path
     assert len(ends) > tries(2, 5)
     assert all(end == ends[0] for end in ends)
     asked, batches = len(ends[0][1]), 2 * ITERATIONS  # in two scenarios; the first slice has none
-    fewest = batches - 2  # some secrets lead to a batch whose answers are known, or of which no prediction is sure
+    fewest = batches - 2  # with some secrets a batch has only known answers, or no certain prediction
     assert asked >= fewest if milliseconds > 1 else asked == 0
     assert any(lot.verdict is LotVerdict.RELEASED for lot in ends[0][1]) == (milliseconds > 1)
 

@@ -36,7 +36,7 @@ SPEC: dict[str, Any] = {
     "reduction": {"mode": "exact"},
 }
 CELLS = 26
-"""That such a campaign requests."""
+"""Requested cells of such a campaign."""
 
 
 @pytest.fixture(autouse=True)

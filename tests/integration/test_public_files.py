@@ -33,7 +33,7 @@ FILES = {
 }
 """SHA-256 of the files that the numbers below are about."""
 RASTER = 1e-4
-"""Share by which drivecal's limits may lie within those of a file: on values that the control unit can hold."""
+"""Largest distance of drivecal's limits from the file's, as a share: drivecal rounds inwards to values of the control unit."""
 BY_ANOTHER = """
 import json
 import pya2l

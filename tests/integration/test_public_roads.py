@@ -1,9 +1,9 @@
 """OpenDRIVE and OpenSCENARIO files of public projects, as they are: driven from a bundle, and compared with a second reader.
 
-`make test-packages`. The files are fetched, not stored here: from the source archive of bark-simulator (MIT), the only package of PyPI
-with roads of motorways in it among those that were looked at (scenic, opendrive2lanelet, commonroad-scenario-designer, scenariogeneration,
-omega-prime, asam-qc-opendrive, asam-qc-openscenarioxml, imap-box and pyxodr have neither `.xodr` nor `.xosc`); longer motorways and
-scenarios from esmini's repository (MPL-2.0), which is skipped where GitHub cannot be reached. The second reader is pyxodr.
+`make test-packages`. The tests fetch the files: from the source archive of bark-simulator (MIT), the only examined package of PyPI with
+roads of motorways (scenic, opendrive2lanelet, commonroad-scenario-designer, scenariogeneration, omega-prime, asam-qc-opendrive,
+asam-qc-openscenarioxml, imap-box and pyxodr have neither `.xodr` nor `.xosc`); longer motorways and scenarios from esmini's repository
+(MPL-2.0), which is skipped if GitHub cannot be reached. The second reader is pyxodr.
 """
 
 import hashlib

@@ -1,4 +1,4 @@
-"""The durable queue: whoever dies when, every cell has one answer, and campaigns end as if nobody had died."""
+"""The durable queue: after every death of a process each cell has one answer, and campaigns end as without deaths."""
 
 import random
 from collections import Counter

@@ -1,4 +1,4 @@
-"""Answers by references in whole campaigns: inspected in lots, as predictions are, whoever dies meanwhile."""
+"""Answers by references in whole campaigns: inspected in lots, as predictions are, also if dispatchers die meanwhile."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -24,13 +24,13 @@ from drivecal.storage.results import StoredEvaluation
 
 ITERATIONS = 4
 STRIDE = tries(27, 9)
-"""Of moments to die at."""
+"""Dispatchers die at every STRIDE-th moment."""
 REST = {f"P{i}": 0.5 for i in range(5, 12)}
 NOWHERE = {"S1": ("P3", "P4"), "S2": ("P1", "P2", "P4")}
 
 
 def nearly(scenario: str, cell: Cell) -> CellResult:
-    """The map is right but for one in 25 sets in S1."""
+    """Contradicts the map for one set in 25 in S1, and agrees elsewhere."""
     told, p = influenced(scenario, cell), cell.parameters
     if scenario == "S1" and (p["P3"], p["P4"]) == (0.25, 0.75) and told.rating is not None:
         return replace(told, rating=told.rating + 3.0, score=round(told.rating + 3.0))

@@ -37,9 +37,9 @@ def heavy(setup: SetupRequest, cell: Cell) -> CellResult:
 
 def study(database: Database, campaign: StoredCampaign, stage: StageName = StageName.ROBUSTNESS) -> dict[str, Any]:
     with database.read() as connection:
-        found = studies.get(connection, campaign.sequence, stage)
-    assert found is not None
-    return found
+        document = studies.get(connection, campaign.sequence, stage)
+    assert document is not None
+    return document
 
 
 def test_sets_are_ranked_by_what_vehicles_they_bear(database: Database) -> None:
@@ -191,10 +191,10 @@ def test_where_everything_matters_there_is_nothing_to_validate(database: Databas
     stored_map = post_map(database, {"S1": {"P1": {"influential": True}}})
     campaign = submit(database, stored_map=stored_map, optimizer=None, validation={"samples": 20})
     ended = run(database, campaign)
-    found = study(database, ended, StageName.VALIDATION)
+    document = study(database, ended, StageName.VALIDATION)
     assert ended.state is CampaignState.SUCCEEDED
-    assert [row["scenario"] in note for row, note in zip(found["items"], found["notes"], strict=True)] == [True] * 3
-    assert all(row["compared"] == 0 and row["error_rate"] is None for row in found["items"])
+    assert [row["scenario"] in note for row, note in zip(document["items"], document["notes"], strict=True)] == [True] * 3
+    assert all(row["compared"] == 0 and row["error_rate"] is None for row in document["items"])
 
 
 @pytest.mark.parametrize(

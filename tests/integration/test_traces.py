@@ -1,4 +1,4 @@
-"""Time series of evaluations: asked for over HTTP, driven once more by whoever drives everything else, kept for a while."""
+"""Time series of evaluations over HTTP: the workers simulate the evaluation again, and the server keeps the series for a while."""
 
 import gzip
 import json

@@ -127,7 +127,7 @@ def test_each_layer_does_what_it_is_for_and_names_the_extra_of_the_rest(layer: C
     assert installed.megabytes <= LARGEST_MB[extra]
     assert re.fullmatch(r"drivecal \d+\.\d+\.\d+\n", installed.drivecal("--version").stdout)
     assert installed.drivecal("problem", "init", "python", "mine").returncode == 0
-    assert installed.drivecal("list", "--url", "http://127.0.0.1:9").returncode == 4  # nobody answers there
+    assert installed.drivecal("list", "--url", "http://127.0.0.1:9").returncode == 4  # no server listens there
     assert (installed.has("sqlalchemy"), installed.has("ray")) == (extra != "", extra == "cluster")
     stored = installed.drivecal("db", "check", "--database-url", "sqlite:///none.db")
     if not extra:

@@ -41,7 +41,7 @@ class Cluster:
         files: Sequence[str] = (FILE,),
         settings: Mapping[str, str] | None = None,
     ) -> None:
-        """`folder` takes its secrets; `settings` are those of `.env`."""
+        """`folder` takes the secrets; `settings` go into `.env`."""
         self.folder = folder
         self.project = project
         self.files = tuple(files)
@@ -179,7 +179,7 @@ class Machine:
     """One more machine with a node: it knows a network, the head's address in it and the token, and nothing else of the cluster."""
 
     def __init__(self, head: Cluster, name: str, network: str) -> None:
-        """`network`: one that the head is in."""
+        """The machine joins `network`, to which the head belongs."""
         self.name = name
         self._head = head
         secrets = head.folder / name

@@ -1,4 +1,4 @@
-"""New databases, of which the first of a process goes through every revision and the others are copies."""
+"""New databases: the first in a process runs every revision, the others are copies."""
 
 import sqlite3
 import tempfile

@@ -44,7 +44,7 @@ class InterceptedDatabase:
 
 
 def mortal(database: Database, dies: Callable[[], bool], backend: ComputedBackend) -> Dispatcher:
-    """A newly elected dispatcher that is killed when `dies` says so."""
+    """Returns a newly elected dispatcher that is killed once `dies` returns True."""
 
     def moment(name: str) -> None:
         if dies():
@@ -56,13 +56,13 @@ def mortal(database: Database, dies: Callable[[], bool], backend: ComputedBacken
 
 
 def at(moment: int) -> Callable[[], bool]:
-    """Says so at one moment, counted from 1."""
+    """Returns a function that is true at the given call only, counted from 1."""
     moments = count(1)
     return lambda: next(moments) == moment
 
 
 def live(database: Database, campaign: StoredCampaign, working: Dispatcher) -> bool:
-    """Works until the campaign has ended, or the dispatcher; whether it was killed."""
+    """Works until the campaign ends or the dispatcher is killed. Returns whether it was killed."""
     try:
         finish(database, campaign, working)
     except Killed:
@@ -77,10 +77,10 @@ def ends_in_spite_of_deaths(
     find: Callable[[Database, StoredCampaign], Found],
     stride: int,
 ) -> list[Found]:
-    """Returns what a campaign finds that is taken up where `begin` leaves it: first by a dispatcher that lives, then by dispatchers of
-    which each dies `stride` moments later than the one before it and has a successor, until one ends its work before it dies.
+    """Returns the campaign's results, once for each dispatcher that continues from the state after `begin`. The first dispatcher lives.
+    Each further one dies `stride` moments later than the last, and a successor finishes. The last one finishes before its death.
 
-    `backend` gets the number of the moment, by which its answers may come in another order.
+    `backend` gets the number of the moment and may order its answers by it.
     """
     used, kept = folder / "used.db", folder / "kept.db"
     database = migrated(f"sqlite:///{used}")

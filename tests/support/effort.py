@@ -8,7 +8,7 @@ from typing import TypeVar
 Case = TypeVar("Case")
 LONG = bool(os.environ.get("DRIVECAL_LONG"))
 SEED = int(os.environ.get("DRIVECAL_FUZZ_SEED") or (random.randrange(1, 10**9) if LONG else 0))
-"""Of all mutations: 0 in `make test`, another one at each long run unless DRIVECAL_FUZZ_SEED repeats it."""
+"""Seed of all mutations: 0 in `make test`, else DRIVECAL_FUZZ_SEED or a new seed for each long run."""
 
 
 def tries(everyday: int, long: int) -> int:

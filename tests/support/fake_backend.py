@@ -11,7 +11,7 @@ from drivecal.execution.backend import LONGEST_QUEUED, Finished, Lost, Slot, Wor
 
 
 class Behaviour(IntEnum):
-    """Describes what a cell does, given as its parameter `behaviour`; those of the Ray tests' plug-in mean the same."""
+    """Behaviour of a cell, given as its parameter `behaviour`; the plug-in of the Ray tests uses the same numbers."""
 
     WELL = 0
     CRASH = 1
@@ -38,7 +38,7 @@ class _Worker:
     tools: str | None = None
     busy: str | None = None
     bad: bool = False
-    """What it is in the batch that runs."""
+    """Its cells fail in the running batch."""
 
     @property
     def name(self) -> str:
@@ -71,7 +71,7 @@ class FakeBackend:
     replaced: list[tuple[str, str | None]] = field(default_factory=list)
     """Worker and fault of each replacement that was asked for."""
     tools: dict[int, str] = field(default_factory=dict)
-    """What probes answer at places; "1.0" elsewhere."""
+    """Answers of probes by place, "1.0" by default."""
     busy_until: dict[str, float] = field(default_factory=dict)
     """Time until which the simulators of a scenario are busy."""
     linger_seconds: float = 0.0
@@ -142,7 +142,7 @@ class FakeBackend:
         self.closed = True
 
     def kill(self, index: int) -> None:
-        """Somebody kills a worker from outside."""
+        """Ends a worker, as a kill from outside does."""
         worker = self._workers[index % len(self._workers)]
         self._events = [event for event in self._events if event[2] is not worker]
         heapq.heapify(self._events)

@@ -83,7 +83,7 @@ LANDLOCK = {
 
 
 def attacker(data: Mapping[str, Any], name: str = "attacker", memory_mb: int = 300) -> dict[str, Any]:
-    """A problem whose parameter `attack` names what it does; `data` are those that `attacks` describes."""
+    """Returns a problem whose parameter `attack` names its attack; `attacks` describes `data`."""
     return {
         "problem": name,
         "parameters": {"attack": {"choices": sorted(ATTACKS)}},

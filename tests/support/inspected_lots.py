@@ -58,7 +58,7 @@ def plan_of_references(size: int, limit: float, known: ErrorRate) -> SamplingPla
 
 
 def inspect_references(wrong: Bools, limit: float, known: ErrorRate, secret: bytes) -> tuple[Tally, ErrorRate]:
-    """Inspects a lot of references, n of which are `wrong`; returns the audits with those of its sample, too."""
+    """Inspects a lot of references, some of them `wrong`, and adds its sample to the audits `known`."""
     plan = plan_of_references(len(wrong), limit, known)
     sampled = draw([place.to_bytes(8) for place in range(len(wrong))], plan.sample, secret)
     errors = int(wrong[sampled].sum())

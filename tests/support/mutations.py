@@ -26,7 +26,7 @@ PLACES = tuple(
     os.path.realpath(place) + os.sep
     for place in (tempfile.gettempdir(), sys.prefix, sys.base_prefix, Path(__file__).parents[2])
 )
-"""What an attempt may open: temporary folders, installed packages, and this project, whose lines a warning's traceback shows."""
+"""Folders whose files an attempt may open: temporary ones, installed packages, and this project, whose lines tracebacks show."""
 
 
 def mutated(content: bytes, chance: random.Random) -> bytes:

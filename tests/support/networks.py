@@ -1,4 +1,4 @@
-"""SUMO networks for tests: those that come with eclipse-sumo, and built ones."""
+"""SUMO networks for tests: of the package eclipse-sumo, or built here."""
 
 import re
 import subprocess
@@ -96,7 +96,7 @@ def link(begin: str, end: str, first: int, second: int) -> dict[str, str]:
 
 @cache
 def entrance(*options: str) -> bytes:
-    """Two lanes, a ramp from the right, three lanes of which the right one ends, two lanes; widths 3.75, 3.5 and 3 m."""
+    """Two lanes, a ramp from the right, three lanes until the right lane ends, two lanes; widths 3.75, 3.5 and 3 m."""
     nodes = [node("a", 0, 0), node("b", 400, 0), node("c", 700, 0), node("d", 1200, 60), node("r", 150, -60)]
     edges = [
         edge("before", "a", "b", 2, width="3.75"),

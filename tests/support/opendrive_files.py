@@ -117,7 +117,7 @@ def _named(coefficients: list[float]) -> dict[str, str]:
 
 
 def document(roads: list[Road], junctions: dict[str, list[tuple[str, str, list[tuple[int, int]]]]] | None = None) -> bytes:
-    """A file. `junctions`: by id, incoming road, connecting road and pairs of lanes."""
+    """Returns a file. `junctions` maps ids to incoming road, connecting road and pairs of lanes."""
     root = ET.Element("OpenDRIVE")
     ET.SubElement(root, "header", revMajor="1", revMinor="6", name="", version="1", north="0", south="0", east="0", west="0")
     root.extend([road.element() for road in roads])
@@ -209,7 +209,7 @@ def entrance() -> bytes:
 
 
 def two_way() -> bytes:
-    """A road of both directions: three lanes one way, of which one opens and closes, and two the other; a poly3, widths that change."""
+    """A road with three lanes in one direction and two in the other: one of the three opens and closes, widths change, a poly3."""
     poly: Shape = ("poly3", 180.0, {"a": 0, "b": 0, "c": 2e-4, "d": -4e-7})
     swelling: Widths = [(0.0, 2.85, 0.0, 3 * 1.05 / 200**2, -2 * 1.05 / 200**3), (200.0, 3.9, 0.0, 0.0, 0.0)]
     base = {2: ("driving", PAVED), 1: ("driving", swelling), -1: ("driving", swelling), -2: ("driving", PAVED)}
@@ -231,7 +231,7 @@ def two_way() -> bytes:
 
 
 def direct() -> bytes:
-    """A motorway that a ramp leaves, and one that a ramp joins, by direct junctions: without connecting roads."""
+    """Two motorways with direct junctions, i.e. without connecting roads: a ramp leaves the first, and a ramp joins the second."""
     two = {-1: ("driving", PAVED), -2: ("driving", PAVED)}
     three = two | {-3: ("exit", opening(80.0, 3.5))}
     main = Road(
@@ -278,7 +278,7 @@ FILES = {"exit_ramp": exit_ramp, "entrance": entrance, "two_way": two_way, "dire
 
 
 def edited(file: str, pattern: str, replacement: str, count: int = 1) -> bytes:
-    """A file in which a pattern is replaced."""
+    """Returns a file with a pattern replaced."""
     text, done = re.subn(pattern, replacement, FILES[file]().decode(), count=count, flags=re.DOTALL)
     assert done
     return text.encode()

@@ -51,7 +51,7 @@ class Plant:
     cost: dict[str, float] = field(default_factory=dict)
     scheduler: Scheduler = field(default_factory=lambda: Scheduler(BatchPolicy()))
     of_users: bool = False
-    """Whether the scenarios belong to problems of users: nothing is queued behind cells that were never measured."""
+    """True if the scenarios belong to user problems: the scheduler then queues nothing behind cells of unknown cost."""
     now: float = 0.0
     given: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     """Worker time by tag, what is running included."""

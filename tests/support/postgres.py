@@ -19,8 +19,8 @@ START_SECONDS = 120.0
 
 
 def start(starting: Callable[[], object]) -> None:
-    """Starts a server, also one that recovers after a kill. The package gives a start ten seconds, and fails if the server is still
-    starting: both too strict on a busy machine."""
+    """Starts a server, also after a kill. The package itself allows ten seconds and fails while the server still starts: too strict
+    on a busy machine."""
     deadline = time.monotonic() + START_SECONDS
     while True:
         try:

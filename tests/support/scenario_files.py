@@ -42,7 +42,7 @@ def lane(index: object, s: object, offset: object = 0) -> str:
 
 
 def start(name: str, position: str, speed: str) -> str:
-    """A <Private> of <Init>; `speed`: of <SpeedActionTarget>."""
+    """Returns a <Private> of <Init> with `speed` as its <SpeedActionTarget>."""
     return (
         f'<Private entityRef="{name}"><PrivateAction><TeleportAction>{position}</TeleportAction></PrivateAction><PrivateAction>'
         f"<LongitudinalAction>{change_of_speed(speed)}</LongitudinalAction></PrivateAction></Private>"
@@ -280,7 +280,7 @@ IN = change_of_lane(BESIDE)
 
 
 def with_events(*events: str, other: str = OTHER, stop: str = trigger(when_time(10), tag="StopTrigger")) -> bytes:
-    """A file in which another car does something."""
+    """Returns a file with actions of another car."""
     return scenario(CARS, EGO + other, act("Other", *events), stop)
 
 

@@ -19,7 +19,7 @@ TLS = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
 
 
 def environment(folder: Path, workers: int = 1) -> dict[str, str]:
-    """Of a user who has nothing but a home folder."""
+    """Returns the environment of a user with an empty home folder."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("DRIVECAL_", "RAY_"))}
     return kept | {"HOME": str(folder), "DRIVECAL_HOME": str(folder / "home"), "DRIVECAL_WORKERS": str(workers)}
 

@@ -37,8 +37,8 @@ _PORTS = itertools.count(20_000 + 120 * (os.getpid() % 100))
 
 
 def free_port() -> int:
-    """A port that nothing listens on, below those that Linux gives to connections: a client that asks a server which is down could get its
-    port, and connect to itself."""
+    """Returns a port without a listener, below Linux's range for outgoing connections: else a client of a stopped server could get the
+    server's port and connect to itself."""
     while True:
         port = next(_PORTS)
         with socket.socket() as probe, suppress(OSError):

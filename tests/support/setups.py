@@ -18,7 +18,7 @@ def driven(
     evaluator: str = "reference",
     function: DrivingFunction | None = None,
 ) -> SetupRequest:
-    """Returns the setup of a scenario; `function` may be one that is not installed here."""
+    """Returns the setup of a scenario; `function` need not be installed."""
     document = {"vehicle": {"model": vehicle, "parameters": dict(values or {})}, "evaluator": evaluator}
     request = resolve(CampaignSpecification.model_validate(document)).bench.requests[scenario]
     if function is None:

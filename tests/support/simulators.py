@@ -134,7 +134,7 @@ def running(mark: str) -> list[psutil.Process]:
 
 
 def is_running(pid: int) -> bool:
-    """Returns whether a process lives; one that nobody has waited for does not."""
+    """Returns whether a process lives; a zombie does not."""
     try:
         return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:

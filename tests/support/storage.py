@@ -20,7 +20,7 @@ from drivecal.storage.references import parameter_sets, runs, setups
 from drivecal.storage.references.runs import NewRun
 
 PROCESSES = multiprocessing.get_context("forkserver")
-"""Processes of their own, forked from one that has imported what they need: importing it takes longer than most tests."""
+"""Starts processes as forks of a server process with all imports, which take longer than most tests."""
 PROCESSES.set_forkserver_preload(["pytest", "tests.support.runs", "drivecal.storage.maintenance.backup"])
 EVALUATOR = "reference 1"
 SETUP = Setup("S1", {"simulator": {"kind": "highway"}, "adapter": "1", "scenario": "S1", "data": {}, "files": "0"})
@@ -116,7 +116,7 @@ def new_run(
 def simulate(
     connection: Connection, sequence: int, cells: Sequence[RequestedCell], *, score: float = 5, rating: float = 5.25
 ) -> list[int]:
-    """Stores cells of a campaign, and the results of those that are to be simulated as if a worker had given them."""
+    """Stores cells of a campaign, and results for the simulated ones as if from a worker. Returns the ids of the cells."""
     ids = evaluations.insert(connection, sequence, cells)
     simulated = [(one, cell) for one, cell in zip(ids, cells, strict=True) if cell.plan is Outcome.SIMULATED]
     results = [

@@ -24,7 +24,7 @@ PLACES = 3
 
 
 class Turmoil(RuleBasedStateMachine):
-    """`steps` counts those of all examples."""
+    """`steps` is the number of steps in all examples."""
 
     steps = 0
 
@@ -73,7 +73,7 @@ class Turmoil(RuleBasedStateMachine):
     @precondition(lambda self: self._busy())
     @rule(data=st.data(), seconds=st.sampled_from([0.0001, 0.001, 0.5]))
     def finish(self, data: st.DataObject, seconds: float) -> None:
-        """The first batch of a worker ends as its cells want it to; one that hangs goes on."""
+        """Ends the first batch of a worker as its cells behave; a hanging batch continues."""
         self._end_first(data.draw(st.sampled_from(self._busy())), seconds)
 
     @rule(rounds=st.integers(1, 8))
@@ -96,13 +96,13 @@ class Turmoil(RuleBasedStateMachine):
     @precondition(lambda self: self._busy())
     @rule(data=st.data())
     def kill(self, data: st.DataObject) -> None:
-        """Somebody kills a worker."""
+        """Kills a worker from outside."""
         self._lose(data.draw(st.sampled_from(self._busy())), Breakdown.CRASH, None)
 
     @precondition(lambda self: self._busy())
     @rule(data=st.data(), unreadable=st.booleans())
     def spoil(self, data: st.DataObject, unreadable: bool) -> None:
-        """A worker answers every cell with an error, or nobody understands what it says."""
+        """A worker answers every cell with an error, or sends an unreadable answer."""
         place = data.draw(st.sampled_from(self._busy()))
         sent = self._take_first(place)
         if unreadable:
@@ -110,7 +110,7 @@ class Turmoil(RuleBasedStateMachine):
         else:
             results = tuple(broken_result(cell, Breakdown.ERROR) for cell in sent.batch.cells)
             completed = self.scheduler.finished(sent.batch_id, BatchResult(place.name, results, 0.1))
-        self._settle(sent, completed, {cell.id: (Breakdown.ERROR, "somebody") for cell in sent.batch.cells}, place.name)
+        self._settle(sent, completed, {cell.id: (Breakdown.ERROR, "outside") for cell in sent.batch.cells}, place.name)
 
     @precondition(lambda self: self._busy())
     @rule(data=st.data())
@@ -146,7 +146,7 @@ class Turmoil(RuleBasedStateMachine):
     @precondition(lambda self: any(not self.scheduler.held(row.tag) for row in self.paused))
     @rule()
     def resume(self) -> None:
-        """A paused campaign of which nothing is at a worker any more goes on."""
+        """Resumes a paused campaign once no worker holds its cells."""
         tag = next(row.tag for row in self.paused if not self.scheduler.held(row.tag))
         back = [row for row in self.paused if row.tag == tag]
         self.paused = [row for row in self.paused if row.tag != tag]
@@ -227,7 +227,7 @@ class Turmoil(RuleBasedStateMachine):
         return {cell.id for place in self.places for sent in place.batches for cell in sent.batch.cells}
 
     def _next(self, place: Place) -> Dispatch | None:
-        """Returns what a worker has room for; one that is to be replaced is."""
+        """Returns the next batch if the worker has room; replaces the worker if the scheduler wants it."""
         if len(place.batches) == 2 or any(batch.alone for batch in place.batches):
             return None
         sent = self.scheduler.next_batch(place.name, idle=not place.batches)
@@ -297,13 +297,13 @@ class Turmoil(RuleBasedStateMachine):
         return True
 
     def _lose(self, place: Place, breakdown: Breakdown, poison: int | None) -> None:
-        """The worker is gone, and with it all that it held, because of a cell or, None, of somebody else."""
+        """Loses a worker with all its batches, because of the cell `poison` or, if None, from outside."""
         name = place.name
         while place.batches:
             sent = self._take_first(place)
             completed = self.scheduler.lost(sent.batch_id, name, breakdown, "it died", seconds=1.0)
             blame = {
-                cell.id: (breakdown, "somebody" if poison is None else "itself" if cell.id == poison else "a neighbour")
+                cell.id: (breakdown, "outside" if poison is None else "itself" if cell.id == poison else "a neighbour")
                 for cell in sent.batch.cells
             }
             self._settle(sent, completed, blame, None)
@@ -361,8 +361,8 @@ class Turmoil(RuleBasedStateMachine):
             self.witnesses.setdefault(row.identity, set()).add(witness)
 
     def _check_failure(self, row: Row) -> None:
-        """A cell fails by itself, or somebody outside has ended every one of its last chances; never by a neighbour."""
-        assert self.blamed[row.identity] in ({"itself", "somebody"} if row.value in POISON else {"somebody"})
+        """A cell fails by itself, or because faults from outside took all its attempts; never because of a neighbour."""
+        assert self.blamed[row.identity] in ({"itself", "outside"} if row.value in POISON else {"outside"})
 
     def _forget_withdrawn(self, sent: Dispatch) -> None:
         for cell in sent.batch.cells:

@@ -12,7 +12,7 @@ from drivecal.execution.scheduling.in_flight import Dispatch
 DEADLINE, RESTART = 60.0, 1.6
 """Seconds that a batch may take, and that a new worker needs to start."""
 POISON = {7: Behaviour.CRASH, 8: Behaviour.HANG, 9: Behaviour.ERROR, 10: Behaviour.MEMORY}
-"""What a parameter's value does; all others are well."""
+"""Behaviour by value of a parameter; cells with other values succeed."""
 
 
 @dataclass
@@ -36,14 +36,14 @@ class Row:
 
 @dataclass
 class Place:
-    """A worker, and those that replace it."""
+    """A worker and its replacements."""
 
     number: int
     incarnation: int = 1
     ready_at: float = 0.0
     batches: list[Dispatch] = field(default_factory=list)
     deadline: float = 0.0
-    """Of the first batch."""
+    """Deadline of the first batch."""
 
     @property
     def name(self) -> str:

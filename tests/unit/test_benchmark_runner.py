@@ -12,7 +12,7 @@ RUNNER = Path(__file__).parents[1] / "benchmarks" / "run.py"
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """The runner beside three benchmarks: one good, one not good enough, one that breaks down."""
+    """A folder with the runner and three benchmarks: a good one, a poor one and a crashing one."""
     shutil.copy(RUNNER, tmp_path)
     (tmp_path / "a_breaks.py").write_text("raise RuntimeError('broken')\n")
     (tmp_path / "b_bad.py").write_text("import sys; print('table of b'); sys.exit(3)\n")

@@ -142,7 +142,7 @@ class Client(Transport):
             identifier: Id of the campaign.
             deadline: Moment of the monotonic clock after which TimeoutError is raised.
             told: Is called with each event.
-            from_beginning: Whether `told` gets the events before this call, too.
+            from_beginning: `told` also gets the events before this call.
         """
         return iter(Following(self, identifier, deadline, told, from_beginning=from_beginning))
 
@@ -152,7 +152,7 @@ class Client(Transport):
         Args:
             identifier: Id of the campaign.
             timeout: Seconds after which TimeoutError is raised; the campaign continues.
-            progress: Whether a notebook displays the campaign meanwhile.
+            progress: A notebook displays the campaign meanwhile.
         """
         deadline = None if timeout is None else time.monotonic() + timeout
         states = self.watch(identifier, deadline, from_beginning=False)

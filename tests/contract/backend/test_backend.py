@@ -1,4 +1,4 @@
-"""What every backend promises to the work pool."""
+"""Promises of every backend to the work pool."""
 
 import time
 from collections.abc import Iterator

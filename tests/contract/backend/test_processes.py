@@ -1,4 +1,4 @@
-"""What workers as processes of this machine promise besides."""
+"""Further promises of the backend whose workers are processes of this machine."""
 
 import os
 import signal

@@ -51,7 +51,7 @@ def clean_postgres(migrated_postgres: str) -> str:
 
 @pytest.fixture
 def empty_url(backend: Backend, request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """The URL of a database in which nothing is yet."""
+    """The URL of an empty database."""
     return f"sqlite:///{tmp_path / 'drivecal.db'}" if backend == "sqlite" else str(request.getfixturevalue("postgres_url"))
 
 

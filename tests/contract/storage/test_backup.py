@@ -35,7 +35,7 @@ INFLUENCES = {"S1": {"P1": {"influential": False}, "P2": {"influential": True, "
 
 
 def silent(table: str, done: int, total: int) -> None:
-    """Tells nobody how far a copy is."""
+    """Ignores the progress of a copy."""
 
 
 @pytest.fixture
@@ -364,7 +364,7 @@ os.kill(os.getpid(), 9)
 
 
 def killed_while_serving(file: Path) -> Path:
-    """Leaves the log of a process that was killed beside a backup."""
+    """Leaves a backup with the write-ahead log of a killed process."""
     assert subprocess.run([sys.executable, "-c", KILLED_SERVER, str(file)], check=False).returncode == -signal.SIGKILL
     log = file.with_name(f"{file.name}-wal")
     assert log.stat().st_size

@@ -1,4 +1,4 @@
-"""What `drivecal db check` asks: nothing is broken at any moment of a campaign, and each thing that can be broken is found and named."""
+"""`drivecal db check` finds no fault at any moment of a campaign, and names each planted fault."""
 
 import re
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ OFTEN = tries(25, 1)
 
 
 def problems(database: Database, *, full: bool = True) -> list[str]:
-    """What is broken, each with the name of its check."""
+    """Returns the faults, each with the name of its check."""
     return [f"{item.name}: {problem}" for item in verify(database, full=full) for problem in item.problems]
 
 
@@ -52,7 +52,7 @@ class Uncommitted:
 
 
 def problems_after(database: Database, statement: str) -> list[str]:
-    """What would be broken if a statement were committed."""
+    """Returns the faults that the database would have after a commit of the statement."""
     result: list[str] = []
     with suppress(UndoneError), database.transaction() as connection:
         _without_foreign_keys(connection)
@@ -148,7 +148,7 @@ BROKEN: dict[str, tuple[str, str]] = {
 
 @pytest.fixture
 def filled(database: Database) -> Database:
-    """A whole database: a campaign with its analysis, and one that has its answers."""
+    """A sound database with two campaigns: the first makes an analysis, the second takes its answers from the first."""
     analysed = run(database, submit(database, **SMALL), ComputedBackend(1, influenced))
     run(database, submit(database, stored_map=analysed.influence_map_id, **SMALL), ComputedBackend(2, influenced))
     return database

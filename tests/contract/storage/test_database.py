@@ -132,7 +132,7 @@ def test_a_process_that_stands_still_in_the_queue_holds_up_no_other_for_long(
 
 
 def _write_without_a_pause(url: str, seconds: float, begun: Event, ends: Event) -> None:
-    """Holds one transaction after the other, each for so many seconds."""
+    """Holds one transaction after the other, each for `seconds`."""
     database = Database.open(url)
     while not ends.is_set():
         with database.transaction():

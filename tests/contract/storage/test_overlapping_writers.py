@@ -1,4 +1,4 @@
-"""Transactions that overlap on PostgreSQL, where several write at a time; on SQLite each one that writes is alone from its start."""
+"""Writing transactions overlap on PostgreSQL. On SQLite each of them excludes other writers from its start."""
 
 import time
 from collections.abc import Callable, Iterator

@@ -1,8 +1,8 @@
-"""What has to be fast on tables of any size answers from an index: pinned on both backends.
+"""Queries that must be fast on tables of any size use an index on both backends.
 
-A plan is checked by what it must not do, read a whole table, and by the index that it must use. PostgreSQL gathers statistics by
-itself, so it gets some, and is asked for less than one row in a hundred, as of a large table: of a small one, reading it all is
-the better plan. SQLite has no statistics unless somebody asks for them, and is asked for as many values as one `IN` may hold.
+A plan must not read a whole table, and must use the expected index. PostgreSQL gathers statistics by itself, so the tests gather some,
+and ask for less than one row in a hundred, as from a large table: it would read a small table whole. SQLite gathers no statistics
+unless asked. Its queries have as many values as one `IN` may hold.
 """
 
 import json
@@ -100,7 +100,7 @@ def key_of(_: tuple[str, ...], values: Integers) -> list[bytes]:
 
 
 def gather_statistics(database: Database) -> None:
-    """What PostgreSQL does by itself after a while."""
+    """Gathers statistics, as PostgreSQL does by itself after a while."""
     with database.transaction() as connection:
         if connection.dialect.name == "postgresql":
             connection.execute(text("ANALYZE"))
@@ -270,7 +270,7 @@ def test_a_campaign_and_the_active_ones_are_found_among_many_ended_ones(database
         assert "ix_campaigns_active" in plan
         some_id = campaigns.by_sequence(connection, 700).id
         plan = plans(connection, lambda one: revision_queries.campaign_revision(one, some_id))
-        assert scanned(plan) <= {"processes"}, plan  # of which there are two
+        assert scanned(plan) <= {"processes"}, plan  # a table of two rows
         plan = plans(connection, lambda one: revision_queries.revisions(one, [7, 8, 9]))
         assert scanned(plan) == set(), plan
 

@@ -88,7 +88,7 @@ def test_every_watermark_sees_the_first_run_in_the_order_of_campaigns_whenever_t
 
 @pytest.mark.parametrize("seed", range(tries(3, 6)))
 def test_a_run_that_an_evaluator_cannot_rate_hides_no_reference_from_it(database: Database, seed: int) -> None:
-    """Of each evaluator's rated runs the first answers, whatever the others rated and whoever's keys were computed first."""
+    """The first run that an evaluator rated answers for it, whatever other evaluators rated, in any order of computing the keys."""
     chance = random.Random(seed)
     sets = [ParameterSet.of({"P1": decimal("0.4"), "P2": decimal(number)}) for number in range(12)]  # all of one key
     with database.transaction() as connection:

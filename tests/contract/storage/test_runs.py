@@ -69,7 +69,7 @@ def test_two_results_of_one_cell_in_one_batch_are_stored_once(database: Database
 
 
 def test_a_later_simulation_adds_no_rating_to_a_run_that_campaigns_may_see_already(database: Database) -> None:
-    """What an evaluator thinks of a run follows from its stored metrics, not from who simulates the cell again and when."""
+    """An evaluator rates a run by its stored metrics; a repeated simulation of the cell changes nothing."""
     with database.transaction() as connection:
         one = new_run(setup_id(connection), *sample_set_ids(connection, 1))
         (stored,) = runs.insert_results(connection, [one])
@@ -95,7 +95,7 @@ def test_what_was_seen_in_the_series_of_a_run_simulated_again_is_kept_for_campai
             for item in sets[:4]
         ]
         seen = [replace(entry, from_series=True) for entry in seen]
-        seen[1] = replace(seen[1], metrics={"offset_m": 1.0})  # another run than the one that is stored
+        seen[1] = replace(seen[1], metrics={"offset_m": 1.0})  # differs from the stored run
         seen[2] = replace(seen[2], failure="collision")
         result = runs.insert_results(connection, [*seen, replace(seen[0], score=4)])
         assert result == [

@@ -1,4 +1,4 @@
-"""Who made studies of what a campaign found."""
+"""Authors of the studies of a campaign."""
 
 from typing import Any
 

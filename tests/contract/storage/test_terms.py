@@ -1,4 +1,4 @@
-"""One dispatcher at a time: whoever was superseded writes nothing more, whenever it finds out."""
+"""A superseded dispatcher writes nothing more, even before it notices its successor."""
 
 import threading
 from functools import partial
@@ -51,7 +51,7 @@ def test_a_superseded_dispatcher_reads_but_writes_nothing(database: Database) ->
 
 
 def test_nobody_is_elected_while_a_transaction_of_the_one_before_runs(backend: Backend, database: Database) -> None:
-    """What a dispatcher wrote before it was stopped is either committed before the next one reads, or never."""
+    """Writes of a stopped dispatcher are committed before its successor reads, or never."""
     first = elect(database)
     elected = threading.Event()
 
@@ -89,7 +89,7 @@ def test_a_transaction_that_began_before_the_election_but_comes_late_is_refused(
     superseded: list[SupersededError] = []
 
     def fence(connection: Connection) -> None:
-        """Of the first dispatcher, which is stopped between the beginning of a transaction and its first statement."""
+        """Stops the first dispatcher between the beginning of a transaction and its first statement."""
         begun.set()
         assert goes_on.wait(300)
         processes.confirm(connection, "dispatcher", 1)

@@ -1,8 +1,8 @@
 """Runs one command so that none of its descendants can get lost: `python cage.py COMMAND...`.
 
-The cage is a child subreaper (Linux): a process whose parent was killed becomes the cage's child, so whatever the command started is
-found by parentage alone, however it was orphaned. It ends with the command's exit code once no descendant is left; when its standard
-input ends, because whoever started it is gone, it kills them all. Standard library only.
+The cage is a child subreaper (Linux): a process whose parent was killed becomes the cage's child, so the cage finds
+all descendants of the command by parentage, orphans included. It ends with the command's exit code once no descendant is left. If its
+own parent dies, its standard input ends, and it kills all descendants. Standard library only.
 """
 
 import ctypes

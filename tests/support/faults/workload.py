@@ -54,7 +54,7 @@ PREDICTING: dict[str, Any] = {
 """Its runs are far too cheap for predictions, which are off in it: no fault may change that."""
 SINGLE: dict[str, Any] = {"scenario": "S3", "vehicle": {"parameters": {"mass": 1700}}}
 PATIENCE_SECONDS = 600.0
-"""In which a request is accepted at last, while a server is killed and comes back."""
+"""Longest time until a request is accepted, while the server is killed and restarts."""
 
 
 def post(url: str, path: str, document: Mapping[str, Any], key: str | None = None, patience: float = PATIENCE_SECONDS) -> str:
@@ -100,7 +100,7 @@ def submit(url: str, documents: Mapping[str, Mapping[str, Any]] | None = None) -
 
 @contextmanager
 def single_evaluations(url: str, accepted: Accepted, pause: float = 1.0) -> Iterator[None]:
-    """Posts single evaluations as long as the block lasts, and notes those that are accepted; each is posted twice with one key."""
+    """Posts single evaluations during the block, each twice with one key, and notes the accepted ones."""
     stop = threading.Event()
 
     def work() -> None:

@@ -1,4 +1,4 @@
-"""What a simulator cannot do to its neighbours where the kernel has Landlock, and what it may do all the same."""
+"""Landlock keeps a simulator from harming its neighbours and allows it everything else that it needs."""
 
 import ctypes
 import os

@@ -27,7 +27,7 @@ def test_a_controller_that_is_not_reset_has_a_child_for_each_run(
 ) -> None:
     opened: list[dict[str, Any]] = []
     monkeypatch.setattr(kinds, "ProcessSession", lambda *_, **settings: opened.append(settings))
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # nobody removes the folder of a session that does not open
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # the folder of a session that does not open remains
     for name in ("acc.fmu", "acc.py", "road.net.xml"):
         (tmp_path / name).touch()
     section = {"controller": controller, "vehicle": "single_track", "timeout": 1.0, "memory_mb": 100}

@@ -1,4 +1,4 @@
-"""What searches by the cell judge."""
+"""Aims of searches that ask for single cells."""
 
 from dataclasses import replace
 

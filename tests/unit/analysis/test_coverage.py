@@ -17,7 +17,7 @@ from drivecal.reduction.lots import SamplingPlan, most_released, smallest_plan
 
 REPEATS = 2_000
 Row = tuple[float, float, float | None]
-"""Share of the repeats in which an interval held, its mean width, and that of the exact one, if it is known."""
+"""Share of the repeats whose interval held, its mean width, and the mean width of the exact interval, if known."""
 
 
 def counts(share: float, size: int) -> Row:

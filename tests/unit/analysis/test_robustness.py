@@ -100,7 +100,7 @@ def test_the_degree_is_the_largest_multiple_up_to_which_the_condition_holds() ->
     assert [item.degree for item in result] == [0, 3, 9, 10]
     assert [entry.at_least for entry in result] == [False, False, False, True]
     assert [element.radius for element in result] == pytest.approx([0.0, 0.03, 0.09, 0.1])
-    assert driven == 4 * (1 + 4 + 10 + 10)  # nobody is driven on after its condition failed
+    assert driven == 4 * (1 + 4 + 10 + 10)  # a set whose condition failed is driven no further
 
 
 def test_a_study_that_is_told_the_same_goes_on_as_the_first() -> None:

@@ -1,4 +1,4 @@
-"""What passes the door, request by request: the application behind it answers 200 to everything."""
+"""Authorisation of single requests: the application behind it answers 200 to everything."""
 
 import asyncio
 from collections.abc import Sequence
@@ -252,7 +252,7 @@ def test_a_page_of_another_origin_loads_nothing_with_a_session(site: bytes) -> N
 
 
 def forged(name: str, value: str) -> Header:
-    """A cookie that nobody was given."""
+    """A cookie that the server never set."""
     return b"cookie", f"{name}={value}".encode()
 
 

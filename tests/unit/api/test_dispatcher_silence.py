@@ -1,4 +1,4 @@
-"""What is said of a dispatcher that says nothing."""
+"""Reports of a dispatcher that has stopped reporting."""
 
 from datetime import UTC, datetime, timedelta
 

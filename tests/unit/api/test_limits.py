@@ -1,4 +1,4 @@
-"""What is too much, request by request."""
+"""Limits of single requests."""
 
 import asyncio
 import threading

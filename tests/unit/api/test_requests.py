@@ -1,4 +1,4 @@
-"""What is noted of each request, in the log and in the metrics; the application behind it does what each test needs."""
+"""Log and metrics of each request; the application behind it does what each test needs."""
 
 import asyncio
 import logging

@@ -1,4 +1,4 @@
-"""Who may push a problem, what is refused, and what is listed and shown; the whole application, without a server."""
+"""Pushing, refusing, listing and showing problems: the whole application, without a server."""
 
 import io
 import zipfile

@@ -38,7 +38,7 @@ files = st.builds(BundleFile, st.binary(max_size=100), st.booleans())
 
 
 def is_tree(tree: Tree) -> bool:
-    """Whether no file is a folder of another one."""
+    """Returns whether no file is a folder of another file."""
     folders = {"/".join(name.split("/")[:end]) for name in tree for end in range(1, name.count("/") + 1)}
     return not folders & tree.keys()
 

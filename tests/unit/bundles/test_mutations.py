@@ -55,7 +55,7 @@ def overwritten(content: bytes, chance: random.Random) -> bytes:
 
 
 def rewritten(content: bytes, chance: random.Random) -> bytes:
-    """A sound archive with names and kinds of files that nobody packs."""
+    """Returns a sound archive with unusual names and kinds of files."""
     written = BytesIO()
     with zipfile.ZipFile(BytesIO(content)) as source, zipfile.ZipFile(written, "w") as target:
         for entry in source.infolist():
@@ -69,7 +69,7 @@ def rewritten(content: bytes, chance: random.Random) -> bytes:
 
 
 def taken(attempt: Callable[[], object]) -> bool:
-    """Whether something is taken; otherwise the refusal names what is wrong."""
+    """Returns whether the attempt succeeds. A refusal must name the fault."""
     refusal = None
     with soon(), at_home():
         try:

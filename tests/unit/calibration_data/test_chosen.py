@@ -27,7 +27,7 @@ SCORES = {  # of the best set and the baseline, under each score
 
 
 class Data:
-    """What is known of a campaign."""
+    """Answers of a server about a campaign."""
 
     def __init__(self, light: Light | None = None) -> None:
         self.light = light

@@ -14,7 +14,7 @@ from drivecal.calibration_data.characteristics import Characteristic, Quality
 from drivecal.domain.errors import InvalidInputError
 
 PUBLIC = Path(__file__).parent / "public" / "DEMO.DCM"
-"""Written by CDM 7.2.3, from https://github.com/zhyongquan/pydcm; its licence is beside it."""
+"""Written by CDM 7.2.3, from https://github.com/zhyongquan/pydcm; the folder holds its licence."""
 QUALITY = Quality(
     "calibrated", "2026-11-21T10:00:00+00:00", "highway", "comfort", "frenet", "0" * 32, figures=(("score S1", "6"),)
 )

@@ -1,4 +1,4 @@
-"""When a predictor is asked, and in which batches."""
+"""Batches that use a predictor."""
 
 from decimal import Decimal
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""Validations: regions are those of the reference keys, and histograms are limited, and wrong where R_err says so."""
+"""Validations use the regions of the reference keys; histograms are limited and agree with R_err."""
 
 from dataclasses import replace
 from decimal import Decimal

@@ -1,4 +1,4 @@
-"""What `drivecal influence` says under its tables."""
+"""Notes of `drivecal influence` below its tables."""
 
 import pytest
 

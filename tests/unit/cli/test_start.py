@@ -1,4 +1,4 @@
-"""What the command line imports when it starts."""
+"""Imports at the start of the command line."""
 
 import subprocess
 import sys

@@ -21,7 +21,7 @@ from drivecal.contracts.evaluation import SeriesAnswer
 
 @pytest.fixture
 def downloaded() -> tuple[DownloadedTable, str]:
-    """A table of which no cell of the second row has a value, and the path of its request."""
+    """A table without a value in its second row, and the path of its request."""
     content = io.BytesIO()
     columns = {"id": pa.array([7, None], pa.int64()), "agrees": pa.array([True, None]), "rating": pa.array([6.5, None])}
     parquet.write_table(pa.table(columns), content)

@@ -1,4 +1,4 @@
-"""What notebooks display; the kernel is a fake here and a real one in tests/integration/test_notebooks.py."""
+"""Output of notebooks, with a fake kernel; tests/integration/test_notebooks.py has a real one."""
 
 import sys
 from types import SimpleNamespace

@@ -18,7 +18,7 @@ PARENT = "import subprocess, sys, time; subprocess.Popen(sys.argv[1:]); time.sle
 
 
 def guarded(folder: Path, name: str, seconds: str) -> subprocess.Popen[str]:
-    """A guard of something that has started a program of that name, which ends by itself after so many seconds."""
+    """Starts a guard whose command has started a program `name`; the program ends by itself after `seconds`."""
     part = folder / name
     sleep = shutil.which("sleep")
     assert sleep is not None

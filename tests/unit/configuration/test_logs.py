@@ -21,7 +21,7 @@ log = logging.getLogger("drivecal.somewhere")
 
 @pytest.fixture(autouse=True)
 def _left_as_it_was() -> Iterator[None]:
-    """What `configure` changes belongs to the process, and so to all other tests."""
+    """`configure` changes the process, and so all other tests: the fixture restores it."""
     with log_left_as_it_was():
         yield
 

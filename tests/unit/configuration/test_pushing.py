@@ -1,4 +1,4 @@
-"""The secret by which the user of a server without tokens is known."""
+"""The secret that identifies the user of a server without tokens."""
 
 import stat
 from pathlib import Path

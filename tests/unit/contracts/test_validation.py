@@ -1,4 +1,4 @@
-"""What a user reads when a specification does not fit."""
+"""Messages for invalid specifications."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""What a score's numbers mean."""
+"""Scales: the meaning of a score's numbers."""
 
 from dataclasses import replace
 

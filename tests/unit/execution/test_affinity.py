@@ -1,4 +1,4 @@
-"""Who takes which setup: a worker stays with what it knows, and nobody stands idle for it."""
+"""Assignment of setups to workers: a worker keeps its setup while it has work, and no worker waits for that."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,7 +30,7 @@ def test_a_worker_comes_back_to_the_setups_that_it_was_the_first_to_take() -> No
 
 def test_who_has_nothing_of_its_own_to_do_helps_where_most_is_left() -> None:
     setups = loaded(("one", A), ("two", B), ("two", C))
-    assert setups.choose("one", {B: 1.0, C: 5.0}) == B  # nobody is at it
+    assert setups.choose("one", {B: 1.0, C: 5.0}) == B  # no worker runs B now
     setups.load("one", B)
     assert setups.choose("three", {B: 1.0, C: 5.0}) == C
 

@@ -12,11 +12,11 @@ from drivecal.execution.scheduling.scheduler import MOST_PASSED_OVER, Scheduler
 from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
 
 SMALL = 0.0001
-"""Seconds per cell of which many go into a batch, even at the end."""
+"""Seconds of a cell, so short that many cells fill a batch, even at the end."""
 
 
 def scheduler(known: float | None = None) -> Scheduler:
-    """Of two workers; `known` is what a cell of S1 costs in seconds."""
+    """Returns a scheduler of two workers; `known` is the cost of a cell of S1 in seconds."""
     made = Scheduler(BatchPolicy())
     made.meet([W, V])
     for worker in (W, V) if known is not None else ():

@@ -1,4 +1,4 @@
-"""Campaigns beside others that ask for far more, or whose cells take far longer: simulated on virtual time, so that only work counts."""
+"""Small campaigns next to far larger ones, or to far longer cells: simulated on virtual time, so that only work counts."""
 
 from collections import Counter
 
@@ -68,7 +68,7 @@ def seconds_of_generations(plant: Plant, tag: str, first: int) -> float:
 
 
 def short(workers: int) -> float:
-    """Seconds of batches beside a small campaign: the dispatcher takes half of a core for them at most."""
+    """Returns the seconds of a batch while a small campaign runs: dispatching takes at most half of a core."""
     return max(POLICY.beside_small_seconds, 2 * workers * POLICY.dispatch_seconds)
 
 

@@ -1,5 +1,5 @@
-"""Tools outside of bundles: the pool asks a worker for their versions, and knows when no worker has those of a campaign, or when none can
-run a problem at all."""
+"""Tools outside of bundles: the pool asks a worker for their versions. It notices if no worker has a campaign's versions, or if no worker
+can run a problem at all."""
 
 from dataclasses import replace
 from typing import Any

@@ -7,7 +7,7 @@ from drivecal.execution.ray.watch import GIVEN_UP_AFTER, PATIENCE_SECONDS, Clust
 
 
 class Store:
-    """What is asked: it answers, does not, or has forgotten everything. Time stands where it is put."""
+    """The watched store: it answers, is silent, or has lost its data. Tests set its time."""
 
     def __init__(self) -> None:
         self.error: Exception | None = None

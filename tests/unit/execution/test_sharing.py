@@ -42,7 +42,7 @@ def test_an_identical_cell_of_another_campaign_is_answered_with_the_first_ones_r
     assert (follower.result.rating, follower.attempts, follower.worker) == (0.25, 1, W)
     assert one.held("a") == one.held("b") == 0
     add(one, "b", 3, [0.25])
-    assert ids(send(one)) == [3]  # the answer was given: whoever comes later looks it up elsewhere
+    assert ids(send(one)) == [3]  # the pool forgets a given answer; the database keeps it
 
 
 def test_the_cell_whose_turn_comes_first_is_the_one_that_is_sent() -> None:

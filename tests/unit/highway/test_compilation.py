@@ -108,7 +108,7 @@ def test_kernels_name_all_modules_whose_kernels_they_call(path: Path) -> None:
         index = getattr(kernel._cache, "_cache_file", None)
         if index is not None:
             _, _, *digests = index._source_stamp
-            # Or also those of constants; elsewhere these have their digest in the version of the driving function.
+            # The digests may include modules of constants; else the driving function's version includes these.
             assert digests in ([digest_of(others)] if others else [], [digest_of(others | constants_of(path))])
 
 

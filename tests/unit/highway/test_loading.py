@@ -1,4 +1,4 @@
-"""What SUMO says when it refuses the files that it loads: in the exception, and on standard error, where it stays if the process dies."""
+"""Messages of SUMO when it refuses files: in the exception, and on standard error, in case the process dies."""
 
 import os
 import time

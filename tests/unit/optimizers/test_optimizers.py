@@ -1,4 +1,4 @@
-"""What every optimizer promises, what those of the replacing kind promise, and what the genetic algorithm promises beyond."""
+"""Promises of every optimizer, of optimizers that replace sets, and of the genetic algorithm."""
 
 import json
 from collections.abc import Callable, Mapping

@@ -89,7 +89,7 @@ def test_an_engine_that_draws_otherwise_is_refused(plugin: OptimizerPlugin, chos
 
 
 class Drifting:
-    """An engine that proposes the start population shifted by one more each time, and by `drift` from proposal `since` on."""
+    """Each proposal shifts the start population by one more step. Proposal `since` and later ones add a shift of `drift`."""
 
     library = "drifting 2.0"
 

@@ -1,4 +1,4 @@
-"""The particle swarm: Equations 4 and 5 to the letter, its edges, and pyswarms beside it."""
+"""The particle swarm: Equations 4 and 5 to the letter, its edges, and a comparison with pyswarms."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What answers a cell is decided in the order repeated, reused, simulated."""
+"""A cell is repeated if possible, else reused, else simulated."""
 
 from dataclasses import replace
 

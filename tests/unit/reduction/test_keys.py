@@ -15,7 +15,7 @@ from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
 
 
 def is_valid_reference(stored: ParameterSet, new: ParameterSet, influence_map: InfluenceMap, scenario: str) -> bool:
-    """Whether `stored` may answer `new`: every parameter equal, without influence, or in the same non-influential region."""
+    """Returns whether `stored` may answer `new`: every parameter is equal, without influence, or in the same non-influential region."""
     for name, value in new.values.items():
         influence = influence_map.influence(scenario, name)
         other = stored.values[name]

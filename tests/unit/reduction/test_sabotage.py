@@ -80,7 +80,7 @@ def mostly_three(features: Floats, batch: int) -> Floats:
 
 
 def changed(features: Floats, batch: int) -> Floats:
-    """From the third batch on, a seventh of the sets has another score."""
+    """Changes the score of a seventh of the sets in the second half of the batches."""
     scores: Floats = true_scores(features, batch) + 2.0 * (batch >= BATCHES // 2) * (features[:, 1] < 1 / 7)
     return scores
 

@@ -12,7 +12,7 @@ S5 = HIGHWAY.scenarios["S5"]
 
 
 def network(*widths: float, limit: str = "30") -> bytes:
-    """A straight edge of 200 m; the lanes lie beside each other."""
+    """Returns a straight edge of 200 m with parallel lanes."""
     borders = np.concatenate([[0.0], np.cumsum(widths)]) - 0.5 * widths[0]
     lanes = "".join(
         f'<lane id="e_{number}" index="{number}" speed="{limit if number else 30}" length="200" width="{width}" '

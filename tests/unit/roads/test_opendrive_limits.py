@@ -32,7 +32,7 @@ def drive(content: bytes, route: tuple[str, ...], default_limit: float | None = 
 
 
 def changes(road: Corridor, track: int) -> list[tuple[float, float]]:
-    """Where the limit of a track changes, and to what."""
+    """Returns the places where the limit of a track changes, and the new limits."""
     limits = road.limits[:, track]
     rows = np.flatnonzero(np.diff(limits, prepend=-1.0))
     return [(float(road.stations[row]), float(limits[row])) for row in rows]
@@ -108,7 +108,7 @@ def test_an_undefined_limit_of_a_lane_leaves_that_of_the_road() -> None:
 
 
 def test_a_junction_without_limits_has_that_of_the_lane_before() -> None:
-    """The main road has 75 mph, the ramp beside it and its way through the junction none."""
+    """The main road has a limit of 75 mph; the ramp and its way through the junction have none."""
     content = edited("entrance", r'(<road [^>]*junction="7"[^>]*>.*?)<type.*?</type>', r"\1")
     road = drive(content, ("-1", "-2#0"))
     limits = [limit for _, limit in changes(road, len(road.tracks) - 1)]

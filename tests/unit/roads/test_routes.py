@@ -191,7 +191,7 @@ def test_lengths_that_contradict_the_shape_are_refused() -> None:
     ("edge", "lane", "factor"), [("beside", 0, 1.105), ("beside", 2, 0.895), (":b_1", 1, 3.0), ("after", 1, 1.105)]
 )
 def test_every_lane_beside_the_route_has_the_length_of_its_shape(edge: str, lane: int, factor: float) -> None:
-    """SUMO moves vehicles by the length: others would come closer at another speed than the one that is observed."""
+    """SUMO moves a vehicle by the lane's length. With a wrong length it approaches at another speed than observed."""
     pattern = rf'(<lane id="{edge}_{lane}"[^>]*? length=")([^"]*)"'
     [(_, text)] = re.findall(pattern, entrance().decode())
     wrong = f"{factor * float(text):.2f}"

@@ -1,6 +1,6 @@
-"""Starts of simulators that fail: beside open sessions, which may hold what they lack, again in an open session, or everywhere.
+"""Failing starts of simulators: next to open sessions that may hold the missing resource, in an open session, or on every try.
 
-And ends of sessions that fail.
+Also failing ends of sessions.
 """
 
 import errno

@@ -146,7 +146,7 @@ def test_a_cell_without_a_result_has_no_trace() -> None:
 
 
 def _request(**parts: object) -> SetupRequest:
-    """What a coordinator would ask for that has other `parts` installed."""
+    """Returns the request of a coordinator with other `parts` installed."""
     return changed(driven(), **parts)
 
 

@@ -24,9 +24,9 @@ def space_of(*n_values: int) -> ParameterSpace:
 
 
 def staircase(space: ParameterSpace, box: Box, steps: int = 8) -> Score:
-    """Scores 1..7 that go up and down in so many steps while a parameter of `box` crosses its part, and do not change outside.
+    """Returns scores 1..7 that go up and down in `steps` while a parameter of `box` crosses its interval, and do not change outside.
 
-    All parameters add up before the fold, so that where one changes the score depends on the others, but not whether it does.
+    All parameters add up before the fold: the others shift the places where a parameter changes the score, and never prevent it.
     """
 
     def score(points: Indices) -> Floats:

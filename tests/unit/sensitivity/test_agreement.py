@@ -11,7 +11,7 @@ from drivecal.sensitivity.agreement import agree, agreement
 
 
 def row(lower: float | None = 0, upper: float | None = 1, *, intervals: int | None = 5, **given: Any) -> InfluenceRow:
-    """Of a parameter from 0 to 1 in steps of 0.05, analysed in intervals of 0.2."""
+    """Returns the row of a parameter from 0 to 1 in steps of 0.05, analysed in intervals of 0.2."""
     known: dict[str, Any] = {"scenario": "S1", "parameter": "P1", "influential": True, "space_lower": 0, "space_upper": 1}
     measured = None if intervals is None else [0.1] * intervals
     return InfluenceRow(**{**known, "lower": lower, "upper": upper, "n_values": 21, "s_rel_intervals": measured, **given})

@@ -1,7 +1,7 @@
 """Effects of functions whose sensitivities are known on paper, from radial designs.
 
-Some hold for every step law; those of the g-function and sigma of x^2 are for base and auxiliary points that are independent, so the
-design is drawn without the shortest step there. With it, the exact values are summed over the grid.
+Some sensitivities hold for every step law. The g-function and sigma of x^2 need independent base and auxiliary points, so their design
+has no shortest step. With a shortest step, the tests sum the exact values over the grid.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ Function = Callable[[Floats], Floats]
 
 
 def analysed(function: Function, dimensions: int, shortest: float, grid: int = 10_001, seed: int = 1) -> list[EffectStatistics]:
-    """Of `function` on the unit cube, with values 7 times as large, since effects are in units of the scale 0..7."""
+    """Analyses 7 times `function` on the unit cube, because effects are in units of the scale 0..7."""
     n_values = np.full(dimensions, grid)
     rows = SobolRows(COLUMNS * dimensions, seed)
     design = radial_design(n_values, rows, np.zeros_like(n_values), n_values - 1, SAMPLES, shortest)

@@ -1,4 +1,4 @@
-"""What is cut from which intervals, and what is given back."""
+"""Cuts of influential intervals, and their reversal."""
 
 from itertools import product
 

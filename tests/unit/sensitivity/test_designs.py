@@ -1,4 +1,4 @@
-"""What every design keeps, whatever the space: grids, boxes, one parameter per step, no zero steps, numbers of runs."""
+"""Every design keeps grids, boxes, one parameter per step, no zero steps and its number of runs, in any space."""
 
 import hashlib
 from dataclasses import dataclass

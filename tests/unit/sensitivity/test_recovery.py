@@ -19,7 +19,7 @@ BOXES: dict[str, Box] = {
     "S2": {2: (0.4, 0.7), 3: (0.2, 1), 10: (0, 0.6)},
     "S3": {0: (0.65, 1), 5: (0.1, 0.35), 6: (0, 1), 7: (0, 0.2), 8: (0.5, 0.9)},
 }
-"""What is not listed does not matter."""
+"""Influential intervals by scenario and parameter; all other parameters have no influence."""
 
 
 def misses(found: dict[str, dict[str, Influence]], space: ParameterSpace) -> list[str]:

@@ -38,7 +38,7 @@ class Recorded:
 
 
 def rough(space: Any, box: Box, seed: int, changed: float, failing: float) -> Score:
-    """A staircase of which a share of all points scores otherwise and another share fails; whole parts of the range fail, too."""
+    """A staircase with a share of changed points and a share of failing points; whole parts of the range fail as well."""
     stairs = staircase(space, box)
 
     def score(points: Indices) -> Floats:

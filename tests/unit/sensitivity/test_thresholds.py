@@ -1,4 +1,4 @@
-"""What counts as influential: on s_rel, on mu and sigma apart, and what `auto` tolerates."""
+"""Thresholds of influence on s_rel, or on mu and sigma, and the tolerance of `auto`."""
 
 from typing import Any
 
@@ -24,7 +24,7 @@ from drivecal.sensitivity.thresholds import (
 
 
 def effects_of_changes(points: list[int], n: int, step: float) -> Floats:
-    """Effects of equal steps, of which the first ones change the score by so many points, up and down in turn."""
+    """Returns effects of `n` equal steps: the first steps change the score by `points`, alternately up and down."""
     changes = np.zeros(n)
     changes[: len(points)] = [change * (-1) ** number for number, change in enumerate(points)]
     return changes / 7 / step
@@ -58,9 +58,9 @@ def test_the_threshold_that_was_applied_is_reported() -> None:
 
 @pytest.mark.parametrize("threshold", ["auto", 0.02, MuSigmaThresholds(0.1, 0.1)])
 def test_where_nothing_is_known_influence_is_assumed(threshold: Threshold) -> None:
-    found = verdict(measures(np.array([np.nan, 0.0])), np.array([0.1]), threshold)
-    assert found.influential
-    assert found.threshold is None
+    result = verdict(measures(np.array([np.nan, 0.0])), np.array([0.1]), threshold)
+    assert result.influential
+    assert result.threshold is None
 
 
 def test_tolerated_changes_are_those_that_one_percent_explains() -> None:

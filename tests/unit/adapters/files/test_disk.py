@@ -98,7 +98,7 @@ def test_a_session_that_hides_its_open_files_is_ended_when_a_full_disk_loses_mor
 
 
 def replaced(nameless: files.Nameless) -> files.Nameless:
-    """What another user than root sees."""
+    """Makes the scan incomplete, as for users other than root."""
     nameless.is_complete = False
     return nameless
 
@@ -178,7 +178,7 @@ def test_files_in_memory_take_no_more_than_the_memory_of_the_problem(tmp_path: P
 
 
 def test_disks_are_told_from_memory() -> None:
-    """Of two places in one folder the later is on top."""
+    """A later mount on a folder hides the earlier mount."""
     mounts = [line.split(" - ") for line in Path("/proc/self/mountinfo").read_text().splitlines()]
     systems = {mount.split()[4]: system.split()[0] for mount, system in mounts}
     shown = {place: system for place, system in systems.items() if system in {"tmpfs", "proc", "ext4", "sysfs", "overlay"}}

@@ -1,4 +1,4 @@
-"""Places by coordinates: on the roads of the drive, and on one of those that lie above each other."""
+"""Positions by coordinates: on the roads of the drive, and on one of several roads above each other."""
 
 from functools import cache
 from math import pi

@@ -200,7 +200,7 @@ def test_what_waits_for_several_actions_waits_for_the_last_of_them() -> None:
 
 
 def test_what_waits_for_an_action_without_effect_remembers_that_it_is_done() -> None:
-    """Its conditions may hold only once, before those of the action that waits."""
+    """The conditions of the ineffective action may hold only once, before the conditions of the waiting action."""
     idle = speed("idle", 10, when("Ego", NEAR.replace("$gap", "12")), rate=0)
     second = speed("second", 10, when_done("event", "idle"), rate=0)
     unwanted = speed("unwanted", 10, when_time(1), rate=0)
@@ -363,7 +363,7 @@ def file(*stories: str) -> bytes:
 
 
 def two_of_a_name(reference: str, kind: str = "event", state: str = "completeState") -> bytes:
-    """Two maneuvers with events of one name, the second of which waits."""
+    """Two maneuvers with events of one name; the second event waits."""
     second = event("go", IN, when_state(kind, reference, state))
     return file(story(maneuver("first", event("go", BRAKE, when_time(2))), maneuver("second", second)))
 

@@ -15,7 +15,7 @@ FAR_AWAY = Moving(0.0, 0.0, 0.0, 2.5)
 
 
 class Sumo:
-    """What the actions ask of SUMO for one vehicle on an edge of two lanes, and what they tell it."""
+    """Stands in for SUMO: answers and records the actions' calls for one vehicle on an edge of two lanes."""
 
     def __init__(self) -> None:
         self.road, self.speeds, self.modes, self.offsets = "e0", list[float](), list[int](), list[float]()

@@ -18,7 +18,7 @@ def action(**trigger: Any) -> CutIn:
 
 
 def fired(trigger: CutIn, moments: Sequence[Moment], events: Events | None = None) -> list[int]:
-    """The steps in which an action of `other` is due."""
+    """Returns the steps with a due action of `other`."""
     watch, happened = Watch("other", trigger, STEP), events or Events()
     return [index for index, moment in enumerate(moments) if watch.is_due(moment, happened)]
 

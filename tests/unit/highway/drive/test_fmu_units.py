@@ -1,4 +1,4 @@
-"""Units that controllers in FMUs state, against those of signals and commands."""
+"""Units in FMUs of controllers must match the units of signals and commands."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -50,7 +50,7 @@ def pose(s: float, d: float, yaw: float = 0.0, speed: float = 20.0) -> np.ndarra
 
 
 def placed(s: float, d: float, lanes: np.ndarray = LANES, verge: float = VERGE, **motion: float) -> tuple[bool, np.ndarray]:
-    """Whether the vehicle is on the road, and its place."""
+    """Returns whether the vehicle is on the road, and its place."""
     place = np.zeros(geometry.MOTION)
     place[geometry.SIZE : geometry.EDGE + 1], place[geometry.STEERING] = [*SIZE, verge], 0.03
     on_road = geometry.place(LINE, lanes, pose(s, d, **motion), s + 3.0, place)
@@ -273,7 +273,7 @@ def test_a_vehicle_against_the_route_has_its_own_heading_and_speed(turn: float) 
         assert outlines[0, :6] == pytest.approx((x, y, heading, 2.5, 1.0, -speed))
     assert outlines[0, 6] == pytest.approx(2.0)
     seen = signals_of(others, 0.0, 0.0, 300.0, 0.0, LANES)
-    assert (seen["gap"], seen["left_gap"]) == (1000, 1000)  # it is beside the lanes
+    assert (seen["gap"], seen["left_gap"]) == (1000, 1000)  # it is outside the lanes
 
 
 def test_a_vehicle_against_the_route_leads_in_the_own_lane_and_is_no_follower() -> None:

@@ -124,7 +124,7 @@ def test_percentiles_and_jerks_of_accelerations() -> None:
     assert values["rms_acceleration_mps2"] == pytest.approx(np.sqrt((along**2).mean()))
     assert values["p95_acceleration_mps2"] == pytest.approx(np.quantile(np.abs(along), 0.95))
     assert values["max_lateral_acceleration_mps2"] == values["p95_lateral_acceleration_mps2"] == 1.5
-    ramp = np.arange(1, 201, dtype=np.float64) * np.float64(0.02)  # 2 m/s³ from rest on
+    ramp = np.arange(1, 201, dtype=np.float64) * np.float64(0.02)  # 2 m/s³, starting at rest
     assert jerks(ramp)[60:] == pytest.approx(np.full(140, 2.0))
     assert jerks(ramp)[0] == pytest.approx(0.04)
 

@@ -64,7 +64,7 @@ def written(content: bytes, folder: Path) -> Path:
 def test_others_see_the_ego_vehicle_s_speed_also_if_it_is_placed_anew_behind_the_begin_of_an_edge(
     metres: float, tmp_path: Path
 ) -> None:
-    """Every `CHECKED_STEPS` steps it is: here with its front so many metres behind it."""
+    """SUMO places the ego vehicle anew every `CHECKED_STEPS` steps, here with its front `metres` behind the edge's begin."""
     drive = Drive(NETWORK, ROUTE, tmp_path, ("e0", 0))
     begin = drive.road.corridor.places["e1", 0][0, 1]
     for _ in drive.steps(CHECKED_STEPS - 8, 12, begin + metres - 8 * SPEED * STEP):
@@ -80,7 +80,7 @@ def test_the_ego_vehicle_keeps_its_speed_over_junctions_without_lanes_inside(tmp
 
 
 def test_sumo_has_the_ego_vehicle_in_its_lane_behind_a_split(tmp_path: Path) -> None:
-    """A lane leads to two, of which the corridor takes one, and SUMO perhaps the other."""
+    """A lane leads to two lanes: the corridor takes one, and SUMO may take the other."""
     nodes = [node("a", 0, 0), node("b", 400, 0), node("c", 1200, 0)]
     links = [link("A", "B", 0, 0), link("A", "B", 0, 1), link("A", "B", 1, 2)]
     network = written(built(nodes, [edge("A", "a", "b", 2), edge("B", "b", "c", 3)], links), tmp_path)

@@ -24,7 +24,7 @@ STEP, START, SPEED = 0.1, 2000.0, 25.0
 BEGIN = 1000.0
 KIND = {"carFollowModel": "Krauss", "sigma": "0.5", "speedDev": "0.1"}
 FLOW = {"period": "2", "departLane": "0", "departSpeed": "25"}
-"""Enters 2 km behind the ego vehicle from the begin of the warm-up on."""
+"""Vehicles enter 2 km behind the ego vehicle, throughout the warm-up and after it."""
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def traffic(
 
 
 def said(subject: Traffic) -> Floats:
-    """What SUMO says of the other vehicles."""
+    """Returns SUMO's values of the other vehicles."""
     return subject.outlines[:, geometry.SAID :].copy()
 
 
@@ -181,7 +181,7 @@ def test_a_vehicle_that_changes_into_the_lane_of_the_ego_vehicle_leaves_it_room(
         (150.0, 0.0, -30.0, 0.0, True),  # against it
         (110.0, 3.4, 30.0, -1.2, True),  # about to be in its lane
         (110.0, -3.4, 30.0, 1.2, True),
-        (110.0, 3.4, 30.0, 1.2, False),  # about to leave the lane beside it
+        (110.0, 3.4, 30.0, 1.2, False),  # about to leave the adjacent lane
         (110.0, 1.5, 30.0, 1.2, True),  # still in its lane
         (110.0, 7.0, 30.0, -1.2, False),
         (110.0, 3.4, -30.0, 1.2, True),  # its left is the route's right

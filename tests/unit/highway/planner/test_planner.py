@@ -1,4 +1,4 @@
-"""How the planner drives: seen from outside, by its trajectories and by which features a situation changes."""
+"""Behaviour of the planner: its trajectories, and the features that a situation changes."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

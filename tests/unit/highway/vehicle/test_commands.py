@@ -27,7 +27,7 @@ def drive(model: SingleTrackModel, dynamics: np.ndarray, acceleration: float = 0
 
 
 def arc(radius: float, speed: float, seconds: float) -> np.ndarray:
-    """A left curve from the origin on, as a trajectory."""
+    """Returns a left curve that starts at the origin, as a trajectory."""
     times = np.arange(0.0, seconds + 0.05, 0.05)
     angles = speed * times / radius
     columns = [times, radius * np.sin(angles), radius * (1 - np.cos(angles)), angles]

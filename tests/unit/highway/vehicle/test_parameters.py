@@ -18,7 +18,7 @@ boxes = st.builds(SingleTrackParameters, *(st.floats(parameter.minimum, paramete
 
 
 def dynamics_matrix(p: SingleTrackParameters, v: float) -> Floats:
-    """Of side-slip angle and yaw rate, written from the force and moment balance (not from the kernel's coefficients)."""
+    """Returns the system matrix of side-slip angle and yaw rate, from the balance of forces and moments (not the kernel's coefficients)."""
     lateral = np.array([[-p.cornering_stiffness_front, -p.cornering_stiffness_front * p.distance_front / v]])
     rear = np.array([[-p.cornering_stiffness_rear, p.cornering_stiffness_rear * p.distance_rear / v]])
     force = lateral + rear

@@ -18,7 +18,7 @@ CENTIMETRE = 0.01
 
 
 def holds(surface: RoadSurface, points: Floats) -> list[bool]:
-    """Whether each point lies in one of a surface's lanes (by the winding rule of an even number of crossings)."""
+    """Returns whether each point lies in a lane of a surface (by the even-odd rule)."""
     inside = np.zeros(len(points), np.bool_)
     for strip in surface.lanes:
         ring = np.array([*strip.right, *strip.left[::-1]])
