@@ -51,7 +51,7 @@ PREDICTING: dict[str, Any] = {
     "optimizer": {"kind": "genetic", "population": tries(300, 400), "iterations": 3, "seed": 3},
     "reduction": {"mode": "predicted"},
 }
-"""Its runs are far too cheap for predictions, which are off in it: no fault may change that."""
+"""Its runs are far too cheap for predictions, which are off in it: no fault may change that. `test_predictions` has them on."""
 SINGLE: dict[str, Any] = {"scenario": "S3", "vehicle": {"parameters": {"mass": 1700}}}
 PATIENCE_SECONDS = 600.0
 """Longest time until a request is accepted, while the server is killed and restarts."""
