@@ -202,7 +202,7 @@ def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is
     expect(mode).to_have_value("predicted")
     analysed.check()
     expect(mode).to_have_value("both")
-    expect(page.get_by_text("takes more runs than the search")).to_be_visible()
+    expect(page.get_by_text("the sensitivity analysis does not pay")).to_be_visible()
     analysed.uncheck()
     expect(mode).to_have_value("predicted")
     page.get_by_label("name").fill("from the form")

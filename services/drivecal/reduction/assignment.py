@@ -12,6 +12,9 @@ from drivecal.domain.evaluations import Donor, Outcome, RequestedCell
 from drivecal.domain.parameters import ParameterSet
 from drivecal.reduction.audit import is_audited
 
+LIKELY = 0.25
+"""Share of the cells ahead that predictions or a map are expected to answer if they have answered nothing yet."""
+
 
 @dataclass(frozen=True, slots=True)
 class Policy:

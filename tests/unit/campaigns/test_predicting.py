@@ -13,7 +13,6 @@ from tests.support.storage import new_evaluation
 from drivecal.campaigns.cells import predicting
 from drivecal.campaigns.cells.predicting import (
     ASKING_SECONDS,
-    LIKELY,
     LotPlanner,
     batch_of,
     expected_saving,
@@ -26,6 +25,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.domain.scales import COMFORT
+from drivecal.reduction.assignment import LIKELY
 from drivecal.reduction.prediction import FEWEST_KNOWN, Predictions
 from drivecal.storage import lots
 from drivecal.storage.lots import LotVerdict, StoredLot

@@ -57,10 +57,21 @@ def test_a_weight_of_zero_leaves_the_scenario_out_and_says_so() -> None:
 
 
 def test_the_misses_of_the_threshold_auto_are_noted_before_an_analysis_begins() -> None:
-    (note,) = _resolve(sensitivity={"threshold": "auto", "samples": 20}).notes
+    (note, *_) = _resolve(sensitivity={"threshold": "auto", "samples": 20}).notes
     assert "39%" in note
-    assert _resolve(sensitivity={"threshold": 0.02, "samples": 20}).notes == ()
+    assert _resolve(sensitivity={"threshold": 0.02, "samples": 20}, optimizer=None).notes == ()
     assert _resolve(sensitivity=None).notes == ()
+
+
+def test_an_analysis_that_probably_saves_less_than_it_takes_is_noted() -> None:
+    def notes(cells: int, kind: str = "genetic", **changes: Any) -> int:
+        return len(_resolve(sensitivity={}, optimizer={"kind": kind}, budget={"simulations": cells}, **changes).notes)
+
+    cost = _resolve(sensitivity={}, optimizer=None).expected_runs().sensitivity
+    assert (notes(4 * cost - 4), notes(4 * cost)) == (1, 0)
+    assert notes(100, reduction={"mode": "predicted"}) == 0, "nobody expects savings of its map"
+    assert notes(8 * cost, "surrogate") == 2, "the map answers no cell, so that its analysis saves none"
+    assert notes(8 * cost, "surrogate", reduction={"max_error": 1}) == 0
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore, Donor, Outcome, RequestedCell
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scales import Scale, plain
+from drivecal.reduction.assignment import LIKELY
 from drivecal.reduction.lots import SamplingPlan, most_released
 from drivecal.reduction.prediction import (
     FEWEST_KNOWN,
@@ -389,8 +390,6 @@ class LotPlanner:
 
 CHANGED = 0.3
 """Share of a population that a generation requests, if unknown: the share of the paper's genetic algorithm at most."""
-LIKELY = 0.25
-"""Share of a batch, or of all cells ahead, that a predictor is expected to save if it has saved nothing yet."""
 RECENT_LOTS = 6
 """Number of a scenario's last lots that, together with LIKELY, predict the saving of the next lots."""
 LOADING_SECONDS = 2.0

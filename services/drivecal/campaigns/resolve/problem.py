@@ -31,6 +31,7 @@ from drivecal.contracts.specification import CampaignSpecification, EvaluationSp
 from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
+from drivecal.reduction.assignment import LIKELY, Policy
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 
 
@@ -62,6 +63,30 @@ class CalibrationProblem:
         if not isinstance(wanted, SensitivitySpecification):
             return None
         return resolvers.plan_analysis(wanted, self.constraints, self.scenarios, self.bench.scale)
+
+    @property
+    def policy(self) -> Policy:
+        """How the search's cells may be answered. A search by the cell has models of its own, so that no prediction answers its cells, and
+        asks for so few at once that a lot of references would be simulated whole. A random simulator's cells have runs of their own."""
+        chosen, reduction = self.optimization, self.specification.reduction
+        mode, seed = reduction.mode, 0 if chosen is None else chosen.seed
+        if mode != "off" and (self.bench.is_random or chosen is None or chosen.by_cell is not None):
+            mode = "influence" if reduction.uses_map and reduction.max_error >= 1.0 and not self.bench.is_random else "exact"
+        return Policy(mode, reduction.audit, seed)
+
+    def doubts_about_map(self) -> tuple[str, ...]:
+        """Returns notes if the influence map answers no cell of a search by the cell, and if its analysis does not pay to the end of it."""
+        if self.optimization is None or not self.specification.reduction.uses_map:
+            return ()
+        runs = self.expected_runs()
+        saved = round(LIKELY * runs.calibration_at_most) if self.policy.reuses else 0
+        notes = []
+        if not self.policy.reuses and not self.bench.is_random:
+            notes.append("the influence map answers no cell: checks in lots would simulate each cell that this search asks for")
+        if runs.sensitivity > saved:
+            words = f"it would probably save {saved:,} simulations of this search, and takes {runs.sensitivity:,}"
+            notes.append(f"the sensitivity analysis does not pay: {words}; leave it out, or let other campaigns use its map")
+        return tuple(notes)
 
     @property
     def scenarios(self) -> tuple[str, ...]:
@@ -196,9 +221,10 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     resolvers.check_units(specification, bench.scale, diagnostics)
     diagnostics.raise_if_any()
     notes += resolvers.note_predictions(specification, bench.scale)
-    return CalibrationProblem(
+    problem = CalibrationProblem(
         specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints, goals
     )
+    return replace(problem, notes=(*notes, *problem.doubts_about_map()))
 
 
 def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSource = installed_bundles) -> EvaluationProblem:

@@ -94,7 +94,6 @@ class Calibration(Stage):
         self._notes = problem.notes
         self._repeatable_no_more = campaign.cells.unrepeatable > 0
         self._search = campaign.search or SearchState(room=room_for(view.workers), began_at=now())
-        self._notes = (*self._notes, *task.unused_map(problem))
         self._asker: Asker | None = None
         self._computation: Computation | None = None
         """The search's running computation; None if the next round needs none."""
@@ -373,7 +372,7 @@ class Calibration(Stage):
         return within
 
     def _policy(self) -> Policy:
-        return task.policy_of(self._problem)
+        return self._problem.policy
 
     def _store(self, connection: Connection, asked: Round) -> None:
         """Commits a round with the search's state and its cells; a set to confirm belongs to no generation."""

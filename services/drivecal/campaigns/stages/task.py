@@ -22,7 +22,6 @@ from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace
 from drivecal.optimizers.population import start_population
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, AskedCell, CellAnswer, SearchTask
-from drivecal.reduction.assignment import Policy
 from drivecal.storage import campaigns, evaluations, generations
 from drivecal.storage.engine.database import Database
 from drivecal.storage.generations import StoredGeneration
@@ -35,23 +34,6 @@ MOST_KNOWN = 2_000
 
 STALE = 50
 """Generations without a new set after which a search with a budget ends: its space is exhausted, or its population stands still."""
-
-
-def policy_of(problem: CalibrationProblem) -> Policy:
-    """Returns how cells may be answered. A search by the cell has models of its own, so that no prediction answers its cells, and asks for
-    so few at once that a lot of references would be simulated whole. A random simulator's cells have runs of their own."""
-    chosen, reduction = problem.optimization, problem.specification.reduction
-    mode, seed = reduction.mode, 0 if chosen is None else chosen.seed
-    if mode != "off" and (problem.bench.is_random or chosen is None or chosen.by_cell is not None):
-        mode = "influence" if reduction.uses_map and reduction.max_error >= 1.0 and not problem.bench.is_random else "exact"
-    return Policy(mode, reduction.audit, seed)
-
-
-def unused_map(problem: CalibrationProblem) -> tuple[str, ...]:
-    """Returns a note if the influence map answers no cell of a search by the cell."""
-    uses_map = problem.specification.reduction.uses_map and not policy_of(problem).reuses and not problem.bench.is_random
-    note = "the influence map answers no cell: checks in lots would simulate each cell that this search asks for"
-    return (note,) if uses_map else ()
 
 
 def progressed(

@@ -246,13 +246,6 @@ def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
     print_results(results)
 
 
-def pays_text(share: float) -> str:
-    """Returns the meaning of `ExpectedRuns.break_even_share` for a coming campaign."""
-    if share > 1:
-        return "the analysis cannot pay within this campaign: it takes more runs than there are cells to reuse; reruns share its map"
-    return f"the analysis pays within this campaign if its map answers {share:.1%} of the requested cells"
-
-
 def _print_expected(expected: ExpectedRuns) -> None:
     problem = f" on the problem {expected.problem}" if expected.problem else ""
     typer.echo(f"the campaign can run{problem}; it proposes {expected.calibration_proposed:,} cells and simulates at most:")
@@ -265,8 +258,8 @@ def _print_expected(expected: ExpectedRuns) -> None:
             f"about {duration(expected.seconds)} at most on {expected.workers} workers ({expected.milliseconds:.1f} ms of one each, {how})"
             ", for the simulations alone: planning, the optimizer and predictions take further time"
         )
-    if expected.break_even_share is not None:
-        typer.echo(pays_text(expected.break_even_share))
+    if expected.break_even_share is not None and expected.break_even_share <= 1:
+        typer.echo(f"the analysis pays here if its map answers {expected.break_even_share:.1%} of the requested cells")
     for note in expected.notes:
         typer.echo(f"note: {note}")
 
