@@ -15,6 +15,7 @@ campaigns on all machines and under any load.
 """
 
 import argparse
+import ctypes
 import json
 import os
 import platform
@@ -34,6 +35,7 @@ import psutil
 import yaml
 from scipy.stats import t as student
 from tests.benchmarks.efficiency import wait_for_workers
+from tests.support.faults.cage import PR_SET_CHILD_SUBREAPER
 
 from drivecal.cli.commands.demo import coordinator, fresh_folder
 from drivecal.contracts.campaign import Campaign
@@ -282,6 +284,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--counts", action="store_true", help="runs and optima alone; campaigns of any machine count")
     given = parser.parse_args(arguments)
     os.environ["DRIVECAL_HOME"] = str(HOME)  # whose secret pushes problems
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)  # else the simulators, whose keepers are orphans, are not seen
     names = ("runs",) if given.counts else ("runs", "cpu", "wall")
     kinds = [kind for kind in KINDS if kind == "off" or given.only is None or kind in given.only]
     given.file.parent.mkdir(parents=True, exist_ok=True)

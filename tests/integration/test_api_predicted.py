@@ -48,6 +48,7 @@ def test_the_account_has_what_predictions_saved_and_what_they_cost(ended: Ended)
     balance = {item.name: item.seconds for item in account.balance}
     assert balance["predicted"] > 0
     assert balance["predictor"] == pytest.approx(-sum(lots.seconds for lots in ended.campaign.released.values()))
+    assert balance["dispatcher"] < 0, "look-ups, planning, and loading the predictors"
     assert account.net_seconds == pytest.approx(sum(balance.values()))
 
 

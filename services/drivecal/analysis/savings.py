@@ -4,7 +4,8 @@ Runs that occupy their workers for much longer than they compute are accounted i
 waits (for a licence, a device, another machine), or other processes take its processors: an account cannot tell which.
 
 The net estimates the CPU time of the same campaign without reuse, less its own. So a saved cell is worth the mean CPU time of the
-scenario's simulations, and all that reuse itself takes is deducted: the sensitivity stage and the predictor. Audited cells are simulated
+scenario's simulations, and all that reuse itself takes is deducted: the sensitivity stage, the predictor, and the dispatcher's look-ups,
+keys and lots (the API does nothing for it). Audited cells are simulated
 like any other: they are a saving forgone, already missing among the reused, and not a cost on top; so are the samples of predicted lots.
 Reused cells that were simulated after the search to confirm its best set save nothing either.
 
@@ -25,6 +26,8 @@ WAITING = 2.0
 """Quotient of wall-clock and CPU time of the runs above which an account is in wall-clock time."""
 LEAST_WAIT = 0.05
 """Mean seconds without CPU time of such a run: a shorter one is mostly on its way to a child process and back, which is no waiting."""
+LEAST_SHOWN = -0.05
+"""Seconds of a cost from which on the sentence names it."""
 ROUNDING = 1e-9
 """Quotients this close above a whole number are that number."""
 
@@ -47,6 +50,7 @@ def account(
     origin: MapOrigin | None,
     confirmed: Mapping[str, Mapping[Outcome, int]] | None = None,
     predictors: Mapping[str, float] | None = None,
+    dispatcher: float = 0.0,
 ) -> Accounting:
     """Returns the account of a campaign.
 
@@ -58,6 +62,7 @@ def account(
         origin: the influence map in use.
         confirmed: number of cells that were simulated after the search, by scenario and first answer.
         predictors: CPU time of the predictor, by scenario.
+        dispatcher: CPU time of the dispatcher for reuse, besides the predictors.
     """
     cpu_seconds, wall_seconds = sum(cost.run_seconds for cost in costs), sum(cost.occupied_run_seconds for cost in costs)
     runs = sum(cost.runs for cost in costs)
@@ -84,6 +89,7 @@ def account(
         *(BalanceItem(name=name, label=f"{name} cells", seconds=seconds) for name, seconds in savings.items()),
         BalanceItem(name="sensitivity", label="sensitivity stage", seconds=-sensitivity.seconds),
         BalanceItem(name="predictor", label="predictor", seconds=-sum(row.predictor_seconds for row in rows)),
+        BalanceItem(name="dispatcher", label="dispatcher", seconds=-dispatcher),
     ]
     accounting = Accounting(
         campaign=campaign,
@@ -220,7 +226,7 @@ def _sentence(accounting: Accounting) -> str:
     costs = [
         f"{item.label} {-item.seconds:,.1f} s{runs * (item.name == 'sensitivity')}"
         for item in accounting.balance
-        if item.seconds < 0
+        if item.seconds <= LEAST_SHOWN
     ]
     if costs:
         verb = "net saving" if accounting.net_seconds >= 0 else "net loss"

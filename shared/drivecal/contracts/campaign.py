@@ -257,6 +257,8 @@ class SearchState(Answer):
     """Ids of dismissed sets to simulate after the search; null before its end."""
     spent_minutes: float | None = None
     """Minutes of the whole search; null before its end."""
+    reuse_seconds: float = 0.0
+    """CPU time of the dispatcher for look-ups, keys and lots."""
 
     def minutes(self, now: datetime) -> float:
         """Returns the minutes since the search began, or that it took."""

@@ -81,14 +81,15 @@ def test_predictions_save_and_their_predictor_costs() -> None:
         _costs("S1", Outcome.PREDICTED, 40, 0.0, runs=0, run_seconds=0.0),
         _costs("S2", Outcome.SIMULATED, 100, 1.0),
     ]
-    result = account("c", "running", ["S1", "S2"], costs, None, predictors={"S1": 0.5, "S2": 0.25})
+    result = account("c", "running", ["S1", "S2"], costs, None, predictors={"S1": 0.5, "S2": 0.25}, dispatcher=0.02)
     first, second = result.scenarios
     assert (first.predicted, first.predictor_seconds, second.predicted, second.predictor_seconds) == (40, 0.5, 0, 0.25)
     assert first.saved["predicted"] == pytest.approx(0.8)
     assert (result.answered_without_simulation, result.share_without_simulation, result.share_reused) == (40, 0.2, 0.0)
     assert result.saved_seconds == pytest.approx(0.8)
-    assert {item.name: item.seconds for item in result.balance} == {"predicted": result.saved_seconds, "predictor": -0.75}
-    assert result.net_seconds == pytest.approx(0.05)
+    parts = {"predicted": result.saved_seconds, "predictor": -0.75, "dispatcher": -0.02}
+    assert {item.name: item.seconds for item in result.balance} == parts
+    assert result.net_seconds == pytest.approx(0.03)
 
 
 def test_confirmed_answers_are_taken_off_those_that_they_replace() -> None:

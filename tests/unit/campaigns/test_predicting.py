@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from tests.support.storage import new_evaluation
 
 from drivecal.campaigns.cells import predicting
+from drivecal.campaigns.cells.planning import ReuseTime
 from drivecal.campaigns.cells.predicting import (
     ASKING_SECONDS,
     LotPlanner,
@@ -44,7 +45,7 @@ SPACE = ParameterSpace((Parameter("P1", Decimal(0), Decimal(1), 11),))
 
 
 def planner_of(weights: dict[str, float]) -> LotPlanner:
-    view: Any = SimpleNamespace(names=("P1",), campaign=1, bench=SimpleNamespace(scale=COMFORT))
+    view: Any = SimpleNamespace(names=("P1",), campaign=1, bench=SimpleNamespace(scale=COMFORT), reuse_time=ReuseTime())
     return LotPlanner(view, SPACE, ReductionSpecification(mode="predicted"), weights, 200)
 
 

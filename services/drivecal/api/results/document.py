@@ -133,6 +133,7 @@ def account_of(connection: Connection, campaign: StoredCampaign) -> Accounting:
         _map_origin(connection, campaign),
         evaluations.confirmed(connection, campaign.sequence, searched),
         predictors,
+        0.0 if campaign.search is None else campaign.search.reuse_seconds,
     )
 
 

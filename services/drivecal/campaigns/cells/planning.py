@@ -1,7 +1,9 @@
 """Looks up stored results for a population's cells and plans how each cell is answered."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 from sqlalchemy import Connection
@@ -19,6 +21,20 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets, reference_keys, runs, setups
 
 
+@dataclass(slots=True)
+class ReuseTime:
+    """CPU time of this thread for a campaign's reuse: look-ups, keys, lots, and what predictions take besides their models."""
+
+    seconds: float = 0.0
+
+    @contextmanager
+    def counted(self) -> Iterator[None]:
+        """Adds the time of the block."""
+        began = time.thread_time()
+        yield
+        self.seconds += time.thread_time() - began
+
+
 @dataclass(frozen=True)
 class View:
     """A campaign's view of the database: its own cells, and the runs up to its watermark."""
@@ -33,6 +49,7 @@ class View:
     """The time series of its cells are wanted."""
     workers: int = 1
     """Workers at the beginning."""
+    reuse_time: ReuseTime = field(default_factory=ReuseTime)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -86,23 +103,24 @@ def plan_cells(
     released: dict[tuple[str, ParameterSet], Donor] = {}
     class_keys: dict[tuple[str, ParameterSet], bytes] = {}
     stocked = runs.stocked(connection, setup_ids.values())  # nothing is known in other vehicles that were never driven
-    for scenario, setup_id in setup_ids.items():
-        here = list(dict.fromkeys(cell.parameters for cell in wanted if cell.scenario == scenario))
-        if not here:
-            continue
-        if scenario in view.keys:
-            keys = view.keys[scenario].keys(billionths_matrix(here))
-            class_keys |= {(scenario, asked): key for asked, key in zip(here, keys, strict=True)}
-        if policy.mode != "off" and setup_id in stocked:
-            by_id = {set_ids[parameter_set]: parameter_set for parameter_set in here}
-            known = _exact(connection, view, scenario, setup_id, list(by_id), before)
-            exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
-        if policy.reuses and scenario in view.keys and setup_id in stocked:
-            stored = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)), before)
-            references |= {(scenario, key): donor for key, donor in stored.items()}
-            place = view.campaign, iteration, scenario, setup_id
-            known = evaluations.released_before(connection, place, view.bench.evaluator_id, list(by_id))
-            released |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
+    with view.reuse_time.counted():
+        for scenario, setup_id in setup_ids.items():
+            here = list(dict.fromkeys(cell.parameters for cell in wanted if cell.scenario == scenario))
+            if not here:
+                continue
+            if scenario in view.keys:
+                keys = view.keys[scenario].keys(billionths_matrix(here))
+                class_keys |= {(scenario, asked): key for asked, key in zip(here, keys, strict=True)}
+            if policy.mode != "off" and setup_id in stocked:
+                by_id = {set_ids[parameter_set]: parameter_set for parameter_set in here}
+                known = _exact(connection, view, scenario, setup_id, list(by_id), before)
+                exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
+            if policy.reuses and scenario in view.keys and setup_id in stocked:
+                stored = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)), before)
+                references |= {(scenario, key): donor for key, donor in stored.items()}
+                place = view.campaign, iteration, scenario, setup_id
+                known = evaluations.released_before(connection, place, view.bench.evaluator_id, list(by_id))
+                released |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
     placed = [
         replace(
             cell,

@@ -118,10 +118,6 @@ class LotPlanner:
         self._recent_seconds = 0.0
         self._rows: dict[int, int] = {}
         self._forecasts: dict[str, _Forecast] = {}
-        self._not_stored: dict[str, float] = defaultdict(float)
-        """Seconds of forecasts without a cell to predict, by scenario: the next lot accounts for them."""
-        self._shared = 0.0
-        """CPU seconds of all scenarios together that no lot accounts for so far: reading, loading, planning."""
         self._chosen: set[str] = set()
         """Scenarios whose predictions pay."""
         self.off: str | None = None
@@ -129,7 +125,6 @@ class LotPlanner:
 
     def learn(self, connection: Connection) -> None:
         """Reads the answers and lots since the last call. No cell of the campaign may wait for its answer."""
-        began = time.thread_time()
         self._lots_so_far = lots.of_campaign(connection, self._view.campaign, Outcome.PREDICTED)
         occupied, self._counted = evaluations.occupied(connection, self._view.campaign, self._counted)
         for scenario, (cells, microseconds) in occupied.items():
@@ -157,7 +152,6 @@ class LotPlanner:
         for scenario, listed in by_scenario.items():
             for _, batch in groupby(listed, key=self._batch):
                 self._take(self._learners[scenario], list(batch))
-        self._shared += time.thread_time() - began
 
     def is_ready(self, sets: float, batches: float) -> bool:
         """Chooses the scenarios whose predictions pay. Returns whether the library of predictors is loaded. Call it after `learn`.
@@ -182,7 +176,7 @@ class LotPlanner:
             return True
         if _LOADING.ident is None:
             _LOADING.start()
-            self._shared += LOADING_SECONDS
+            self._view.reuse_time.seconds += LOADING_SECONDS
         return not _LOADING.is_alive()
 
     def _reason(self, left_out: Mapping[str, tuple[float, float]], loading: float) -> str | None:
@@ -252,6 +246,7 @@ class LotPlanner:
         parameters = parameter_sets.load(connection, numbers)
         self._rows = {number: row for row, number in enumerate(numbers)}
         self._forecasts = self._forecast(list(self._learners), self._features([parameters[number] for number in numbers]))
+        self._view.reuse_time.seconds += sum(forecast.seconds for forecast in self._forecasts.values())
         cells = [
             RequestedCell(
                 number,
@@ -286,7 +281,6 @@ class LotPlanner:
         """
         if not self._forecasts or not cells:
             return list(cells)
-        began = time.thread_time()
         reaching = self._promoted(cells, best) if reaches is None or best is None else self._reaching(cells, reaches)
         promoted = {*whole, *reaching}
         leading = {cell.leader for cell in cells if cell.leader is not None}
@@ -313,12 +307,11 @@ class LotPlanner:
             candidates = [place for place in here if place not in leading and cells[place].individual not in promoted]
             rows = [self._rows[cells[place].individual] for place in candidates]
             if not rows:  # every answer is known: that is no failure of the predictor, and no empty lot may say so
-                self._not_stored[scenario] += forecast.seconds
+                self._view.reuse_time.seconds += forecast.seconds
                 continue
             lot = choose_lot(forecast.error_rates[rows], self._reduction.limit)
             accepted[scenario] = lot
             members[scenario] = [] if lot is None else [candidates[position] for position in lot.members]
-        self._shared += time.thread_time() - began
         stored = lots.insert(connection, self._view.campaign, [self._new(cells[0], *pair) for pair in accepted.items()])
         for places, number in zip(members.values(), stored, strict=True):
             for place in places:
@@ -328,7 +321,6 @@ class LotPlanner:
     def _new(self, first: RequestedCell, scenario: str, lot: Lot | None) -> NewLot:
         plan = SamplingPlan(0, 0, 0) if lot is None else lot.plan
         forecast = self._forecasts[scenario]
-        shared, self._shared = self._shared, 0.0
         return NewLot(
             first.iteration,
             first.individual,
@@ -339,7 +331,7 @@ class LotPlanner:
             self._tolerance,
             self._reduction.limit,
             forecast.known,
-            forecast.seconds + self._not_stored.pop(scenario, 0.0) + shared,
+            forecast.seconds,
             Outcome.PREDICTED,
         )
 

@@ -92,6 +92,8 @@ class Calibration(Stage):
         self._best, self._baseline = campaign.best, campaign.baseline
         self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
         self._notes = problem.notes
+        if campaign.search is not None:
+            view.reuse_time.seconds += campaign.search.reuse_seconds
         self._repeatable_no_more = campaign.cells.unrepeatable > 0
         self._search = campaign.search or SearchState(room=room_for(view.workers), began_at=now())
         self._asker: Asker | None = None
@@ -168,7 +170,7 @@ class Calibration(Stage):
         if self._planner is None or not self._resumed or self._search.ended_by is not None:
             return True
         if not self._has_learned:
-            with self._database.transaction() as connection:
+            with self._view.reuse_time.counted(), self._database.transaction() as connection:
                 self._planner.learn(connection)
             self._has_learned = True
         iterations, each = self._optimization.iterations, max(1.0, self._changed)
@@ -179,7 +181,8 @@ class Calibration(Stage):
 
     def _begin(self) -> None:
         """Reads the rows, and begins to restore the search as it was after the last round, or to create one."""
-        sync_reference_keys(self._database, self._view)
+        with self._view.reuse_time.counted():
+            sync_reference_keys(self._database, self._view)
         with self._database.read() as connection:
             last = generations.last(connection, self._campaign.sequence)
             self._closed = generations.finished(connection, self._campaign.sequence)
@@ -436,7 +439,7 @@ class Calibration(Stage):
             return []
         surest, reaches = self._ranking.surest(), None if self._problem.goals is None else self._ranking.reaches_front
         best = None if surest is None else surest.objective
-        with self._database.transaction() as connection:
+        with self._view.reuse_time.counted(), self._database.transaction() as connection:
             return self._planner.worth_a_look(connection, dismissed, best, reaches)[: limit // 4]
 
     def _replicate(self) -> Round | None:
@@ -479,9 +482,10 @@ class Calibration(Stage):
             self._answers.take_in(connection, self._campaign.sequence, [number])
             self._answers.settle(asked.population)
             objectives = self._answers.objectives(number)
-            self._error_rate = check_reuse(connection, self._view, number, self._problem.scenarios, self._error_rate)
-            if self._planner is not None:
-                self._released = self._planner.released(connection)
+            with self._view.reuse_time.counted():
+                self._error_rate = check_reuse(connection, self._view, number, self._problem.scenarios, self._error_rate)
+                if self._planner is not None:
+                    self._released = self._planner.released(connection)
             is_better = self._describe_best(connection)
             figures = self._figures(connection, number, asked, objectives)
             is_new = self._ranking.sets > sets
@@ -572,7 +576,7 @@ class Calibration(Stage):
                 f"{repaired.proposed:,} proposals broke constraints and became {repaired.distinct:,} new sets: the search hardly moves;"
                 " choose another optimizer, or loosen the constraints"
             )
-        is_over = self._search.ended_by is not None
+        is_over, mode = self._search.ended_by is not None, self._policy().mode
         if is_over and self._search.predictions_off is not None:
             notes.append(self._search.predictions_off)
         if self._best is not None and self._best.violation > 0 and is_over:
@@ -580,7 +584,7 @@ class Calibration(Stage):
         return replace(
             super()._snapshot(connection),
             iteration=self._next - 1 if self._next else None,
-            search=self._search,
+            search=self._search.model_copy(update={"reuse_seconds": 0.0 if mode == "off" else self._view.reuse_time.seconds}),
             progress=self._progress(counts.requested, counts.requested + counts.pending),
             error_rate=self._error_rate,
             released=self._released,

@@ -243,7 +243,8 @@ class Stage(Job):
                 for position, (bench, cells) in enumerate(asked.cells):
                     view = self._view if bench is self._view.bench else replace(self._view, bench=bench)
                     planned = plan_cells(connection, view, asked.policy, self.name, asked.number, cells, asked.before)
-                    planned = self._form_lots(connection, asked, planned)
+                    with view.reuse_time.counted():
+                        planned = self._form_lots(connection, asked, planned)
                     self._tracker.request(connection, planned, carried_over=0 if position else asked.carried_over)
                 self._store(connection, asked)
                 self._save(connection)
