@@ -26,7 +26,7 @@ def test_numbers_in_promises_are_those_of_the_code() -> None:
         ("after half a minute", 30.0, PATIENCE_WITH_REFUSALS),
         ("each of 0.5 s", 0.5, BatchPolicy().target_seconds),
         ("at most 2 s of its work", 2.0, SMALL_SECONDS),
-        ("Cells above 5 s", 5.0, LONG_SECONDS),
+        ("cells above 5 s", 5.0, LONG_SECONDS),
         ("At most eight campaigns", 8, LIMITS["running_campaigns"]),
         ("problems: 64 MB", 64, LIMITS["problem_mb"]),
         ("over 10,000,000 cells", 10_000_000, LIMITS["largest_campaign"]),
