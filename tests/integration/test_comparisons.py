@@ -16,7 +16,6 @@ from drivecal.api import submission
 from drivecal.api.dependencies import Limits
 from drivecal.campaigns import comparison
 from drivecal.campaigns.comparison import CONFIRMED
-from drivecal.campaigns.results.verification import verify
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -25,6 +24,7 @@ from drivecal.domain.errors import ConflictError, NotFoundError, OverloadError
 from drivecal.storage import results
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
+from drivecal.storage.maintenance.consistency import verify
 
 
 def findings(database: Database, tag: str) -> list[tuple[Any, ...]]:
@@ -63,7 +63,7 @@ def test_each_optimizer_population_and_seed_is_a_campaign(compared: Compared) ->
     for compared_run in runs:
         assert (compared_run.course[-1].iteration, compared_run.course[-1].best) == (compared_run.iterations, compared_run.best)
         assert compared_run.course[-1].simulations == compared_run.simulations - compared_run.confirmations
-    assert [check for check in verify(database, full=True) if check.problems] == []
+    assert [check for check in verify(database) if check.problems] == []
 
 
 def test_common_cells_are_simulated_once_and_counted_by_each(compared: Compared) -> None:

@@ -13,13 +13,13 @@ from tests.support.runs import dispatcher, everything, post_map, rows_of, run, s
 
 from drivecal.analysis.verdicts import confirmation_verdict
 from drivecal.campaigns.results.explanation import explain
-from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.campaign import Best
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import events, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.maintenance.consistency import verify
 
 ITERATIONS = 4
 STRIDE = tries(40, 10)
@@ -136,7 +136,7 @@ def test_no_more_sets_are_tried_than_asked_for_and_failing_ones_once(database: D
     assert len({(row.parameter_set_id, row.scenario) for row in tried}) == len(tried)
     assert failing.confirmation is not None
     assert failing.confirmation.failed
-    assert [check for check in verify(database, full=True) if check.problems] == []
+    assert [check for check in verify(database) if check.problems] == []
 
 
 @pytest.mark.slow

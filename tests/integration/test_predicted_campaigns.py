@@ -20,7 +20,6 @@ from drivecal.api import submission
 from drivecal.api.dependencies import Limits
 from drivecal.campaigns.cells.predicting import LotPlanner, slice_size
 from drivecal.campaigns.results.explanation import explain
-from drivecal.campaigns.results.verification import verify
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -30,6 +29,7 @@ from drivecal.storage import evaluations, lots
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.lots import LotVerdict, StoredLot
+from drivecal.storage.maintenance.consistency import verify
 
 ITERATIONS = 4
 STRIDE = tries(27, 9)
@@ -306,4 +306,4 @@ def test_runs_of_a_comparison_predict_and_their_best_sets_were_simulated(databas
         best = Cell(1, campaign.best.parameters)
         assert campaign.best.scores == {name: slowly(name, best).score for name in ("S1", "S2")}
     assert all(more.simulations > less.simulations for more, less in zip(answer.runs[0::2], answer.runs[1::2], strict=True))
-    assert [check for check in verify(database, full=True) if check.problems] == []
+    assert [check for check in verify(database) if check.problems] == []

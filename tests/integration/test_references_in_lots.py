@@ -13,13 +13,13 @@ from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
 from tests.support.runs import dispatcher, everything, influenced, post_map, rows_of, run, step_until, submit
 
-from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import lots
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.lots import LotVerdict, StoredLot
+from drivecal.storage.maintenance.consistency import verify
 from drivecal.storage.results import StoredEvaluation
 
 ITERATIONS = 4
@@ -97,7 +97,7 @@ def test_counts_of_lots_cells_and_campaign_agree(inspected: tuple[Database, Stor
     assert campaign.released == {}
     assert campaign.error_rate["S2"].rejected == 0
     assert campaign.error_rate["S1"].rejected > 0
-    assert [check for check in verify(database, full=True) if check.problems] == []
+    assert [check for check in verify(database) if check.problems] == []
 
 
 def test_a_sample_is_compared_with_its_references_and_its_lot_released_or_simulated_whole(
@@ -147,7 +147,7 @@ def test_a_reference_without_a_result_answers_no_cell_of_its_lot(database: Datab
     for row in rows:
         if row.outcome is Outcome.REUSED:
             assert by_id[row.reference or 0].outcome is Outcome.SIMULATED
-    assert [check for check in verify(database, full=True) if check.problems] == []
+    assert [check for check in verify(database) if check.problems] == []
 
 
 @pytest.mark.slow

@@ -10,7 +10,6 @@ from tests.support.runs import WITH_ANALYSIS, influenced, run
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
-from drivecal.campaigns.results.verification import verify
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -20,6 +19,7 @@ from drivecal.plugins import registry
 from drivecal.plugins.ports import Evaluator, Series
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.maintenance.consistency import verify
 
 LIMITS = Limits.of(load_settings())
 MAPPED = WITH_ANALYSIS | {"sensitivity": {"intervals": 2, "samples": 4, "threshold": 0.02}}
@@ -84,4 +84,4 @@ def test_runs_are_simulated_again_for_it_once_and_nothing_is_for_who_rates_by_me
     back = rerun(database, again, "reference", ComputedBackend(answer=influenced))
     assert back.counts(StageName.SENSITIVITY).simulated == 0
     assert back.best == first.best
-    assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
+    assert [verdict for verdict in verify(database) if verdict.problems] == []

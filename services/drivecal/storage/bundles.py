@@ -1,7 +1,7 @@
 """Pushed problem bundles: each content once, by its digest. A name means the content that was pushed last under it."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from difflib import get_close_matches
@@ -114,11 +114,6 @@ def listing(
     page = [record(BundleHeading, row) for row in connection.execute(query)]
     following = encode_cursor(page[limit - 1].pushed) if len(page) > limit else None
     return page[:limit], following
-
-
-def digests(connection: Connection) -> Iterator[str]:
-    """Yields the digests of all bundles, in the order of their pushes."""
-    yield from connection.scalars(select(bundles.c.digest).order_by(bundles.c.pushed)).all()
 
 
 def _only(connection: Connection, condition: ColumnElement[bool], given: str, *, possible: bool) -> StoredBundle:

@@ -17,7 +17,6 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, dispatcher, finish, get, influenced, post_map, run, submit
 from tests.support.storage import PROCESSES, campaign
 
-from drivecal.campaigns.results.verification import verify
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DatabaseError, UnavailableError
 from drivecal.domain.events import EventKind
@@ -26,6 +25,7 @@ from drivecal.storage.engine import schema
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance import backup
 from drivecal.storage.maintenance.backup import copy_rows, tables_of
+from drivecal.storage.maintenance.consistency import verify
 
 ANALYSED = WITH_ANALYSIS | {
     "sensitivity": {"intervals": 2, "samples": 4, "threshold": 0.02},
@@ -91,7 +91,7 @@ def test_what_is_restored_is_what_was_backed_up(
     assert written.rows["events"] == 3
     target = Database.open(target_url(kind))
     assert backup.restore(file, target, silent) == written
-    assert [verdict for verdict in verify(target, full=True) if verdict.problems] == []
+    assert [verdict for verdict in verify(target) if verdict.problems] == []
     before, after = everything(as_file(used, tmp_path)), everything(as_file(target, tmp_path))
     assert {name: after[name] for name in before} == before
     assert before["sqlite_sequence"]
@@ -321,7 +321,7 @@ def test_a_killed_restore_leaves_the_database_empty(
     assert process.exitcode == -signal.SIGKILL
     target = Database.open(url)
     assert backup.restore(file, target, silent) == written
-    assert [verdict for verdict in verify(target, full=True) if verdict.problems] == []
+    assert [verdict for verdict in verify(target) if verdict.problems] == []
     target.dispose()
 
 

@@ -1,14 +1,9 @@
 """Pushed problems: a content once, a name means the last push, and nothing is lost in a backup."""
 
-import zipfile
-from io import BytesIO
 from pathlib import Path
 
 import pytest
-from sqlalchemy import text
 
-from drivecal.bundles.archives import content_digest
-from drivecal.campaigns.results.verification import verify
 from drivecal.domain.errors import InvalidInputError, NotFoundError, TooLargeError
 from drivecal.storage import admission, bundles, campaigns
 from drivecal.storage.bundles import StoredBundle
@@ -58,12 +53,7 @@ def test_a_name_means_what_was_pushed_last_under_it(database: Database) -> None:
     with database.read() as connection:
         assert bundles.by_name(connection, "acc").digest == A
         assert not bundles.by_digest(connection, B).latest
-    assert list_all(database) == [B, C, A]
-
-
-def list_all(database: Database) -> list[str]:
-    with database.read() as connection:
-        return list(bundles.digests(connection))
+    assert listed(database, name="acc") == [A, B]
 
 
 def test_a_list_holds_each_name_once_and_that_of_a_name_all_its_pushes(database: Database) -> None:
@@ -90,47 +80,6 @@ def test_no_more_than_the_limit_are_kept_and_the_known_ones_may_come_again(datab
         admission.admit_problem(connection, A, 1)
         with pytest.raises(TooLargeError):
             admission.admit_problem(connection, B, 1)
-
-
-def pushed(database: Database) -> str:
-    """Stores a problem as the API does. Returns its digest."""
-    buffer = BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr("problem.yaml", "whatever")
-    manifest = {
-        "problem": "acc",
-        "parameters": {"x": {"lower": 0.0, "upper": 1.0}},
-        "simulator": {"kind": "python", "file": "model.py"},
-        "scenarios": {"city": {}},
-        "measures": {"energy": "kWh"},
-        "scores": {"cost": {"formula": "energy", "direction": "minimise", "range": [0.0, 1.0]}},
-    }
-    digest = content_digest(buffer.getvalue())
-    with database.transaction() as connection:
-        bundles.add(connection, digest=digest, name="acc", manifest=manifest, archive=buffer.getvalue())
-    return digest
-
-
-@pytest.mark.slow("postgresql")
-@pytest.mark.parametrize(
-    ("statement", "said"),
-    [
-        ("UPDATE bundles SET archive = :other, size = 4", "cannot be read"),
-        ("UPDATE bundles SET size = size + 1", "is not stored under"),
-        ("UPDATE bundles SET digest = '" + A + "'", "is not stored under"),
-        ("UPDATE bundles SET name = 'other'", "calls itself acc"),
-        ("UPDATE bundles SET manifest = '{\"problem\": 7}'", "cannot be read"),
-    ],
-)
-def test_the_check_of_a_database_reads_every_problem(database: Database, statement: str, said: str) -> None:
-    pushed(database)
-    assert [verdict.problems for verdict in verify(database, full=False) if verdict.problems] == []
-    with database.transaction() as connection:
-        given = {"other": b"none"} if ":other" in statement else {}
-        connection.execute(text(statement), given)
-    (verdict,) = [verdict for verdict in verify(database, full=False) if verdict.problems]
-    assert verdict.name == "problems"
-    assert said in verdict.problems[0]
 
 
 def copied_portions(database: Database, folder: Path, name: str) -> list[int]:

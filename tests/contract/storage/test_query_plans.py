@@ -218,8 +218,7 @@ def test_look_ups_use_their_indexes(filled: Database, subtests: pytest.Subtests)
 
 def test_late_ratings_are_not_searched_for_among_all_runs(filled: Database) -> None:
     with filled.read() as connection:
-        [index] = reference_keys.indexes(connection)
-        plan = plans(connection, lambda one: reference_keys.wrong_keys(one, index, key_of, 1))
+        plan = plans(connection, lambda one: reference_keys._rated(one, 1, EVALUATOR, 0, 10**9, 100))
     assert "ix_ratings_since" in plan, plan
 
 

@@ -140,8 +140,6 @@ def test_a_rating_that_is_younger_than_its_run_is_seen_from_its_own_number_on(da
     [key] = set(keys_of_sets(sets))
     again = {entry.parameter_set_id for entry in stored[:7]}
     with database.read() as connection:
-        [index] = reference_keys.indexes(connection)
-        assert reference_keys.wrong_keys(connection, index, keys_of, every=1, chunk=chunk) == 0
         for watermark in range(last + 1):
             seen = [
                 (origin(one if one.parameter_set_id in again else replace(one, campaign_sequence=9)), run)

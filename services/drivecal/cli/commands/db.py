@@ -31,9 +31,6 @@ DatabaseOption = Annotated[
         "--database-url", help="SQLAlchemy URL; else DRIVECAL_DATABASE_URL, else the SQLite file under DRIVECAL_HOME."
     ),
 ]
-FullOption = Annotated[
-    bool, typer.Option("--full", help="Look at every parameter set and reference key, not at a sample of them.")
-]
 
 
 @database.command()
@@ -56,11 +53,11 @@ def upgrade(database_url: DatabaseOption = None, as_json: JsonOption = False) ->
 
 
 @database.command()
-def check(full: FullOption = False, database_url: DatabaseOption = None, as_json: JsonOption = False) -> None:
+def check(database_url: DatabaseOption = None, as_json: JsonOption = False) -> None:
     """Say whether the database is current and whole. Only reads, and may do so while a server runs; exit status 1 if not."""
     with _opened(database_url) as (_, opened):
         opened.check()
-        report = _verified(opened, full=full)
+        report = _verified(opened)
     _print_verified(report, as_json)
 
 
@@ -100,7 +97,7 @@ def restore(
         with locks.hold(url):
             copied = backups.restore(file, opened, _Telling())
         report = _copied(file, opened, copied, started)
-        verified = _verified(opened, full=False)
+        verified = _verified(opened)
     if not as_json:
         typer.echo(f"{report['database']} holds {_rows(copied)} of {file}")
     _print_verified(report | verified, as_json)
@@ -140,12 +137,12 @@ def _copied(file: Path, opened: Database, copied: Copied, started: float) -> dic
     return {"file": str(file), "database": opened.name, "revision": copied.revision, "rows": copied.rows, "seconds": seconds}
 
 
-def _verified(opened: Database, *, full: bool) -> dict[str, Any]:
+def _verified(opened: Database) -> dict[str, Any]:
     """Returns the results of all checks; prints problems to stderr at once."""
-    from drivecal.campaigns.results.verification import verify
+    from drivecal.storage.maintenance.consistency import verify
 
     checks: list[dict[str, Any]] = []
-    for verdict in verify(opened, full=full):
+    for verdict in verify(opened):
         for problem in verdict.problems:
             tell(f"{verdict.name}: {problem}")
         checks.append({"name": verdict.name, "problems": verdict.problems, "seconds": round(verdict.seconds, 3)})

@@ -1,25 +1,20 @@
-"""Checks that a database is whole: its tables, files and indexes, and that its documents can be read. Only reads.
+"""Checks that a database is whole: the backend's own checks, and what drivecal promises of its rows. Only reads.
 
 Each check returns a message per fault.
 """
 
-import json
+import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from dataclasses import dataclass
+from itertools import islice
 
-from alembic.autogenerate import compare_metadata
-from alembic.migration import MigrationContext
 from sqlalchemy import (
-    JSON,
     ColumnElement,
     Connection,
     FromClause,
     SmallInteger,
-    Table,
-    Text,
     and_,
     case,
-    cast,
     exists,
     func,
     or_,
@@ -30,17 +25,14 @@ from sqlalchemy import (
 
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import COPIES, Outcome
-from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.campaigns import by_stage, stage_counts
-from drivecal.storage.engine.schema import REVISION_TABLE
+from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import (
     campaigns,
     evaluations,
     generations,
     leases,
     lots,
-    metadata,
-    parameter_sets,
     ratings,
     reference_indexes,
     reference_keys,
@@ -49,22 +41,34 @@ from drivecal.storage.engine.tables import (
 from drivecal.storage.engine.types import ORDER
 from drivecal.storage.evaluations import AUDITED, SAMPLED
 from drivecal.storage.lots import LotVerdict
-from drivecal.storage.maintenance.backup import last_numbers, tables_of
+from drivecal.storage.maintenance.backup import last_numbers
 from drivecal.storage.references.runs import largest_id
 
 Check = Callable[[Connection], Iterator[str]]
-STREAMED = 10_000
-"""Rows of documents in memory at a time."""
+TOLD = 5
+"""Problems listed per check."""
 
 
-def check_tables(connection: Connection) -> Iterator[str]:
-    """Tables, columns, indexes and constraints are as in this drivecal's revision."""
-    context = MigrationContext.configure(connection, opts={"version_table": REVISION_TABLE, "compare_type": True})
-    for difference in compare_metadata(context, metadata):
-        step = difference[0] if isinstance(difference, list) else difference
-        # Ignores tables of other applications.
-        if step[0] != "remove_table" and not (step[0] == "remove_index" and step[1].table.name not in metadata.tables):
-            yield f"{str(step[0]).replace('_', ' ')} {getattr(step[-1], 'name', step[-1])} is what a new database does and this one did not"
+@dataclass(frozen=True, slots=True)
+class VerificationResult:
+    """The problems that a check reports; empty if all is well."""
+
+    name: str
+    problems: tuple[str, ...]
+    seconds: float
+
+
+def verify(database: Database) -> Iterator[VerificationResult]:
+    """Runs all checks on one snapshot of a database at this drivecal's revision."""
+    with database.read() as connection:
+        for name, check in CHECKS.items():
+            started = time.perf_counter()
+            sentences = check(connection)
+            first = list(islice(sentences, TOLD))
+            more = sum(1 for _ in sentences)
+            if more:
+                first.append(f"and {more:,} more")
+            yield VerificationResult(name, tuple(first), time.perf_counter() - started)
 
 
 def check_storage(connection: Connection) -> Iterator[str]:
@@ -81,72 +85,6 @@ def check_storage(connection: Connection) -> Iterator[str]:
         " UNION ALL SELECT conname FROM pg_constraint WHERE connamespace = CAST(current_schema() AS regnamespace) AND NOT convalidated"
     )
     yield from (f"PostgreSQL says that {name} is not valid; REINDEX or VALIDATE it" for name in connection.scalars(invalid))
-    for table in metadata.sorted_tables:
-        for key in table.foreign_key_constraints:
-            yield from _dangling(connection, table, key.elements[0].parent, key.elements[0].column)
-
-
-def _dangling(connection: Connection, table: Table, child: Any, parent: Any) -> Iterator[str]:
-    other = parent.table.alias("other")
-    query = select(func.count()).where(child.is_not(None), ~exists().where(other.c[parent.name] == child))
-    count = connection.execute(query.select_from(table)).scalar_one()
-    if count:
-        yield f"{count:,} rows of {table.name} point by {child.name} to rows of {parent.table.name} that are not there"
-
-
-def check_numbers(connection: Connection) -> Iterator[str]:
-    """The numbers that new rows get are free."""
-    tables = tables_of(connection)
-    for name, last in last_numbers(connection, tables).items():
-        if name in metadata.tables:
-            [column] = metadata.tables[name].primary_key
-            largest = largest_id(connection) if name == "runs" else connection.scalar(select(func.max(column))) or 0
-            if largest > last:
-                yield f"the next row of {name} would get number {last + 1}, but {largest} is taken"
-
-
-def check_documents(connection: Connection) -> Iterator[str]:
-    """Every JSON document can be read. (PostgreSQL refuses others.)"""
-    if connection.dialect.name == "postgresql":
-        return
-    for table in metadata.sorted_tables:
-        for column in table.columns:
-            if isinstance(column.type, JSON):
-                query = select(cast(column, Text)).where(column.is_not(None))
-                unreadable = sum(not _readable(row) for row in connection.execute(query).yield_per(STREAMED).scalars())
-                if unreadable:
-                    yield f"{unreadable:,} documents in {table.name}.{column.name} are no JSON"
-
-
-def _readable(document: str) -> bool:
-    try:
-        json.loads(document)
-    except ValueError:
-        return False
-    return True
-
-
-def check_parameter_sets(connection: Connection, every: int) -> Iterator[str]:
-    """Each `every`-th parameter set is stored under the key of its values."""
-    query = select(parameter_sets).where(parameter_sets.c.id % every == 0)
-    wrong = [row.id for row in connection.execute(query).yield_per(STREAMED) if not _has_its_key(row)]
-    if wrong:
-        yield f"{len(wrong):,} parameter sets cannot be read or are not stored under their key, the first of them number {wrong[0]}"
-
-
-def _has_its_key(row: Any) -> bool:
-    try:
-        return bool(ParameterSet.from_json(row.parameter_values).key == row.key)
-    except (ValueError, ArithmeticError, AttributeError, TypeError):
-        return False
-
-
-CHECKS: dict[str, Check] = {
-    "tables": check_tables,
-    "storage": check_storage,
-    "numbers of new rows": check_numbers,
-    "documents": check_documents,
-}
 
 
 ENDED = tuple(state for state in CampaignState if state.ended)
@@ -309,7 +247,8 @@ def check_key_copies(connection: Connection) -> Iterator[str]:
         yield f"{count:,} reference keys differ from the runs that they stand for"
 
 
-INVARIANTS: dict[str, Check] = {
+CHECKS: dict[str, Check] = {
+    "storage": check_storage,
     "counters": check_counters,
     "ended campaigns": check_ended,
     "answered cells": check_answers,

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sqlalchemy import Connection, Row, Select, SmallInteger, func, literal, select, tuple_, type_coerce
+from sqlalchemy import Connection, Row, Select, SmallInteger, literal, select, tuple_, type_coerce
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Outcome
@@ -86,32 +86,6 @@ def sync(
             return total
 
 
-def indexes(connection: Connection) -> list[Row[Any]]:
-    """Returns the indexes in use: rows of id, influence_map_sequence, setup_id, evaluator and run_id, the last run with a key."""
-    used = reference_indexes.c.influence_map_sequence > 0  # others are being removed (`storage.retention`)
-    return list(connection.execute(select(reference_indexes).where(used).order_by(reference_indexes.c.id)))
-
-
-def wrong_keys(connection: Connection, index: Row[Any], key_function: KeyFunction, every: int, chunk: int = CHUNK) -> int:
-    """Returns how many rows of an index would differ if they were computed again; looks at each `every`-th run only.
-
-    A run has a row if no run with a smaller number precedes it in the order of origins under the same key, else none.
-    """
-    wrong = known = after = 0
-    while rows := _rated(connection, index.setup_id, index.evaluator, after, index.run_id, chunk, every):
-        keys = _keys(rows, key_function)
-        stored = _stored(connection, index.id, sorted(set(keys)))
-        for key, row in zip(keys, rows, strict=True):
-            place, others = _place(row), stored.get(key, {})
-            number = _number(row)
-            first = all(at > number or place < earlier for other, (at, earlier) in others.items() if other != row.id)
-            wrong += first != (row.id in others)
-            known += row.id in others
-        after = _number(rows[-1])
-    there = select(func.count()).where(reference_keys.c.index_id == index.id, reference_keys.c.run_id % every == 0)
-    return wrong + abs(connection.execute(there).scalar_one() - known)
-
-
 def _sync_chunk(
     connection: Connection, index: int, setup_id: int, evaluator: str, upto: int, key_function: KeyFunction, chunk: int
 ) -> int:
@@ -132,9 +106,7 @@ def _sync_chunk(
     return len(rows)
 
 
-def _rated(
-    connection: Connection, setup_id: int, evaluator: str, after: int, upto: int, chunk: int, every: int = 1
-) -> Sequence[Row[Any]]:
+def _rated(connection: Connection, setup_id: int, evaluator: str, after: int, upto: int, chunk: int) -> Sequence[Row[Any]]:
     """Returns the next `chunk` runs that the evaluator rated, by number: id, columns that keys copy, origin, parameter set."""
     query = (
         select(runs.c.id, *_COPIED, *_ORIGIN, parameter_sets.c.parameter_values)
@@ -142,8 +114,6 @@ def _rated(
         .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
         .limit(chunk)
     )
-    if every != 1:
-        query = query.where(runs.c.id % every == 0)
     first = query.where(runs.c.setup_id == setup_id, ratings.c.since == 0, runs.c.id > after, runs.c.id <= upto)
     # "+ 0", or SQLite would go through all runs of the setup in search of the few late ratings, which have an index of their own
     late = query.where(runs.c.setup_id + 0 == setup_id, ratings.c.since > 0, ratings.c.since > after, ratings.c.since <= upto)
@@ -196,20 +166,15 @@ def _keys(rows: Sequence[Row[Any]], key_function: KeyFunction) -> list[bytes]:
 
 def _first(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, tuple[int, ...]]:
     """Returns the earliest origin of each stored key."""
-    return {key: min(place for _, place in stored.values()) for key, stored in _stored(connection, index, keys).items()}
-
-
-def _stored(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, dict[int, tuple[int, tuple[int, ...]]]]:
-    """Returns the numbers and origins of stored keys, by key and run."""
-    origins: dict[bytes, dict[int, tuple[int, tuple[int, ...]]]] = {}
     query = (
-        select(reference_keys.c.key, reference_keys.c.since, runs.c.id, *_ORIGIN)
+        select(reference_keys.c.key, *_ORIGIN)
         .join(runs, runs.c.id == reference_keys.c.run_id)
         .where(reference_keys.c.index_id == index)
     )
-    for key, since, run_id, *origin in rows_among(connection, query, reference_keys.c.key, keys):
-        origins.setdefault(key, {})[run_id] = since or run_id, tuple(origin)
-    return origins
+    first: dict[bytes, tuple[int, ...]] = {}
+    for key, *origin in rows_among(connection, query, reference_keys.c.key, keys):
+        first[key] = min(first.get(key, tuple(origin)), tuple(origin))
+    return first
 
 
 def _insert(connection: Connection, rows: Sequence[tuple[Any, ...]]) -> None:
