@@ -12,7 +12,7 @@ from drivecal.cluster.settings import OBJECT_STORE_BYTES, VERSION_LABEL
 
 DASHBOARD = PROJECT / "deploy" / "grafana" / "drivecal.json"
 CLUSTER = PROJECT / "deploy" / "examples" / "cluster"
-MONITORING = PROJECT / "docs" / "pages" / "how-to" / "monitoring.md"
+METRICS = PROJECT / "docs" / "pages" / "reference" / "metrics.md"
 
 
 def lock_of(package: str) -> str:
@@ -22,7 +22,7 @@ def lock_of(package: str) -> str:
 
 
 def test_the_dashboard_asks_for_documented_metrics_with_their_labels() -> None:
-    rows = re.findall(r"^\| `(drivecal_[a-z_]+)` \|([a-z, ]*)\|", MONITORING.read_text(), re.MULTILINE)
+    rows = re.findall(r"^\| `(drivecal_[a-z_]+)` \|([a-z, ]*)\|", METRICS.read_text(), re.MULTILINE)
     labels = {name: {label.strip() for label in listed.split(",")} - {""} for name, listed in rows}
     queries = [target["expr"] for panel in json.loads(DASHBOARD.read_text())["panels"] for target in panel["targets"]]
     assert len(queries) > 10

@@ -124,7 +124,7 @@ def evaluate(cluster: Cluster) -> None:
 
 
 def test_what_the_images_weigh(cluster: Cluster) -> None:
-    """For the table in docs/pages/how-to/cluster.md."""
+    """For the table in docs/pages/reference/cluster.md."""
     base = cluster.run("docker", "image", "inspect", "-f", "{{.Size}}", "python:3.11-slim-bookworm").strip()
     for role in ("api", "dispatcher", "ray-head", "ray-worker"):
         size = int(cluster.run("docker", "image", "inspect", "-f", "{{.Size}}", f"drivecal/{role}:test"))

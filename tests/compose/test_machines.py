@@ -16,7 +16,7 @@ NETWORK = f"{PROJECT_NAME}-machines"
 
 @pytest.fixture
 def head(cluster: Cluster, tmp_path: Path) -> Iterator[Cluster]:
-    """The first of several machines (`how-to/cluster.md`): database, API, dispatcher, head and a node. It shares its images
+    """The first of several machines (`how-to/machines.md`): database, API, dispatcher, head and a node. It shares its images
     with `cluster`, which keeps running."""
     files = (FILE, "deploy/docker-compose.machines.yml")
     settings = {"DRIVECAL_NETWORK": NETWORK, "DRIVECAL_NODES": "1"}

@@ -140,7 +140,7 @@ def test_both_formats_are_what_a_linter_wants(api: RunningApi) -> None:
 
 def test_every_metric_is_in_the_documentation(api: RunningApi) -> None:
     busy(api)
-    page = (Path(__file__).parents[2] / "docs" / "pages" / "how-to" / "monitoring.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "pages" / "reference" / "metrics.md").read_text()
     documented = set(re.findall(r"^\| `(drivecal_[a-z_]+)", page, re.MULTILINE))
     shown = {re.sub(r"_(bucket|sum|count)$", "", sample.name) for metric in metrics(api).values() for sample in metric.samples}
     assert {name for name in shown if name.startswith("drivecal_")} == documented

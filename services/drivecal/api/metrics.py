@@ -73,7 +73,7 @@ class ServiceCollector(Collector):
         self._tally = Tally()
 
     def collect(self) -> Iterator[Any]:
-        """Yields the metrics; see the table in `docs/pages/how-to/monitoring.md`."""
+        """Yields the metrics; see the table in `docs/pages/reference/metrics.md`."""
         yield InfoMetricFamily("drivecal_build", "The version of drivecal", {"version": version("drivecal")})
         try:
             with self._database.read() as connection:
