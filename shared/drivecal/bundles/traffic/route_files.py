@@ -1,18 +1,22 @@
-"""SUMO route files: SUMO drives what they say, and refuses what it cannot drive.
+"""SUMO route files: SUMO drives what they say.
 
 SUMO ignores misspelt attributes, and reads or writes other files if an element says so. Therefore elements and attributes must be in the
-lists below, and edges in the network. Vehicles that a run does not see are left out.
+lists below, values in SUMO's own schema, edges and lanes in the network. Vehicles that a run does not see are left out.
 """
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 from math import inf
 from typing import Final
 from xml.etree import ElementTree as ET
 
-from drivecal.bundles.highway import Surroundings
+from drivecal.bundles.highway import CLASSES, Surroundings
+from drivecal.bundles.highway_actions import EGO
 from drivecal.bundles.highway_catalogue import TYPE_PARAMETERS
 from drivecal.bundles.traffic.elements import Element, Notes, finite, read_tree
+from drivecal.bundles.traffic.route_schema import faults
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError
@@ -22,6 +26,11 @@ MOST_VEHICLES = 2000
 """Vehicles, trips and flows that belong to a run."""
 LONG = 1e9
 SUBLANE: Final = "SL2015"
+WORDS: Mapping[str, tuple[str, ...]] = {
+    "vClass": tuple(CLASSES),
+    "carFollowModel": ("Krauss", "IDM", "EIDM", "ACC", "CACC", "W99"),
+    "laneChangeModel": ("LC2013", SUBLANE),
+}
 WITHOUT_EFFECT = frozenset(
     {"color", "guiShape", "imgFile", "osgFile", "height", "mass", "emissionClass", "line", "cost"}
     | {"personCapacity", "containerCapacity", "personNumber", "containerNumber", "boardingDuration", "loadingDuration"}
@@ -52,6 +61,9 @@ INSIDE: Mapping[str, tuple[str, ...]] = {
 }
 IGNORED = ("param", "person", "personFlow", "container", "containerFlow")
 """Elements that are listed and not passed on."""
+NAMES = frozenset({"id", "type", "route", "from", "to", "via", "edges", "edge", "lane", "vTypes", "routes"})
+_ENDLESS = re.compile(r"(?i)\b(?:nan|inf(?:inity)?)\b|(?<![\d.])\d{10}|\de\+?\d\d")
+"""Numbers of 1e9 and more, infinite ones and none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +76,7 @@ class RouteTraffic:
         vehicles: Ids of all vehicles and trips.
         lane_changes: Models of lane changes; SUMO's default is LC2013.
         notes: What is ignored or left out, with the lines.
+        places: Lines and elements of ids.
     """
 
     content: bytes
@@ -71,6 +84,12 @@ class RouteTraffic:
     vehicles: frozenset[str]
     lane_changes: frozenset[str]
     notes: tuple[str, ...]
+    places: Mapping[str, str] = field(default_factory=dict)
+
+    def located(self, error: object) -> str:
+        """Returns what SUMO says of a vehicle, flow, type or route, with its line and element before."""
+        quoted = (name for text in re.findall(r"'([^']*)'", str(error)) for name in (text, text.rpartition(".")[0]))
+        return next((f"{self.places[name]}: {error}" for name in quoted if name in self.places), str(error))
 
 
 def read_routes(content: bytes, name: str, network: Network, scenario: Surroundings, duration: float) -> RouteTraffic:
@@ -97,30 +116,35 @@ class _Reader:
         self._begin, self._first = scenario.begin, scenario.begin - scenario.warm_up
         self._end = scenario.begin + duration
         self._notes = Notes(name)
+        self._types, self._routes = {"DEFAULT_VEHTYPE"}, set[str]()
+        self._taken = {EGO, *(entry.id or f"vehicle{index}" for index, entry in enumerate(scenario.traffic))}
         self._times: list[float] = []
         self._early = 0
         self._departing: list[tuple[float, Element]] = []
 
     def traffic(self) -> RouteTraffic:
         """Returns what is left of the file."""
-        written = ET.Element("routes")
+        kept: list[Element] = []
         for element in self._root.children:
             if element.element in {"vehicle", "trip", "flow"}:
                 self._depart(element)
             elif element.element in {"vType", "vTypeDistribution", "route", "routeDistribution"}:
                 self._check(element)
-                written.append(_copied(element))
+                kept.append(element)
             elif element.element not in IGNORED:
-                raise element.fault(
-                    "the element is not supported", "give vType, route, their distributions, vehicle, trip and flow"
-                )
+                remedy = "give vType, route, their distributions, vehicle, trip and flow"
+                raise element.fault("the element is not supported", remedy)
         if not self._departing:
             raise self._empty()
         self._departing.sort(key=lambda entry: entry[0])  # SUMO skips vehicles that are out of order
-        written.extend(_copied(element) for _, element in self._departing)
+        kept += [element for _, element in self._departing]
+        written, read = ET.Element("routes"), [self._root]
+        written.extend(_copied(element, read) for element in kept)
+        if wrong := tuple(faults(written, read)):
+            raise InvalidInputError(*wrong)
         notes = self._notes.texts(self._root)
         if self._early:
-            early = f"{self._early:,} of {len(self._times):,} vehicles, trips and flows depart before {_time(self._first)} s"
+            early = f"{self._early:,} of {len(self._times):,} vehicles, trips and flows depart before {self._first:.12g} s"
             notes += (f"{self._name}: {early}, and are left out",)
         models = {kind for element in written.iter("vType") if (kind := element.get("laneChangeModel"))}
         if len(models) > 1:
@@ -133,6 +157,7 @@ class _Reader:
             frozenset(name for _, name in single),
             frozenset(models or ["LC2013"]),
             notes,
+            {element.values.get("id", ""): f"line {element.line}, <{element.element}>" for element in kept},
         )
 
     def _empty(self) -> InvalidInputError:
@@ -140,12 +165,12 @@ class _Reader:
         if not self._times:
             return self._root.fault("it has no vehicle, trip or flow", "give one, or leave `routes` out")
         first, last = min(self._times), max(self._times)
-        times = f"from {_time(first)} to {_time(last)} s" if last > first else f"at {_time(first)} s"
+        times = f"from {first:.12g} to {last:.12g} s" if last > first else f"at {first:.12g} s"
         message = (
-            f"none of its {len(self._times):,} vehicles, trips and flows departs in the run, which is from {_time(self._first)} to "
-            f"{_time(self._end)} s: they begin {times}"
+            f"none of its {len(self._times):,} vehicles, trips and flows departs in the run, which is from {self._first:.12g} to "
+            f"{self._end:.12g} s: they begin {times}"
         )
-        return self._root.fault(message, f"give the scenario `begin: {_time(first)}`, the file's time at the run's begin")
+        return self._root.fault(message, f"give the scenario `begin: {first:.12g}`, the file's time at the run's begin")
 
     def _depart(self, element: Element) -> None:
         """Checks a vehicle, trip or flow, and keeps it if it belongs to the run."""
@@ -156,7 +181,7 @@ class _Reader:
         self._times.append(begin)
         if begin >= self._end:
             element.skip()
-            self._notes.add(element, f"it begins after the run's end at {_time(self._end)} s, and is left out")
+            self._notes.add(element, f"it begins after the run's end at {self._end:.12g} s, and is left out")
             return
         if end < self._first or (is_flow and end == self._first):
             element.skip()
@@ -164,10 +189,18 @@ class _Reader:
             return
         if len(self._departing) == MOST_VEHICLES:
             message = f"the file has more than {MOST_VEHICLES:,} vehicles, trips and flows until the scenario's end"
-            raise element.fault(
-                message, "leave out vehicles that are never met, make flows of them, or give a shorter `warm_up`"
-            )
+            raise element.fault(message, "leave out vehicles that are never met, make flows, or give a shorter `warm_up`")
         self._check(element)
+        if "route" not in element.values and element.optional("route") is None:
+            element.text("from")
+        rates = [key for key in ("vehsPerHour", "perHour", "period", "probability") if key in element.values]
+        if is_flow and (len(rates) > 1 or not (rates or ("number" in element.values and end < LONG))):
+            message = f"how many vehicles come is said by {' and '.join(rates) or 'nothing'}"
+            raise element.fault(message, "give one of vehsPerHour, period and probability, or number, begin and end")
+        for key in [*rates, "number"] if is_flow else ():
+            value = finite(element.values.get(key, "1").replace(" ", "").removeprefix("exp(").removesuffix(")")) or 0.0
+            if not 0.0 < value <= (1.0 if key == "probability" else LONG):
+                raise element.fault(f"{key} is {shown(element.values[key], 40)}", "give more than 0, and a probability up to 1")
         self._departing.append((begin, element))
 
     def _check(self, element: Element) -> None:
@@ -176,40 +209,67 @@ class _Reader:
         known = KNOWN[element.element]
         for key in element.values:
             if key not in known and key not in WITHOUT_EFFECT:
-                remedy = f"leave it out; {nearest(key, sorted(known))}"
-                raise element.fault(f"the attribute {shown(key)} is not supported", remedy)
-        for edge in (edge for key in ("edges", "from", "via", "to") for edge in element.values.get(key, "").split()):
-            if edge not in self._network.edges or self._network.edges[edge].function != "":
-                roads = [name for name in self._network.edges if not name.startswith(":")]
-                raise element.fault(f"the network has no edge {shown(edge, 80)}", nearest(edge, roads))
+                raise element.fault(f"the attribute {shown(key)} is not supported", nearest(key, sorted(known)))
+            if key in WORDS:
+                element.word(key, WORDS[key])
+            if key in known - NAMES and _ENDLESS.search(element.values[key]):
+                raise element.fault(f"{key} is {shown(element.values[key], 40)}", "give a number below 1e9")
+        self._check_places(element)
+        named = {"type": self._types, "vTypes": self._types, "route": self._routes, "routes": self._routes}
+        for key, given in named.items():
+            for name in element.values.get(key, "").split():
+                if name not in given:
+                    raise element.fault(f"there is no {key.rstrip('s')} {shown(name)} before it", nearest(name, sorted(given)))
         for child in element.children:
             if child.element in INSIDE.get(element.element, ()):
                 self._check(child)
             elif child.element not in IGNORED:
                 raise child.fault("the element is not supported here", "leave it out")
+        name, kind = element.values.get("id", ""), element.element
+        names = self._types if kind.startswith("vType") else self._routes if kind.startswith("route") else self._taken
+        if name in names or name in self._taken or name.rpartition(".")[0] in self._taken:
+            raise element.fault("another one has the same id, here or in the scenario", "rename one")
+        names |= {name} - {""}
+
+    def _check_places(self, element: Element) -> None:
+        """Checks that the network has the edges and the lane of an element, and links from each edge of a route to the next."""
+        edges = self._network.edges
+        for edge in (edge for key in ("edges", "edge", "from", "via", "to") for edge in element.values.get(key, "").split()):
+            if edge not in edges or edges[edge].function != "":
+                roads = [name for name in edges if not name.startswith(":")]
+                raise element.fault(f"the network has no edge {shown(edge, 80)}", nearest(edge, roads))
+        if "lane" in element.values and self._network.lane(lane := element.text("lane")) is None:
+            raise element.fault(f"the network has no lane {shown(lane, 80)}", "give EDGE_INDEX, e.g. e1_0")
+        if element.element == "stop" and (
+            _seconds(element, "duration", "0") < 0 or {"lane", "edge"}.isdisjoint(element.values)
+        ):
+            raise element.fault("a stop needs a place, and no duration below 0", "give lane or edge, and a duration")
+        route = element.values.get("edges", "").split()
+        if element.element == "route" and not route:
+            raise element.fault("the route has no edges", "give it edges")
+        for before, edge in pairwise(route):
+            reached = {link.end for link in self._network.connections.get(before, ())}
+            if edge not in reached:
+                message = f"no lane leads from {shown(before, 80)} to {shown(edge, 80)}"
+                raise element.fault(message, f"it leads to {', '.join(sorted(reached)[:5]) or 'no edge'}")
 
 
-def _copied(element: Element) -> ET.Element:
-    """Returns what SUMO reads of a checked element."""
+def _copied(element: Element, read: list[Element]) -> ET.Element:
+    """Returns what SUMO reads of a checked element, and adds to `read` first the element, then those inside of it."""
     known = KNOWN[element.element]
+    read.append(element)
     copied = ET.Element(element.element, {key: text for key, text in element.values.items() if key in known})
-    copied.extend(_copied(child) for child in element.children if child.is_read and child.element in KNOWN)
+    if "speedFactor" in copied.attrib:  # SUMO takes blanks in there, its schema does not
+        copied.set("speedFactor", element.values["speedFactor"].replace(" ", ""))
+    copied.extend(_copied(child, read) for child in element.children if child.is_read and child.element in KNOWN)
     return copied
 
 
 def _seconds(element: Element, key: str, default: str | None = None) -> float:
     """Returns a time in seconds, which may be written as days, hours, minutes and seconds with colons."""
     text = element.text(key, default)
-    values = [finite(part) for part in text.split(":")]
-    units = (1.0, 60.0, 3600.0, 86400.0)
-    total = inf if None in values or len(values) > len(units) else 0.0
-    for value, unit in zip(reversed(values), units, strict=False):
-        total += (value or 0.0) * unit
-    if not abs(total) <= LONG:
+    parts = [finite(part) for part in reversed(text.split(":"))]
+    total = sum((inf if part is None else part) * unit for part, unit in zip(parts, (1.0, 60.0, 3600.0, 86400.0), strict=False))
+    if not abs(total) <= LONG or len(parts) > 4:
         raise element.fault(f"{key} is {shown(text, 40)}, which is not a time", "give seconds, e.g. 12.5")
     return total
-
-
-def _time(value: float) -> str:
-    """Returns a time (s) as it is written in files and manifests."""
-    return f"{value:.12g}"

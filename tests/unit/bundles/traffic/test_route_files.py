@@ -71,11 +71,14 @@ def test_sumo_reads_a_file_as_it_is_without_what_has_no_effect() -> None:
     [
         '<vTypeDistribution id="d"><vType id="car" probability="3"/></vTypeDistribution>' + VEHICLE.format(' type="d"'),
         '<vType id="t"/><vTypeDistribution id="d" vTypes="t" probabilities="1"/>' + VEHICLE.format(' type="d"'),
-        '<routeDistribution id="d"><route id="q" edges="before beside"/></routeDistribution><trip id="b" route="d" depart="0"/>',
+        '<routeDistribution id="d"><route id="q" edges="before beside"/></routeDistribution><vehicle id="b" route="d" depart="0"/>',
         VEHICLE.format("").replace("/>", '><stop lane="before_0" endPos="180" duration="3"/></vehicle>'),
         VEHICLE.format(' arrivalPos="120" arrivalLane="current" arrivalSpeed="10"'),
         FLOW.format('begin="0" period="exp(0.25)" departLane="free"'),
         FLOW.format('begin="0" probability="0.25"'),
+        VEHICLE.format("")
+        .replace("/>", '><stop lane="before_0" duration="3"/><route edges="before"/></vehicle>')
+        .replace('route="r" ', ""),
         FLOW.format('begin="0" end="20" number="5"'),
     ],
 )
@@ -97,6 +100,27 @@ def test_what_sumo_drives_is_passed_on(content: str) -> None:
         ('<trip id="a" depart="0" from="before" to="nowhere"/>', "<trip id=a>"),
         ('<vTypeDistribution id="d"><include href="x"/></vTypeDistribution>', "<include>"),
         ('<include href="/etc/passwd"/>', "<include>"),
+        ('<vType id="t" carFollowModel="Wiedemann"/>' + TYPED, "<vType id=t>"),
+        ('<vType id="t" vClass="tram"/>' + TYPED, "<vType id=t>"),
+        (VEHICLE.format(' type="none"'), "<vehicle id=a>"),
+        (VEHICLE.format("").replace('route="r"', 'route="q"'), "<vehicle id=a>"),
+        ('<vTypeDistribution id="d" vTypes="none" probabilities="1"/>', "none"),
+        (VEHICLE.format("") * 2, "<vehicle id=a>"),
+        (VEHICLE.format("").replace('id="a"', 'id="ego"'), "<vehicle id=ego>"),
+        ('<vehicle id="a" depart="0"><route edges="ramp after"/></vehicle>', "<route>: no lane"),
+        ('<vehicle id="a" depart="0"><route edges=""/></vehicle>', "<route>"),
+        ('<trip id="a" depart="0" to="after"/>', "<trip id=a>"),
+        (VEHICLE.format("").replace("/>", '><stop lane="before_9" duration="3"/></vehicle>'), "before_9"),
+        (VEHICLE.format("").replace("/>", '><stop duration="3"/></vehicle>'), "<stop>"),
+        (VEHICLE.format("").replace("/>", '><stop lane="before_0" duration="-3"/></vehicle>'), "<stop>"),
+        (FLOW.format('begin="0"'), "<flow id=f>"),
+        (FLOW.format('period="2" vehsPerHour="3"'), "<flow id=f>"),
+        (FLOW.format('period="exp(-1)"'), "<flow id=f>"),
+        (FLOW.format('begin="0" end="9" number="0"'), "<flow id=f>"),
+        (FLOW.format('probability="1.5"'), "<flow id=f>"),
+        (FLOW.format('period="1e10"'), "<flow id=f>"),
+        ('<vType id="t" tau="nan"/>' + TYPED, "tau"),
+        ('<vType id="t" lcSpeedGain="-inf"/>' + TYPED, "lcSpeedGain"),
         ("".join(f'<vehicle id="v{index}" route="r" depart="{index / 200}"/>' for index in range(2001)), "<vehicle id=v2000>"),
     ],
 )  # fmt: skip
@@ -104,6 +128,48 @@ def test_everything_else_is_refused_with_line_and_element(content: str, part: st
     message = refusal(content)
     assert message.startswith("a.rou.xml: line ")
     assert part in message
+
+
+@pytest.mark.parametrize(
+    ("content", "part", "right"),
+    [
+        ('<vType id="t" length="-3"/>' + TYPED, "<vType id=t>: attribute 'length'", "0"),
+        ('<vType id="t" sigma="2"/>' + TYPED, "sigma", "1"),
+        ('<vType id="t" accel="abc"/>' + TYPED, "accel", "number"),
+        ('<vType id="t" speedFactor="fast"/>' + TYPED, "speedFactor", "normc"),
+        ('<vType id="t" laneChangeModel="LC"/>' + TYPED, "laneChangeModel", "LC2013"),
+        ('<vType accel="2"/>' + VEHICLE.format(""), "<vType>", "id"),
+        (VEHICLE.format(' departLane="lft"'), "<vehicle id=a>: attribute 'departLane'", "free"),
+        (VEHICLE.format("").replace("150", "x"), "departPos", "random"),
+        ('<trip id="a" depart="0" route="r"/>', "<trip id=a>: attribute 'route'", "not allowed"),
+        (VEHICLE.format("").replace("/>", '><stop lane="before_0" endPos="far"/></vehicle>'), "<stop>: attribute 'endPos'", "NUMBER"),
+        (FLOW.format('begin="0" period="2" number="2.5"'), "<flow id=f>: attribute 'number'", "a whole number"),
+    ],
+)  # fmt: skip
+def test_values_are_those_of_sumo_s_own_schema(content: str, part: str, right: str) -> None:
+    """The line is the user's, also behind vehicles that are left out or in another order."""
+    for before, line in (("", 3), (day(900, 5, 1) + "\n<person id='p' depart='0'/>\n", 5)):
+        with pytest.raises(InvalidInputError) as error:
+            traffic(before + content)
+        problem = error.value.problems[0]
+        assert problem.message.startswith(f"a.rou.xml: line {line}, ")
+        assert part in problem.message
+        assert right in problem.message + problem.remedy
+
+
+def test_all_wrong_values_are_named_at_once() -> None:
+    with pytest.raises(InvalidInputError) as error:
+        traffic('<vType id="t" length="-3"/>\n' + day(0).replace('"20"', '"fast"'))
+    assert [problem.message.split(":")[1] for problem in error.value.problems] == [
+        " line 3, <vType id=t>",
+        " line 4, <vehicle id=v0>",
+    ]
+
+
+def test_sumo_s_own_words_get_the_line_of_whom_they_name() -> None:
+    routes = traffic(FLOW.format('begin="0" period="1"'))
+    assert routes.located("Departure speed for vehicle 'f.3' is too high").startswith("line 3, <flow>: Departure")
+    assert routes.located("Invalid parsing") == "Invalid parsing"
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,7 @@ class Traffic:
         self.starting = len(vehicles)
         """Number of the first rows, whose vehicles exist from time 0; the others have come in the warm-up."""
         self._drivers = vehicles
-        self._routes = routes
+        self._routes, self._said = routes, str if routes is None else routes.located
         field = f"scenarios.{name}"
         ego = scenario.ego
         self.start_s, start_d = _centre(road, ego, f"{field}.ego")
@@ -142,8 +142,8 @@ class Traffic:
             ]
             self._starts.append(sumo.Start(EGO, route_id(EGO), *_front(road, ego, ego.length, f"{field}.ego"), ego.speed))
         except SUMO_ERRORS as error:
-            traffic = "its traffic" if scenario.routes is None else scenario.routes
-            raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with {traffic}: {error}") from error
+            files = f"the network {scenario.network} with {scenario.routes or 'its traffic'}"
+            raise TrafficError(f"{field}: SUMO cannot load {files}: {self._said(error)}") from error
         self._actions = Actions(vehicles, road.lateral, road.stretch, self._paths)
         self._has_actions = self._actions.pending
         curvature = point(road.line, self.start_s)[3]
@@ -219,7 +219,7 @@ class Traffic:
                     self._instruct(start.name)
         except SUMO_ERRORS as error:
             self._loaded = False
-            raise TrafficError(f"scenarios.{self.name}: SUMO cannot place the vehicles: {error}") from error
+            raise TrafficError(f"scenarios.{self.name}: SUMO cannot place the vehicles: {self._said(error)}") from error
         if missing:
             self._loaded = False
             message = f"SUMO does not take the vehicles {', '.join(missing)}; place them farther apart"
@@ -283,7 +283,7 @@ class Traffic:
                 self._read_places()
         except SUMO_ERRORS as error:
             self._loaded = False
-            raise TrafficError(f"scenarios.{self.name}: SUMO failed in step {index}: {error}") from error
+            raise TrafficError(f"scenarios.{self.name}: SUMO failed in step {index}: {self._said(error)}") from error
         return True
 
     def _update(self) -> bool:
