@@ -63,6 +63,13 @@ def test_every_optimizer_keeps_constraints_and_resumes_exactly(database: Databas
     assert everything(database, ended)[0] == everything(database, whole)[0]
 
 
+def test_a_budget_may_end_within_a_round_of_a_problem_with_constraints(database: Database) -> None:
+    wanted = {"sensitivity": None, "reduction": {"mode": "off"}, "budget": {"simulations": 35}}
+    search = {"kind": "random", "population": 12, "seed": 3}
+    ended = run(database, submit(database, **WANTED | wanted | {"optimizer": search}), ComputedBackend(answer=rated))
+    assert 30 < ended.cells.requested <= 35
+
+
 def test_a_map_of_every_kind_answers_and_is_validated(database: Database) -> None:
     wanted = WANTED | {
         "sensitivity": ANALYSIS,

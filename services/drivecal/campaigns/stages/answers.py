@@ -156,7 +156,7 @@ class PopulationAnswers(SearchAnswers):
             self._by_set[sets[place]] = self._scores[place].copy(), self._ratings[place].copy(), dict(self._cells[place])
         for place, indices in enumerate(sets):
             if place not in self._requested:
-                scores, ratings, cells = self._by_set[indices]
+                scores, ratings, cells = self._by_set.get(indices, (np.nan, np.nan, {}))  # the budget may end within a round
                 self._scores[place], self._ratings[place], self._cells[place] = scores, ratings, dict(cells)
         self._requested.clear()
 
