@@ -103,7 +103,7 @@ def test_two_sets_are_chosen_by_keys_and_compared_as_the_api_compares_them(shown
     expect(gains.last).to_contain_text(f"{len(answer['parameters'])} of 3 parameters differ")
     expect(page.locator("[role=row][aria-selected=true]").get_by_role("gridcell").first).to_have_text(str(len(rows)))
     page.wait_for_url(re.compile(f"row={len(rows)}&with=1|with=1&row={len(rows)}"))
-    page.get_by_role("button", name="Run in city").click()
+    page.get_by_role("button", name="in city").click()
     beside = page.get_by_role("table", name="Measures of both")
     for name in (f"Set {len(rows)}", "Set 1", "mm"):
         expect(beside).to_contain_text(name)
@@ -145,7 +145,7 @@ def test_a_comparison_that_is_left_while_it_reads_says_nothing(shown: Shown, ope
     held: list[Route] = []
     page.route(re.compile("/cell[?]"), lambda route: held.append(route))  # noqa: PLW0108  # Playwright marks its handlers
     with page.expect_request(re.compile("/cell[?]")):
-        page.get_by_role("button", name="Run in city").click()
+        page.get_by_role("button", name="in city").click()
     page.goto(f"{shown.api.url}/#/nowhere")
     expect(page.get_by_role("heading", name="There is no such view")).to_be_visible()
     with page.expect_request_finished(lambda request: request == held[-1].request):

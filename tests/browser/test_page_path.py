@@ -78,7 +78,7 @@ def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, 
 
         campaign = searched_for_two(f"http://127.0.0.1:{port}")
         page.goto(f"http://127.0.0.1:{port}/#/campaigns/{campaign}/front?row=2&with=1")
-        page.get_by_role("button", name="Run in S3").click()
+        page.get_by_role("button", name="in S3").click()
         beside = page.get_by_role("img", name=re.compile("Top view of the road at 0 s"))
         expect(beside).to_have_count(2, timeout=120_000)  # the workers of the new server may still start
         both = page.get_by_role("group", name="Both in S3")

@@ -261,7 +261,7 @@ def test_a_report_is_the_page_and_opens_without_a_server(heater: Heated, opening
     page = opening(file.as_uri())
     expect(page.get_by_role("heading", level=1)).to_have_text(heater.campaign.name)
     for view, text in (
-        ("Overview", "Best score by iteration"),
+        ("Overview", "Best score by simulations"),
         ("Ranking", "Weigh the scenarios"),
         ("Influence", "winter"),
         ("Savings", "Balance"),

@@ -38,7 +38,7 @@ def test_a_campaign_is_followed_live(tmp_path: Path, opening: Opening) -> None:
         expect(page.get_by_text("begins with the first sets")).to_be_visible()
         while not api.http.get(f"/api/v1/campaigns/{campaign.id}/generations").json()["items"]:
             working.step()
-        course = page.get_by_role("img", name=re.compile("^Best score by iteration"))
+        course = page.get_by_role("img", name=re.compile("^Best score by simulations"))
         expect(course.locator("path").first).to_have_attribute("d", re.compile("^M.+L"))  # a mark, not an empty chart
         run(api.database, campaign)
         expect(page.get_by_text("Finished.")).to_be_visible()

@@ -169,6 +169,48 @@ def test_an_overview_says_what_was_asked_for_and_leads_to_the_replay(shown: Show
 
 
 @pytest.mark.slow
+def test_a_ranked_set_leads_on_and_two_sets_stand_beside_each_other(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at("ranking"))
+    ranked = shown.api.http.get(f"/api/v1/campaigns/{shown.campaign.id}/solutions", params={"limit": 3}).json()["items"]
+    grid, bar = page.get_by_role("grid"), page.get_by_role("group", name="Chosen sets")
+    grid.focus()
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("Space")
+    page.keyboard.press("ArrowDown")
+    both = page.get_by_role("region", name="Chosen sets")
+    expect(both.get_by_role("heading", level=2)).to_have_text("Set 2 against set 1")
+    grid.get_by_role("row").nth(3).click(modifiers=["Shift"])
+    expect(both.get_by_role("heading", level=2)).to_have_text("Set 2 against set 3")
+    expect(both.get_by_role("button", name="both in S1")).to_be_visible()
+    bar.get_by_label("beside").select_option("the best set")
+    expect(both.get_by_role("heading", level=2)).to_have_text("Set 2 against set 1")
+    assert barriers_everywhere(page) == []
+    bar.get_by_role("button", name="Set 2: next steps").press("Enter")
+    menu = page.get_by_role("list").filter(has_text="Replay")
+    assert barriers_everywhere(page) == []
+    with page.expect_download() as saved:
+        menu.get_by_role("button", name="JSON").click()
+    assert json.loads(saved.value.path().read_text()) == ranked[1]["parameters"]
+    with page.expect_download() as saved:
+        menu.get_by_role("link", name="DCM").click()
+    assert b"rank: 2" in saved.value.path().read_bytes()
+    menu.get_by_role("link", name="Start a search with these 3 sets").click()
+    expect(page.get_by_label("start sets")).to_be_visible()
+    started = json.loads(page.get_by_label("start sets").input_value())
+    assert sorted(map(str, started)) == sorted(str(row["parameters"]) for row in ranked)
+
+
+def test_an_evaluated_set_is_checked_again(shown: Shown, opening: Opening) -> None:
+    row = shown.api.http.get(f"/api/v1/campaigns/{shown.campaign.id}/evaluations", params={"limit": 1}).json()["items"][0]
+    page = opening(f"{shown.api.url}/#/evaluations/{row['id']}", expected=("409",))
+    page.get_by_role("button", name="This set: next steps").click()
+    page.get_by_role("button", name="Check it").click()
+    expect(page.get_by_role("link", name="Evaluations")).to_have_attribute("aria-current", "page")
+    spec = shown.api.http.get(f"/api/v1/campaigns/{page.url.split('/')[-2]}").json()["spec"]
+    parameters = {name: row[name] for name in spec["parameters"]}
+    assert (spec["parameters"], spec["scenario"], spec["fresh"]) == (parameters, row["scenario"], True)
+
+
 def test_what_is_selected_stands_in_the_address(shown: Shown, opening: Opening) -> None:
     page = opening(shown.at("evaluations"))
     expect(page.get_by_role("grid")).to_be_visible()

@@ -41,7 +41,8 @@ class Page(Answer, Generic[RowModel]):
 
 
 class Progress(Answer):
-    """Cells of the running stage: `done` of `total`; `eta_seconds`, of the wall clock, null until it can be estimated."""
+    """Cells of the running stage: `done` of `total`. `eta_seconds`: wall-clock time to the end of the stage, by the pace of the newer half
+    of the workers' answers; null until it can be estimated."""
 
     done: int = 0
     total: int = 0

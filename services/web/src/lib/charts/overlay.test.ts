@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { byMeasure, haveLikeObjectives, haveLikeScores, overOf, overlay, type Over } from "./overlay";
+import { byMeasure, courseOf, haveLikeObjectives, haveLikeScores, overOf, overlay, type Over } from "./overlay";
 import type { Campaign, Generation } from "../server/types";
 
 const generation = (iteration: number, best: number, requested: number, reused: number): Generation => ({ iteration, best, requested, reused, repeated: 0, predicted: 0 }) as Generation;
@@ -11,6 +11,13 @@ const searches = [
 test("a search is drawn over iterations, one with a budget over the simulations so far", () => {
   expect(["iteration", "simulations"].map((over) => overlay(searches, over as Over).map((line) => line.x))).toEqual([[[1, 2], [1]], [[10, 14], [20]]]);
   expect([overOf([{ budget: null }]), overOf([{ budget: null }, { budget: { simulations: 60 } }])]).toEqual(["iteration", "simulations"]);
+});
+
+test("a search has a best score from its first complete set on, and ends with the set that was confirmed", () => {
+  const now = { best: { objective: 6 }, cells: { simulated: 30, failed: 1 } } as Campaign;
+  expect(courseOf(now, [])).toEqual([{ best: 6, mean: null, at: 31 }]);
+  expect(courseOf(now, searches[0]?.generations ?? []).map(({ best, at }) => [best, at])).toEqual([[4, 10], [5, 14], [6, 31]]);
+  expect(courseOf({ ...now, best: null }, [])).toEqual([]);
 });
 
 const scale = { name: "ease", unit: "1", direction: "maximise", lower: 0, upper: 10 };

@@ -54,6 +54,13 @@ export function placesOf(generations: readonly Generation[], over: Over): number
   return generations.map(({ iteration, requested, repeated, reused, predicted }) => (over === "iteration" ? iteration + 1 : (taken += requested - repeated - reused - predicted)));
 }
 
+/** Best and mean objective over the simulations so far, with what is best now: after a round, and in the midst of one. */
+export function courseOf({ best, cells }: Pick<Campaign, "best" | "cells">, generations: readonly Generation[]): (Pick<Generation, "best" | "mean"> & { at: number })[] {
+  const places = placesOf(generations, "simulations");
+  const course = generations.map((generation, place) => ({ best: generation.best, mean: generation.mean, at: places[place] ?? 0 })).filter((point) => point.best !== null);
+  return best === null ? course : [...course, { best: best.objective, mean: null, at: cells.simulated + cells.failed }];
+}
+
 /** The best objective of each search. `place`: which colour and dash it has. */
 export function overlay(searches: readonly { name: string; place: number; generations: readonly Generation[] }[], over: Over): Series[] {
   return searches.map(({ name, place, generations }) => {

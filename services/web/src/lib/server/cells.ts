@@ -27,16 +27,25 @@ export async function openCell(campaign: string, iteration: number, individual: 
   go(["evaluations", String(await cellAt(campaign, iteration, individual, scenario))]);
 }
 
-/** Sets of the same objective and rating as the best may come before it. */
-const MOST = 100;
+/** Sets of a page of the ranking. */
+const MOST = 1000;
 
 type Values = Readonly<Record<string, number | string>>;
 const same = (wanted: Values, given: Values): boolean => Object.entries(wanted).every(([name, value]) => given[name] === value);
 
-/** The number of the best set's evaluation in a scenario; null if it is not among the first of the ranking any more. */
-export async function bestCell(campaign: string, best: Best, scenario: string): Promise<number | null> {
+async function ranked(campaign: string, parameters: Values): Promise<PageSolution["items"][number] | undefined> {
   const { items } = await get<PageSolution>(`/campaigns/${campaign}/solutions?limit=${MOST}`);
-  const row = items.find((item) => same(best.parameters, item.parameters));
+  return items.find((item) => same(parameters, item.parameters));
+}
+
+/** The rank of a set; null if it is not among the first of the ranking. */
+export async function rankOf(campaign: string, parameters: Values): Promise<number | null> {
+  return (await ranked(campaign, parameters))?.rank ?? null;
+}
+
+/** The number of the best set's evaluation in a scenario: others of the same objective and rating may come before it. */
+export async function bestCell(campaign: string, best: Best, scenario: string): Promise<number | null> {
+  const row = await ranked(campaign, best.parameters);
   return row ? cellAt(campaign, row.iteration, row.individual, scenario) : null;
 }
 

@@ -67,7 +67,7 @@ export function ago(moment: string | null, now: number): string {
 }
 
 export function clock(moment: string): string {
-  return new Date(moment).toLocaleTimeString("en-GB");
+  return new Date(moment).toLocaleString("en-GB", { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit", second: "2-digit", timeZoneName: "short" });
 }
 
 /** A unit as a cell of a table; nothing for values without unit. */

@@ -1,6 +1,6 @@
 /** Meanings of the terms: as tooltips, and in the glossary of the documentation. */
 
-import type { CellCounts, Moving } from "../server/types";
+import type { Campaign, CellCounts, Moving } from "../server/types";
 
 export type Outcome = "repeated" | "reused" | "predicted" | "simulated" | "failed";
 
@@ -59,7 +59,7 @@ export function withoutSimulation(cells: Partial<Record<Outcome, number>>): numb
 }
 
 /** One sentence about the state. */
-export function sentence(campaign: Moving): string {
+export function sentence(campaign: Moving & Partial<Pick<Campaign, "spec" | "budget">>): string {
   const { state, stage, requested_action: asked } = campaign;
   if (asked === "pause") return "Asked to pause: what runs at the workers is finished first.";
   if (asked === "cancel" || state === "cancelling") return "Asked to end: what runs at the workers is finished first, and kept.";
@@ -69,7 +69,10 @@ export function sentence(campaign: Moving): string {
   if (state === "cancelled") return "Ended on request; what was finished is kept.";
   if (state === "failed") return "Ended with an error.";
   if (stage === "sensitivity") return "Analysing the influence of the parameters.";
-  if (stage === "calibration") return `Searching: iteration ${(campaign.iteration ?? 0) + 1}.`;
+  if (stage === "calibration") {
+    const [now, most] = [(campaign.iteration ?? 0) + 1, campaign.spec?.optimizer?.iterations];
+    return most && now > most ? "Confirming the best sets by simulation." : `Searching: ${campaign.budget ? "round" : "iteration"} ${now}.`;
+  }
   if (stage === "robustness") return "Simulating the best sets in other vehicles.";
   if (stage === "validation") return "Checking the influence map by simulation.";
   return "Running.";
