@@ -136,6 +136,9 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
             "optimizer",
             "11,160 cells, 9,000 of them here: 1,500 individuals x 1 iterations x 6 scenarios",
         ),
+        ({"budget": {"minutes": 10}}, "optimizer", "a budget of 1,000,000 simulations"),
+        ({"optimizer": {"kind": "genetic"}, "budget": {"simulations": 20_000}}, "optimizer", "a budget of 20,000 simulations"),
+        ({"sensitivity": {}, "budget": {"simulations": 10_000_000}}, "optimizer", "a budget of 10,000,000 simulations"),
     ],
 )
 @pytest.mark.parametrize("query", ["", "?validate_only=true"])

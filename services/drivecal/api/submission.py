@@ -190,13 +190,14 @@ def _checked(database: Database, limits: Limits, specification: CampaignSpecific
         return problem
     stage = max(stages, key=lambda name: stages[name])
     message = f"the campaign may propose {total:,} cells, {stages[stage]:,} of them here"
-    wanted = problem.optimization
-    if stage == "optimizer" and wanted is not None:
-        message += (
-            f": {wanted.population:,} individuals x {wanted.iterations:,} iterations x {len(problem.scenarios)} scenarios"
-        )
-    what = "population, iterations" if stage == "optimizer" else "samples"
-    raise TooLargeError(Problem(stage, message, f"this server takes {largest:,}; reduce {what} or scenarios"))
+    wanted, what = problem.optimization, "samples or scenarios"
+    if stage == "optimizer" and wanted is not None and wanted.iterations is None:
+        message += f": a budget of {runs.calibration_proposed:,} simulations"
+        what = "budget.simulations"
+    elif stage == "optimizer" and wanted is not None:
+        sizes = f"{wanted.population:,} individuals x {wanted.iterations:,} iterations x {len(problem.scenarios)} scenarios"
+        message, what = f"{message}: {sizes}", "population, iterations or scenarios"
+    raise TooLargeError(Problem(stage, message, f"this server takes {largest:,}; reduce {what}"))
 
 
 def rerun(
