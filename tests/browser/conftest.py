@@ -154,6 +154,12 @@ def opening(browser: Browser, kept: Kept) -> Iterator[Opening]:
     assert kept.seen.strangers == []
 
 
+def unfold(page: Page, *folds: str) -> None:
+    """Opens these folds of the form."""
+    for fold in folds:
+        page.locator("summary", has_text=re.compile(f"^{fold}")).click()
+
+
 def leave(page: Page, origin: str) -> None:
     """Leaves the view of a page that shows one, so that the next begins anew."""
     if page.url.startswith(f"{origin}#"):

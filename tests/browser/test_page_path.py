@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
-from tests.browser.conftest import GONE, Opening, barriers
+from tests.browser.conftest import GONE, Opening, barriers, unfold
 from tests.support.serve import serving
 from tests.support.server import free_port
 
@@ -22,6 +22,7 @@ def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, 
         page.get_by_label("name").fill("the whole way")
         for scenario in ("S1", "S2", "S4", "S6"):
             page.get_by_role("checkbox", name=scenario).uncheck()
+        unfold(page, "Search")
         page.get_by_label("kind").select_option("random")
         page.get_by_label("population").fill("30")
         page.get_by_label("iterations").fill("3")

@@ -7,7 +7,7 @@ from time import sleep
 
 import pytest
 from playwright.sync_api import Browser, CDPSession, Locator, Page, expect
-from tests.browser.conftest import PHONE, Opening, too_wide
+from tests.browser.conftest import PHONE, Opening, too_wide, unfold
 from tests.support.runs import SMALL, run, submit
 from tests.support.server import RunningApi, serving
 
@@ -102,6 +102,7 @@ def test_the_start_of_a_form_is_always_in_sight_and_hides_nothing(shown: Shown, 
     assert above is not None
     assert under is not None
     assert above["y"] + above["height"] <= under["y"]
+    unfold(page, "Search")
     page.get_by_label("kind").select_option("genetic")
     page.get_by_label("population").fill("-3")
     expect(bar).to_contain_text("optimizer, population")

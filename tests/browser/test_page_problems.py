@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
-from tests.browser.conftest import Opening, barriers, leave
+from tests.browser.conftest import Opening, barriers, leave, unfold
 from tests.support.computed import ComputedBackend
 from tests.support.problems import MANIFEST, ROADS, heated, push, replayed, store
 from tests.support.runs import run, submit, working
@@ -175,6 +175,7 @@ def test_a_campaign_on_a_problem_is_submitted_without_json(heater: Heated, openi
     page = opening(f"{heater.api.url}/#/problems", expected=("422",))
     page.get_by_role("link", name="New campaign on heater").click()
     expect(page.get_by_label("score")).to_contain_text("cost / EUR, 0 to 100, less is better")
+    unfold(page, "Search")
     page.get_by_role("button", name="quick").click()
     page.get_by_label("kind").select_option("genetic")
     page.get_by_label("population").fill("12")
@@ -210,6 +211,7 @@ def test_a_campaign_on_a_problem_is_submitted_without_json(heater: Heated, openi
 
 def test_goals_are_chosen_from_the_problem_and_a_baseline_is_pasted(heater: Heated, opening: Opening) -> None:
     page = opening(f"{heater.api.url}/#/submit?problem=heater", expected=("422",))
+    unfold(page, "Search")
     page.get_by_role("button", name="Add objective").click()
     measure = page.get_by_label("measure", exact=True)
     measure.select_option("energy_kwh")
@@ -295,6 +297,7 @@ def test_a_campaign_is_cloned_run_again_and_exported_from_its_overview(heater: H
 
     page.get_by_role("link", name="Clone").click()
     expect(page.get_by_label("name")).to_have_value("test again")
+    unfold(page, "Search")
     expect(page.get_by_label("population")).to_have_value("40")
     expect(page.get_by_label("gain to")).to_have_value("2")
     page.get_by_label("population").fill("10")

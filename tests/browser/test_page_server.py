@@ -108,7 +108,7 @@ def test_campaigns_are_tagged_and_deleted_where_they_are_listed(tmp_path: Path, 
 
 
 def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_path: Path, opening: Opening) -> None:
-    (tmp_path / "tokens").write_text(f"anna read {TOKEN}\n")
+    (tmp_path / "tokens").write_text(f"anna read {TOKEN}\nbert write {TOKEN[::-1]}\n")
     with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tmp_path / "tokens")) as api:
         campaign = run(api.database, submit(api.database, optimizer={"kind": "genetic", "population": 6, "iterations": 2}))
         page = opening(f"{api.url}/#/campaigns/{campaign.id}", expected=("401", "403"))
@@ -125,15 +125,19 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         page.goto(f"{api.url}/#/evaluations/1")
         expect(page.get_by_text("Your token is read-only.")).to_be_visible()
         page.goto(f"{api.url}/#/submit")
-        page.get_by_label("kind").select_option("genetic")
-        with page.expect_response(re.compile("validate_only")):
-            page.get_by_label("population").fill("7")
-        page.context.clear_cookies()  # the session ends
-        page.get_by_label("population").fill("77")
-        page.get_by_label("Token").fill(TOKEN)
+        expect(page.get_by_text("may not start anything")).to_be_visible()
+        expect(page.get_by_role("button", name="Start it")).to_have_count(0)
+        page.get_by_role("button", name="Log out").click()
+        page.get_by_label("Token").fill(TOKEN[::-1])
         page.get_by_role("button", name="Log in").click()
-        expect(page.get_by_label("population")).to_have_value("77")
-        expect(page.get_by_text("anna (may read)")).to_be_visible()
+        simulations = page.get_by_label("simulations")
+        with page.expect_response(re.compile("validate_only")):
+            simulations.fill("7")
+        page.context.clear_cookies()  # the session ends
+        simulations.fill("77")
+        page.get_by_label("Token").fill(TOKEN[::-1])
+        page.get_by_role("button", name="Log in").click()
+        expect(simulations).to_have_value("77")
         kept = page.evaluate("JSON.stringify([document.cookie, {...localStorage}, {...sessionStorage}])")
         assert json.loads(kept) == ["", {}, {}]
         page.get_by_role("button", name="Log out").click()

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
-from tests.browser.conftest import AWAY, TABS, Opening, away_and_back, barriers_everywhere
+from tests.browser.conftest import AWAY, TABS, Opening, away_and_back, barriers_everywhere, unfold
 from tests.support.comparisons import finish_comparison, submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, influenced, run, submit
@@ -236,7 +236,10 @@ def test_what_is_selected_stands_in_the_address(shown: Shown, opening: Opening) 
 
 
 def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is_wrong(shown: Shown, opening: Opening) -> None:
-    page = opening(f"{shown.api.url}/#/submit", expected=("422",))
+    page = opening(f"{shown.api.url}/#/submit", expected=("422", *AWAY))
+    expect(page.get_by_role("group", name="budget").get_by_label("simulations")).to_be_visible()
+    expect(page.get_by_label("kind")).not_to_be_visible()
+    unfold(page, "Saving simulations", "Search")
     page.get_by_label("kind").select_option("genetic")
     page.get_by_label("population").fill("10")
     page.get_by_label("iterations").fill("2")
@@ -282,6 +285,11 @@ def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is
     expect(page.get_by_role("button", name="Start it")).to_be_disabled()
     sets.fill("")
     page.get_by_label("Weight of S1").fill("3")
+    expect(page.get_by_role("button", name="Start it")).to_be_enabled()
+    page.context.set_offline(True)
+    page.get_by_role("button", name="Start it").click()
+    expect(page.get_by_role("group", name="Start")).to_contain_text("cannot be reached")
+    page.context.set_offline(False)
     page.get_by_role("button", name="Start it").click()
     expect(page.get_by_role("heading", level=1)).to_have_text("from the form")
     stored = shown.api.http.get(f"/api/v1/campaigns/{page.url.rpartition('/')[2]}").json()["spec"]
