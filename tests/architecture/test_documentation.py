@@ -195,6 +195,8 @@ def test_yaml_in_the_documentation_is_valid(block: Block) -> None:
         assert resolve_map(validated(InfluenceMapSpecification, document), example).influence_map.scenarios
     elif "scenarios" in document:
         assert list(scenarios_problems(0.1, document["scenarios"])) == []
+    elif "optimizers" in document:
+        validated(ComparisonSpecification, document)
     elif "limits" in document:
         validated(LimitsFile, document)
     elif "scrape_configs" not in document:  # a file of Prometheus

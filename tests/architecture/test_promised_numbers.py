@@ -20,7 +20,7 @@ LIMITS = {name: field.default for name, field in Settings.model_fields.items()}
 
 def test_numbers_in_promises_are_those_of_the_code() -> None:
     for text, promised, actual in (
-        ("at most 20 sets", 20, ReductionSpecification().confirm),
+        ("up to 20 (`reduction.confirm`", 20, ReductionSpecification().confirm),
         ("memory three times", 3, ATTEMPTS),
         ("if two workers", 2, WITNESSES),
         ("after half a minute", 30.0, PATIENCE_WITH_REFUSALS),

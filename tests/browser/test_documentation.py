@@ -26,6 +26,19 @@ QUESTIONS = {
     "move the database": "How do I move or copy the database?",
     "CI": "In CI",
     "lot": "Lot",
+    "how many parameters": "How many parameters and scenarios",
+    "which seeds": "How many runs does each set get",
+    "same result": "Do I get the same result again",
+    "floating licence": "Licences",
+    "power cut": "What is lost after a power cut?",
+    "excel": "How do I get results into Excel",
+    "red light": "What does the red or amber light mean?",
+    "cost saves": "Does reuse cost more than it saves?",
+    "forbid combinations": "How do I forbid combinations of values?",
+    "limit measure": "How do I set a limit for a measure",
+    "collision": "What is a collision or a failed run worth?",
+    "old database": "May I keep my old database",
+    "add a machine": "How do I add a machine",
 }
 """Words that readers type, and the heading that the search should find first."""
 

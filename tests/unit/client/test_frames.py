@@ -37,7 +37,6 @@ def test_a_table_comes_whole_and_filtered(downloaded: tuple[DownloadedTable, str
 
 
 def test_frames_of_pandas_keep_the_types_of_columns_with_missing_values(downloaded: tuple[DownloadedTable, str]) -> None:
-    pytest.importorskip("pandas")
     frame = downloaded[0].to_pandas()
     assert frame.dtypes.map(str).to_dict() == {"id": "Int64", "agrees": "boolean", "rating": "float64"}
     assert frame["id"][0] == 7
@@ -64,7 +63,6 @@ def test_the_python_of_the_readme_runs(monkeypatch: pytest.MonkeyPatch, download
     best = SimpleNamespace(items=[SimpleNamespace(parameters=middle)])
     monkeypatch.chdir(Path(__file__).parents[3])
     monkeypatch.setattr(Client, "solutions", lambda *_, **__: best)
-    pytest.importorskip("pandas")
     with server(campaign("queued"), campaign("succeeded"), (200, {}, downloaded[0].content)) as (given, script):
         monkeypatch.setenv("DRIVECAL_URL", given.url)
         names: dict[str, Any] = {}

@@ -79,7 +79,7 @@ def note_of(database: Database, view: View) -> str | None:
     every = standing.anew + standing.again + standing.missing
     count = "1 stored run" if every == 1 else f"{every:,} stored runs"
     verb = "was" if every == 1 else "were"
-    beginning = f"{count} of these setups, of all campaigns, {verb} first rated by another score than {bench.evaluator_id}"
+    beginning = f"{count} of all campaigns {verb} first scored by another formula than {bench.evaluator_id}"
     return f"{beginning}: {'; '.join(parts)}"
 
 

@@ -565,7 +565,7 @@ class Calibration(Stage):
         if (rejected := rejected_text(self._error_rate)) is not None:
             notes.append(rejected)
         if counts.unrepeatable:
-            notes.append(f"{counts.unrepeatable} simulations differ from another run of the same cell: scores are samples")
+            notes.append(f"runs that differ from another one of the same cell: {counts.unrepeatable}; scores are samples")
             if not self._repeatable_no_more:
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": notes[-1]})
                 self._repeatable_no_more = True

@@ -255,7 +255,7 @@ def _sentence(manifest: "Manifest", result: "CheckedScenario") -> str:
         return f"no result: {result.error}"
     parts = [f"{max(result.seconds):.3f} s a run, ready after {result.start_seconds:.3f} s"]
     if not result.repeats:
-        remedy = "; or ".join([*_doubts_of_resets(manifest), "fix their seed, or set `deterministic: false`"])
+        remedy = "; or ".join([*_doubts_of_resets(manifest), "fix their seed, or set `random: true` if they take one"])
         parts.append(f"two runs of the same parameters gave different measures: {remedy}")
     parts += [f"{name}: {reason}" for name, reason in result.undefined.items()]
     return "; ".join(parts)

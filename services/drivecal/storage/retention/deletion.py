@@ -61,7 +61,7 @@ def delete_campaign(connection: Connection, campaign_id: str) -> int:
     referring = references(connection, campaign)
     if referring:
         listed = ", ".join(f"{identifier} ({use})" for identifier, use in list(referring.items())[:MOST_LISTED])
-        raise ConflictError(f"{len(referring)} campaigns refer to {campaign_id}: {listed}; delete them first")
+        raise ConflictError(f"other campaigns refer to {campaign_id}: {listed} ({len(referring)} in all); delete them first")
     _mark(connection, campaign.sequence, campaign.id)
     return campaign.sequence
 
