@@ -11,7 +11,6 @@ import psutil
 import pytest
 from tests.support.faults import cage
 from tests.support.faults.findings import OF_A_CAMPAIGN, TABLES, Found, assert_equal
-from tests.support.faults.lives import moments
 from tests.support.faults.patience import Patience
 from tests.support.serve import alive, until
 
@@ -66,13 +65,3 @@ def test_whatever_a_campaign_found_differently_is_named() -> None:
     for other in others:
         with pytest.raises(AssertionError, match="campaign this"):
             assert_equal("this", other, one)
-
-
-def test_a_seed_says_when_the_faults_happen() -> None:
-    assert moments(5, 20) == moments(5, 20) != moments(6, 20)
-    shares = [moment.share for moment in moments(5, 200)]
-    assert None in shares
-    known = [share for share in shares if share is not None]
-    assert known == sorted(known)
-    assert min(known) < 0.1
-    assert max(known) > 0.85

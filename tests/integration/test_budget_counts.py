@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,11 +41,12 @@ class Breaking(ComputedBackend):
             self._begin_some(batch)
         self._outstanding.clear()
 
-    def _begin_some(self, batch: Batch) -> None:
-        planned = sum(1 + cell.check for cell in batch.cells)
-        begun = self._random.randint(0, planned)
-        self.started += begun
-        self.unknown += planned - begun
+    def _begin_some(self, batch: Batch, *, tells: bool = False) -> Counter[int]:
+        planned = [cell.id for cell in batch.cells for _ in range(1 + cell.check)]
+        begun = planned[: self._random.randint(0, len(planned))]
+        self.started += len(begun)
+        self.unknown += 0 if tells else len(planned) - len(begun)
+        return Counter(begun)
 
     def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
         super().submit(worker, batch_id, batch, expected_seconds, alone=alone)
@@ -53,8 +55,11 @@ class Breaking(ComputedBackend):
     def _turn(self, event: Finished | Lost) -> Finished | Lost:
         assert isinstance(event, Finished)
         batch: Batch = self._batches[event.batch_id]
-        kind = self._random.choices(["well", "lost", "behind", "refused"], [20, 2, 1, 1])[0]
+        kind = self._random.choices(["well", "lost", "killed", "behind", "refused"], [20, 1, 2, 1, 1])[0]
         self.kinds.append(kind)
+        if kind == "killed":
+            starts = self._begin_some(batch, tells=True)
+            return Lost(event.batch_id, self._name, Breakdown.CRASH, "it died", departed=True, starts=starts)
         if kind == "lost":
             self._begin_some(batch)
             return Lost(event.batch_id, self._name, Breakdown.CRASH, "it died")

@@ -26,8 +26,6 @@ WAITING = 2.0
 """Quotient of wall-clock and CPU time of the runs above which an account is in wall-clock time."""
 LEAST_WAIT = 0.05
 """Mean seconds without CPU time of such a run: a shorter one is mostly on its way to a child process and back, which is no waiting."""
-LEAST_SHOWN = -0.05
-"""Seconds of a cost from which on the sentence names it."""
 ROUNDING = 1e-9
 """Quotients this close above a whole number are that number."""
 
@@ -226,7 +224,7 @@ def _sentence(accounting: Accounting) -> str:
     costs = [
         f"{item.label} {-item.seconds:,.1f} s{runs * (item.name == 'sensitivity')}"
         for item in accounting.balance
-        if item.seconds <= LEAST_SHOWN
+        if item.seconds <= -0.05  # else it would be 0.0 s
     ]
     if costs:
         verb = "net saving" if accounting.net_seconds >= 0 else "net loss"

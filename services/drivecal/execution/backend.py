@@ -1,5 +1,6 @@
 """The port for simulation: every submitted batch comes back once, finished or lost."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -44,6 +45,8 @@ class Lost:
     """False if the batch waited behind another one, so that none of its cells was simulated."""
     departed: bool = False
     """True if the worker left, killed from outside or with its node: its cells are not to blame."""
+    starts: Mapping[int, int] | None = None
+    """Starts of the simulator by cell, those without any left out; None if nothing is known."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -330,8 +330,11 @@ class WorkPool:
 
 
 def _unstarted(dispatch: Dispatch, event: Finished | Lost) -> dict[int, int]:
-    """Returns by cell how many of the starts that its lease counts did not happen. What a lost worker had begun counts as started."""
+    """Returns by cell how many of the starts that its lease counts did not happen. A batch that a lost worker had begun counts as started,
+    unless the worker left and its starts are known."""
     planned = {cell.id: 1 + cell.check for cell in dispatch.batch.cells}
+    if isinstance(event, Lost) and event.departed and event.starts is not None:
+        return {cell: max(0, count - event.starts.get(cell, 0)) for cell, count in planned.items()}
     if isinstance(event, Lost):
         return dict.fromkeys(planned, 0) if event.begun else planned
     started = {answer.id: answer.starts for answer in event.result.results}

@@ -9,8 +9,8 @@ import logging
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from drivecal.cluster.members import Node
@@ -111,6 +111,10 @@ class SupervisedBackend(Backend, ABC):
     def _is_silent(self, worker: WorkerProcess) -> bool:  # noqa: ARG002  # for subclasses
         """Returns whether the process of a started worker has shown no sign of life for long, see `cluster.pulse`."""
         return False
+
+    def _starts_of(self, reference: Any) -> Mapping[int, int] | None:  # noqa: ARG002  # for subclasses
+        """Returns the starts of the simulator in a call whose worker is gone, see `Lost`."""
+        return None
 
     def _changes(self) -> list[Finished | Lost]:
         """Follows the machines of the cluster; returns the lost batches of machines that are gone. Raises BackendLostError."""
@@ -283,7 +287,9 @@ class SupervisedBackend(Backend, ABC):
         if lost_with_machine is not None:
             return lost_with_machine
         log.warning("%s; it is replaced", detail, exc_info=cause if log.isEnabledFor(logging.DEBUG) else None)
+        starts = self._starts_of(worker.calls[0].reference) if worker.calls else None
         lost: list[Finished | Lost] = list(worker.lose(breakdown, detail, departed=departed))
+        lost[:1] = [replace(running, starts=starts) for running in lost[:1] if isinstance(running, Lost)]
         if worker.warming is not None:
             worker.failed_starts += 1
             worker.reason = detail

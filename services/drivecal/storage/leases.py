@@ -5,9 +5,9 @@ may be simulated more than once, after a crash of whatever process, but has one 
 (`processes`): they end with it, so that the next dispatcher need not wait for any of them. The breakdowns do not end: a cell that brings
 its workers down must not get three new attempts from every dispatcher.
 
-A lease also counts the starts of the simulator: all before the cell is sent, less the starts that did not happen when it comes back. So
-no start is missing after a crash: a cell that was at a worker then counts as started, and as lost. Lost starts are no part of a budget, so
-that a campaign asks for the same cells whatever was killed.
+A lease also counts the starts of the simulator: all before the cell is sent, less the starts that did not happen when it comes back, or
+when its worker was killed and had noted its starts. So no start is missing after a crash: a cell whose starts are unknown counts as
+started, and as lost. Lost starts are no part of a budget, so that a campaign asks for the same cells whatever was killed.
 
 A lease has no row of its own before it was taken once, and none any more when the cell has its answer.
 """

@@ -87,7 +87,8 @@ class CellCounts(GenerationCounts):
     runs: int = 0
     """Starts of the simulator for these cells, whatever for: retries and repeated runs included."""
     lost: int = 0
-    """Starts, among `runs`, whose worker or server was killed: they take nothing from a budget."""
+    """Starts, among `runs`, whose worker or server was killed: they take nothing from a budget. A cell at a worker on Ray, or whose
+    server was killed, counts as started, so that the simulator counts at least `runs` - `lost` and at most `runs`."""
     discarded: int = 0
     """Cells of sets that a search gave up, because they could not be the best any more. They were not requested, and are in no sum."""
     cut: int = 0
@@ -364,9 +365,6 @@ class ExpectedRuns(Answer):
     calibration_at_most: int
     robustness: int
     validation: int
-    break_even_share: float | None = None
-    """The share of requested cells that must be reused so that the interval analysis saves as many runs in this campaign as it takes. Above
-    1, it cannot pay. Null without both stages. The actual share is unknown before the campaign runs."""
     milliseconds: float | None = None
     """Time for which one simulation occupies a worker: CPU time, or wall-clock time if the simulator waits. Null before a user's own
     simulator has run in these setups."""

@@ -4,7 +4,7 @@ import os
 import signal
 
 import pytest
-from tests.contract.backend.test_backend import WELL, batch, collect, send, wait_for_idle
+from tests.contract.backend.test_backend import CRASH, WELL, batch, collect, send, wait_for_idle
 
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import Finished, Lost
@@ -12,6 +12,14 @@ from drivecal.execution.processes.backend import ProcessBackend
 
 LARGE = 4_000
 """Cells of a batch that fits into no buffer of a connection."""
+
+
+def test_a_lost_batch_tells_which_runs_had_begun(processes_backend: ProcessBackend) -> None:
+    wait_for_idle(processes_backend)
+    send(processes_backend, 1, batch(WELL, CRASH, WELL, first=11))
+    lost = collect(processes_backend, 1)[1]
+    assert isinstance(lost, Lost)
+    assert lost.starts == {11: 1, 12: 1}
 
 
 @pytest.mark.slow

@@ -64,9 +64,7 @@ def found(coordinator: Served, campaign_id: str) -> Found:
         released.pop("seconds")
     for counted in campaign["stages"].values():
         del counted["runs"], counted["lost"]  # a run that is lost with its worker is made again
-    campaign["notes"] = [
-        note for note in campaign["notes"] if not note.startswith("predictions are off")
-    ]  # with measured times
+    campaign["notes"] = [note for note in campaign["notes"] if not note.startswith("predictions are off")]  # measured times
     tables["evaluations"] = _by_place(tables["evaluations"])
     return Found({name: campaign[name] for name in OF_A_CAMPAIGN}, tables, simulated)
 

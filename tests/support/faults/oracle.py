@@ -62,9 +62,6 @@ def undisturbed(folder: Path) -> dict[str, Found]:
     assert min(counts[name] for name in ("repeated", "reused", "simulated", "audited", "carried_over")) > 0, counts
     assert len({row["score"] for row in results["reusing"].tables["evaluations"]}) >= 3
     assert results["analysing"].campaign["stages"]["sensitivity"]["simulated"] > 50
-    predicting = results["predicting"].campaign["stages"]["calibration"]
-    assert predicting["simulated"] > 300
-    assert predicting["predicted"] == 0
     return results
 
 

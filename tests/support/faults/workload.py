@@ -1,4 +1,4 @@
-"""The work of a server under faults: three campaigns side by side and a stream of single evaluations, all of it real simulation."""
+"""The work of a server under faults: two campaigns side by side and a stream of single evaluations, all of it real simulation."""
 
 import threading
 import time
@@ -42,16 +42,6 @@ ANALYSING: dict[str, Any] = {
     "validation": {"samples": tries(5, 10), "references": 2, "largest": 20},
 }
 """Every stage there is. Its vehicle is another one, so that what it finds does not depend on how far the other campaign is."""
-PREDICTING: dict[str, Any] = {
-    "name": "predicting",
-    "catalogue": ["S3"],
-    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.01} for i in range(1, 4)],
-    "fixed": {f"P{i}": 0.5 for i in range(4, 12)},
-    "vehicle": {"parameters": {"mass": 1500}},
-    "optimizer": {"kind": "genetic", "population": tries(300, 400), "iterations": 3, "seed": 3},
-    "reduction": {"mode": "predicted"},
-}
-"""Its runs are far too cheap for predictions, which are off in it: no fault may change that. `test_predictions` has them on."""
 SINGLE: dict[str, Any] = {"scenario": "S3", "vehicle": {"parameters": {"mass": 1700}}}
 PATIENCE_SECONDS = 600.0
 """Longest time until a request is accepted, while the server is killed and restarts."""
@@ -90,11 +80,11 @@ class Accepted:
 
 
 def submit(url: str, documents: Mapping[str, Mapping[str, Any]] | None = None) -> Accepted:
-    """Posts the three campaigns."""
+    """Posts the campaigns."""
     if documents is None:
         map_id = post(url, "/api/v1/influence-maps", BOLD_MAP)
         reusing = REUSING | {"sensitivity": {"map": map_id}}
-        documents = {"reusing": reusing, "analysing": ANALYSING, "predicting": PREDICTING}
+        documents = {"reusing": reusing, "analysing": ANALYSING}
     return Accepted({name: post(url, "/api/v1/campaigns", document) for name, document in documents.items()})
 
 

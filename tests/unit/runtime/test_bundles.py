@@ -7,7 +7,7 @@ import math
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import PackageNotFoundError
@@ -82,8 +82,8 @@ class ScriptedSession:
         self.simulator.closed.append(self.scenario)
 
 
-def worker(tmp_path: Path, simulator: ScriptedSimulator) -> Worker:
-    return Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache"), lambda _: simulator))
+def worker(tmp_path: Path, simulator: ScriptedSimulator, begins: Callable[[int], None] = lambda _: None) -> Worker:
+    return Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache"), lambda _: simulator, begins=begins))
 
 
 def test_measures_come_back_unrated_with_the_cpu_time_of_children(
@@ -236,11 +236,13 @@ def test_a_checked_cell_runs_twice_to_find_noise(tmp_path: Path, archive: bytes,
         def open(self, *_: Any) -> SimulatorSession:
             return Noisy(self, "city")
 
-    works = worker(tmp_path, NoisySimulator())
+    begun: list[int] = []
+    works = worker(tmp_path, NoisySimulator(), begun.append)
     works.store(request_.bundle, archive)
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, check=True),))).results
     assert (result.metrics, result.repeats) == ({"a": 2.0}, noise == 0)
     assert result.run_milliseconds < result.milliseconds - 900 * SECONDS
+    assert begun == [1, 1]
 
 
 def test_whole_numbers_are_sent_as_such(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:

@@ -134,8 +134,10 @@ class BundleSessions:
         simulators: Callable[[str], Simulator] = simulator,
         tools: Tools | None = None,
         clock: Callable[[], float] = time.monotonic,
+        begins: Callable[[int], None] = lambda _: None,
     ) -> None:
-        """`simulators`: returns a simulator by its kind; `tools`: runs probes, by default in child processes."""
+        """`simulators`: returns a simulator by its kind; `tools`: runs probes, by default in child processes; `begins`: see `Worker`."""
+        self._begins = begins
         self._cache = cache
         self._tools = tools or Tools()
         self._simulators = simulators
@@ -199,6 +201,7 @@ class BundleSessions:
         parameters = {name: cell.parameters[name] for name in setup.parameters} | dict(setup.varied)
         parameters |= {name: int(parameters[name]) for name in setup.integers}
         self._starts += 1
+        self._begins(cell.id)
         try:
             outcome = session.evaluate(parameters, series=cell.trace, seed=setup.seed or SEED)
             trace = _series(outcome) if cell.trace else None
@@ -211,6 +214,8 @@ class BundleSessions:
             )
         milliseconds = milliseconds_since(start) + 1000 * outcome.cpu_seconds
         wall_milliseconds = 1000 * (time.perf_counter() - began - outcome.start_seconds - outcome.queued_seconds)
+        if cell.check:
+            self._begins(cell.id)
         repeats, spent = self._repeated(setup, parameters, outcome) if cell.check else (None, 0.0)
         return CellResult(
             id=cell.id,

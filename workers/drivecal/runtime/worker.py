@@ -43,7 +43,11 @@ class Worker:
     """Runs batches in its own process (a Ray actor), because a process can hold only one SUMO simulation."""
 
     def __init__(
-        self, name: str, make: Callable[[SetupRequest, Path], Runner] = make_runner, bundles: BundleSessions | None = None
+        self,
+        name: str,
+        make: Callable[[SetupRequest, Path], Runner] = make_runner,
+        bundles: BundleSessions | None = None,
+        begins: Callable[[int], None] = lambda _: None,
     ) -> None:
         """Creates a worker.
 
@@ -51,10 +55,12 @@ class Worker:
             name: Its name in results and messages.
             make: Creates runners of driving functions from a setup and its files.
             bundles: Runs problem bundles, by default with the adapters.
+            begins: Called with a cell's id before each start of the simulator for it.
         """
         self._name = name
         self._make = make
-        self._bundles = bundles or BundleSessions(BundleCache(cache_folder()))
+        self._begins = begins
+        self._bundles = bundles or BundleSessions(BundleCache(cache_folder()), begins=begins)
         self._runners: OrderedDict[tuple[object, ...], Runner] = OrderedDict()
 
     def warm(self, trial: Batch) -> WorkerFacts:
@@ -113,6 +119,7 @@ class Worker:
         start = time.thread_time_ns()
         try:
             runner = self._runner(setup)
+            self._begins(cell.id)
             values = {**setup.simulator["controller"].get("values", {}), **cell.parameters}
             parameters = [values[name] for name in runner.parameters]
             if cell.trace:

@@ -120,16 +120,14 @@ class CalibrationProblem:
         if chosen is not None:
             proposed, requested = chosen.expected_cells(len(self.scenarios))
         phases = {} if analysis is None else analysis.expected_runs()
-        intervals = phases.get("intervals", 0) * len(self.scenarios)
         return ExpectedRuns(
             problem=self.specification.problem,
-            sensitivity=intervals,
+            sensitivity=phases.get("intervals", 0) * len(self.scenarios),
             sensitivity_at_most=sum(phases.values()) * len(self.scenarios),
             calibration_proposed=proposed,
             calibration_at_most=requested,
             robustness=self._robustness_runs(),
             validation=self._validation_runs(),
-            break_even_share=intervals / requested if intervals and requested else None,
             notes=list(self.notes),
         )
 

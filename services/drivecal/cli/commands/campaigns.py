@@ -258,8 +258,6 @@ def _print_expected(expected: ExpectedRuns) -> None:
             f"about {duration(expected.seconds)} at most on {expected.workers} workers ({expected.milliseconds:.1f} ms of one each, {how})"
             ", for the simulations alone: planning, the optimizer and predictions take further time"
         )
-    if expected.break_even_share is not None and expected.break_even_share <= 1:
-        typer.echo(f"the analysis pays here if its map answers {expected.break_even_share:.1%} of the requested cells")
     for note in expected.notes:
         typer.echo(f"note: {note}")
 

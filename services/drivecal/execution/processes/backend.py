@@ -1,13 +1,16 @@
 """The backend on processes of this machine, connected by socket pairs. It needs no other package and starts in a second."""
 
 import itertools
+import os
 import queue
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
-from collections.abc import Collection, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -17,12 +20,13 @@ from drivecal.cluster.machine import cpus
 from drivecal.cluster.pulse import Pipe
 from drivecal.contracts.work import Batch
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.processes.calls import RemoteAnswer, RemoteCall
+from drivecal.execution.processes.calls import START, RemoteAnswer, RemoteCall
 from drivecal.execution.supervised import CallFailedError, SupervisedBackend, WorkerDiedError, WorkerLimits
 from drivecal.execution.worker_process import WorkerProcess
 
 ENDING_SECONDS = 5.0
 """Time limit for the threads of a process that was ended."""
+LARGEST_STARTS = START.size * 65536  # bytes of the file of starts, which is emptied then
 
 
 class ConnectedProcess:
@@ -93,6 +97,7 @@ class ProcessBackend(SupervisedBackend):
         self._trial = trial
         self._arrived = threading.Condition()
         self._numbers = itertools.count(1)
+        self._starts = tempfile.TemporaryFile()  # noqa: SIM115  # for as long as the backend
         for _ in range(limits.workers or cpus()):
             self._hire(None)
 
@@ -100,13 +105,16 @@ class ProcessBackend(SupervisedBackend):
         ours, theirs = socket.socketpair()
         pulse = Pipe()
         with theirs:
-            kept = [theirs.fileno(), pulse.writer]
+            kept = [theirs.fileno(), pulse.writer, self._starts.fileno()]
             command = [sys.executable, "-m", "drivecal.execution.processes.child", *map(str, kept), worker.name]
             process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=kept)  # noqa: S603  # our own module
         worker.handle = ConnectedProcess(process, Connection(ours.detach()), pulse, self._arrived)
         worker.warming = self._call(worker.handle, "warm", self._trial)
 
     def _send(self, worker: WorkerProcess, batch: Batch) -> SentCall:
+        if os.fstat(self._starts.fileno()).st_size > LARGEST_STARTS:
+            self._starts.seek(0)  # the workers' place as well
+            self._starts.truncate()
         return self._call(worker.handle, "run", batch)
 
     def _store(self, worker: WorkerProcess, bundle: str, archive: bytes) -> None:
@@ -119,6 +127,10 @@ class ProcessBackend(SupervisedBackend):
 
     def _is_silent(self, worker: WorkerProcess) -> bool:
         return bool(worker.handle.pulse.is_silent())
+
+    def _starts_of(self, reference: SentCall) -> Mapping[int, int]:
+        content = os.pread(self._starts.fileno(), 2 * LARGEST_STARTS, 0)
+        return Counter(cell for number, cell in START.iter_unpack(content) if number == reference.number)
 
     def _end(self, worker: WorkerProcess) -> None:
         worker.handle.end()

@@ -1,23 +1,25 @@
-"""The process of a worker: answers the calls that arrive on a connection. Runs as `python -m ... DESCRIPTOR PULSE NAME`."""
+"""The process of a worker: answers the calls that arrive on a connection. Runs as `python -m ... DESCRIPTOR PULSE STARTS NAME`."""
 
 import os
 import queue
 import signal
 import sys
 import threading
+from contextlib import suppress
 from multiprocessing.connection import Connection
 
 from drivecal.cluster import pulse
 from drivecal.cluster.guard import end_with_parent
 from drivecal.domain.errors import DrivecalError
-from drivecal.execution.processes.calls import RemoteAnswer, RemoteCall
+from drivecal.execution.processes.calls import START, RemoteAnswer, RemoteCall
 from drivecal.runtime.worker import Worker, describe
 
 
 def main() -> int:
     """Serves calls until the other end of the connection is closed."""
-    descriptor, name = int(sys.argv[1]), sys.argv[3]
+    descriptor, starts, name = int(sys.argv[1]), int(sys.argv[3]), sys.argv[4]
     os.set_inheritable(descriptor, False)
+    os.set_inheritable(starts, False)
     pulse.show(int(sys.argv[2]))
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the coordinator ends its workers
@@ -25,7 +27,12 @@ def main() -> int:
     connection = Connection(descriptor)
     calls: queue.SimpleQueue[RemoteCall] = queue.SimpleQueue()
     threading.Thread(target=_receive, args=(connection, calls), name="calls", daemon=True).start()
-    worker = Worker(name)
+
+    def begins(cell: int) -> None:
+        with suppress(OSError):  # a full disk
+            os.write(starts, START.pack(call.number, cell))
+
+    worker = Worker(name, begins=begins)
     while True:
         call = calls.get()
         answer = _answer(worker, call)
