@@ -72,8 +72,9 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         app.state.limits = limits = Limits.of(settings)
         meters.event_streams.set_function(lambda: limits.event_streams.taken)
         store_installed(database)
-        async with EventHub(database).running() as app.state.event_hub:
-            yield
+        app.state.event_hub = EventHub(database)
+        yield
+        app.state.event_hub.close()
         database.dispose()
 
     app = FastAPI(

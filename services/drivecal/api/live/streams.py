@@ -1,19 +1,17 @@
-"""Open event streams: a single poller reads the campaigns of all streams, however many there are.
+"""Open event streams: each looks at its campaign twice a second.
 
-A stream holds a position and nothing else. It takes later events from its campaign's feed, which holds the newest ones encoded; a stream
-that is further behind reads the database itself, page by page. A slow reader therefore costs no memory and delays no other stream; it
-misses only outdated progress.
+A stream holds a position and nothing else. It reads later events page by page, so a slow reader costs no memory and delays no other
+stream; it misses only outdated progress.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
-import logging
-from collections import deque
-from collections.abc import AsyncGenerator, AsyncIterator, Iterator, Mapping, Sequence
-from contextlib import asynccontextmanager, contextmanager, suppress
-from dataclasses import dataclass, field
+import time
+from collections.abc import AsyncGenerator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
@@ -30,17 +28,13 @@ from drivecal.storage.events import StoredEvent
 from drivecal.storage.revision_queries import ProgressSnapshot
 
 LOOK_SECONDS = 0.5
-"""Interval of the poller, and the shortest interval between two progress messages."""
+"""Time between two looks at a campaign, and the shortest time between two progress messages."""
 KEEPALIVE_SECONDS = 15.0
 """Time after which something is sent in any case, so that no proxy closes the connection."""
 PATIENCE_SECONDS = 3.0
 """Seconds without an answer of the database before streams report it."""
-HELD = 500
-"""Events that a feed holds."""
 PAGE = 100
 """Events that are read at once."""
-
-log = logging.getLogger("drivecal.api")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,213 +46,93 @@ class Message:
     content: str
 
 
-@dataclass(slots=True)
-class Feed:
-    """New events and progress of a campaign."""
-
-    sequence: int
-    campaign: str
-    start: int | None = None
-    """`held` has all events after this one; None before the first look."""
-    held: deque[tuple[int, Message]] = field(default_factory=deque)
-    revision: int = -1
-    snapshot: ProgressSnapshot | None = None
-    trouble: str | None = None
-    """A trouble that the dispatcher cannot report: its own silence, or the database's."""
-    progress: Message | None = None
-    ended: bool = False
-    readers: int = 0
-    changed: asyncio.Event = field(default_factory=asyncio.Event)
-    """Set with the next change; then another one takes its place."""
-
-    @property
-    def newest(self) -> int | None:
-        """Id of the last known event."""
-        return self.held[-1][0] if self.held else self.start
-
-    def after(self, position: int) -> tuple[list[Message], int]:
-        """Returns the held events after a position, and the position after them."""
-        later = [event for event in self.held if event[0] > position]
-        return [message for _, message in later], later[-1][0] if later else position
-
-    def wake(self) -> None:
-        """Lets streams look again."""
-        self.changed.set()
-        self.changed = asyncio.Event()
-
-
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """A consistent reading of the poller."""
+    """A consistent reading of a campaign. `snapshot` is None if nothing changed since the last one."""
 
     heartbeat_at: datetime | None
-    snapshots: Mapping[int, ProgressSnapshot]
-    """Progress of changed campaigns."""
-    events: Mapping[int, list[StoredEvent]]
-    newest: Mapping[int, int]
-    """Newest events of campaigns that are read for the first time."""
+    snapshot: ProgressSnapshot | None = None
+    events: Sequence[StoredEvent] = ()
 
 
 class EventHub:
-    """The streams of one process. Create and use it within one event loop."""
+    """The streams of one process."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
-        self._feeds: dict[int, Feed] = {}
-        self._wanted = asyncio.Event()
-        self.closed = False
+        self._closing = asyncio.Event()
 
-    @asynccontextmanager
-    async def running(self) -> AsyncIterator[EventHub]:
-        """Polls until the block is left."""
-        poller = asyncio.create_task(self._poll())
-        try:
-            yield self
-        finally:
-            self.close()
-            poller.cancel()
-            with suppress(asyncio.CancelledError):
-                await poller
+    @property
+    def closed(self) -> bool:
+        """True once all streams end."""
+        return self._closing.is_set()
 
     def close(self) -> None:
         """Ends all streams. Their clients resume them at the next server."""
-        self.closed = True
-        self._wanted.set()
-        for feed in self._feeds.values():
-            feed.wake()
+        self._closing.set()
 
     async def stream(self, sequence: int, campaign: str, last_id: int) -> AsyncGenerator[Sequence[Message]]:
         """Yields a campaign's events after the event `last_id`, past and future, until its end; without any for KEEPALIVE_SECONDS an empty
         list."""
-        position, progress, trouble = last_id, None, None
-        with self._feed(sequence, campaign) as feed:
+        position, revision, told = last_id, -1, time.monotonic()
+        snapshot: ProgressSnapshot | None = None
+        trouble: str | None = None  # what the dispatcher cannot report: its own silence, or the database's
+        looking: asyncio.Task[_Look] | None = None
+        try:
             while not self.closed:
-                changed = feed.changed
-                if feed.start is not None and position < feed.start:
-                    messages, position = await self._history(feed, position)
-                    if messages:
-                        yield messages
-                    continue
-                messages, position = feed.after(position)
-                if feed.trouble != trouble and not feed.ended:
-                    trouble = feed.trouble
-                    messages.append(_unstored(campaign, trouble or (feed.snapshot.degraded if feed.snapshot else None)))
-                if feed.progress is not None and feed.progress != progress:
-                    progress = feed.progress
-                    messages.append(progress)
-                if messages:
+                looking = looking or asyncio.create_task(asyncio.to_thread(self._read, sequence, position, revision))
+                await asyncio.wait([looking], timeout=PATIENCE_SECONDS)
+                look, reason = self._result(looking)
+                looking = None if looking.done() else looking
+                messages: list[Message] = []
+                said, moment = None, now()
+                if look is not None:
+                    snapshot = look.snapshot or snapshot
+                    if snapshot is None:
+                        return  # the campaign is gone
+                    messages += [stored(event, campaign) for event in look.events]
+                    position = look.events[-1].id if look.events else position
+                    said = degraded(snapshot, silence(look.heartbeat_at, moment))
+                    reason = None if said == snapshot.degraded else said
+                is_changed, trouble = reason != trouble, reason
+                has_ended = snapshot is not None and snapshot.state.ended
+                if is_changed and not has_ended:
+                    messages.append(_unstored(campaign, trouble or (snapshot.degraded if snapshot else None)))
+                has_more = look is not None and len(look.events) == PAGE
+                if look is not None and snapshot is not None:
+                    revision = -1 if has_more else snapshot.revision
+                    if not has_more and (look.snapshot is not None or is_changed):
+                        messages.append(Message(None, PROGRESS, json.dumps(progress_document(snapshot, said, moment))))
+                if messages or time.monotonic() - told >= KEEPALIVE_SECONDS:
+                    told = time.monotonic()
                     yield messages
-                elif feed.ended:
+                if has_more:
+                    continue
+                if look is not None and has_ended:
                     return
-                elif not await _within(KEEPALIVE_SECONDS, changed):
-                    yield []
-
-    @contextmanager
-    def _feed(self, sequence: int, campaign: str) -> Iterator[Feed]:
-        feed = self._feeds.get(sequence)
-        if feed is None:
-            feed = self._feeds[sequence] = Feed(sequence, campaign)
-            self._wanted.set()
-        feed.readers += 1
-        try:
-            yield feed
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(LOOK_SECONDS):
+                        await self._closing.wait()
         finally:
-            feed.readers -= 1
-            if not feed.readers:
-                del self._feeds[sequence]
+            if looking is not None:
+                looking.cancel()
 
-    async def _history(self, feed: Feed, position: int) -> tuple[list[Message], int]:
-        """Returns a page of events after a position, from the database, and the position after them."""
-
-        def read() -> tuple[list[Message], int]:
-            with self._database.read() as connection:
-                page = events.since(connection, feed.sequence, position, PAGE)
-            # None: what the feed begins after has been forgotten meanwhile.
-            return [stored(event, feed.campaign) for event in page], page[-1].id if page else max(position, feed.start or 0)
-
+    def _result(self, looking: asyncio.Task[_Look]) -> tuple[_Look | None, str | None]:
+        """Returns what a look found, or why the database does not tell."""
+        if not looking.done():
+            return None, f"the database {self._database.name} does not answer"
         try:
-            return await asyncio.to_thread(read)
-        except DrivecalError:
-            await _within(LOOK_SECONDS, feed.changed)  # the poller tells of it
-            return [], position
+            return looking.result(), None
+        except DrivecalError as error:
+            return None, str(error)
 
-    async def _poll(self) -> None:
-        only_new = False
-        while not self.closed:
-            self._wanted.clear()
-            try:
-                await self._look(only_new=only_new)
-            except DrivecalError as error:
-                self._tell_outage(str(error))
-            except Exception:  # must not end the poller: the streams would hang
-                log.exception("event streams could not be fed")
-            if self._feeds:
-                only_new = await _within(LOOK_SECONDS, self._wanted)
-            else:
-                await self._wanted.wait()
-
-    async def _look(self, *, only_new: bool) -> None:
-        """Reads the campaigns of all feeds; with `only_new`, only campaigns that were not read yet."""
-        feeds = [feed for feed in self._feeds.values() if not feed.ended and not (only_new and feed.start is not None)]
-        if not feeds:
-            return
-        known = {feed.sequence: (feed.newest, feed.revision) for feed in feeds}
-        looking = asyncio.create_task(asyncio.to_thread(self._read, known))
-        done, _ = await asyncio.wait([looking], timeout=PATIENCE_SECONDS)
-        if not done:
-            self._tell_outage(f"the database {self._database.name} does not answer")
-        look = await looking
-        moment = now()
-        silent = silence(look.heartbeat_at, moment)
-        for feed in feeds:
-            if self._take_in(feed, look, silent, moment):
-                feed.wake()
-
-    def _read(self, known: Mapping[int, tuple[int | None, int]]) -> _Look:
+    def _read(self, sequence: int, position: int, revision: int) -> _Look:
         with self._database.read() as connection:
-            revisions = revision_queries.revisions(connection, known)
-            changed = [sequence for sequence, revision in revisions.items() if known[sequence][1] != revision]
-            new_events: dict[int, list[StoredEvent]] = {}
-            newest: dict[int, int] = {}
-            for sequence in changed:
-                last = known[sequence][0]
-                if last is None:
-                    newest[sequence] = events.newest_id(connection, sequence)
-                else:
-                    new_events[sequence] = events.since(connection, sequence, last, PAGE)
-            snapshots = {snapshot.sequence: snapshot for snapshot in revision_queries.snapshots(connection, changed)}
-            return _Look(revision_queries.heartbeat(connection), snapshots, new_events, newest)
-
-    def _take_in(self, feed: Feed, look: _Look, silent: str | None, moment: datetime) -> bool:
-        """Updates a feed; returns whether anything of its campaign changed."""
-        snapshot = look.snapshots.get(feed.sequence)
-        if snapshot is not None:
-            feed.snapshot, feed.revision = snapshot, snapshot.revision
-            if feed.start is None:
-                feed.start = look.newest.get(feed.sequence, 0)
-            new_events = look.events.get(feed.sequence, [])
-            feed.held.extend((event.id, stored(event, feed.campaign)) for event in new_events)
-            while len(feed.held) > HELD:
-                feed.start = feed.held.popleft()[0]
-            if len(new_events) == PAGE:
-                feed.revision = -1  # there is more
-            else:
-                feed.ended = snapshot.state.ended
-        if feed.snapshot is None:
-            return False
-        said = degraded(feed.snapshot, silent)
-        trouble = None if said == feed.snapshot.degraded else said
-        if snapshot is None and trouble == feed.trouble:
-            return False
-        feed.trouble = trouble
-        feed.progress = Message(None, PROGRESS, json.dumps(progress_document(feed.snapshot, said, moment)))
-        return True
-
-    def _tell_outage(self, reason: str) -> None:
-        for feed in self._feeds.values():
-            if feed.trouble != reason and not feed.ended:
-                feed.trouble = reason
-                feed.wake()
+            heartbeat_at = revision_queries.heartbeat(connection)
+            if revision_queries.revisions(connection, [sequence]).get(sequence) == revision:
+                return _Look(heartbeat_at)
+            snapshots = revision_queries.snapshots(connection, [sequence])
+            return _Look(heartbeat_at, snapshots[0] if snapshots else None, events.since(connection, sequence, position, PAGE))
 
 
 def stored(event: StoredEvent, campaign: str) -> Message:
@@ -300,13 +174,3 @@ def _event(number: int | None, kind: str, campaign: str, at: datetime, data: Map
         "data": data,
     }
     return Message(number, kind, json.dumps(document))
-
-
-async def _within(seconds: float, event: asyncio.Event) -> bool:
-    """Returns whether an event was set within `seconds`."""
-    try:
-        async with asyncio.timeout(seconds):
-            await event.wait()
-    except TimeoutError:
-        return False
-    return True
