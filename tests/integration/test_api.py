@@ -191,7 +191,6 @@ def test_an_influence_map_is_stored_named_and_shown(api: RunningApi) -> None:
         "upper": "3.5",
         "unknown": "false",
         "decided_by": "posted",
-        "reason": rows[0]["reason"],
         "unit": "dB",
         "space_lower": "-15.0",
         "space_upper": "14.0",

@@ -18,7 +18,6 @@ from tests.support.runs import SMALL, run_posted
 from tests.support.server import RunningApi, serving
 
 from drivecal.client import Client
-from drivecal.domain.errors import InvalidInputError
 
 SPEC = SMALL | {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}}
 
@@ -94,24 +93,6 @@ def test_a_campaign_without_objectives_has_a_front_of_its_best(ended: Ended) -> 
     assert best is not None
     assert row.objectives["comfort"] == pytest.approx(best.objective)
     assert row.alternatives == best.alternatives
-
-
-def test_a_trade_off_tells_what_the_second_set_gains_and_costs(ended: Ended) -> None:
-    with Client(ended.api.url) as client:
-        rows = client.front(ended.first)
-        answer = client.trade_off(ended.first, 1, len(rows))
-        with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "second"):
-            client.trade_off(ended.first, 1, len(rows) + 1)
-    comfort, jerk = answer.objectives
-    assert (comfort.gain or 0) < 0 < (jerk.gain or 0)
-    assert {each.name for each in answer.parameters} == {
-        name for name, value in rows[0].parameters.items() if value != rows[-1].parameters[name]
-    }
-    assert 0 < answer.distance <= 1
-    for place, row in ((0, rows[0]), (1, rows[-1])):
-        assert [(each.first, each.second)[place] for each in answer.values] == list(row.values.values())
-        assert max(row.values.values()) == row.objectives[JERK]
-    assert [each.name for each in answer.values] == [f"{JERK}@{scenario}" for scenario in rows[0].scores]
 
 
 def test_every_evaluated_set_is_listed_by_its_objectives(ended: Ended) -> None:

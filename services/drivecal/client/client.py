@@ -34,7 +34,7 @@ from drivecal.contracts.inventory import (
 from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedRow
 from drivecal.contracts.outside.results import StoredCells
 from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet
-from drivecal.contracts.results import CampaignResults, FrontSummary, TradeOff
+from drivecal.contracts.results import CampaignResults, FrontSummary
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import FrontRow, InfluenceRow, JudgedSet, OptimumRow, RobustnessRow, TableName, ValidationRow
 from drivecal.domain.errors import OverloadError
@@ -335,18 +335,6 @@ class Client(Transport):
     def evaluated_sets(self, identifier: str) -> Rows[JudgedSet]:
         """Returns all sets that have a value of every objective, dominated ones as well."""
         return self._rows_of(identifier, "front/evaluated", JudgedSet)
-
-    def trade_off(self, identifier: str, first: int, second: int, weights: Mapping[str, float] | str | None = None) -> TradeOff:
-        """Returns the differences of two sets of a front.
-
-        Args:
-            identifier: Id of the campaign.
-            first: Rank of the first set.
-            second: Rank of the set that is compared with it.
-            weights: Weights of the objectives, under which the ranks count.
-        """
-        query = {"first": first, "second": second, "weights": weights_text(weights)}
-        return self._get(TradeOff, "campaigns", identifier, "front", "trade-off", **query)
 
     def setup(self, identifier: str) -> CampaignSetup:
         """Returns a campaign's setup: parameters, versions, fingerprints."""

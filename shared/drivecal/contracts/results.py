@@ -5,7 +5,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Answer, Campaign, Score, Study
+from drivecal.contracts.campaign import Answer, Campaign, Study
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
@@ -131,32 +131,6 @@ class FrontSummary(Answer):
     baseline: FrontBaseline | None = None
     hypervolume: float | None
     growth: list[FrontGrowth]
-
-
-class ValuePair(Answer):
-    """Two values of the same thing. `gain` is positive if the second is better, null if neither can be."""
-
-    name: str
-    first: Score | str | None
-    second: Score | str | None
-    gain: float | None = None
-
-
-class TradeOff(Answer):
-    """Two sets of a front, by rank: all objectives, constrained amounts, scores by scenario, and the parameters that differ.
-
-    `distance`: root mean square, in shares of the searched ranges; `text` says what the second gains and costs, a line per objective."""
-
-    first: int
-    second: int
-    objectives: list[ValuePair]
-    constraints: list[ValuePair] = Field(default_factory=list)
-    scores: list[ValuePair]
-    values: list[ValuePair] = Field(default_factory=list)
-    """Other scores and measures in each scenario, by `NAME@SCENARIO`."""
-    parameters: list[ValuePair]
-    distance: float
-    text: list[str]
 
 
 class StudyResult(Answer):

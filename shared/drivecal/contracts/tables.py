@@ -360,8 +360,6 @@ class InfluenceRow(Answer):
     """Number of the parameter's values from `space_lower` to `space_upper`."""
     decided_by: DecidedBy | None = None
     """The analysis that decided whether it is influential; null for posted maps."""
-    reason: str | None = None
-    """The deciding figures against their threshold, in words."""
 
 
 class BoxTrial(Answer):

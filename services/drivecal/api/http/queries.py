@@ -157,13 +157,6 @@ class PlaceOf(Parameters):
         return self.iteration, self.individual
 
 
-class TradeOffOf(SummaryOf):
-    """Two ranks of a front."""
-
-    first: Annotated[int, Field(ge=1)]
-    second: Annotated[int, Field(ge=1)]
-
-
 class SubmissionOf(Parameters):
     """Options of a submission."""
 
@@ -182,7 +175,6 @@ SummaryQuery = Annotated[SummaryOf, Query()]
 FrontQuery = Annotated[FrontOf, Query()]
 ImportanceQuery = Annotated[ImportanceOf, Query()]
 PlaceQuery = Annotated[PlaceOf, Query()]
-TradeOffQuery = Annotated[TradeOffOf, Query()]
 SubmissionQuery = Annotated[SubmissionOf, Query()]
 
 

@@ -9,10 +9,10 @@ from pydantic import BaseModel
 
 from drivecal.api.dependencies import Accept, DatabaseDependency, computed
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.http.queries import EvaluationsQuery, FrontQuery, SolutionsQuery, SummaryQuery, TableQuery, TradeOffQuery
+from drivecal.api.http.queries import EvaluationsQuery, FrontQuery, SolutionsQuery, SummaryQuery, TableQuery
 from drivecal.api.responses import calibration, evaluation_row
 from drivecal.api.tables import influence
-from drivecal.api.tables.front import front_table, judged_sets, summary, trade_off, weighted
+from drivecal.api.tables.front import front_table, judged_sets, summary, weighted
 from drivecal.api.tables.paging import Row, listed, page_or_file, slices, table_answer
 from drivecal.api.tables.ranking import ranking
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
@@ -20,7 +20,7 @@ from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
 from drivecal.campaigns.results.front import CampaignFront, baseline_of, front_of
 from drivecal.campaigns.results.optima import alternatives
-from drivecal.contracts.results import FrontSummary, TradeOff
+from drivecal.contracts.results import FrontSummary
 from drivecal.contracts.tables import (
     Column,
     EvaluationRow,
@@ -236,14 +236,6 @@ def list_evaluated(campaign_id: str, query: TableQuery, database: DatabaseDepend
     rows = judged_sets(front)
     columns = columns_of(JudgedSet, {"objectives": [goal.name for goal in front.goals.objectives]})
     return listed(f"evaluated-{campaign_id}", query, accept, columns, rows)
-
-
-@router.get("/front/trade-off")
-@computed
-def show_trade_off(campaign_id: str, query: TradeOffQuery, database: DatabaseDependency) -> TradeOff:
-    """Differences of two sets of the front, by their ranks under the same `weights`."""
-    _, resolved, front = _front(database, campaign_id)
-    return trade_off(database, weighted(front, query.weights)[0], resolved, query.first, query.second)
 
 
 def _front(database: Database, campaign_id: str) -> tuple[StoredCampaign, ResolvedSpec, CampaignFront]:

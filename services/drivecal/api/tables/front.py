@@ -5,18 +5,14 @@ from collections.abc import Sequence
 from sqlalchemy import Connection
 
 from drivecal.analysis.goals import Bound, Goal, Objective
-from drivecal.analysis.optima import distances
 from drivecal.analysis.robustness import key_of
-from drivecal.analysis.solutions import EvaluatedSet, FrontMember
+from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.api.tables.ranking import given_weights
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.campaigns.results.front import CampaignFront, answers_of
-from drivecal.campaigns.results.optima import unit_cube
-from drivecal.contracts.results import FrontBaseline, FrontGrowth, FrontObjective, FrontSummary, TradeOff, ValuePair
+from drivecal.contracts.results import FrontBaseline, FrontGrowth, FrontObjective, FrontSummary
 from drivecal.contracts.tables import FrontRow, JudgedSet
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.scales import Direction, plain, unit_text
+from drivecal.domain.scales import Direction, plain
 from drivecal.storage import studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -119,59 +115,6 @@ def _baseline(front: CampaignFront, baseline: EvaluatedSet) -> FrontBaseline | N
         constraints=front.goals.named_bounds(baseline.judgement),
         rank=front.ranks.get(baseline.parameter_set),
     )
-
-
-def trade_off(database: Database, front: CampaignFront, resolved: ResolvedSpec, first: int, second: int) -> TradeOff:
-    """Returns how two sets of a front differ. Raises InvalidInputError for ranks that it does not have."""
-    members = [_of_rank(front, rank, field) for field, rank in (("first", first), ("second", second))]
-    solutions = [member.solution for member in members]
-    with database.read() as connection:
-        stored = parameter_sets.load(connection, [solution.parameter_set for solution in solutions])
-    before, after = (stored[solution.parameter_set] for solution in solutions)
-    amounts = [() if solution.judgement is None else solution.judgement.amounts for solution in solutions]
-    places = unit_cube(resolved.space, [before, after])
-    goals = front.goals.objectives
-    compared = [
-        ValuePair(name=goal.name, first=own, second=other, gain=goal.sign * (other - own))
-        for goal, own, other in zip(goals, *amounts, strict=True)
-    ]
-    bounded = [front.goals.named_bounds(solution.judgement) for solution in solutions]
-    values = [front.goals.named_values(member.cells) for member in members]
-    sign = resolved.scale.sign
-    return TradeOff(
-        first=first,
-        second=second,
-        objectives=compared,
-        constraints=[ValuePair(name=name, first=amount, second=bounded[1][name]) for name, amount in bounded[0].items()],
-        scores=[
-            ValuePair(name=name, first=plain(score), second=plain(other), gain=sign * (other - score))
-            for name, score in solutions[0].scores.items()
-            for other in [solutions[1].scores[name]]
-        ],
-        values=[ValuePair(name=name, first=value, second=values[1].get(name)) for name, value in values[0].items()],
-        parameters=[
-            ValuePair(name=name, first=value, second=after.floats[name])
-            for name, value in before.floats.items()
-            if value != after.floats[name]
-        ],
-        distance=float(distances(places[:1], places[1:])[0, 0]),
-        text=[_text(goal, each) for goal, each in zip(goals, compared, strict=True)],
-    )
-
-
-def _of_rank(front: CampaignFront, rank: int, field: str) -> FrontMember:
-    if not 1 <= rank <= len(front.members):
-        message = f"the front has no set of rank {rank}"
-        raise InvalidInputError(Problem(field, message, f"give 1 to {len(front.members)}"))
-    return front.members[rank - 1]
-
-
-def _text(goal: Objective, difference: ValuePair) -> str:
-    gain = float(difference.gain or 0.0)
-    equal = f"stays within its tolerance of {goal.tolerance:g}" if goal.tolerance else "stays as it is"
-    is_equal = abs(gain) <= goal.slack(*(each for each in (difference.first, difference.second) if isinstance(each, float)))
-    values = f"{difference.first:.6g} to {difference.second:.6g}{unit_text(goal.unit)}"
-    return f"{goal.name} {equal if is_equal else 'gets better' if gain > 0 else 'gets worse'}: {values}"
 
 
 def _objective(goal: Objective, column: int, front: CampaignFront, reference: float) -> FrontObjective:

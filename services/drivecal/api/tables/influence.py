@@ -13,7 +13,7 @@ from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.campaigns.resolve.spaces import space_from_document
 from drivecal.contracts.results import ImportanceAnswer, ParameterImportance
-from drivecal.contracts.tables import InfluenceRow
+from drivecal.contracts.tables import DecidedBy, InfluenceRow
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Parameter
@@ -23,7 +23,6 @@ from drivecal.storage.references import influence_maps, parameter_sets
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
 MEASURES = ("s_rel_intervals", "mu", "sigma", "mu_star")
-NOT_LISTED = "the map does not list it, so it counts as influential"
 
 
 def campaign_rows(stored: StoredInfluenceMap, resolved: ResolvedSpec) -> list[InfluenceRow]:
@@ -63,23 +62,18 @@ def _row(
         space_lower=None if parameter is None else float(parameter.lower),
         space_upper=None if parameter is None else float(parameter.upper),
         n_values=None if parameter is None else parameter.n_values,
-        **_decided(stored, entry, outside=influence.influential and not influential),
+        decided_by=_decided_by(stored, entry, outside=influence.influential and not influential),
     )
 
 
-def _decided(stored: StoredInfluenceMap, entry: Mapping[str, Any] | None, *, outside: bool) -> dict[str, Any]:
-    """Returns what decided about a row, and the reason. `outside`: the campaign's space holds none of the influential range."""
+def _decided_by(stored: StoredInfluenceMap, entry: Mapping[str, Any] | None, *, outside: bool) -> DecidedBy | None:
+    """Returns what decided about a row. `outside`: the campaign's space holds none of the influential range."""
     if entry is None:
-        return {"decided_by": "unknown", "reason": NOT_LISTED}
+        return "unknown"
     if outside:
-        ends = ["its bound" if entry[end] is None else entry[end] for end in ("lower", "upper")]
-        return {
-            "decided_by": "space",
-            "reason": f"the influential range, {ends[0]} to {ends[1]}, lies outside of the campaign's",
-        }
-    if stored.basis is None:
-        return {"decided_by": "posted", "reason": "the posted map says so"}
-    return {"decided_by": entry.get("decided_by"), "reason": entry.get("reason")}
+        return "space"
+    decided_by: DecidedBy | None = "posted" if stored.basis is None else entry.get("decided_by")
+    return decided_by
 
 
 def _bounds(influence: Influence, parameter: Parameter | None) -> tuple[bool, Decimal | None, Decimal | None]:

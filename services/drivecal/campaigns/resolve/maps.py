@@ -31,7 +31,7 @@ from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, decimal, shown, text
 from drivecal.domain.scales import Scale
 from drivecal.reduction.audit import clopper_pearson
-from drivecal.sensitivity.scenario import ScenarioInfluence, decision
+from drivecal.sensitivity.scenario import ScenarioInfluence, decided_by
 from drivecal.storage.engine.types import finite
 from drivecal.storage.references import influence_maps
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
@@ -251,15 +251,13 @@ def analysis_to_document(analysis: Mapping[str, ScenarioInfluence]) -> dict[str,
     for scenario, listed in analysis.items():
         for name, parameter in listed.parameters.items():
             overall = None if parameter.overall is None else parameter.overall.measures
-            decided = decision(parameter, unknown=listed.unknown)
             bounds[scenario][name] |= {
                 "unknown": listed.unknown,
                 "s_rel_intervals": [finite(value) for value in parameter.s_rel_intervals],
                 "mu": None if overall is None else finite(overall.mu),
                 "sigma": None if overall is None else finite(overall.sigma),
                 "mu_star": None if overall is None else finite(overall.mu_star),
-                "decided_by": decided.by,
-                "reason": decided.reason,
+                "decided_by": decided_by(parameter, unknown=listed.unknown),
             }
     return bounds
 

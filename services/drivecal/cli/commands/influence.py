@@ -18,7 +18,6 @@ from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.sensitivity.agreement import Agreement, Pair, agreement
 from drivecal.sensitivity.thresholds import caveats
 
-_NONE = "0.000"
 DECIDED_BY = {
     "intervals": "intervals",
     "confirmation": "whole range",
@@ -78,8 +77,6 @@ def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | Non
         unknown = "  unknown: no run was better than a failed one, so everything counts as influential" if nothing_known else ""
         typer.echo(f"\n{scenario}{unknown}")
         print_columns(header, [_line(row, measured, decided) for row in listed])
-    for line in decided_text(rows):
-        typer.echo(f"\n{line}")
     if basis is not None:
         typer.echo(f"\n{_rests_on(basis)}")
         for line in caveats(basis["sensitivity"]):
@@ -105,16 +102,6 @@ def _line(row: InfluenceRow, measured: bool, decided: bool) -> list[object]:
     if measured:
         line += [fixed(value, 3) for value in (row.mu, row.sigma, row.mu_star, _largest(row))]
     return [*line, DECIDED_BY.get(row.decided_by or "", "")] if decided else line
-
-
-def decided_text(rows: Sequence[InfluenceRow]) -> list[str]:
-    """Returns lines about rows that seem to contradict the intervals' largest s_rel, with the reason."""
-    known = [(row, largest) for row in rows if not row.unknown and (largest := _largest(row)) is not None]
-    return [
-        f"{row.scenario} {row.parameter} is {'' if row.influential else 'not '}influential: {row.reason}."
-        for row, largest in known
-        if row.influential != (fixed(largest, 3) != _NONE)
-    ]
 
 
 def _largest(row: InfluenceRow) -> float | None:

@@ -1,7 +1,7 @@
 import { expect, test } from "vitest";
 import { cell } from "../server/columns";
 import type { FrontRow } from "../server/types";
-import { isOf, kindOf, madeOfText, pairOf, rangeOf, tableOf, withColumns } from "./sets";
+import { kindOf, madeOfText, pairOf, rangeOf, tableOf, withColumns } from "./sets";
 
 const row = (rank: number, more: Partial<FrontRow> = {}): FrontRow => ({
   rank, objectives: { f1: rank, f2: -rank }, weighted: null, violation: 0, constraints: { y: 2 }, values: { "f2@plain": -rank }, knee: rank === 2, best_in: rank === 1 ? ["f1"] : [], wins: 0.2, weights: null,
@@ -16,14 +16,6 @@ test("a front is a table with the columns of its files", () => {
   expect(table.names).toEqual(["rank", "made", "objective_f1", "objective_f2", "violation", "constraint_y", "knee", "best_in", "wins", "alternatives", "degree", "score_plain", "value_f2@plain", "reused", "answer_plain", "x", "parameter_rank", "mode", "iteration", "individual", "marks"]);
   expect(["mode", "parameter_rank", "iteration", "marks", "knee", "degree"].map((name) => cell(table, name, 1))).toEqual(["boost", 4, 3, null, "true", null]);
   expect(tableOf([], PARAMETERS).length).toBe(0);
-});
-
-test("a trade-off is known to be of other sets once ranks name others", () => {
-  const [first, second] = [row(1), row(2, { parameters: { x: 0.7, rank: 3, mode: "boost" } })];
-  const told = { objectives: [{ name: "f1", first: 1, second: 2, gain: 1 }, { name: "f2", first: -1, second: -2, gain: 1 }], parameters: [{ name: "x", first: 0.5, second: 0.7, gain: null }, { name: "mode", first: "eco", second: "boost", gain: null }] };
-  expect(isOf(told, first, second)).toBe(true);
-  expect(isOf(told, first, { ...second, objectives: { f1: 2, f2: -2.5 } })).toBe(false);
-  expect(isOf(told, { ...first, parameters: { ...first.parameters, mode: "sport" } }, second)).toBe(false);
 });
 
 test("a set is as certain as its least certain answer", () => {

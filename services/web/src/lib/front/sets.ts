@@ -2,7 +2,7 @@
 
 import { COLOURS, SERIES } from "../charts/palette";
 import type { Column, Table } from "../server/columns";
-import type { FrontRow, TradeOff } from "../server/types";
+import type { FrontRow } from "../server/types";
 
 type Value = number | string | boolean | null | undefined;
 
@@ -146,10 +146,4 @@ export function rangeOf(front: readonly number[], baseline: number | undefined, 
     if (within > most) most = within;
   }
   return [least, most];
-}
-
-/** Whether a trade-off is of these very sets: a rank of a running campaign names another set after an iteration. */
-export function isOf({ objectives, parameters }: Pick<TradeOff, "objectives" | "parameters">, first: Pick<FrontRow, "objectives" | "parameters">, second: Pick<FrontRow, "objectives" | "parameters">): boolean {
-  const like = (pairs: TradeOff["objectives"], of: "objectives" | "parameters"): boolean => pairs.every((pair) => pair.first === first[of][pair.name] && pair.second === second[of][pair.name]);
-  return like(objectives, "objectives") && like(parameters, "parameters");
 }
