@@ -62,7 +62,7 @@ def absent(extra: str | None) -> set[str]:
 def run(extra: str | None, code: str, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
     script = WITHOUT.format(absent=absent(extra)) + code
     return subprocess.run(
-        [sys.executable, "-c", script, *map(str, arguments)], capture_output=True, text=True, check=False, timeout=120
+        [sys.executable, "-c", script, *map(str, arguments)], capture_output=True, text=True, check=False, timeout=1800
     )
 
 

@@ -1,6 +1,7 @@
 """`/metrics` over real HTTP, read as Prometheus reads it."""
 
 import re
+import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -91,6 +92,7 @@ def busy(api: RunningApi) -> Measures:
 
 
 def test_the_dispatchers_measures_come_through(api: RunningApi) -> None:
+    began = time.time()
     busy(api)
     result = metrics(api)
     assert samples(result["drivecal_workers"]) == {("starting",): 1, ("idle",): 1, ("busy",): 2}
@@ -99,7 +101,7 @@ def test_the_dispatchers_measures_come_through(api: RunningApi) -> None:
         value(result, "drivecal_resources_held", resource="carmaker"),
     ) == (4, 3)
     assert (value(result, "drivecal_ready"), value(result, "drivecal_degraded")) == (1, 1)
-    assert value(result, "drivecal_dispatcher_heartbeat_age_seconds") < 5
+    assert 0 <= value(result, "drivecal_dispatcher_heartbeat_age_seconds") <= time.time() - began
     assert value(result, "drivecal_breakdowns", kind="crash") == 2
     assert value(result, "drivecal_breakdowns", kind="hang") == 0
     assert value(result, "drivecal_late_results") == 1

@@ -85,7 +85,7 @@ def test_a_name_is_a_name_in_files_and_on_terminals(server: Server, tmp_path: Pa
             capture_output=True,
             text=True,
             check=False,
-            timeout=120,
+            timeout=1800,
         )
     assert written.returncode == 0, written.stderr
     page = (tmp_path / "index.html").read_text()
@@ -149,7 +149,7 @@ def test_a_cloned_repository_sends_no_token_anywhere(tmp_path: Path) -> None:
         (tmp_path / "drivecal.toml").write_text(f"url = 'http://127.0.0.1:{port}'\n")
         given = environment(tmp_path) | {"DRIVECAL_TOKEN": "a-token-of-the-user-0123456789"}
         command = [sys.executable, "-m", "drivecal.cli", "list"]
-        ended = subprocess.run(command, cwd=tmp_path, env=given, capture_output=True, text=True, check=False, timeout=120)
+        ended = subprocess.run(command, cwd=tmp_path, env=given, capture_output=True, text=True, check=False, timeout=1800)
         assert ended.returncode == 2
         assert "DRIVECAL_URL" in ended.stderr
         with pytest.raises(TimeoutError):

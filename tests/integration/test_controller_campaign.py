@@ -54,7 +54,7 @@ def test_a_calibrated_controller_gives_the_same_bits_in_any_worker(
         ended = client.wait(client.submit({"problem": name} | SPEC).id)
         query: dict[str, str | int] = {"measures": "true", "limit": 1000}
         rows = (
-            httpx.get(f"{server.url}/api/v1/campaigns/{ended.id}/evaluations", params=query, timeout=60)
+            httpx.get(f"{server.url}/api/v1/campaigns/{ended.id}/evaluations", params=query, timeout=600)
             .raise_for_status()
             .json()["items"]
         )

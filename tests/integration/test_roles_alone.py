@@ -16,7 +16,7 @@ def environment(folder: Path, **settings: str) -> dict[str, str]:
 def run(folder: Path, *words: str, **settings: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", *words]
     return subprocess.run(
-        command, env=environment(folder, **settings), cwd=folder, capture_output=True, text=True, timeout=60, check=False
+        command, env=environment(folder, **settings), cwd=folder, capture_output=True, text=True, timeout=1800, check=False
     )
 
 

@@ -93,7 +93,7 @@ def test_a_server_with_tokens_gets_ready_and_keeps_them_to_itself(server: Server
 def test_no_token_is_in_the_database(server: Server) -> None:
     bearer = {"Authorization": f"Bearer {TOKEN}", "Idempotency-Key": "key-of-the-test"}
     document = {"parameters": MIDDLE, "scenario": "S1"}
-    posted = httpx.post(f"{server.url}/api/v1/evaluations", json=document, headers=bearer, timeout=60)
+    posted = httpx.post(f"{server.url}/api/v1/evaluations", json=document, headers=bearer, timeout=600)
     assert posted.status_code == 202
     files = {path.name: path.read_bytes() for path in (server.folder / "home").glob("drivecal.db*")}
     assert any(posted.json()["id"].encode() in content for content in files.values())
@@ -163,5 +163,5 @@ def test_serve_keeps_others_off_its_database_and_stops_cleanly(server: Server) -
     assert code == 1
     assert "DRIVECAL_DATABASE_URL" in words
     server.process.send_signal(signal.SIGTERM)
-    assert server.process.wait(timeout=60) == 0
+    assert server.process.wait(timeout=1800) == 0
     until(lambda: gone(family), "the end of every process", 30.0)

@@ -90,7 +90,7 @@ def test_sigterm_ends_children_and_grandchildren(server: Server) -> None:
     pids = [server.pid(name) for name in ("one", "two", "grandchild")]
     assert all(is_running(pid) for pid in pids)
     server.process.terminate()
-    assert server.process.wait(timeout=60) == 0
+    assert server.process.wait(timeout=1800) == 0
     until(lambda: not any(is_running(pid) for pid in pids), "the end of all")
 
 
@@ -102,7 +102,7 @@ def test_a_second_signal_ends_even_those_that_will_not(server: Server) -> None:
     until(lambda: not is_running(pids[1]), "the end of the peaceful child")
     assert is_running(pids[0])
     server.process.send_signal(signal.SIGINT)
-    assert server.process.wait(timeout=60) == 0
+    assert server.process.wait(timeout=1800) == 0
     until(lambda: not any(is_running(pid) for pid in pids), "the end of all")
 
 
@@ -126,7 +126,7 @@ def test_what_dies_is_started_again_and_leaves_nothing_behind(server: Server, ki
 
 @pytest.mark.parametrize("server", [(PEACEFUL, "import sys; sys.exit('no such thing')")], indirect=True)
 def test_a_child_that_never_starts_ends_the_server_with_a_word(server: Server) -> None:
-    assert server.process.wait(timeout=60) == 1
+    assert server.process.wait(timeout=1800) == 1
     log = server.log.read_text()
     assert log.count("no such thing") == 3
     assert "the two does not start (exit code 1)" in log
