@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
 from tests.support.fake_backend import Behaviour, FakeBackend
-from tests.support.plant import V, W, cells, ids, send
+from tests.support.plant import V, W, answers, cells, ids, send
 from tests.support.pooled import cells as behaving
 from tests.support.pooled import drain
 from tests.support.setups import bare
@@ -125,6 +125,23 @@ def test_an_open_program_is_closed_before_other_work_or_when_it_is_unused() -> N
     assert one.next_batch(V, idle=True) is None
     one.meet([W, V], KEPT_SECONDS)
     assert send(one, V).batch.closes
+
+
+def test_seeds_of_one_session_share_its_resources_and_close_it_once() -> None:
+    seeds = [replace(licensed(keeps=True), run_fingerprint=f"run {seed}", session="S1", seed=seed) for seed in (1, 2)]
+    one = scheduler({"carmaker": 1})
+    for seed, setup in enumerate(seeds):
+        one.add(Work(setup, cells(1, 1 + 10 * seed)), "a", 0)
+    for expected in (1, 11):
+        sent = send(one)
+        assert ids(sent) == [expected]
+        assert [use.held for use in one.resources()] == [1]
+        one.finished(sent.batch_id, answers(sent))
+    one.meet([W, V], KEPT_SECONDS)
+    closing = send(one)
+    assert closing.batch.closes
+    one.finished(closing.batch_id, BatchResult(W, (), 0.1))
+    assert [use.held for use in one.resources()] == [0]
 
 
 def test_a_new_dispatcher_waits_until_the_runs_of_the_last_one_have_ended() -> None:

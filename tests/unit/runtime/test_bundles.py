@@ -96,7 +96,7 @@ def test_measures_come_back_unrated_with_the_cpu_time_of_children(
     assert result.milliseconds >= 1000 * SECONDS
 
 
-def test_one_session_serves_all_seeds(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
+def test_one_session_serves_all_seeds_and_closes_for_any(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     simulator = ScriptedSimulator()
     works = worker(tmp_path, simulator)
     works.store(request_.bundle, archive)
@@ -104,6 +104,8 @@ def test_one_session_serves_all_seeds(tmp_path: Path, archive: bytes, request_: 
         fingerprint = f"fingerprint of {seed}"
         works.run(Batch(replace(request_, seed=seed, session="s", run_fingerprint=fingerprint), (Cell(1, {"x": 2.0}),)))
     assert (simulator.seeds, simulator.opened) == ([1, 1, 7], ["city"])
+    works.run(Batch(replace(request_, seed=1, session="s", run_fingerprint="fingerprint of 1"), (), closes=True))
+    assert simulator.closed == ["city"]
 
 
 def test_a_batch_without_its_files_is_refused(tmp_path: Path, request_: SetupRequest) -> None:

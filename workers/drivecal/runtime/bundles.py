@@ -256,7 +256,7 @@ class BundleSessions:
     def close(self, setup: SetupRequest) -> None:
         """Ends the session of a setup, whose processes may hold licences."""
         with self._running:
-            self._drop(setup.key)
+            self._drop(setup.session_key)
 
     def store(self, digest: str, archive: bytes) -> None:
         """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest."""

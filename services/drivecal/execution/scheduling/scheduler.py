@@ -155,7 +155,7 @@ class Scheduler:
         if self._is_closed(batch_id, done=False):
             return
         sent = self._sent.pop(batch_id)
-        self._resources.end(sent.worker, sent.leaders[0].simulation.key)
+        self._resources.end(sent.worker, sent.leaders[0].simulation.setup)
         self._charge(sent, 0.0)
         self._to_queue(sent.leaders)
 
@@ -171,7 +171,7 @@ class Scheduler:
         self._queue.put_back(dropped)
         if sent.leaders:
             return self._as_dispatch(batch_id, sent)
-        self._resources.end(sent.worker, dropped[0].simulation.key)
+        self._resources.end(sent.worker, dropped[0].simulation.setup)
         self._charge(self._sent.pop(batch_id), 0.0)
         return None
 
@@ -210,10 +210,10 @@ class Scheduler:
         if sent is None:
             self._is_closed(batch_id, done=True)
             return []
-        setup = sent.leaders[0].simulation.key
+        setup, request = sent.leaders[0].simulation.key, sent.leaders[0].simulation.setup
         self._worker_health.answered(result.worker, setup, result)
-        self._resources.end(sent.worker, setup, closed=result.refusal is not None)
-        self._resources.note(sent.worker, setup, result.busy)
+        self._resources.end(sent.worker, request, closed=result.refusal is not None)
+        self._resources.note(sent.worker, request, result.busy)
         self._is_scarce |= result.busy is not None
         is_stopped = result.refusal is not None or result.busy is not None
         self._charge(sent, result.seconds if result.results or not is_stopped else 0.0)
@@ -269,7 +269,7 @@ class Scheduler:
         if sent is None:
             self._is_closed(batch_id, done=False)
             return []
-        self._resources.end(worker, sent.leaders[0].simulation.key)
+        self._resources.end(worker, sent.leaders[0].simulation.setup)
         self._charge(sent, sent.charged if seconds is None else seconds)
         self._affinity.came_back(sent.leaders[0].simulation.key, failed=True)
         answers = [(leader, _broken(leader, breakdown, detail)) for leader in sent.leaders]
@@ -347,19 +347,19 @@ class Scheduler:
 
     def _close(self, worker: str, chosen: SetupKey | None) -> Dispatch | None:
         """Returns the request to close a setup that holds resources at an idle worker, if there is one."""
-        setup = self._resources.to_close(worker, chosen)
+        setup = self._resources.to_close(worker, None if chosen is None else self._in_flight.setup(chosen))
         if setup is None:
             return None
         batch_id = next(self._batch_ids)
         self._closing[batch_id] = worker, setup
-        self._resources.close(worker, setup.key)
+        self._resources.close(worker, setup)
         return Dispatch(worker, batch_id, Batch(setup, (), closes=True), END_SECONDS, alone=False, breakdowns={})
 
     def _is_closed(self, batch_id: int, *, done: bool) -> bool:
         """Takes the answer to a request to close a setup; returns whether the batch is one."""
         worker, setup = self._closing.pop(batch_id, (None, None))
         if worker is not None and setup is not None:
-            self._resources.closed(worker, setup.key, done=done)
+            self._resources.closed(worker, setup, done=done)
         return setup is not None
 
     def _may_be_long(self, worker: str, line: Line) -> bool:
