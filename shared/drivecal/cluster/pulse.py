@@ -13,8 +13,8 @@ from pathlib import Path
 VARIABLE = "DRIVECAL_PULSE"
 """Environment variable: the descriptor of the pipe of a process that a supervisor started."""
 EVERY_SECONDS = 1.0
-SILENT_SECONDS = 10.0
-"""Absence of signs after which a process is taken for stopped or hung: none of its threads runs."""
+SILENT_SECONDS, IDLE_SECONDS = 10.0, 6.0
+"""Absence of signs after which a process counts as stopped or hung: on another machine, and here, where none of its threads may run."""
 BUSY_SECONDS = 90.0
 """The same for a process that computes: a long call may hold Python's interpreter."""
 START_SECONDS = 300.0
@@ -74,7 +74,7 @@ class Silence:
         self._seconds = 0.0 if heard else self._seconds + min(self._looked_at - before, EVERY_SECONDS)
         if not self._has_begun:
             return self._seconds >= START_SECONDS
-        if self._seconds < SILENT_SECONDS:
+        if self._seconds < (SILENT_SECONDS if process is None else IDLE_SECONDS):
             self._idle_looks = 0
             return False
         self._idle_looks = self._idle_looks + 1 if process is None or is_idle(process) else 0

@@ -61,7 +61,9 @@ def test_a_node_whose_raylet_is_stopped_ends(tmp_path: Path) -> None:
     assert "raylet" in process.communicate()[1]
 
 
-SHOWING = "import os, time; from drivecal.cluster import pulse; pulse.show(pulse.take_descriptor()); time.sleep(3600)"
+SHOWING = (
+    "import time; from drivecal.cluster.pulse import *; pipe = take_descriptor(); sign(pipe); show(pipe); time.sleep(3600)"
+)
 
 
 def test_a_process_without_further_signs_of_life_ends_so_that_it_is_started_again() -> None:

@@ -9,7 +9,7 @@ import pytest
 from tests.support.serve import until
 
 from drivecal.cluster import pulse
-from drivecal.cluster.pulse import BUSY_SECONDS, LOOKS, SILENT_SECONDS, START_SECONDS, Pipe, Silence, is_idle
+from drivecal.cluster.pulse import BUSY_SECONDS, IDLE_SECONDS, LOOKS, SILENT_SECONDS, START_SECONDS, Pipe, Silence, is_idle
 
 BUSY = os.getpid()
 """A process that runs while the test looks at it."""
@@ -38,9 +38,9 @@ def test_a_silent_process_is_replaced_within_the_promise_and_one_that_computes_l
     sleeper = subprocess.Popen(["sleep", "600"])
     try:
         until(lambda: is_idle(sleeper.pid), "a sleeping process")
-        for process in (sleeper.pid, None):
+        for process, seconds in ((sleeper.pid, IDLE_SECONDS), (None, SILENT_SECONDS)):
             clock = Clock()
-            assert SILENT_SECONDS <= looks_until_replaced(Silence(clock), clock, process) <= SILENT_SECONDS + LOOKS
+            assert seconds <= looks_until_replaced(Silence(clock), clock, process) <= seconds + LOOKS
     finally:
         sleeper.kill()
         sleeper.wait()
@@ -70,7 +70,7 @@ def test_signs_arrive_until_a_process_is_stopped(monkeypatch: pytest.MonkeyPatch
     program = "import sys, time; from drivecal.cluster import pulse; pulse.show(pulse.take_descriptor()); time.sleep(600)"
     shown = os.environ | {pulse.VARIABLE: str(pipe.writer)}
     child = subprocess.Popen([sys.executable, "-c", program], env=shown, pass_fds=[pipe.writer])
-    monkeypatch.setattr(pulse, "SILENT_SECONDS", 1.0)
+    monkeypatch.setattr(pulse, "IDLE_SECONDS", 1.0)
     try:
         until(lambda: not pipe.is_silent() and pipe.process == child.pid, "a sign")
         child.send_signal(signal.SIGSTOP)
