@@ -70,6 +70,31 @@ def test_simulators_on_nodes_have_mount_namespaces_unless_apparmor_forbids_mount
     assert is_secluded != is_forbidden
 
 
+ANOTHER_USER = """
+import ctypes, os
+def ends(attempt):
+    child = os.fork()
+    if child == 0:
+        try:
+            attempt()
+            os._exit(0)
+        except OSError:
+            os._exit(1)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+def in_namespace():
+    if ctypes.CDLL(None, use_errno=True).unshare(0x10000000):
+        raise OSError
+    with open("/proc/self/uid_map", "w") as file:
+        file.write("10002 10002 1")
+print(ends(lambda: os.setuid(10002)), ends(in_namespace))
+"""
+
+
+def test_no_process_of_a_node_becomes_another_user(cluster: Cluster) -> None:
+    """Why simulators have the uid of their worker."""
+    assert cluster.compose("exec", "-T", "ray-worker", "python", "-c", ANOTHER_USER).split() == ["1", "1"]
+
+
 def test_the_database_has_checksums(cluster: Cluster) -> None:
     """An image whose entry point reads no POSTGRES_INITDB_ARGS cannot have them: the official one does."""
     read = cluster.compose(
