@@ -40,7 +40,7 @@ def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, 
         assert page.evaluate("window.neverReloaded")
         first = page.url.rpartition("/")[2]
 
-        page.get_by_role("link", name="Ranking").click()
+        page.get_by_role("link", name="Ranking", exact=True).click()
         page.get_by_role("row").nth(1).get_by_role("button").nth(1).click()
         expect(page.get_by_role("heading", level=1)).to_contain_text("S5 · evaluation")
         expect(page.get_by_role("img", name=re.compile("Top view of the road at 0 s"))).to_be_visible()
@@ -59,7 +59,7 @@ def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, 
         expect(opening(page.url).get_by_role("img", name=re.compile(r"Top view of the road at ([3-9]|\d\d)"))).to_be_visible()
 
         page.get_by_role("link", name="In its campaign").click()
-        page.get_by_role("link", name="Ranking").click()
+        page.get_by_role("link", name="Ranking", exact=True).click()
         page.get_by_text("Weigh the scenarios differently").click()
         page.get_by_role("slider", name="S5").fill("3")
         expect(page.get_by_text("Ranked under S3=1,S5=3")).to_be_visible()

@@ -101,6 +101,8 @@ class Settings(BaseSettings):
     resources: Counts = Field(default_factory=dict)
     """Licences and other scarce things that all runs of this server share, by name, as `carmaker=4,vtd=2`: see
     [resources](../how-to/resources.md)."""
+    webhook: Annotated[Line, Field(pattern=r"^https?://")] | None = Field(default=None, repr=False)
+    """Address to which the dispatcher [posts](../how-to/monitoring.md#webhooks) that a campaign ended, stalled, or is degraded."""
     log_format: Literal["text", "json"] = "text"
     """Format of the server's log: readable lines, or a JSON document per line."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
@@ -235,6 +237,6 @@ def _explain(error: dict[str, Any]) -> Problem:
     name = ".".join(str(part) for part in error["loc"])
     if error["type"] == "extra_forbidden":
         return Problem(name, "there is no such setting", f"one of {', '.join(sorted(Settings.model_fields))}")
-    given = "the value" if name == "token" else repr(error["input"])  # a secret never goes into a message
+    given = "the value" if name in {"token", "webhook"} else repr(error["input"])  # a secret never goes into a message
     reason = error["msg"].removeprefix("Value error, ").lower()
     return Problem(name, f"{given} does not fit: {reason}", f"it is set by flag, {PREFIX}{name.upper()} or config file")

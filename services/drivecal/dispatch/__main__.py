@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -21,6 +22,7 @@ from drivecal.configuration import logs, memory
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Heartbeat, Leadership
+from drivecal.dispatch.webhook import Webhook
 from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableError
 from drivecal.execution.backend import BackendLostError
 from drivecal.execution.pool import StoredLeases, WorkPool
@@ -76,7 +78,8 @@ def serve(settings: Settings, stop: threading.Event, server: int | None = None) 
             return
         log.info("elected for term %d", leadership.term)
         beating = Database.open(settings.database_url, PROMPT).fenced(leadership.fence)
-        with Heartbeat(beating, leadership, lock.renew) as heartbeat:
+        webhook = nullcontext() if settings.webhook is None else Webhook(beating, settings.webhook)
+        with Heartbeat(beating, leadership, lock.renew) as heartbeat, webhook:
             _dispatch(settings, database.fenced(leadership.fence), leadership, heartbeat, stop)
 
 

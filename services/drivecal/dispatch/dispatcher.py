@@ -23,6 +23,7 @@ from drivecal.contracts.work import SetupRequest
 from drivecal.dispatch.heartbeat import Waits
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, DrivecalError, SupersededError, UnavailableError
+from drivecal.domain.events import EventKind
 from drivecal.execution.backend import BackendLostError, WorkerInfo
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.pool import WorkPool
@@ -51,6 +52,10 @@ class Active:
     """State after the last cell leaves the workers: cancelled or paused."""
     not_before: float = 0.0
     """Earliest time to resume."""
+    moved_at: float | None = None
+    """Time of the last result, else when its cells were first seen waiting."""
+    stalled: bool = False
+    """It was said that it has had no result since."""
     write_at: float = 0.0
     """Earliest time to store results while others are under way."""
 
@@ -126,6 +131,8 @@ TIDY_SECONDS, BUSY_TIDY_SECONDS = 60.0, 1.0
 EVENTS_KEPT = timedelta(days=30)
 """Age of events after which they are forgotten; the last one of each campaign stays."""
 TRACES_KEPT, MOST_TRACES = timedelta(days=1), 200
+STALL_SECONDS = 600.0
+"""Time without a result after which a campaign whose cells wait has stalled."""
 RETRY_SECONDS = 5.0
 """Delay before a campaign resumes whose cells were answered or simulated elsewhere."""
 
@@ -208,10 +215,30 @@ class Dispatcher:
 
     def _tidy(self) -> bool:
         """Removes what is old, and some of what is out of use; True if there may be more of it."""
+        stalled = self._newly_stalled()
         with self._database.transaction() as connection:
+            for active, reason in stalled:
+                told = {"minutes": round(STALL_SECONDS / 60), "reason": reason}
+                events.add(connection, active.campaign.sequence, EventKind.STALLED, told)
             events.prune(connection, now() - EVENTS_KEPT)
             traces.prune(connection, now() - TRACES_KEPT, MOST_TRACES)
-            return removal.remove_some_keys(connection)
+            more = removal.remove_some_keys(connection)
+        for active, _ in stalled:
+            active.stalled = True
+        return more
+
+    def _newly_stalled(self) -> list[tuple[Active, str]]:
+        """Returns the campaigns that have had no result for long while their cells wait, each with the reason; each stall once."""
+        stalled = []
+        for active in self._active.values():
+            reason = self._pool.waits(active.tag)
+            if reason is None or active.stalled:
+                continue
+            if active.moved_at is None:
+                active.moved_at = self._clock()
+            elif self._clock() - active.moved_at >= STALL_SECONDS:
+                stalled.append((active, reason))
+        return stalled
 
     def _look(self) -> None:
         """Starts queued campaigns, resumes running campaigns, and applies requested actions."""
@@ -322,6 +349,7 @@ class Dispatcher:
             with MEASURES.timed("record"):
                 work = job.record(active.unwritten)
             active.unwritten.clear()
+            active.moved_at, active.stalled = self._clock(), False
             active.write_at = self._clock() + WRITE_SECONDS
             self._submit(active, work)
         if active.stopping is not None:

@@ -5,7 +5,7 @@ order of commits. SQLite has one writer at a time. PostgreSQL draws a number lon
 an event holds the lock of the campaign's row from before the number is drawn until the commit.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -42,6 +42,14 @@ def since(connection: Connection, campaign_sequence: int, last_id: int, limit: i
     """The first `limit` events of a campaign after the one with id `last_id`, in their order."""
     query = select(events).where(events.c.campaign_sequence == campaign_sequence, events.c.id > last_id)
     return [record(StoredEvent, row) for row in connection.execute(query.order_by(events.c.id).limit(limit))]
+
+
+def of_kinds(connection: Connection, kinds: Collection[EventKind], after: datetime, limit: int = 100) -> list[StoredEvent]:
+    """The first `limit` events of these kinds that were written after a time, of all campaigns."""
+    query = select(events).where(events.c.created_at > after, events.c.kind.in_(kinds))
+    return [
+        record(StoredEvent, row) for row in connection.execute(query.order_by(events.c.created_at, events.c.id).limit(limit))
+    ]
 
 
 def newest_id(connection: Connection, campaign_sequence: int) -> int:

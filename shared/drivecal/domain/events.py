@@ -34,6 +34,8 @@ class EventKind(StrEnum):
     """The campaign is slowed down or stopped for now; `reason`: the cause."""
     RECOVERED = "recovered"
     """The cause of the last `degraded` event is gone."""
+    STALLED = "stalled"
+    """The campaign has had no result for `minutes`, and its cells wait: `reason` says why."""
     STAGE = "stage"
     """A `stage` begins, with at most `cells` cells."""
     PHASE = "phase"
@@ -76,6 +78,7 @@ _TEXTS: dict[str, str] = {
     EventKind.FAILED: "failed: {error}",
     EventKind.DEGRADED: "degraded: {reason}",
     EventKind.RECOVERED: "recovered",
+    EventKind.STALLED: "no result for {minutes} minutes: {reason}",
     EventKind.STAGE: "stage {stage} begins: at most {cells:,} cells",
     EventKind.PHASE: "phase {name} finished: {requested:,} cells so far, {simulated:,} simulated",
     EventKind.INFLUENCE_MAP: "influence map {id}; influential: {influential}",

@@ -1,0 +1,138 @@
+"""Posts to `DRIVECAL_WEBHOOK` that a campaign ended, stalled, or is degraded.
+
+A thread reads the stored events, so nothing waits for the listener. An event is marked as posted after the listener took it: after a
+crash between the two it is posted again, with the same number.
+"""
+
+import http.client
+import json
+import logging
+import os
+import threading
+import urllib.error
+import urllib.request
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timedelta
+from types import TracebackType
+from typing import Any, Self
+
+from drivecal.domain.errors import UnavailableError
+from drivecal.domain.events import EventKind
+from drivecal.storage import campaigns, events, processes
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
+from drivecal.storage.events import StoredEvent
+
+KINDS = (EventKind.SUCCEEDED, EventKind.FAILED, EventKind.CANCELLED, EventKind.STALLED, EventKind.DEGRADED)
+NAME = "webhook"
+"""Name of the row that says which events were posted."""
+EVERY_SECONDS, TIMEOUT_SECONDS = 1.0, 10.0
+PAUSES = (1.0, 5.0, 25.0)
+"""Seconds before each further attempt; after the last one the event is given up."""
+OVERLAP = timedelta(seconds=60)
+"""Events may be committed in another order than that of their times, by less than this."""
+
+log = logging.getLogger(__name__)
+
+
+class _NoRedirects(urllib.request.HTTPRedirectHandler):
+    def redirect_request(self, *_: Any) -> None:
+        """Follows nothing: a POST would become a GET without the document."""
+
+
+class Webhook:
+    """The thread that posts. `url` may hold a secret and is in no message."""
+
+    def __init__(self, database: Database, url: str, pauses: Sequence[float] = PAUSES) -> None:
+        """`database` is fenced: a dispatcher that lost its office marks nothing as posted."""
+        self._database, self._url, self._pauses = database, url, pauses
+        self._opener = urllib.request.build_opener(_NoRedirects())
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="webhook", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        del kind, error, traceback
+        self._stopped.set()  # a post that is under way ends with the process, and is repeated by the next one
+
+    def _run(self) -> None:
+        while not self._stopped.is_set():
+            try:
+                self.post()
+            except UnavailableError:
+                pass  # the heartbeat says so
+            except Exception:
+                log.exception("no more webhooks are posted until the server is started again")
+                return
+            self._stopped.wait(EVERY_SECONDS)
+
+    def post(self) -> None:
+        """Posts the events that were not posted yet; none that is older than the first call ever."""
+        with self._database.read() as connection:
+            process = processes.read(connection, NAME)
+            begun = now() if process is None else process.started_at
+            since = begun if process is None else datetime.fromisoformat(process.detail["since"])
+            told = {} if process is None else dict(process.detail["told"])
+            due = [] if process is None else events.of_kinds(connection, KINDS, max(begun, since - OVERLAP))
+            due = [event for event in due if str(event.id) not in told]
+        if process is None:
+            self._mark(begun, since, told)
+        for event in due:
+            if not self._deliver(event):
+                return
+            since = max(since, event.created_at)
+            told[str(event.id)] = event.created_at.isoformat()
+            told = {name: at for name, at in told.items() if datetime.fromisoformat(at) > since - OVERLAP}
+            self._mark(begun, since, told)
+
+    def _mark(self, begun: datetime, since: datetime, told: Mapping[str, str]) -> None:
+        with self._database.transaction() as connection:
+            detail = {"since": since.isoformat(), "told": dict(told)}
+            processes.heartbeat(connection, NAME, os.getpid(), begun, detail)
+
+    def _deliver(self, event: StoredEvent) -> bool:
+        """Returns whether an event was taken or is given up; False if the process ends first."""
+        document = self._document(event)
+        if document is None:
+            return True
+        body = json.dumps(document).encode()
+        headers = {"Content-Type": "application/json", "User-Agent": "drivecal"}
+        why = ""
+        for pause in (0.0, *self._pauses):
+            if self._stopped.wait(pause):
+                return False
+            request = urllib.request.Request(self._url, body, headers)  # noqa: S310  # the settings take http and https only
+            try:
+                with self._opener.open(request, timeout=TIMEOUT_SECONDS):
+                    return True
+            except urllib.error.HTTPError as error:
+                why = f"it answered {error.code}"
+            except (OSError, http.client.HTTPException, ValueError) as error:
+                why = f"it was not reached ({type(error).__name__})"
+        log.warning("the webhook did not take event %d of campaign %s: %s", event.id, document["campaign"]["id"], why)
+        return True
+
+    def _document(self, event: StoredEvent) -> dict[str, Any] | None:
+        """Returns what is posted: names and figures, without the settings of the campaign and texts of simulators. None of a single
+        evaluation."""
+        with self._database.read() as connection:
+            campaign = campaigns.by_sequence(connection, event.campaign_sequence)
+        if campaign.kind == "evaluation":
+            return None
+        best, baseline = campaign.best, campaign.baseline
+        return {
+            "event": event.kind,
+            "number": event.id,
+            "at": event.created_at.isoformat(),
+            "campaign": {
+                "id": campaign.id,
+                "name": campaign.name,
+                "state": campaign.state,
+                "objective": None if best is None else best.objective,
+                "baseline": None if baseline is None else baseline.objective,
+            },
+            "path": f"/api/v1/campaigns/{campaign.id}",
+        }
