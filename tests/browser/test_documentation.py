@@ -29,7 +29,7 @@ QUESTIONS = {
     "how many parameters": "How many parameters and scenarios",
     "which seeds": "How many runs does each set get",
     "same result": "Do I get the same result again",
-    "floating licence": "Licences",
+    "floating licence": "My simulator needs a licence",
     "power cut": "What is lost after a power cut?",
     "excel": "How do I get results into Excel",
     "red light": "What does the red or amber light mean?",
