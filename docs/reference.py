@@ -110,6 +110,8 @@ PARAMETERS
 
 SCENARIOS
 
+The built-in problem `highway-random` has the same scenarios with random traffic, S1r to S6r ([random simulators](../how-to/random.md)).
+
 ## Measures
 
 Objectives and constraints can name them.

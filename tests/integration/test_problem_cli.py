@@ -34,7 +34,7 @@ def test_a_problem_is_pushed_listed_and_shown(api: RunningApi) -> None:
     assert json.loads(again.stdout) == answer
     listed = json.loads(command("problem", "list", "--url", api.url, "--json").stdout)
     assert listed["items"][0]["digest"] == answer["digest"]
-    assert [item["name"] for item in listed["items"]] == ["python-function", "highway"]
+    assert [item["name"] for item in listed["items"]] == ["python-function", "highway-random", "highway"]
     for name in ("python-function", answer["digest"]):
         assert json.loads(command("problem", "show", name, "--url", api.url, "--json").stdout) == answer
     shown = command("problem", "show", "python-function", "--url", api.url)
@@ -64,7 +64,7 @@ def test_the_client_takes_a_folder_an_archive_and_its_bytes(api: RunningApi, tmp
     with Client(api.url) as client:
         pushed = [client.push_problem(given) for given in (EXAMPLE, str(tmp_path / "problem.zip"), archive)]
         assert pushed[0] == pushed[1] == pushed[2] == client.problem("python-function")
-        assert [item.name for item in client.problems().items] == ["python-function", "highway"]
+        assert [item.name for item in client.problems().items] == ["python-function", "highway-random", "highway"]
         with pytest.raises(NotFoundError, check=lambda error: error.kind == "problem"):
             client.problem("nothing")
         with pytest.raises(NotFoundError, match="did you mean python-function"):

@@ -13,6 +13,8 @@ import libsumo
 import numpy as np
 import pytest
 
+from drivecal.campaigns.resolve.problem import resolve
+from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.parameters import Parameter
@@ -24,11 +26,12 @@ from drivecal.highway.drive import geometry
 from drivecal.highway.drive.tasks import TaskRunner, road_of
 from drivecal.highway.drive.trace import EGO_COLUMNS
 from drivecal.highway.drive.traffic import Traffic, TrafficError
-from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.scenarios.highway import HIGHWAY, RANDOM_FOLDER
 from drivecal.highway.sumo import EGO
 from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.plugins.ports import Observation, VehicleModel
 from drivecal.roads.carriageway import carriageway
+from drivecal.runtime.runners import scenario_of
 
 S1 = HIGHWAY.scenarios["S1"]
 SCENARIOS = list(HIGHWAY.scenarios.values())
@@ -84,9 +87,8 @@ def runner(scenario: Scenario, vehicle: VehicleModel | None = None) -> TaskRunne
 def driven(scenario: Scenario, *parameters: float) -> list[bytes]:
     """Everything that happens in a run, bit by bit."""
     seen: list[bytes] = []
-    run = runner(scenario)._loop.run(
-        parameters, watch=lambda traffic, pose, _: seen.append(pose.tobytes() + traffic.neighbours.tobytes())
-    )
+    whole = runner(scenario)  # its folder has what SUMO reads again
+    run = whole._loop.run(parameters, watch=lambda traffic, pose, _: seen.append(pose.tobytes() + traffic.neighbours.tobytes()))
     return [*seen, run.record.rows.tobytes(), run.record.dynamics.tobytes()]
 
 
@@ -147,6 +149,22 @@ def test_the_same_cell_gives_the_same_bits_after_any_other_cells() -> None:
     for scenario in [*SCENARIOS, *reversed(SCENARIOS)]:
         driven(scenario, scenario.ego.d - 0.5, 3.0, 2.0)
         assert driven(scenario, *changes_lane(scenario)) == first[scenario.id]
+
+
+def test_random_traffic_follows_its_seed_and_nothing_else() -> None:
+    bench = resolve(CampaignSpecification.model_validate({"problem": "highway-random"})).bench
+    scenarios = {
+        seed: {name: scenario_of(request, RANDOM_FOLDER) for name, request in bench.seeded(seed).requests.items()}
+        for seed in (1, 2)
+    }
+    assert list(scenarios[1]) == [f"S{number}r" for number in range(1, 7)]
+    for name, scenario in scenarios[1].items():
+        first = driven(scenario, *changes_lane(scenario))
+        assert driven(scenarios[2][name], *changes_lane(scenario)) != first
+        assert driven(scenario, *changes_lane(scenario)) == first
+    drifting = next(vehicle for vehicle in scenarios[1]["S3r"].traffic if vehicle.drift)
+    trace = runner(scenarios[1]["S3r"]).trace((S1.ego.d, 1.0, 0.0))
+    assert np.ptp(trace.neighbours[drifting.id][:, 1]) > 0.5
 
 
 @pytest.mark.slow

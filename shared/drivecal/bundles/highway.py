@@ -267,8 +267,15 @@ class EgoWithTask(Model):
     width: Metres = 1.9
 
 
+Deviation = Annotated[float, Field(ge=0, le=1, exclude_if=lambda value: value == 0.0)]
+"""Written only if it is not 0: data without randomness keep their fingerprints."""
+
+
 class OtherVehicle(Model):
-    """Another vehicle, which keeps its lane by the Intelligent Driver Model, except for its `drift` inside of the lane."""
+    """Another vehicle, which keeps its lane by the Intelligent Driver Model, except for its `drift` inside of the lane.
+
+    The seed of a run decides three things that are random, each only if it is not 0. None is more than two deviations.
+    """
 
     id: VehicleId
     lane: Lane
@@ -282,6 +289,12 @@ class OtherVehicle(Model):
     time_headway: Annotated[float, Field(gt=0, le=60)] = 1.2
     drift: Annotated[list[Annotated[tuple[Number, Number], Field(strict=False)]], Field(max_length=1000, default_factory=list)]
     """Offsets (m, to the left of the lane's centre) by time (s), linear between."""
+    sigma: Deviation = 0.0
+    """Imperfection of SUMO's model of Krauss, which drives the vehicle then: it falls below its speed at random moments."""
+    speed_deviation: Deviation = 0.0
+    """Standard deviation of `speed` and `desired_speed`, as a share of them."""
+    departure_deviation: Deviation = 0.0
+    """Standard deviation (s) of the time at which it passes its start."""
 
 
 class TaskScenario(Model):

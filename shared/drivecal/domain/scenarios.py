@@ -96,6 +96,12 @@ class TrafficVehicle:
     time_headway: float = 1.2
     drift: tuple[tuple[float, float], ...] = ()
     """Lateral movement inside its lane: (time in s, offset from the lane centre in m), linear between."""
+    sigma: float = 0.0
+    """Imperfection of SUMO's model of Krauss, which drives it then in the place of the IDM."""
+    speed_deviation: float = 0.0
+    """Standard deviation of both speeds over seeds, as a share of them."""
+    departure_deviation: float = 0.0
+    """Standard deviation (s) over seeds of the time at which it passes its start."""
 
 
 @dataclass(frozen=True)
@@ -125,4 +131,8 @@ class Scenario:
         document = asdict(self) | {"network": digest(self.network)}
         del document["title"], document["road"]
         document["manoeuvre"] = document.pop("rated_as")  # its name in the digests of stored runs
+        for vehicle in document["traffic"]:
+            for name in ("sigma", "speed_deviation", "departure_deviation"):
+                if not vehicle[name]:  # stored runs have none
+                    del vehicle[name]
         return digest(canonical_json(document).encode())

@@ -5,10 +5,11 @@ import sys
 from dataclasses import replace
 
 import pytest
+import yaml
 
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway.manoeuvres import Manoeuvre
-from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.scenarios.highway import FOLDER, HIGHWAY, RANDOM_FOLDER
 
 SCENARIOS = list(HIGHWAY.scenarios.values())
 
@@ -53,6 +54,17 @@ def test_the_digest_follows_definition_and_network() -> None:
     others.append(replace(scenario, route=("e1",)))
     assert len({variant.digest for variant in [scenario, *others]}) == 5
     assert replace(scenario).digest == scenario.digest
+
+
+def test_the_random_motorway_differs_from_the_other_in_its_traffic_alone() -> None:
+    own, other = (yaml.safe_load((folder / "problem.yaml").read_text()) for folder in (RANDOM_FOLDER, FOLDER))
+    assert (own["simulator"].pop("random"), other["simulator"].pop("deterministic")) == (True, True)
+    for vehicle in [vehicle for scenario in own["scenarios"].values() for vehicle in scenario["traffic"]]:
+        assert [vehicle.pop(name) > 0 for name in ("sigma", "speed_deviation", "departure_deviation")] == [True] * 3
+    own["scenarios"] = {name.removesuffix("r"): data for name, data in own["scenarios"].items()}
+    assert {name for name in own if own[name] != other[name]} == {"problem", "description"}
+    networks = [{path.name: path.read_bytes() for path in folder.glob("*.xml")} for folder in (RANDOM_FOLDER, FOLDER)]
+    assert networks[0] == networks[1]
 
 
 def test_the_coordinator_can_load_the_catalogue_without_simulator_and_kernels() -> None:

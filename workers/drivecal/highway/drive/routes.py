@@ -56,9 +56,10 @@ def is_exact(scenario: HighwayScenario) -> bool:
     )
 
 
-def keeps_lanes(scenario: HighwayScenario) -> bool:
-    """Returns whether no vehicle of an exact scenario leaves the centre of its lane, or the route."""
-    return is_exact(scenario) and all(
+def keeps_lanes(scenario: HighwayScenario, *, with_tasks: bool = False) -> bool:
+    """Returns whether no vehicle of an exact scenario leaves the centre of its lane, or the route. `with_tasks`: the vehicles are those of
+    a scenario with a task, where nothing but the speeds may be random."""
+    return (with_tasks or is_exact(scenario)) and all(
         vehicle.route is None
         and vehicle.path is None
         and vehicle.offset == 0.0

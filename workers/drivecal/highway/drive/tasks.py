@@ -1,6 +1,7 @@
 """Simulation and rating of parameter sets in one scenario with a task, by an installed driving function in the worker itself."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,6 +23,22 @@ from drivecal.plugins.ports import DrivingFunction, Evaluator, Series, SeriesEva
 from drivecal.roads.carriageway import carriageway, corridor_of
 
 NETWORK = "road.net.xml"
+FARTHEST = 2.0
+"""Standard deviations that a start or a speed of the traffic differs at most."""
+
+
+def drawn(scenario: Scenario) -> Scenario:
+    """Returns a scenario with the starts and speeds of its other vehicles under its seed. What SUMO draws (`sigma`) is not among them."""
+    return replace(scenario, traffic=tuple(_drawn(other, [scenario.seed, row]) for row, other in enumerate(scenario.traffic)))
+
+
+def _drawn(other: TrafficVehicle, seed: list[int]) -> TrafficVehicle:
+    if not other.speed_deviation and not other.departure_deviation:
+        return other
+    late, fast = np.random.Generator(np.random.PCG64(seed)).standard_normal(2).clip(-FARTHEST, FARTHEST).tolist()
+    factor = 1.0 + other.speed_deviation * fast
+    s = other.s - other.departure_deviation * late * other.speed
+    return replace(other, s=s, speed=factor * other.speed, desired_speed=factor * other.desired_speed)
 
 
 def described(scenario: Scenario) -> HighwayScenario:
@@ -41,6 +58,7 @@ def described(scenario: Scenario) -> HighwayScenario:
             "deceleration": other.deceleration,
             "time_headway": other.time_headway,
         }
+        | ({"model": "Krauss", "sigma": other.sigma} if other.sigma else {})
         for other in scenario.traffic
     ]
     return HighwayScenario.model_validate(
@@ -92,6 +110,7 @@ class TaskRunner:
 
         Raises InvalidInputError if the scenario cannot be driven, and TrafficError if SUMO refuses it.
         """
+        scenario = drawn(scenario)
         self.parameters = tuple(parameter.name for parameter in next(iter(driving_function.spaces.values())))
         """Names of the driving function's parameters in the order of `run`."""
         self._scenario = scenario

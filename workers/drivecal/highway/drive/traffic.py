@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import cos, radians, sin
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
@@ -76,7 +75,7 @@ class Traffic:
         step: float,
         folder: Path,
         routes: RouteTraffic | None = None,
-        drifts: Drifts = MappingProxyType({}),
+        drifts: Drifts | None = None,
     ) -> None:
         """Starts SUMO.
 
@@ -88,7 +87,7 @@ class Traffic:
             step: Seconds of a step.
             folder: Where SUMO's route files are written.
             routes: The traffic of the scenario's route file.
-            drifts: Only for vehicles that keep their lanes and are not moved sideways in SUMO.
+            drifts: Of a scenario with a task, whose vehicles keep their lanes and are not moved sideways in SUMO.
 
         Raises:
             TrafficError: SUMO refuses the network or the traffic.
@@ -125,7 +124,7 @@ class Traffic:
         paths = ",".join(str(folder / route_file) for route_file, _ in contents)
         self._options = options(scenario, str(network), paths, step, routes)
         self._is_exact = is_exact(scenario)
-        self.keeps_lanes = road.corridor.parallel and keeps_lanes(scenario)
+        self.keeps_lanes = road.corridor.parallel and keeps_lanes(scenario, with_tasks=drifts is not None)
         """No vehicle leaves its track: SUMO is asked for speeds only."""
         self._steps_before = round(scenario.warm_up / step) if routes is not None else 0
         """Steps of the warm-up."""
@@ -156,7 +155,7 @@ class Traffic:
         self.motion: Floats = np.zeros(geometry.MOTION)
         """The ego vehicle's place, as in `geometry`: `advance` takes SUMO's there."""
         self._at = self.motion.data
-        self._drifts = drifts
+        self._drifts = drifts or {}
         self._began: tuple[Floats, Floats] | None = None
         """The arrays at the start of runs that all start alike."""
         self._use([], np.zeros((0, 6)), np.zeros((0, geometry.OUTLINED)))

@@ -11,6 +11,8 @@ from drivecal.domain.scenarios import Scenario
 
 FOLDER = Path(__file__).parents[1] / "problem"
 """The problem `highway` as `drivecal problem push` takes problems: `problem.yaml` and the networks of its scenarios."""
+RANDOM_FOLDER = FOLDER.with_name("random_problem")
+"""The problem `highway-random`: the same scenarios with random traffic, S1r..S6r."""
 
 
 class HighwayCatalogue:
