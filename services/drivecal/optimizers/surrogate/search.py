@@ -26,6 +26,8 @@ FEWEST_FIRST, MOST_FIRST = 4, 5
 """Sets of the first design."""
 DESIGN_SHARE = 0.2
 """Share of the budget that the first design takes."""
+BEFORE_REPEATS = 20
+"""Complete sets before a set gets another seed: models that know few sets take a whole valley for the luck of its only set."""
 DRAWS = 64
 """Draws for a candidate."""
 OPEN_DRAWS = 256
@@ -324,7 +326,8 @@ class SurrogateSearch:
         """Returns the most promising set that is known in part, or that may have another replicate: its expected improvement for the cost
         of a new set, itself, its chance."""
         sets = self._answers.dormant[-DORMANT:]
-        if repeatable := self._answers.repeatable(self._task.replicates):
+        repeatable = self._answers.repeatable(self._task.replicates)
+        if len(self._answers.complete) >= BEFORE_REPEATS and repeatable:
             order = np.argsort(-merit(self._values(repeatable)), kind="stable")[:PARENTS]
             sets += [repeatable[place] for place in order.tolist()]
         ranked: list[tuple[float, BegunSet, float]] = []
