@@ -61,7 +61,7 @@ def test_pushed_problems_are_listed_with_what_they_are(heater: Heated, opening: 
     row = page.get_by_role("table", name="Problems").get_by_role("row", name="heater")
     for text in ("4", "2", "command", "cost / EUR, 0 to 100, less is better", re.compile("just now|min ago")):
         expect(row).to_contain_text(text)
-    expect(page.get_by_role("table", name="Problems").get_by_role("row", name="highway")).to_contain_text("11")
+    expect(page.get_by_role("table", name="Problems").get_by_role("row", name="highway-random")).to_contain_text("11")
     assert barriers(page) == []
     page.get_by_role("link", name="heater", exact=True).click()
     expect(page.get_by_role("heading", level=1)).to_have_text("heater")

@@ -57,8 +57,8 @@ def is_exact(scenario: HighwayScenario) -> bool:
 
 
 def keeps_lanes(scenario: HighwayScenario, *, with_tasks: bool = False) -> bool:
-    """Returns whether no vehicle of an exact scenario leaves the centre of its lane, or the route. `with_tasks`: the vehicles are those of
-    a scenario with a task, where nothing but the speeds may be random."""
+    """Returns whether no vehicle of an exact scenario leaves the centre of its lane, or the route. With `with_tasks` the
+    scenario has a task and need not be exact: nothing but speeds is random in it."""
     return (with_tasks or is_exact(scenario)) and all(
         vehicle.route is None
         and vehicle.path is None
