@@ -100,7 +100,9 @@ def test_two_sets_are_chosen_by_keys_and_compared_by_their_objectives(shown: Sho
     for name, sign in (("heave", "−"), ("energy", "+")):
         gain = abs(rows[-1]["objectives"][name] - rows[0]["objectives"][name])
         expect(objectives.filter(has_text=name)).to_contain_text(sign + str(gain)[:4])
-    expect(page.locator("[role=row][aria-selected=true]").get_by_role("gridcell").first).to_have_text(str(len(rows)))
+    selected = page.locator("[role=row][aria-selected=true]")
+    expect(selected.get_by_role("gridcell").first).to_have_text("1")
+    expect(selected.last.get_by_role("gridcell").first).to_have_text(str(len(rows)))
     page.wait_for_url(re.compile(f"row={len(rows)}&with=1|with=1&row={len(rows)}"))
     page.get_by_role("button", name="in city").click()
     beside = page.get_by_role("table", name="Measures of both")
