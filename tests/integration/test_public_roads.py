@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from tests.support.roads import to_cartesian
 
 from drivecal.client.problems import read_bundle
-from drivecal.domain.roads import to_cartesian
 from drivecal.local.problems import CheckedScenario, run_problem, trial_set
 from drivecal.roads.conversion import converted
 from drivecal.roads.corridor import Corridor, corridor

@@ -12,13 +12,14 @@ from types import MappingProxyType
 import libsumo
 import numpy as np
 import pytest
+from tests.support.roads import to_cartesian
 
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.parameters import Parameter
-from drivecal.domain.roads import Floats, reference_line, to_cartesian
+from drivecal.domain.roads import Floats, reference_line
 from drivecal.domain.scenarios import Scenario, TrafficVehicle
 from drivecal.highway import sumo
 from drivecal.highway.comfort.reference import REFERENCE

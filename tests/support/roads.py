@@ -1,11 +1,11 @@
 """Roads for tests, computed from their curvature in the place of a network."""
 
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, cos, sin
 
 import numpy as np
 
-from drivecal.domain.roads import GAUSS_POINTS, GAUSS_WEIGHTS, Floats
+from drivecal.domain.roads import GAUSS_POINTS, GAUSS_WEIGHTS, Floats, pose_on
 from drivecal.domain.scenarios import Road
 
 
@@ -45,3 +45,9 @@ def line_of(design: RoadDesign, spacing: float = 0.5) -> Floats:
 
 def road_of(length: float, lanes: int, lane_width: float, knots: tuple[CurvatureKnot, ...]) -> Road:
     return Road(line_of(RoadDesign(length, lanes, lane_width, knots)), length, lanes, lane_width)
+
+
+def to_cartesian(line: Floats, s: float, d: float) -> tuple[float, float, float]:
+    """Returns x, y of the point at (s, d) and the heading of the road there."""
+    x, y, heading, _, _ = pose_on(line, s)
+    return x - d * sin(heading), y + d * cos(heading), heading

@@ -184,7 +184,7 @@ def _nearest(explanation: Explanation, nearest: str) -> str:
         return f"nothing was stored for this setup when the campaign asked{doubt}"
     blocking = [difference for difference in explanation.differences if difference.blocks]
     if not blocking:
-        return f"{nearest} would fit, but had no result when the campaign asked, or reuse was off or stopped{doubt}"
+        return f"{nearest} would fit, but had no result when the campaign asked, or reuse was off{doubt}"
     return f"none of {explanation.stored:,} stored sets is near enough; the nearest, {nearest}, differs in {_values(blocking)}{doubt}"
 
 

@@ -321,7 +321,7 @@ class Campaign(CellsByStage):
     seconds: Seconds = Seconds()
     error: str | None = None
     notes: list[str] = []
-    """Remarks for the reader: scenarios left out by weight 0, stopped reuse."""
+    """Remarks for the reader: scenarios left out by weight 0, rejected lots."""
     rerun_of: str | None = None
     tags: list[str] = []
     created_at: datetime | None = None

@@ -155,7 +155,3 @@ class CampaignResults(Answer):
     front: FrontSummary | None = None
     failures: list[FailureCause] = Field(default_factory=list)
     studies: list[StudyResult] = Field(default_factory=list)
-
-    def of_stage(self, stage: str) -> list[StudyResult]:
-        """Returns the studies of a stage."""
-        return [each for each in self.studies if each.study.stage == stage]

@@ -60,9 +60,3 @@ def pose_on(line: Floats, s: float) -> tuple[float, float, float, float, float]:
     x = x0 + blend * (x1 - x0) + from_start * cos(heading0) + from_end * cos(heading1)
     y = y0 + blend * (y1 - y0) + from_start * sin(heading0) + from_end * sin(heading1)
     return x, y, heading0 + u * (curvature0 + 0.5 * bend * u), curvature0 + bend * u, bend
-
-
-def to_cartesian(line: Floats, s: float, d: float) -> tuple[float, float, float]:
-    """Returns x, y of the point at (s, d) and the heading of the road there."""
-    x, y, heading, _, _ = pose_on(line, s)
-    return x - d * sin(heading), y + d * cos(heading), heading

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.frenet import project
-from tests.support.roads import CurvatureKnot, RoadDesign, line_of
+from tests.support.roads import CurvatureKnot, RoadDesign, line_of, to_cartesian
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.roads import pose_on, reference_line, resampled, to_cartesian
+from drivecal.domain.roads import pose_on, reference_line, resampled
 from drivecal.domain.scenarios import Road
 
 KNOTS = ((100.0, 0.0), (180.3, 1 / 250), (260.1, 1 / 250), (333.3, -1 / 180), (600.0, -1 / 180))

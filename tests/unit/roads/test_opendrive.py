@@ -13,9 +13,9 @@ import pytest
 from tests.support.networks import program
 from tests.support.opendrive_files import FILES, edited
 from tests.support.opendrive_reader import Floats, lane_centres, lane_width, roads
+from tests.support.roads import to_cartesian
 
 from drivecal.domain.errors import InvalidInputError, UnavailableError
-from drivecal.domain.roads import to_cartesian
 from drivecal.roads import conversion
 from drivecal.roads.conversion import Conversion, converted
 from drivecal.roads.corridor import Corridor, corridor

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import sumolib
 from tests.support.networks import GAMES, REAL, real_corridor, real_network
+from tests.support.roads import to_cartesian
 
-from drivecal.domain.roads import pose_on, to_cartesian
+from drivecal.domain.roads import pose_on
 from drivecal.roads.corridor import LARGEST_DIFFERENCE, SHORT
 from drivecal.roads.lines import lengths
 from drivecal.roads.route import guide_of, lanes_of

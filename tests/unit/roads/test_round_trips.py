@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.frenet import project as project_one
 from tests.support.networks import REAL, entrance, real_corridor
+from tests.support.roads import to_cartesian
 
-from drivecal.domain.roads import to_cartesian
 from drivecal.roads.corridor import Corridor, corridor
 from drivecal.roads.lines import nodes_of, project, smoothed, table
 from drivecal.roads.network import read_network

@@ -39,7 +39,7 @@ def problem_of(campaign: StoredCampaign, bundles: BundleSource = installed_bundl
 
 
 def specification_of(campaign: StoredCampaign) -> CampaignSpecification:
-    """Returns the specification of a stored campaign that is neither an evaluation nor a comparison."""
+    """Returns the specification of a stored campaign of the kind "calibration"."""
     return validated(CampaignSpecification, campaign.spec)
 
 

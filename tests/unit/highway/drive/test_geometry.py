@@ -9,10 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
 from tests.support.frenet import project, to_frenet
-from tests.support.roads import CurvatureKnot, RoadDesign, line_of
+from tests.support.roads import CurvatureKnot, RoadDesign, line_of, to_cartesian
 
 from drivecal.bundles import highway_catalogue as catalogue
-from drivecal.domain.roads import to_cartesian
 from drivecal.highway.drive import geometry, measures
 from drivecal.highway.drive.geometry import NAMES, keeper_acceleration
 from drivecal.highway.drive.road import slopes

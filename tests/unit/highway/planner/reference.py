@@ -11,8 +11,9 @@ from math import atan2, exp, hypot, pi
 
 import numpy as np
 from numpy.polynomial import Polynomial
+from tests.support.roads import to_cartesian
 
-from drivecal.domain.roads import Floats, reference_line, to_cartesian
+from drivecal.domain.roads import Floats, reference_line
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway.planner import cost, plans, terms
 from drivecal.highway.planner.planner import CURB

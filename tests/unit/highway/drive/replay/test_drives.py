@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from tests.support.networks import real_corridor
+from tests.support.roads import to_cartesian
 
 from drivecal.contracts.evaluation import ReplayAnswer
-from drivecal.domain.roads import Floats, to_cartesian
+from drivecal.domain.roads import Floats
 from drivecal.highway.drive import replay as replays
 from drivecal.highway.drive.measures import COLUMNS, Record
 from drivecal.highway.drive.replay import REACH, DriveRecorder
