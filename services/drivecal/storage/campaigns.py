@@ -132,7 +132,7 @@ class StoredCampaign(CampaignHeading):
     spec: Mapping[str, Any]
     """The specification with its defaults filled in; empty if it is too long for a `page`."""
     resolution: Mapping[str, Any] | None
-    """The specification as resolved at the first start: setups, evaluator, space."""
+    """Setups, evaluator, scale, space, weights and goals, which do not change after the first start."""
     rerun_of: str | None
     influence_map_id: str | None
     watermark: int | None
@@ -397,7 +397,7 @@ def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> 
 
 
 def set_resolution(connection: Connection, sequence: int, resolution: Mapping[str, Any]) -> None:
-    """Stores the specification as resolved at the campaign's start."""
+    """Stores `StoredCampaign.resolution`."""
     connection.execute(_of(sequence).values(resolution=dict(resolution)))
 
 

@@ -118,8 +118,8 @@ def draw_sample(connection: Connection, evaluation_ids: Sequence[int]) -> None:
 
 
 def occupied(connection: Connection, campaign_sequence: int, after: int) -> tuple[dict[str, tuple[int, int]], int]:
-    """Returns the number of a campaign's cells that runs answered, of those stored `after` a cell's id, and the sum of the times for which
-    these runs occupied their workers, by scenario; and the newest id. Whole microseconds, so that sums do not depend on their parts."""
+    """Returns, by scenario, how many cells with an id greater than `after` runs answered, and the time (µs) for which these runs occupied
+    their workers; and the newest id. Times are whole numbers, so that sums do not depend on their parts."""
     cell, microseconds = evaluations.c, cast(func.round(occupying() * 1000.0), BigInteger)
     query = (
         select(cell.scenario, func.count(), func.sum(microseconds), func.max(cell.id))

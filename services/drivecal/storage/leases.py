@@ -110,7 +110,7 @@ _STARTS = leases.c.starts + leases.c.running + leases.c.lost
 
 
 def starts(connection: Connection, evaluation_ids: Sequence[int]) -> int:
-    """Returns the starts that broke down, for evaluations without an answer, and one more for each of them."""
+    """Returns the starts of evaluations without an answer: the broken ones, and the next start of each evaluation."""
     rows = rows_among(connection, select(leases.c.starts), leases.c.evaluation_id, list(evaluation_ids))
     return sum(int(count) for (count,) in rows) + len(evaluation_ids)
 

@@ -14,7 +14,8 @@ Kind = tuple[str, ...]
 
 @dataclass(frozen=True, slots=True)
 class SetupRequest:
-    """A scenario of a problem, to be run with parameter sets. The worker returns measures; the coordinator rates them."""
+    """A scenario of a problem, to be run with parameter sets. The worker returns measures. The coordinator rates them, but for the built-in
+    motorway, which a worker rates if the setup has an `evaluator`."""
 
     bundle: str
     """Digest of the problem's files. The worker has an archive of them, or a package there installs them."""
@@ -101,7 +102,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Cells of one setup, sized so that they take 50 to 500 ms. Without cells, a worker only runs the `probe` of the setup's bundle, or
+    """Cells of one setup, sized so that they take 40 to 500 ms. Without cells, a worker only runs the `probe` of the setup's bundle, or
     with `closes` ends the setup's session, which frees its resources."""
 
     setup: SetupRequest

@@ -64,7 +64,7 @@ class Rating:
 
 
 FAILED_RATING = Rating(rating=0.0, score=0)
-"""Rating of every failed run (collision, off the road, task missed, unstable), independent of the evaluator."""
+"""Rating of a failed run that a worker rates (the built-in motorway); other runs get the `failed` value of their scale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +93,8 @@ class RequestedCell:
 
     `individual` numbers the parameter sets of an iteration. `reference_key` is None without an influence map. `is_given` marks the baseline
     and start sets: no reference answers their scores, because others are compared with them. `donor`: the stored result that answers the
-    cell (its `plan` says on which basis: an equal set, or an influence map), or that an inspection does not trust. `leader`: the same
-    for a cell of the population that is still to be simulated, by its position.
+    cell, or that an inspection does not trust; `plan` is its basis, an equal set or an influence map. `leader`: position of the cell of
+    the same population whose simulation answers this cell.
     """
 
     individual: int
@@ -164,9 +164,9 @@ class AuditCount:
 class OutcomeCosts:
     """Answered cells of one stage and scenario that have outcome and `audited` in common.
 
-    `seconds`: CPU time that the campaign's own attempts took. `run_seconds`: CPU time of the `runs`
-    simulated runs that answered the cells, without second runs. `occupied_seconds`, `occupied_run_seconds`: the same of own
-    runs and of those runs by the time for which they occupied their workers, which is wall-clock time if simulators wait.
+    `seconds`: CPU time of the campaign's own attempts. `runs` simulated runs answered the cells and took `run_seconds` of CPU time, without
+    second runs. `occupied_seconds` and `occupied_run_seconds` are the same two sums, counted by the time for which a run occupied its
+    worker: that is wall-clock time if simulators wait.
     """
 
     stage: StageName

@@ -72,7 +72,7 @@ class Bench:
         return self.bundle.manifest.simulator.random
 
     def seeded(self, seed: int) -> "Bench":
-        """Returns the bench of another seed. Seed 1 of a simulator that claims no seed is none: its requests say 1 anyway."""
+        """Returns the bench with another seed. A simulator that is not random has no seed (0) in the place of seed 1."""
         seed = seed if self.is_random or seed > 1 else 0
         return self if seed == self.seed else replace(self, seed=seed)
 

@@ -1,7 +1,7 @@
-"""Resolves a specification against the installed plug-ins: the only place that decides whether a campaign can run.
+"""Resolves a specification against the installed plug-ins and the stored problems.
 
 `POST /campaigns`, `?validate_only=true`, `submit --dry-run` and the dispatcher use it. It reports every problem at once, each with its
-field and a remedy.
+field and a remedy. `api.submission` then checks the server's limits, and `stages` check the campaigns that a study names as its source.
 """
 
 from collections.abc import Mapping, Sequence

@@ -39,8 +39,10 @@ STALE = 50
 def progressed(
     search: SearchState, cells: GenerationCounts, chosen: Optimization, number: int, *, is_better: bool, is_new: bool
 ) -> SearchState:
-    """Returns the state after a round: counts simulations since the last better set, and generations since the last new one, which use up
-    no budget. What a search by the cell asks for must not depend on what was stored."""
+    """Returns the state after a round. It counts simulations since the last better set, and generations since the last new set.
+
+    A search by the cell counts requested cells, not simulated ones: what it asks for must not depend on stored results.
+    """
     budget, by_cell = chosen.budget, chosen.by_cell is not None
     simulated = search.simulated + (cells.requested if by_cell else cells.simulated + cells.failed)
     better_at = simulated if is_better else search.better_at

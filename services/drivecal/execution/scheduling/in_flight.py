@@ -25,7 +25,7 @@ WITNESSES = 2
 
 @dataclass(slots=True)
 class RunBudget:
-    """Runs that a campaign may start, besides one for each of its cells without an answer: its stage and the scheduler share it."""
+    """Runs that a campaign may start beyond the one run that each of its open cells has: its stage and the scheduler share it."""
 
     left: float = math.inf
     kept: float = 0.0

@@ -69,7 +69,7 @@ campaigns = Table(
     Column("validation_of", Name),
     Column("idempotency_key", Name, unique=True),
     Column("body_digest", Name),
-    Column("likeness", Name),  # campaigns that search the same have the same (`campaigns.first_alike`)
+    Column("likeness", Name),  # campaigns that search the same have the same (`evaluations.released_before`)
     Column("watermark", Identity),
     Column("degraded", Text),
     Column("waiting", Text),  # why it, or some of its cells, wait, as the dispatcher says
@@ -188,7 +188,7 @@ ratings = Table(
 )
 
 # Derived from runs and ratings, and rebuilt from them at any time: no foreign keys, which would slow bulk inserts down. A look-up
-# finds in it all that it gives (`storage.reference_keys`).
+# finds in it all that it gives (`storage.references.reference_keys`).
 reference_keys = Table(
     "reference_keys",
     metadata,

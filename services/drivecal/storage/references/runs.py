@@ -262,8 +262,8 @@ def _ratings(connection: Connection, run_ids: Sequence[int]) -> dict[tuple[int, 
 
 
 def recent_milliseconds(connection: Connection, fingerprints: Sequence[str]) -> float | None:
-    """Returns the time (ms) for which one simulation occupies a worker, over the newest ones in each of these setups, which count alike;
-    None if there is none in one."""
+    """Returns the mean time (ms) for which a simulation occupies a worker: the mean over setups of the mean of the newest runs of each.
+    None if a setup has no run."""
     means = []
     for (setup,) in rows_among(connection, select(setups.c.id), setups.c.fingerprint, fingerprints):
         newest = select(occupying()).where(runs.c.setup_id == setup)
