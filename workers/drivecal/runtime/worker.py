@@ -40,7 +40,7 @@ class WorkerFacts:
 
 
 class Worker:
-    """Runs batches in its own process (a Ray actor), because a process can hold only one SUMO simulation."""
+    """Runs batches in its own process, because a process can hold only one SUMO simulation."""
 
     def __init__(
         self,
