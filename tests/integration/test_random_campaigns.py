@@ -18,9 +18,9 @@ from tests.support.runs import dispatcher, everything, finish, get, rows_of
 
 from drivecal.campaigns.stages.replication import Replication
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
-from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import generations
+from drivecal.storage import generations, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import check_counters
@@ -52,9 +52,9 @@ def noisy(setup: SetupRequest, cell: Cell) -> CellResult:
     return CellResult(cell.id, None, None, {"y": true_cost(x) + NOISE * (own + 2 * common)}, None, 7.0)
 
 
-def opened(path: Path, **simulator: Any) -> Database:
+def opened(path: Path, varied: dict[str, Any] | None = None, **simulator: Any) -> Database:
     database = migrated(f"sqlite:///{path}")
-    store(database, MANIFEST | {"simulator": MANIFEST["simulator"] | simulator})
+    store(database, MANIFEST | {"simulator": MANIFEST["simulator"] | simulator, "varied": varied or {}})
     return database
 
 
@@ -127,6 +127,24 @@ def test_an_outside_optimizer_gets_its_replicates_with_their_seeds(database: Dat
     expected = [("a", scenario, seed) for scenario in ("city", "road") for seed in (1, 2, 3)] + [("b", "city", 1)]
     assert sorted((answer.key, answer.scenario, answer.seed) for answer in answers) == expected
     assert len({answer.score for answer in answers}) == 7
+
+
+def test_a_study_of_another_campaign_chooses_by_the_seeds_that_chose_there(tmp_path: Path) -> None:
+    def alike(setup: SetupRequest, cell: Cell) -> CellResult:
+        noise = noisy(setup, cell).metrics["y"] - true_cost(float(cell.parameters["x"]))
+        return CellResult(cell.id, None, None, {"y": 5.0 + noise}, None, 7.0)
+
+    database = opened(tmp_path / "study.db", varied={"mass": {"lower": 1, "upper": 3, "nominal": 2}})
+    searched = carried_out(database, driven=alike, optimizer=POPULATIONS | {"seed": 2}, replicates={"least": 3})
+    robust = {"of": searched.id, "delta": 0.05, "steps": 1, "samples": 2, "solutions": 1}
+    own: dict[str, Any] = {"optimizer": None, "budget": None, "replicates": {"most": 5}}
+    study = carried_out(database, driven=alike, robustness=robust, **own)
+    with database.read() as connection:
+        document = studies.get(connection, study.sequence, StageName.ROBUSTNESS)
+    database.dispose()
+    assert document is not None
+    assert searched.best is not None
+    assert [row["parameters"] for row in document["items"]] == [searched.best.parameters]
 
 
 def test_runs_are_repeated_by_seed(database: Database) -> None:

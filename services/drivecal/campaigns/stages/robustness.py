@@ -117,15 +117,14 @@ class RobustnessStage(StudyStage):
         """The named sets, then the best sets of the calibration, or its front, one of each region first. Simulations that this campaign
         sees correct copied scores of another campaign, as in that one's ranking."""
         goals, of = self._goals, self._wanted.of
-        span, wanted = self._problem.bench.scale.span, self._problem.specification.replicates
-        standing = Ranking(self._problem.weights, self._sign, goals, span, wanted)
         with self._database.read() as connection:
             source = self._campaign if of is None else campaigns.get(connection, of)
-            corrected_by = None if of is None else resolved_spec(source).evaluator
+            theirs = resolved_spec(source)
+            standing = Ranking(self._problem.weights, self._sign, goals, self._problem.bench.scale.span, theirs.replicates)
             standing.add(
                 results.answers(
                     *(connection, source.sequence, StageName.CALIBRATION),
-                    corrected_by=corrected_by,
+                    corrected_by=None if of is None else theirs.evaluator,
                     watermark=self._view.watermark,
                     valued=self._valued,
                 )
