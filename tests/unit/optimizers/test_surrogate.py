@@ -13,6 +13,7 @@ from drivecal.analysis.aims import JudgedGoals, WeightedScore
 from drivecal.analysis.goals import Aggregate, Bound, CellValue, Goals, Objective
 from drivecal.domain.parameters import Indices, Kind
 from drivecal.domain.scales import Direction, Scale
+from drivecal.optimizers.surrogate.merits import Merit, Standing
 from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, AskedCell, CellAnswer, Search, SearchTask
@@ -194,6 +195,17 @@ def test_sets_given_up_for_certain_would_not_be_better(seed: int, steps: bool) -
             values = [[value(AskedCell(indices, scenario))[0]] for scenario in range(3)]
             assert task.aim.judge(np.array([values]))[0][0, 0] <= best + 1e-9
     assert search.discarded <= 3 * len(sets) - len(played.cells)
+
+
+def test_a_search_that_stands_still_explores() -> None:
+    aim = mean_of(COST, 1)
+    merit = Merit(aim, Standing.of(aim, np.array([[[2.0]]])), np.ones(1))
+    draws = np.linspace(-1.0, 1.0, 11)
+    fails = np.where(draws < 0.3, -np.inf, -2.5)
+    below = np.stack([-6.0 + 0.1 * draws, -4.0 + 0.1 * draws, -4.5 + 2.0 * draws, fails], axis=1)
+    assert not merit.improvements(below).any()
+    assert merit.best_first(below).tolist() == [2, 1, 0, 3]
+    assert merit.best_first(np.column_stack([below, -6.0 + 5.0 * draws]))[0] == 4, "improvements count first"
 
 
 def test_it_beats_random_search() -> None:

@@ -290,7 +290,7 @@ class SurrogateSearch:
         )
         merits = self._merits_of(rows, merit, number)
         for _ in range(REFINEMENTS if len(rows) else 0):
-            top = np.argsort(-merit.improvements(merits), kind="stable")[:REFINED]
+            top = merit.best_first(merits)[:REFINED]
             more = self._new(self._children(rows[top], REFINING, generator))
             rows, merits = np.concatenate([rows, more]), np.concatenate([merits, self._merits_of(more, merit, number)], axis=1)
         improvements = merit.improvements(merits)
@@ -305,11 +305,8 @@ class SurrogateSearch:
             return []
         sets: list[BegunSet] = []
         for place in range(count):
-            scores = improvements if place == 0 else merits[(number + place) % DRAWS]
-            chosen = next(
-                (row for row in np.argsort(-scores, kind="stable").tolist() if tuple(rows[row].tolist()) not in self._answers),
-                None,
-            )
+            order = merit.best_first(merits) if place == 0 else np.argsort(-merits[(number + place) % DRAWS], kind="stable")
+            chosen = next((row for row in order.tolist() if tuple(rows[row].tolist()) not in self._answers), None)
             if chosen is not None:
                 chance = merit.beaten_by(merits[:, chosen])
                 sets.append(self._answers.begin(tuple(rows[chosen].tolist()), promise=chance))
