@@ -21,7 +21,16 @@ def test_the_first_cells_tell_nothing_about_the_time_left() -> None:
     estimate = EtaEstimate(lambda: now, done=0, worked=0)
     now = 120.0
     assert estimate.progress(15, 2000, 14).eta_seconds is None, "less than a percent"
-    assert estimate.progress(1000, 2000, 14).eta_seconds is None, "copies alone"
+    estimate = EtaEstimate(lambda: now, done=0, worked=0)
+    now = 130.0
+    assert estimate.progress(1000, 2000, 9).eta_seconds is None, "copies alone"
+
+
+def test_copies_count_towards_the_percent() -> None:
+    now = 0.0
+    estimate = EtaEstimate(lambda: now, done=20_000, worked=0)
+    now = 500.0
+    assert estimate.progress(70_000, 120_000, 500).eta_seconds == 500.0
 
 
 def test_the_time_left_follows_from_the_newer_half_since_the_stage_was_taken_up() -> None:

@@ -330,6 +330,14 @@ def test_promising_sets_of_a_random_simulator_are_asked_again() -> None:
     assert np.mean([mean_cost(each) for each in often]) < np.median([mean_cost(each) for each in asked])
 
 
+def test_a_small_budget_repeats_a_set_of_a_random_simulator() -> None:
+    task = random_task(48)
+    for seed in (1, 2):
+        cells = Played(task, noisy, 1).play(begun(task, seed)).cells
+        first = next(place for place, cell in enumerate(cells) if cell.replicate > 1)
+        assert len({cell.indices for cell in cells[:first]}) >= 6
+
+
 @settings(max_examples=3, deadline=None)
 @given(stop=st.integers(20, 70))
 def test_a_resumed_random_search_asks_for_the_same_cells(stop: int) -> None:

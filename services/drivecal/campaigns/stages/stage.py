@@ -60,7 +60,7 @@ class EtaEstimate:
             self._seen = self._seen[::2]
         begin, done_before, worked_before = self._seen[0]
         answers = worked - worked_before
-        known = now - begin >= SECONDS_TO_JUDGE and answers >= SHARE_TO_JUDGE * (total - done_before)
+        known = now - begin >= SECONDS_TO_JUDGE and done - done_before >= SHARE_TO_JUDGE * (total - done_before)
         needed = max(ANSWERS_TO_JUDGE, answers / 2)
         since = next((each for each in reversed(self._seen) if worked - each[2] >= needed), None) if known else None
         seconds = None if since is None else (now - since[0]) / max(1, done - since[1]) * max(0, total - done)

@@ -27,7 +27,7 @@ FEWEST_FIRST, MOST_FIRST = 4, 5
 DESIGN_SHARE = 0.2
 """Share of the budget that the first design takes."""
 BEFORE_REPEATS = 20
-"""Complete sets before a set gets another seed: models that know few sets take a whole valley for the luck of its only set."""
+"""Complete sets before a set gets another seed, or a quarter of the budget's: models of few sets take a valley for one's luck."""
 DRAWS = 64
 """Draws for a candidate."""
 OPEN_DRAWS = 256
@@ -324,7 +324,8 @@ class SurrogateSearch:
         of a new set, itself, its chance."""
         sets = self._answers.dormant[-DORMANT:]
         repeatable = self._answers.repeatable(self._task.replicates)
-        if len(self._answers.complete) >= BEFORE_REPEATS and repeatable:
+        first = min(BEFORE_REPEATS, (self._task.cells or np.inf) // self._aim.scenarios // 4)
+        if len(self._answers.complete) >= first and repeatable:
             order = np.argsort(-merit(self._values(repeatable)), kind="stable")[:PARENTS]
             sets += [repeatable[place] for place in order.tolist()]
         ranked: list[tuple[float, BegunSet, float]] = []

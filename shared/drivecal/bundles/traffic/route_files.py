@@ -7,7 +7,7 @@ lists below, values in SUMO's own schema, edges and lanes in the network. Vehicl
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import count, islice, pairwise
 from math import inf
 from typing import Final
 from xml.etree import ElementTree as ET
@@ -24,6 +24,10 @@ from drivecal.roads.network import Network
 
 MOST_VEHICLES = 2000
 """Vehicles, trips and flows that belong to a run."""
+MOST_READ = 10_000
+"""Elements that SUMO reads of a file: the time that its schema takes for wrong ones grows with the square."""
+MOST_FAULTS = 20
+OWN_TYPES = frozenset(f"DEFAULT_{kind}TYPE" for kind in ("VEH", "BIKE", "TAXI", "PED", "RAIL", "CONTAINER"))  # SUMO's
 LONG = 1e9
 SUBLANE: Final = "SL2015"
 WORDS: Mapping[str, tuple[str, ...]] = {
@@ -37,7 +41,7 @@ WITHOUT_EFFECT = frozenset(
 )
 """Attributes that decide nothing on the way; they are not passed on."""
 _DEPARTING = frozenset(
-    {"id", "type", "route", "from", "to", "via", "speedFactor", "departLane", "departPos", "departPosLat", "departSpeed"}
+    {"id", "type", "via", "speedFactor", "departLane", "departPos", "departPosLat", "departSpeed"}
     | {"arrivalLane", "arrivalPos", "arrivalPosLat", "arrivalSpeed"}
 )
 KNOWN: Mapping[str, frozenset[str]] = {
@@ -47,12 +51,13 @@ KNOWN: Mapping[str, frozenset[str]] = {
     "vTypeDistribution": frozenset({"id", "vTypes", "probabilities"}),
     "route": frozenset({"id", "edges", "probability"}),
     "routeDistribution": frozenset({"id", "routes", "probabilities"}),
-    "vehicle": _DEPARTING | {"depart"},
-    "trip": _DEPARTING | {"depart"},
-    "flow": _DEPARTING | {"begin", "end", "number", "vehsPerHour", "perHour", "period", "probability"},
+    "vehicle": _DEPARTING | {"depart", "route"},
+    "trip": _DEPARTING | {"depart", "from", "to"},
+    "flow": _DEPARTING | {"route", "from", "to", "begin", "end", "number", "vehsPerHour", "perHour", "period", "probability"},
     "stop": frozenset({"lane", "edge", "startPos", "endPos", "duration", "until"}),
 }
 """Attributes of elements that are passed on."""
+_REMEDIES = dict.fromkeys([("vehicle", "from"), ("vehicle", "to")], "make it a trip") | {("trip", "route"): "make it a vehicle"}
 INSIDE: Mapping[str, tuple[str, ...]] = {
     "vTypeDistribution": ("vType",),
     "routeDistribution": ("route",),
@@ -61,9 +66,9 @@ INSIDE: Mapping[str, tuple[str, ...]] = {
 }
 IGNORED = ("param", "person", "personFlow", "container", "containerFlow")
 """Elements that are listed and not passed on."""
-NAMES = frozenset({"id", "type", "route", "from", "to", "via", "edges", "edge", "lane", "vTypes", "routes"})
-_ENDLESS = re.compile(r"(?i)\b(?:nan|inf(?:inity)?)\b|(?<![\d.])\d{10}|\de\+?\d\d")
-"""Numbers of 1e9 and more, infinite ones and none."""
+_REFERENCES = {"type": "type", "vTypes": "type", "route": "route", "routes": "route"}
+NAMES = frozenset({"id", "from", "to", "via", "edges", "edge", "lane", *_REFERENCES})
+_NUMBER = re.compile(r"(?i)\b(?:nan|inf(?:inity)?)\b|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +121,10 @@ class _Reader:
         self._begin, self._first = scenario.begin, scenario.begin - scenario.warm_up
         self._end = scenario.begin + duration
         self._notes = Notes(name)
-        self._types, self._routes = {"DEFAULT_VEHTYPE"}, set[str]()
-        self._taken = {EGO, *(entry.id or f"vehicle{index}" for index, entry in enumerate(scenario.traffic))}
+        self._given = {"type": set(OWN_TYPES), "route": set[str](), "vehicle": set[str]()}
+        own = {EGO, *(entry.id or f"vehicle{index}" for index, entry in enumerate(scenario.traffic))}
+        self._taken = {"type": set(own), "route": {f"route-{name}" for name in own}, "vehicle": own}  # SUMO keeps them apart
+        self._numbers = count(1)
         self._times: list[float] = []
         self._early = 0
         self._departing: list[tuple[float, Element]] = []
@@ -140,7 +147,7 @@ class _Reader:
         kept += [element for _, element in self._departing]
         written, read = ET.Element("routes"), [self._root]
         written.extend(_copied(element, read) for element in kept)
-        if wrong := tuple(faults(written, read)):
+        if wrong := tuple(islice(faults(written, read), MOST_FAULTS)):
             raise InvalidInputError(*wrong)
         notes = self._notes.texts(self._root)
         if self._early:
@@ -192,7 +199,7 @@ class _Reader:
             raise element.fault(message, "leave out vehicles that are never met, make flows, or give a shorter `warm_up`")
         self._check(element)
         if "route" not in element.values and element.optional("route") is None:
-            element.text("from")
+            element.text("route" if element.element == "vehicle" else "from")
         rates = [key for key in ("vehsPerHour", "perHour", "period", "probability") if key in element.values]
         if is_flow and (len(rates) > 1 or not (rates or ("number" in element.values and end < LONG))):
             message = f"how many vehicles come is said by {' and '.join(rates) or 'nothing'}"
@@ -206,30 +213,33 @@ class _Reader:
     def _check(self, element: Element) -> None:
         """Checks the attributes of an element and of those inside of it, and its edges."""
         element.is_read = True
+        if next(self._numbers) > MOST_READ:
+            raise element.fault(f"the run has more than {MOST_READ:,} elements", "leave out what no vehicle of it needs")
         known = KNOWN[element.element]
         for key in element.values:
             if key not in known and key not in WITHOUT_EFFECT:
-                raise element.fault(f"the attribute {shown(key)} is not supported", nearest(key, sorted(known)))
+                remedy = _REMEDIES.get((element.element, key)) or nearest(key, sorted(known))
+                raise element.fault(f"the attribute {shown(key)} is not supported", remedy)
             if key in WORDS:
                 element.word(key, WORDS[key])
-            if key in known - NAMES and _ENDLESS.search(element.values[key]):
+            if key in known - NAMES and not all(float(text) < LONG for text in _NUMBER.findall(element.values[key])):
                 raise element.fault(f"{key} is {shown(element.values[key], 40)}", "give a number below 1e9")
         self._check_places(element)
-        named = {"type": self._types, "vTypes": self._types, "route": self._routes, "routes": self._routes}
-        for key, given in named.items():
+        for key, kind in _REFERENCES.items():
             for name in element.values.get(key, "").split():
-                if name not in given:
-                    raise element.fault(f"there is no {key.rstrip('s')} {shown(name)} before it", nearest(name, sorted(given)))
+                if name not in (given := self._given[kind]):
+                    raise element.fault(f"no {kind} {shown(name)} is defined before this line", nearest(name, sorted(given)))
         for child in element.children:
             if child.element in INSIDE.get(element.element, ()):
                 self._check(child)
             elif child.element not in IGNORED:
                 raise child.fault("the element is not supported here", "leave it out")
-        name, kind = element.values.get("id", ""), element.element
-        names = self._types if kind.startswith("vType") else self._routes if kind.startswith("route") else self._taken
-        if name in names or name in self._taken or name.rpartition(".")[0] in self._taken:
-            raise element.fault("another one has the same id, here or in the scenario", "rename one")
-        names |= {name} - {""}
+        name, tag = element.values.get("id", ""), element.element
+        kind = "type" if tag.startswith("vType") else "route" if tag.startswith("route") else "vehicle"
+        if name in self._taken[kind] or (kind == "vehicle" and name.rpartition(".")[0] in self._taken[kind]):
+            raise element.fault(f"another {kind} has the same id, here or in the scenario", "rename one")
+        for names in (self._taken, self._given):
+            names[kind] |= {name} - {""}
 
     def _check_places(self, element: Element) -> None:
         """Checks that the network has the edges and the lane of an element, and links from each edge of a route to the next."""

@@ -24,9 +24,8 @@ def faults(root: ET.Element, elements: Sequence[Element]) -> Iterator[Problem]:
     document = etree.fromstring(ET.tostring(root))
     validator.validate(document)
     places = dict(zip(document.iter(), elements, strict=True))
-    for error in validator.error_log:
-        element = places.pop(document.getroottree().xpath(error.path)[0], None)
-        if element is not None and error.type_name != "SCHEMAV_ELEMENT_CONTENT":  # SUMO takes elements in any order
+    for error in validator.error_log:  # SUMO takes elements in any order
+        if error.type_name != "SCHEMAV_ELEMENT_CONTENT" and (element := places.pop(document.xpath(error.path)[0], None)):
             kind = _TYPE.search(error.message)
             right = " or ".join(dict.fromkeys(_right(types, kind[1]))) if kind is not None else "a value that is allowed"
             yield from element.fault(

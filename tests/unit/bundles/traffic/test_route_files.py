@@ -7,6 +7,7 @@ import pytest
 from tests.support.scenario_files import ROUTES, with_routes
 
 from drivecal.bundles.highway_checks import scenario_problems
+from drivecal.bundles.traffic.elements import Element
 from drivecal.bundles.traffic.route_files import RouteTraffic
 from drivecal.domain.errors import InvalidInputError
 
@@ -80,6 +81,8 @@ def test_sumo_reads_a_file_as_it_is_without_what_has_no_effect() -> None:
         .replace("/>", '><stop lane="before_0" duration="3"/><route edges="before"/></vehicle>')
         .replace('route="r" ', ""),
         FLOW.format('begin="0" end="20" number="5"'),
+        '<vType id="t" apparentDecel="1e05"/><vType id="a"/>' + TYPED,
+        '<vType id="DEFAULT_BIKETYPE" length="2"/>' + VEHICLE.format(' type="DEFAULT_TAXITYPE"'),
     ],
 )
 def test_what_sumo_drives_is_passed_on(content: str) -> None:
@@ -119,6 +122,14 @@ def test_what_sumo_drives_is_passed_on(content: str) -> None:
         (FLOW.format('begin="0" end="9" number="0"'), "<flow id=f>"),
         (FLOW.format('probability="1.5"'), "<flow id=f>"),
         (FLOW.format('period="1e10"'), "<flow id=f>"),
+        ('<vType id="t" apparentDecel="9e9"/>' + TYPED, "apparentDecel"),
+        ('<vType id="t"/><vTypeDistribution id="t" vTypes="t" probabilities="1"/>' + TYPED, "<vTypeDistribution id=t>"),
+        ('<vType id="ego"/>' + VEHICLE.format(' type="ego"'), "<vType id=ego>"),
+        ('<route id="route-ego" edges="before"/>' + VEHICLE.format(""), "<route id=route-ego>"),
+        ('<vehicle id="a" depart="0"/>', "route is missing"),
+        (VEHICLE.format("") + '<vType id="t"/>' + VEHICLE.format(' type="a"'), "no type a"),
+        ("".join(f'<route id="r{index}" edges="before"/>' for index in range(9_999)) + day(0), "<vehicle id=v0>"),
+        (VEHICLE.format("").replace("/>", ">" + '<stop lane="before_0" duration="3"/>' * 10_000 + "</vehicle>"), "<stop>"),
         ('<vType id="t" tau="nan"/>' + TYPED, "tau"),
         ('<vType id="t" lcSpeedGain="-inf"/>' + TYPED, "lcSpeedGain"),
         ("".join(f'<vehicle id="v{index}" route="r" depart="{index / 200}"/>' for index in range(2001)), "<vehicle id=v2000>"),
@@ -141,7 +152,8 @@ def test_everything_else_is_refused_with_line_and_element(content: str, part: st
         ('<vType accel="2"/>' + VEHICLE.format(""), "<vType>", "id"),
         (VEHICLE.format(' departLane="lft"'), "<vehicle id=a>: attribute 'departLane'", "free"),
         (VEHICLE.format("").replace("150", "x"), "departPos", "random"),
-        ('<trip id="a" depart="0" route="r"/>', "<trip id=a>: attribute 'route'", "not allowed"),
+        ('<trip id="a" depart="0" route="r"/>', "<trip id=a>: the attribute route", "make it a vehicle"),
+        ('<vehicle id="a" depart="0" from="before" to="after"/>', "<vehicle id=a>: the attribute from", "make it a trip"),
         (VEHICLE.format("").replace("/>", '><stop lane="before_0" endPos="far"/></vehicle>'), "<stop>: attribute 'endPos'", "NUMBER"),
         (FLOW.format('begin="0" period="2" number="2.5"'), "<flow id=f>: attribute 'number'", "a whole number"),
     ],
@@ -164,6 +176,33 @@ def test_all_wrong_values_are_named_at_once() -> None:
         " line 3, <vType id=t>",
         " line 4, <vehicle id=v0>",
     ]
+
+
+def test_the_first_wrong_values_are_named_and_the_others_not_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    said, fault = list[int](), Element.fault
+
+    def counted(self: Element, message: str, remedy: str) -> InvalidInputError:
+        said.append(self.line)
+        return fault(self, message, remedy)
+
+    monkeypatch.setattr(Element, "fault", counted)
+    mixed = "".join(  # SUMO takes its elements in any order, its schema does not
+        f'<vehicle id="m{index}" depart="0"><stop lane="before_0" duration="3"/><route edges="before"/></vehicle>\n'
+        for index in range(30)
+    )
+    with pytest.raises(InvalidInputError) as error:
+        traffic(mixed + "".join(f'<vType id="t{index}" length="-3"/>\n' for index in range(2_000)))
+    assert len(error.value.problems) == len(said) == 20
+    assert said == list(range(33, 53))
+
+
+def test_ids_of_types_are_no_ids_of_vehicles() -> None:
+    own = [{"id": "lead", "lane": 1, "s": 160.0, "speed": 25.0}]
+    types = '<vType id="a"/><vType id="b"/>'
+    for content in (types + day(0), day(0) + types):
+        assert departing(content.replace("v0", "a"), traffic=own) == ["a"]
+    assert refusal('<vType id="lead"/>' + day(0), traffic=own)
+    assert refusal(day(0).replace("v0", "lead"), traffic=own)
 
 
 def test_sumo_s_own_words_get_the_line_of_whom_they_name() -> None:

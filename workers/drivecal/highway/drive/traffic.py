@@ -87,7 +87,7 @@ class Traffic:
             step: Seconds of a step.
             folder: Where SUMO's route files are written.
             routes: The traffic of the scenario's route file.
-            drifts: Of a scenario with a task, whose vehicles keep their lanes and are not moved sideways in SUMO.
+            drifts: By the name of the scenario's own vehicles, which keep their lanes in SUMO; None if it has no task.
 
         Raises:
             TrafficError: SUMO refuses the network or the traffic.
