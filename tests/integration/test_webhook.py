@@ -1,9 +1,11 @@
 """The posts of the webhook reach a real listener."""
 
 import json
+import logging
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
@@ -11,13 +13,25 @@ from typing import Any
 import pytest
 from tests.support.databases import migrated
 from tests.support.fake_backend import FakeBackend
-from tests.support.runs import dispatcher, submit
+from tests.support.problems import store
+from tests.support.runs import dispatcher, get, step_until, submit
 
+from drivecal.api import submission
+from drivecal.api.dependencies import Limits
+from drivecal.configuration.settings import load_settings
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.dispatch import webhook
+from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.heartbeat import Leadership
 from drivecal.dispatch.webhook import NAME, Webhook
 from drivecal.domain.campaigns import CampaignState
-from drivecal.execution.pool import WorkPool
+from drivecal.domain.events import EventKind
+from drivecal.execution.pool import StoredLeases, WorkPool
+from drivecal.execution.scheduling.resources import Resources
 from drivecal.storage import campaigns, events, processes
+from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 
 
 @pytest.fixture
@@ -46,9 +60,11 @@ def listening(*statuses: int) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     with HTTPServer(("127.0.0.1", 0), Listener) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
-        yield f"http://127.0.0.1:{server.server_port}/hook?secret=hunter2", posted
-        server.shutdown()
-        thread.join()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}/hook?secret=hunter2", posted
+        finally:
+            server.shutdown()
+            thread.join()
 
 
 def end(database: Database, state: CampaignState = CampaignState.SUCCEEDED, error: str | None = None) -> str:
@@ -113,15 +129,137 @@ def test_a_listener_that_never_takes_an_event_holds_nothing_up_and_stays_secret(
         assert processes.read(connection, NAME) is not None
 
 
-def test_a_campaign_whose_cells_wait_without_a_result_stalls_once(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_events_at_a_time_and_single_evaluations_hide_no_later_event(database: Database) -> None:
+    with listening() as (url, posted):
+        hook = Webhook(database, url)
+        hook.post()
+        for _ in range(110):
+            with database.transaction() as connection:
+                one = campaigns.insert(connection, name="one", spec={}, kind="evaluation")
+                campaigns.end(connection, one.sequence, CampaignState.SUCCEEDED)
+        ended = [end(database)]
+        hook.post()
+        assert [each["campaign"]["id"] for each in posted] == ended
+        ended += [end(database) for _ in range(110)]
+        for _ in range(3):
+            hook.post()
+        assert [each["campaign"]["id"] for each in posted] == ended
+
+
+def test_events_of_hours_without_a_post_are_not_read_again(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    with listening() as (url, posted):
+        hook = Webhook(database, url)
+        hook.post()
+        end(database)
+        hook.post()
+        for module in (webhook, events):
+            monkeypatch.setattr(module, "now", lambda: now() + timedelta(hours=2))
+        hook.post()
+        with database.read() as connection:
+            process = processes.read(connection, NAME)
+        assert process is not None
+        assert process.detail["since"] > (now() + timedelta(hours=1)).isoformat()
+        ended = end(database)
+        hook.post()
+        hook.post()
+        assert len(posted) == 2
+        assert posted[-1]["campaign"]["id"] == ended
+
+
+def test_after_the_election_of_another_dispatcher_nothing_is_posted_or_logged(
+    database: Database, caplog: pytest.LogCaptureFixture
+) -> None:
+    before = database.fenced(Leadership.begin(database).fence)
+    Leadership.begin(database)
+    with listening() as (url, posted), caplog.at_level(logging.INFO), Webhook(before, url):
+        for thread in threading.enumerate():
+            if thread.name == "webhook":
+                thread.join()
+        assert posted == []
+    assert caplog.text == ""
+
+
+LICENSED: dict[str, Any] = {
+    "problem": "licensed",
+    "parameters": {"x": {"lower": 0, "upper": 1}},
+    "simulator": {"kind": "command", "command": ["sh", "-c", "{parameters} {results}"], "resources": {"carmaker": 1}},
+    "scenarios": {"city": {}, "road": {}},
+    "measures": {"m": "1"},
+    "scores": {"s": {"formula": "m", "direction": "minimise", "range": [0, 1]}},
+}
+
+
+def stalls(database: Database, campaign: StoredCampaign) -> list[str]:
+    """The reasons of the stalls that were told."""
+    with database.read() as connection:
+        told = events.since(connection, campaign.sequence, 0, 1000)
+    return [event.data["reason"] for event in told if event.kind == EventKind.STALLED]
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stall takes a minute."""
     monkeypatch.setattr("drivecal.dispatch.dispatcher.STALL_SECONDS", 60.0)
+
+
+@pytest.mark.usefixtures("short")
+def test_a_campaign_whose_cells_wait_without_a_result_stalls_once_and_streams_see_it(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
     carrying_out = dispatcher(database, FakeBackend(2))
     campaign = submit(database)
     carrying_out.step()
-    monkeypatch.setattr(WorkPool, "waits", lambda *_: "2 cells wait for carmaker")
+    monkeypatch.setattr(WorkPool, "waits", lambda *_, **__: "2 cells wait for carmaker")
+    monkeypatch.setattr(WorkPool, "poll", lambda *_: [])
+    revisions = {False: 0, True: 0}
+    for _ in range(80):
+        carrying_out.step()
+        told = stalls(database, campaign) != []
+        revisions[told] = revisions[told] or get(database, campaign).revision
+    assert stalls(database, campaign) == ["2 cells wait for carmaker"]
+    assert 0 < revisions[False] < revisions[True]
+
+
+@pytest.mark.usefixtures("short")
+def test_a_campaign_whose_own_run_holds_the_only_licence_has_not_stalled(database: Database) -> None:
+    store(database, LICENSED)
+    optimizer = {"kind": "random", "population": 5, "iterations": 1}
+    document = CampaignSpecification.model_validate({"problem": "licensed", "optimizer": optimizer})
+    campaign = submission.submit(database, Limits.of(load_settings(resources="carmaker=1")), document, None)
+    backend = FakeBackend(2, {"city": 900.0, "road": 900.0})
+    own = database.fenced(Leadership.begin(database).fence)
+    pool = WorkPool(backend, StoredLeases(own), clock=lambda: backend.now, resources=Resources({"carmaker": 1}))
+    carrying_out = Dispatcher(own, pool, clock=lambda: backend.now)
+    while not backend.sizes:  # the optimizer computes
+        carrying_out.step()
+    begun = backend.now
+    while backend.now < begun + 600.0:
+        carrying_out.step()
+        backend.now += 5.0
+    assert pool.waits(campaign.id) is not None
+    assert stalls(database, campaign) == []
+
+
+@pytest.mark.usefixtures("short")
+def test_hours_without_waiting_cells_are_no_part_of_a_stall(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    reason: list[str] = []
+    looks: list[str] = []
+
+    def waits(*_: object, **__: bool) -> str | None:
+        looks.extend(reason)
+        return next(iter(reason), None)
+
+    carrying_out = dispatcher(database)
+    campaign = submit(database)
+    step_until(database, campaign, 1, carrying_out)
+    monkeypatch.setattr(WorkPool, "waits", waits)
     monkeypatch.setattr(WorkPool, "poll", lambda *_: [])
     for _ in range(80):
         carrying_out.step()
-    with database.read() as connection:
-        told = [event for event in events.since(connection, campaign.sequence, 0, 100) if event.kind == "stalled"]
-    assert [event.data["reason"] for event in told] == ["2 cells wait for carmaker"]
+    reason.append("1 cell waits for carmaker")
+    while len(looks) < 5:
+        carrying_out.step()
+    assert stalls(database, campaign) == []
+    for _ in range(80):
+        carrying_out.step()
+    assert stalls(database, campaign) == reason

@@ -23,7 +23,6 @@ from drivecal.contracts.work import SetupRequest
 from drivecal.dispatch.heartbeat import Waits
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, DrivecalError, SupersededError, UnavailableError
-from drivecal.domain.events import EventKind
 from drivecal.execution.backend import BackendLostError, WorkerInfo
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.pool import WorkPool
@@ -41,7 +40,7 @@ EVALUATION_PRIORITY = 1000
 
 @dataclass(slots=True)
 class Active:
-    """A campaign in work. `job` is None until it resumes from its rows; `unwritten` survives a failed transaction."""
+    """A campaign in work. `job` is None until it resumes from its rows. `unwritten`: results to store, also after a failed transaction."""
 
     campaign: CampaignHeading
     job: Job | None = None
@@ -53,9 +52,9 @@ class Active:
     not_before: float = 0.0
     """Earliest time to resume."""
     moved_at: float | None = None
-    """Time of the last result, else when its cells were first seen waiting."""
+    """Time of the last result, or since when its cells wait; None while none waits or one is at a worker."""
     stalled: bool = False
-    """It was said that it has had no result since."""
+    """True if an event told of the stall; the next result ends it."""
     write_at: float = 0.0
     """Earliest time to store results while others are under way."""
 
@@ -218,8 +217,7 @@ class Dispatcher:
         stalled = self._newly_stalled()
         with self._database.transaction() as connection:
             for active, reason in stalled:
-                told = {"minutes": round(STALL_SECONDS / 60), "reason": reason}
-                events.add(connection, active.campaign.sequence, EventKind.STALLED, told)
+                campaigns.stall(connection, active.campaign.sequence, round(STALL_SECONDS / 60), reason)
             events.prune(connection, now() - EVENTS_KEPT)
             traces.prune(connection, now() - TRACES_KEPT, MOST_TRACES)
             more = removal.remove_some_keys(connection)
@@ -228,15 +226,15 @@ class Dispatcher:
         return more
 
     def _newly_stalled(self) -> list[tuple[Active, str]]:
-        """Returns the campaigns that have had no result for long while their cells wait, each with the reason; each stall once."""
+        """Returns the campaigns whose cells have all waited for long, each with the reason; each stall once."""
         stalled = []
         for active in self._active.values():
-            reason = self._pool.waits(active.tag)
-            if reason is None or active.stalled:
-                continue
-            if active.moved_at is None:
+            reason = self._pool.waits(active.tag, wholly=True)
+            if reason is None:
+                active.moved_at = None
+            elif active.moved_at is None:
                 active.moved_at = self._clock()
-            elif self._clock() - active.moved_at >= STALL_SECONDS:
+            elif not active.stalled and self._clock() - active.moved_at >= STALL_SECONDS:
                 stalled.append((active, reason))
         return stalled
 

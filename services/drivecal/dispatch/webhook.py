@@ -16,7 +16,7 @@ from datetime import datetime, timedelta
 from types import TracebackType
 from typing import Any, Self
 
-from drivecal.domain.errors import UnavailableError
+from drivecal.domain.errors import SupersededError, UnavailableError
 from drivecal.domain.events import EventKind
 from drivecal.storage import campaigns, events, processes
 from drivecal.storage.engine.database import Database
@@ -29,15 +29,16 @@ NAME = "webhook"
 EVERY_SECONDS, TIMEOUT_SECONDS = 1.0, 10.0
 PAUSES = (1.0, 5.0, 25.0)
 """Seconds before each further attempt; after the last one the event is given up."""
-OVERLAP = timedelta(seconds=60)
-"""Events may be committed in another order than that of their times, by less than this."""
+OVERLAP, SKIP = timedelta(seconds=60), timedelta(hours=1)
+"""Events may be committed in another order than that of their times, by less than the first. After the second without an event to post,
+the events of that time are not read again."""
 
 log = logging.getLogger(__name__)
 
 
 class _NoRedirects(urllib.request.HTTPRedirectHandler):
     def redirect_request(self, *_: Any) -> None:
-        """Follows nothing: a POST would become a GET without the document."""
+        """Refuses redirects: a POST would become a GET without the document."""
 
 
 class Webhook:
@@ -64,6 +65,8 @@ class Webhook:
                 self.post()
             except UnavailableError:
                 pass  # the heartbeat says so
+            except SupersededError:
+                return  # the elected dispatcher posts
             except Exception:
                 log.exception("no more webhooks are posted until the server is started again")
                 return
@@ -71,15 +74,15 @@ class Webhook:
 
     def post(self) -> None:
         """Posts the events that were not posted yet; none that is older than the first call ever."""
+        moment = now()
         with self._database.read() as connection:
             process = processes.read(connection, NAME)
-            begun = now() if process is None else process.started_at
+            begun = moment if process is None else process.started_at
             since = begun if process is None else datetime.fromisoformat(process.detail["since"])
             told = {} if process is None else dict(process.detail["told"])
-            due = [] if process is None else events.of_kinds(connection, KINDS, max(begun, since - OVERLAP))
-            due = [event for event in due if str(event.id) not in told]
-        if process is None:
-            self._mark(begun, since, told)
+            due = [] if process is None else events.of_kinds(connection, KINDS, max(begun, since - OVERLAP), [*map(int, told)])
+        if process is None or (not due and moment - since > SKIP):
+            self._mark(begun, moment, {})
         for event in due:
             if not self._deliver(event):
                 return
@@ -96,8 +99,6 @@ class Webhook:
     def _deliver(self, event: StoredEvent) -> bool:
         """Returns whether an event was taken or is given up; False if the process ends first."""
         document = self._document(event)
-        if document is None:
-            return True
         body = json.dumps(document).encode()
         headers = {"Content-Type": "application/json", "User-Agent": "drivecal"}
         why = ""
@@ -115,13 +116,10 @@ class Webhook:
         log.warning("the webhook did not take event %d of campaign %s: %s", event.id, document["campaign"]["id"], why)
         return True
 
-    def _document(self, event: StoredEvent) -> dict[str, Any] | None:
-        """Returns what is posted: names and figures, without the settings of the campaign and texts of simulators. None of a single
-        evaluation."""
+    def _document(self, event: StoredEvent) -> dict[str, Any]:
+        """Returns what is posted: names and figures, without the settings of the campaign and texts of simulators."""
         with self._database.read() as connection:
             campaign = campaigns.by_sequence(connection, event.campaign_sequence)
-        if campaign.kind == "evaluation":
-            return None
         best, baseline = campaign.best, campaign.baseline
         return {
             "event": event.kind,

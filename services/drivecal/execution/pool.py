@@ -110,9 +110,9 @@ class WorkPool:
         """Returns the reason for missing or refusing workers, or None."""
         return "; ".join(filter(None, (self._backend.trouble(), self._scheduler.trouble(), self._questions.trouble()))) or None
 
-    def waits(self, tag: str) -> str | None:
-        """Returns why cells of the campaign `tag` wait for something else than their turn, or None."""
-        return self._scheduler.waits(tag)
+    def waits(self, tag: str, *, wholly: bool = False) -> str | None:
+        """Returns why cells of the campaign `tag` wait for something else than their turn, or None. `wholly`: and none is at a worker."""
+        return self._scheduler.waits(tag, wholly=wholly)
 
     def resources(self) -> list[ResourceUse]:
         """Returns the use of each resource."""

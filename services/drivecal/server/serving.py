@@ -122,7 +122,7 @@ def run_server(settings: Settings, listener: socket.socket, url: str, ready: Cal
     descriptor = listener.fileno()
     api = (sys.executable, "-m", "drivecal.api", "--socket", str(descriptor))
     children = [
-        ChildProcess("API", api, settings.environment, (descriptor,)),
+        ChildProcess("API", api, settings.environment | {"DRIVECAL_WEBHOOK": ""}, (descriptor,)),  # a secret
         ChildProcess("dispatcher", (*DISPATCHER, str(os.getpid())), settings.environment),
     ]
     try:

@@ -432,6 +432,12 @@ def degrade(connection: Connection, sequences: Collection[int], reason: str | No
             events.add(connection, sequence, EventKind.DEGRADED, {"reason": reason})
 
 
+def stall(connection: Connection, sequence: int, minutes: int, reason: str) -> None:
+    """Tells that a running campaign has had no result for some minutes while its cells wait."""
+    connection.execute(_of(sequence))
+    events.add(connection, sequence, EventKind.STALLED, {"minutes": minutes, "reason": reason})
+
+
 def explain(connection: Connection, waits: Mapping[int, str]) -> None:
     """Stores why campaigns wait, by number; the others that have not ended do not wait."""
     open_ones = select(campaigns.c.sequence, campaigns.c.waiting).where(campaigns.c.ended_at.is_(None))

@@ -30,7 +30,7 @@ class StoredEvent:
 
 
 def add(connection: Connection, campaign_sequence: int, kind: EventKind, data: Mapping[str, Any] | None = None) -> None:
-    """Adds an event in the transaction that it reports, and changes the campaign's revision."""
+    """Adds an event. The caller changes the campaign's row in the same transaction: streams look for events at a new revision only."""
     if connection.dialect.name == "postgresql":
         held = select(campaigns.c.sequence).where(campaigns.c.sequence == campaign_sequence)
         connection.execute(held.with_for_update(key_share=True))  # not in the way of rows that only refer to the campaign
@@ -44,12 +44,11 @@ def since(connection: Connection, campaign_sequence: int, last_id: int, limit: i
     return [record(StoredEvent, row) for row in connection.execute(query.order_by(events.c.id).limit(limit))]
 
 
-def of_kinds(connection: Connection, kinds: Collection[EventKind], after: datetime, limit: int = 100) -> list[StoredEvent]:
-    """The first `limit` events of these kinds that were written after a time, of all campaigns."""
-    query = select(events).where(events.c.created_at > after, events.c.kind.in_(kinds))
-    return [
-        record(StoredEvent, row) for row in connection.execute(query.order_by(events.c.created_at, events.c.id).limit(limit))
-    ]
+def of_kinds(connection: Connection, kinds: Collection[EventKind], after: datetime, told: Collection[int]) -> list[StoredEvent]:
+    """The first 100 events of these kinds after a time, of all campaigns without single evaluations. `told`: ids to leave out."""
+    query = select(events).join(campaigns).where(events.c.created_at > after, events.c.kind.in_(kinds))
+    query = query.where(events.c.id.not_in(told), campaigns.c.kind != "evaluation").order_by(events.c.created_at, events.c.id)
+    return [record(StoredEvent, row) for row in connection.execute(query.limit(100))]
 
 
 def newest_id(connection: Connection, campaign_sequence: int) -> int:

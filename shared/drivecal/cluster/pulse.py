@@ -14,7 +14,7 @@ VARIABLE = "DRIVECAL_PULSE"
 """Environment variable: the descriptor of the pipe of a process that a supervisor started."""
 EVERY_SECONDS = 1.0
 SILENT_SECONDS, IDLE_SECONDS = 10.0, 6.0
-"""Absence of signs after which a process counts as stopped or hung: on another machine, and here, where none of its threads may run."""
+"""Time without a sign after which a process counts as hung: 10 s for a process elsewhere; 6 s here, if all its threads are asleep."""
 BUSY_SECONDS = 90.0
 """The same for a process that computes: a long call may hold Python's interpreter."""
 START_SECONDS = 300.0

@@ -311,8 +311,10 @@ class Scheduler:
         """Setups of the cells of `tag` without an answer, or of all cells that are not withdrawn."""
         return self._in_flight.wanted() if tag is None else {claim.simulation.key for claim in self._in_flight.of(tag)}
 
-    def waits(self, tag: str) -> str | None:
-        """Returns why cells of `tag` wait for something else than their turn, or None."""
+    def waits(self, tag: str, *, wholly: bool = False) -> str | None:
+        """Returns why cells of `tag` wait for something else than their turn, or None. `wholly`: and no cell of it is at a worker."""
+        if wholly and any(claim.simulation.leader is not None for claim in self._in_flight.of(tag)):
+            return None
         reasons: dict[str, list[str]] = {}
         for key in self._queue.setups_of(tag) if self._is_scarce else ():
             setup = self._in_flight.setup(key)
