@@ -84,7 +84,7 @@ def kill_one(server: Server, part: str, chance: random.Random) -> bool:
 @pytest.mark.slow
 @pytest.mark.faults
 @pytest.mark.timeout(5400)
-@pytest.mark.parametrize("killed", [[], [WORKER], [WORKER, WORKER, DISPATCHER]], ids=["nobody", "workers", "all"])
+@pytest.mark.parametrize("killed", [[], [WORKER], [WORKER, WORKER, DISPATCHER]], ids=["none", "workers", "all"])
 def test_runs_are_the_starts_that_the_program_counts(
     killed: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

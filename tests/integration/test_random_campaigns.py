@@ -161,7 +161,7 @@ def test_a_population_runs_each_set_under_the_least_number_of_seeds(database: Da
     for row in rows_of(database, ended):
         seeds.setdefault((row.iteration, row.individual, row.scenario), []).append(row.seed)
     assert len(seeds) > 20
-    assert all(found == [1, 2, 3] for found in seeds.values())  # also of the sets for which the budget sufficed at last
+    assert all(of_a_set == [1, 2, 3] for of_a_set in seeds.values())  # also of the sets for which the budget sufficed at last
 
 
 def test_a_simulator_that_says_random_and_is_not_gets_few_further_runs(database: Database) -> None:

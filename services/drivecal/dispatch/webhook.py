@@ -67,7 +67,7 @@ class Webhook:
                 pass  # the heartbeat says so
             except SupersededError:
                 return  # the elected dispatcher posts
-            except Exception:
+            except Exception:  # a fault of this thread must not end the dispatcher
                 log.exception("no more webhooks are posted until the server is started again")
                 return
             self._stopped.wait(EVERY_SECONDS)

@@ -108,11 +108,11 @@ class SupervisedBackend(Backend, ABC):
     def _value(self, worker: WorkerProcess) -> Any:
         """Returns the answer of a worker's running call. Raises WorkerDiedError, CallFailedError or NotKnownYetError."""
 
-    def _is_silent(self, worker: WorkerProcess) -> bool:  # noqa: ARG002  # for subclasses
+    def _is_silent(self, worker: WorkerProcess) -> bool:  # noqa: ARG002  # subclasses look at the call
         """Returns whether the process of a started worker has shown no sign of life for long, see `cluster.pulse`."""
         return False
 
-    def _starts_of(self, reference: Any) -> Mapping[int, int] | None:  # noqa: ARG002  # for subclasses
+    def _starts_of(self, reference: Any) -> Mapping[int, int] | None:  # noqa: ARG002  # subclasses look at the call
         """Returns the starts of the simulator in a call whose worker is gone, see `Lost`."""
         return None
 
@@ -120,7 +120,7 @@ class SupervisedBackend(Backend, ABC):
         """Follows the machines of the cluster; returns the lost batches of machines that are gone. Raises BackendLostError."""
         return []
 
-    def _lost_with_machine(self, worker: WorkerProcess) -> list[Finished | Lost] | None:  # noqa: ARG002  # for subclasses
+    def _lost_with_machine(self, worker: WorkerProcess) -> list[Finished | Lost] | None:  # noqa: ARG002  # subclasses look at the call
         """Returns the lost batches of a worker whose machine is gone, and forgets it; None if the machine is there."""
         return None
 

@@ -69,7 +69,7 @@ def test_an_analysis_that_probably_saves_less_than_it_takes_is_noted() -> None:
 
     cost = _resolve(sensitivity={}, optimizer=None).expected_runs().sensitivity
     assert (notes(4 * cost - 4), notes(4 * cost)) == (1, 0)
-    assert notes(100, reduction={"mode": "predicted"}) == 0, "nobody expects savings of its map"
+    assert notes(100, reduction={"mode": "predicted"}) == 0, "this mode uses no map"
     assert notes(8 * cost, "surrogate") == 2, "the map answers no cell, so that its analysis saves none"
     assert notes(8 * cost, "surrogate", reduction={"max_error": 1}) == 0
 
