@@ -320,4 +320,4 @@ def test_a_comparison_is_submitted_and_shows_all_of_its_runs(shown: Shown, openi
     expect(page.get_by_role("table", name="Groups of runs")).to_be_visible()
     expect(page.get_by_role("img", name="genetic").locator("path")).to_have_count(6)
     page.get_by_role("link", name="swarm, 6 individuals, exact").first.click()
-    expect(page.get_by_role("link", name="Ranking")).to_be_visible()
+    expect(page.get_by_role("link", name="Ranking", exact=True)).to_be_visible()
