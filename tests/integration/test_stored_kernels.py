@@ -29,16 +29,12 @@ ENTERING = f"""<routes><route id="r" edges="{" ".join(ROUTE)}"/>
 STEERS = """
 def control(o, p):
     return -0.01 * o["lane_offset"], 0.0
-
-def ahead(o, p):
-    return [[0.25 * i, o["position"] + o["speed"] * 0.25 * i, 0.0] for i in range(11)]
 """
 PYTHON: dict[str, Any] = {"kind": "python", "file": "steers.py"}
 SESSIONS: dict[str, dict[str, Any]] = {
     "acceleration": CONTROLLERS["python"],
     "curvature": LANE_KEEPER,
     "steering": PYTHON | {"output": ["steering", "acceleration"]},
-    "trajectory": PYTHON | {"function": "ahead", "output": ["trajectory"], "period": 0.2},
 }
 WATCHED = """
 import json, sys
@@ -121,7 +117,7 @@ def control(observation, parameters):
 """A controller whose first child leaves files for the second one."""
 
 
-@pytest.mark.faults("steering", "trajectory", "acceleration", "warm_up")
+@pytest.mark.faults("steering", "acceleration", "warm_up")
 @pytest.mark.parametrize(
     ("kind", "scenario"),
     [(kind, drive(TRAFFIC, 5.0)) for kind in SESSIONS] + [("curvature", drive([], 5.0, **FILLED))],

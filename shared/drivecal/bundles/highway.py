@@ -14,7 +14,7 @@ from drivecal.contracts.specification import Model
 from drivecal.contracts.strict_json import ONE_LINE, Choice, Identifier, Number
 from drivecal.domain.scenarios import EgoStart, Scenario, SpeedKnot, Task, TrafficVehicle
 
-CommandName = Literal["acceleration", "curvature", "steering", "trajectory"]
+CommandName = Literal["acceleration", "curvature", "steering"]
 Outputs = Annotated[list[CommandName], Field(min_length=1, max_length=2)]
 SignalName = Annotated[str, StringConstraints(min_length=1, max_length=64)]
 Edge = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[^\s\x00-\x1f\x7f]+$")]
@@ -94,7 +94,7 @@ class PlannerController(ControllerEntry):
 
     kind: Literal["planner"]
     driving_function: Identifier = "frenet"
-    output: Annotated[Outputs, Field(default_factory=lambda: ["trajectory"])]
+    output: Annotated[list[CommandName], Field(max_length=0, default_factory=list)]
     values: Annotated[dict[Identifier, Number], Field(default_factory=dict)]
 
 

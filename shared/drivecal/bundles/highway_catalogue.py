@@ -25,12 +25,9 @@ COMMANDS: Mapping[str, Quantity] = MappingProxyType(
         "acceleration": Quantity("m/s²", "acceleration that drive and brakes shall reach, cut off at -9 and 4"),
         "curvature": Quantity("1/m", "curvature of the path, positive to the left; a yaw rate controller steers"),
         "steering": Quantity("rad", "angle of the front wheels, positive to the left, cut off at ±0.5"),
-        "trajectory": Quantity(
-            "s, m, m", "points: time from now, `position`, and offset to the left of the centre of the track of `lane`"
-        ),
     }
 )
-"""Outputs of a controller: acceleration, and curvature or steering; or a trajectory alone."""
+"""Outputs of a controller: acceleration, and curvature or steering."""
 PLANNER_PARAMETERS = tuple(f"P{number}" for number in range(1, 12))
 """Parameters of the built-in planner."""
 

@@ -84,12 +84,6 @@ def _outputs(controller: AnyController) -> Iterator[Problem]:
     elif {"curvature", "steering"} <= set(output):
         remedy = "leave one of them out"
         yield Problem("simulator.controller.output", "curvature and steering both steer", remedy)
-    elif "trajectory" in output and len(output) > 1:
-        yield Problem("simulator.controller.output", "a trajectory says where and when already", "give it alone")
-    if isinstance(controller, PlannerController) and output != ["trajectory"]:
-        yield Problem("simulator.controller.output", "the planner gives a trajectory", "leave it out")
-    if "trajectory" in output and isinstance(controller, FmuController):
-        yield Problem("simulator.controller.output", "an FMU has no list of points", "give acceleration and curvature")
 
 
 def _signal_table(controller: FmuController) -> Iterator[Problem]:

@@ -214,17 +214,6 @@ def test_actions_of_one_id_are_named_and_others_may_wait_for_them() -> None:
 NAMES = [f"P{number}" for number in range(1, 12)]
 
 
-@pytest.mark.parametrize(
-    ("controller", "field"),
-    [
-        ({"kind": "python", "file": "acc.py", "output": ["trajectory", "acceleration"]}, "controller.output"),
-        (FMU | {"output": ["trajectory"], "signals": {"gap": "u1", "trajectory": "y"}}, "controller.output"),
-    ],
-)
-def test_faults_of_trajectories_are_named(controller: dict[str, Any], field: str) -> None:
-    assert faults(changed("simulator/controller", controller), FILES) == {f"simulator.{field}"}
-
-
 def test_a_setup_holds_the_version_of_sumo(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another SUMO may give other bits: its results are kept apart."""
     said = setup_document(checked(VALID), "merge", "")

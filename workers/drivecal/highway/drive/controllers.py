@@ -170,7 +170,7 @@ class FunctionController(Controller):
         answer = self._call(dict(zip(NAMES, signals, strict=True)))
         if isinstance(answer, Mapping):
             return by_name(answer, self._output, self._name)
-        if isinstance(answer, (list, tuple)) and "trajectory" not in self._output:
+        if isinstance(answer, (list, tuple)):
             return answer
         return (answer,)
 
@@ -245,7 +245,7 @@ class Checked:
             names = ", ".join(self._output)
             raise ControllerError(f"the controller gave {len(commands)} values at {signals[0]:g} s, not {names}")
         for name, value in zip(self._output, commands, strict=True):
-            if name != "trajectory" and not _is_finite(value):
+            if not _is_finite(value):
                 raise ControllerError(
                     f"the controller gave {value!r:.100} for {name} at {signals[0]:g} s; it must be a finite number"
                 )

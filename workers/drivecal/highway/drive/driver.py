@@ -37,6 +37,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
         )
     from drivecal.bundles.highway import HighwaySimulator, VehicleValues
     from drivecal.bundles.traffic.description import described_in
+    from drivecal.highway.drive.control import CommandControl
     from drivecal.highway.drive.controllers import controller
     from drivecal.highway.drive.loop import Loop
     from drivecal.highway.drive.measures import measures, series
@@ -44,7 +45,6 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.highway.drive.replay import DriveRecorder
     from drivecal.highway.drive.road import HighwayRoad
     from drivecal.highway.drive.traffic import Traffic
-    from drivecal.highway.drive.trajectories import control_of
     from drivecal.highway.vehicle.model import SingleTrackModel
     from drivecal.highway.vehicle.parameters import TABLE_8, SingleTrackParameters
     from drivecal.roads.corridor import corridor, other_levels
@@ -72,7 +72,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     section = simulator.controller.model_dump(mode="json", exclude_none=True)
     work, units = Path(settings["work"]), settings["parameters"]
     checked = controller(section, folder, work, scratch, settings["data"], simulator.step, units)
-    control = control_of(checked, simulator.controller.output, road, section.get("period", simulator.step))
+    control = CommandControl(checked, simulator.controller.output, section.get("period", simulator.step))
     loop = Loop(traffic, vehicle, control)
     loop.prepare()
 

@@ -13,28 +13,26 @@ import numba
 
 from drivecal.adapters.confinement import confine, ruleset
 from drivecal.bundles.highway import HighwaySimulator
+from drivecal.highway.drive.control import CommandControl
 from drivecal.highway.drive.controllers import Checked, Controller, ControllerError
-from drivecal.highway.drive.geometry import NAMES
 from drivecal.highway.drive.loop import Loop, StartError
 from drivecal.highway.drive.measures import measures
 from drivecal.highway.drive.traffic import Traffic, TrafficError
-from drivecal.highway.drive.trajectories import control_of
 from drivecal.highway.vehicle.model import SingleTrackModel
 
 
 class _Straight(Controller):
-    """Gives no acceleration and no steering, or a trajectory straight on."""
+    """Gives no acceleration and no steering."""
 
-    def __init__(self, output: Sequence[str], needed: float) -> None:
-        self._output, self._needed = output, needed
+    def __init__(self, output: Sequence[str]) -> None:
+        self._output = output
 
     def begin(self, parameters: Mapping[str, Any]) -> None:
         del parameters
 
     def step(self, signals: Sequence[float]) -> Sequence[Any]:
-        s, speed = signals[NAMES.index("position")], max(signals[NAMES.index("speed")], 1.0)
-        ahead = [[0.0, s, 0.0], [self._needed, s + speed * self._needed, 0.0]]
-        return [ahead if name == "trajectory" else 0.0 for name in self._output]
+        del signals
+        return [0.0] * len(self._output)
 
 
 def rehearse(simulator: HighwaySimulator, traffic: Traffic, model: SingleTrackModel) -> None:
@@ -44,10 +42,8 @@ def rehearse(simulator: HighwaySimulator, traffic: Traffic, model: SingleTrackMo
     """
     controller = simulator.controller
     period = simulator.step if controller.period is None else controller.period
-    control = control_of(
-        Checked(_Straight(controller.output, period), controller.output), controller.output, traffic.road, period
-    )
-    loop = Loop(traffic, model, control)
+    straight = Checked(_Straight(controller.output), controller.output)
+    loop = Loop(traffic, model, CommandControl(straight, controller.output, period))
     loop.prepare()
     with suppress(ControllerError, TrafficError):  # the user's run tells of what is wrong
         measures(loop.run({}, is_warm=False).record, model.parameters.mass)
