@@ -39,7 +39,7 @@ def test_every_built_in_optimizer_is_there_with_its_defaults() -> None:
     start = TEXT.index("optimizer:\n")
     block = TEXT[start : TEXT.index("\n\n", start)]
     shown = [yaml.safe_load(block)["optimizer"]]
-    assert set(shown[0]) == {*registry.optimizer("surrogate").settings.model_fields, "start_sets"}
+    assert set(shown[0]) == {*registry.optimizer("surrogate").settings.model_fields, "start_sets", "start_results"}
     shown += map(yaml.safe_load, re.findall(r"\{kind: [^}]*\}", re.sub(r"\s+#\s+", " ", block)))
     assert {item["kind"] for item in shown} >= {"genetic", "swarm", "random", "optuna"}
     for settings in shown[1:]:

@@ -79,6 +79,20 @@ def test_pushed_problems_are_listed_with_what_they_are(heater: Heated, opening: 
     expect(page.get_by_role("heading", level=1)).to_have_text("heater")
 
 
+def test_measured_values_lie_beside_simulated_ones_and_start_a_search(heater: Heated, opening: Opening) -> None:
+    best = heater.api.http.get(f"/api/v1/campaigns/{heater.campaign.id}/solutions").json()["items"][0]["parameters"]
+    row = {"parameters": best, "scenario": "winter", "scores": {"cost": 30.0}}
+    given = {"problem": "heater", "source": "house 7", "date": "2026-11-20", "rows": [row]}
+    assert heater.api.http.post("/api/v1/results", json=given).status_code == 201
+    [listed] = heater.api.http.get("/api/v1/results?problem=heater").json()["items"]
+    page = opening(f"{heater.api.url}/#/problems/heater")
+    shown = page.get_by_role("table", name="Measured and simulated").get_by_role("row", name="house 7")
+    expect(shown).to_contain_text(f"{listed['difference']:.2f}"[:-1])
+    assert barriers(page) == []
+    page.get_by_role("link", name="house 7").click()
+    expect(page.get_by_label("start results")).to_have_value("house 7")
+
+
 def test_a_choice_has_an_axis_with_its_words_and_can_be_brushed(heater: Heated, opening: Opening) -> None:
     page = opening(heater.at("evaluations"))
     plot = page.get_by_role("group", name="Parallel coordinates")

@@ -74,6 +74,25 @@ def test_a_cell_has_one_value_of_a_source_and_day_until_the_source_is_deleted(ap
         assert client.imported("heater") == []
 
 
+def test_a_search_starts_with_the_sets_of_a_source_and_simulates_them(api: RunningApi) -> None:
+    search = {"kind": "random", "population": 6, "iterations": 1, "start_results": "house 7"}
+    spec = {"problem": "heater", "reduction": {"mode": "exact"}, "fixed": {"mode": "normal"}, "optimizer": search}
+    with Client(api.url) as client:
+        client.import_results([row(), row() | {"parameters": SET | {"stage": 2.2}}], **HEAD)
+        campaign = client.submit(spec)
+        assert campaign.spec["optimizer"]["start_sets"] == [SET, SET | {"stage": 2.0}]
+        with working(api.database, ComputedBackend(answer=heated)):
+            client.wait(campaign.id)
+        for begun in campaign.spec["optimizer"]["start_sets"]:
+            assert len(client.look_up([begun], problem="heater").items) == 2
+        differences = [item.difference for item in client.imported("heater")]
+        assert [difference is None for difference in differences] == [False, True]  # no run of the very set off the grid
+        client.import_results([row() | {"parameters": SET | {"rooms": 9}}], **HEAD | {"source": "house 8"})
+        for source in ("house 8", "house 9"):
+            refused = api.http.post("/api/v1/campaigns", json=spec | {"optimizer": search | {"start_results": source}})
+            assert problem_of(refused, 422)["errors"][0]["field"] == "optimizer.start_results"
+
+
 @pytest.mark.parametrize(
     ("changes", "field"),
     [

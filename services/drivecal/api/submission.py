@@ -13,6 +13,7 @@ from drivecal.campaigns.comparison import ComparisonProblem, keys_of, resolve_co
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import check_basis, is_outdated, warnings_of
+from drivecal.campaigns.resolve.outside import indices_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.campaigns.stages.robustness import check_source
@@ -20,13 +21,21 @@ from drivecal.campaigns.stages.validation import check_predictions, runs_at_most
 from drivecal.contracts.campaign import STUDIES, ExpectedRuns
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
 from drivecal.contracts.input_errors import validated
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, MapReference, RerunSpecification
+from drivecal.contracts.outside.sets import ProposedSet
+from drivecal.contracts.specification import (
+    CampaignSpecification,
+    EvaluationSpecification,
+    MapReference,
+    RerunSpecification,
+    Values,
+)
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem, TooLargeError
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.storage import admission, campaigns, processes
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
+from drivecal.storage.outside import imported
 from drivecal.storage.references import influence_maps, runs
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
@@ -142,9 +151,17 @@ def advice(problem: CalibrationProblem, simulations: int, milliseconds: float) -
 
 
 def resolved(database: Database, specification: CampaignSpecification) -> CalibrationProblem:
-    """Returns the resolved campaign. Raises InvalidInputError with every fault, a missing map's included."""
+    """Returns the resolved campaign, whose `start_results` became start sets. Raises InvalidInputError with every fault, a missing map's
+    included."""
+    wanted = specification.optimizer
     try:
-        return resolve(specification, stored_bundles(database))
+        if wanted is None or wanted.start_results is None:
+            return resolve(specification, stored_bundles(database))
+        plain = wanted.model_copy(update={"start_results": None})
+        problem = resolve(specification.model_copy(update={"optimizer": plain}), stored_bundles(database))
+        begin = [*wanted.start_sets, *_imported_sets(database, problem, wanted.start_results)]
+        begun = plain.model_copy(update={"start_sets": begin})
+        return resolve(specification.model_copy(update={"optimizer": begun}), stored_bundles(database))
     except InvalidInputError as error:
         own = error.problems
     diagnostics = Diagnostics()
@@ -152,6 +169,25 @@ def resolved(database: Database, specification: CampaignSpecification) -> Calibr
         with database.read() as connection:
             diagnostics.attempt(lambda: _stored_map(connection, specification))
     raise InvalidInputError(*own, *diagnostics.problems)
+
+
+def _imported_sets(database: Database, problem: CalibrationProblem, source: str) -> list[Values]:
+    """Returns the sets of a source of results from elsewhere, at the nearest grid points, each once."""
+    field, name = "optimizer.start_results", problem.bench.bundle.manifest.problem
+    with database.read() as connection:
+        rows = imported.listing(connection, name, source)
+    if not rows:
+        raise InvalidInputError(
+            Problem(field, f"{name} has no results of {source!r}", f"`drivecal results list {name}` lists what there is")
+        )
+    given = dict.fromkeys(row.parameters for row in rows)
+    sets = [ProposedSet(key=str(number), parameters=dict(each.floats)) for number, each in enumerate(given)]
+    try:
+        points = problem.space.parameter_sets(indices_of(problem, sets))
+    except InvalidInputError as error:
+        remedy = "name the sets that fit in `start_sets`, or change the bounds"
+        raise InvalidInputError(*(Problem(field, str(fault), remedy) for fault in error.problems)) from error
+    return [dict(each.floats) for each in points]
 
 
 def _refuse_without(limits: Limits, bench: Bench) -> None:

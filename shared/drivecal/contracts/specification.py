@@ -134,6 +134,8 @@ class OptimizerSection(BaseModel):
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
     start_sets: Annotated[list[Values], Field(max_length=LARGEST_POPULATION, fail_fast=True)] = []
     """Sets from expert knowledge, which are simulated first, after the baseline."""
+    start_results: Annotated[str, StringConstraints(min_length=1, max_length=200, strip_whitespace=True)] | None = None
+    """Source of results from elsewhere, whose sets follow the start sets: at the nearest grid points, and simulated like any others."""
     population: Annotated[int, Field(ge=2, le=LARGEST_POPULATION)] | None = None
     """Parameter sets in each iteration; null of a search by the cell."""
     iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] | None = None
@@ -144,7 +146,7 @@ class OptimizerSection(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _infer_kind(cls, given: object) -> object:
-        if isinstance(given, dict) and "kind" not in given and not given.keys() <= {"seed", "start_sets"}:
+        if isinstance(given, dict) and "kind" not in given and not given.keys() <= {"seed", "start_sets", "start_results"}:
             return {**given, "kind": "genetic"}
         return given
 

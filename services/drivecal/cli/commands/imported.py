@@ -44,19 +44,13 @@ def import_(
 def list_(
     problem: ProblemArgument,
     source: Annotated[str | None, typer.Option(help="Only this source.")] = None,
-    start_sets: Annotated[
-        bool, typer.Option("--start-sets", help="Print the sets for a campaign file instead, which then begins with them.")
-    ] = False,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """List results from elsewhere, the stored simulations of the same sets, and the differences."""
     with connect(url) as client:
         rows = client.imported(problem, source)
-    if start_sets:
-        sets = list({tuple(row.parameters.items()): row.parameters for row in rows}.values())
-        print_json({"optimizer": {"start_sets": sets}})
-    elif as_json:
+    if as_json:
         print_json([row.model_dump(mode="json") for row in rows])
     else:
         header = ["source", "date", "scenario", "parameters", "name", "value", "simulated", "difference", "unit"]
