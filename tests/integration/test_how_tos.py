@@ -25,7 +25,7 @@ ELSEWHERE = {
     "backup.md docker compose": "tests/compose",
     "calibration-data.md drivecal parameters": "test_calibration_files.py, on files of its own",
     "cluster.md ": "tests/compose",
-    "fmu.md drivecal problem": "test_problem_cli.py, on an FMU that it makes",
+    "fmu.md drivecal problem": "test_fmu.py, on FMUs that it makes",
     "install.md ": "test_packages.py",
     "machines.md ": "tests/compose, but for Docker Swarm",
     "plug-ins.md ": "tests/compose, test_example_packages.py",

@@ -202,7 +202,6 @@ def _described_variable(variable: Any, bases: Mapping[str, Mapping[str, float]])
     return FmuVariable(
         variable.name,
         variable.causality or "local",
-        whole=variable.type in INTEGERS or variable.type in {"Enumeration", "Boolean"},
         start=number(variable.start),
         unit=unit,
         kind=variable.type,

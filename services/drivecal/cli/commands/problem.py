@@ -43,13 +43,10 @@ def init(
     ],
     name: Annotated[str, typer.Argument(metavar="NAME", help="The problem's name.")],
     folder: Annotated[str | None, typer.Option(metavar="DIR", help="The new folder; else one called NAME.")] = None,
-    fmu: Annotated[
-        str | None, typer.Option(metavar="FILE", help="For KIND fmu: the FMU, whose parameters and outputs are filled in.")
-    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write a new problem that works, to be edited."""
-    files = [str(file) for file in write_problem(kind, name, folder, fmu)]
+    files = [str(file) for file in write_problem(kind, name, folder)]
     where = folder or name
     if as_json:
         print_json({"name": name, "folder": where, "files": files})

@@ -1,4 +1,4 @@
-"""Reads the modelDescription.xml of an FMU (FMI 2.0 and 3.0, co-simulation): variables with their units, and the default experiment."""
+"""Reads the modelDescription.xml of an FMU (FMI 2.0 and 3.0, co-simulation): variables with their units."""
 
 import math
 import struct
@@ -44,7 +44,7 @@ _FAULTS = (
 
 @dataclass(frozen=True, slots=True)
 class FmuVariable:
-    """A variable of an FMU. Numbers are None if the FMU does not give them.
+    """A variable of an FMU. `start` is None if the FMU does not give a number.
 
     `kind`: its type, as the FMU's version of FMI calls it; `items`: names of an enumeration's values. `unit`: as stated by the variable or
     its type, 1 if by none; `spellings`: ways to write it, none if it says nothing.
@@ -52,52 +52,26 @@ class FmuVariable:
 
     name: str
     causality: str
-    whole: bool
-    """True if only whole numbers fit: integers, enumerations, and 0 or 1 of a Boolean."""
     start: float | None = None
-    lower: float | None = None
-    upper: float | None = None
     unit: str = "1"
-    description: str = ""
     kind: str = "Real"
     items: tuple[str, ...] = ()
     spellings: tuple[str, ...] = ()
     is_array: bool = False
 
     @property
-    def is_number(self) -> bool:
-        """True if it holds one number."""
-        return not self.is_array and self.kind in NUMBERS | _WHOLE
-
-    @property
     def is_settable(self) -> bool:
         """True if a constant can give it: arrays, binary values and clocks have no place in a manifest."""
-        return not self.is_array and (self.is_number or self.kind == "String")
+        return not self.is_array and self.kind in NUMBERS | _WHOLE | {"String"}
 
 
 @dataclass(slots=True)
 class FmuDescription:
-    """Content of a modelDescription.xml. `duration` and `step` in seconds, None if there is no default experiment."""
+    """Content of a modelDescription.xml."""
 
     fmi: str = ""
     co_simulation: bool = False
-    duration: float | None = None
-    step: float | None = None
     variables: list[FmuVariable] = field(default_factory=list)
-
-    @property
-    def parameters(self) -> list[FmuVariable]:
-        """Variables that a run may set to a number."""
-        return [
-            variable
-            for variable in self.variables
-            if variable.is_number and variable.causality in {"parameter", "structuralParameter"}
-        ]
-
-    @property
-    def outputs(self) -> list[FmuVariable]:
-        """Variables that a run computes for others, not all of them single numbers."""
-        return [variable for variable in self.variables if variable.causality == "output"]
 
 
 def read_fmu(file: str | Path | IO[bytes], name: str | None = None) -> FmuDescription:
@@ -195,10 +169,6 @@ class _Reader:
             self._description.fmi = attributes.get("fmiVersion", "")
         elif tag == "CoSimulation":
             self._description.co_simulation = True
-        elif tag == "DefaultExperiment":
-            start = number(attributes.get("startTime")) or 0.0
-            stop, self._description.step = number(attributes.get("stopTime")), number(attributes.get("stepSize"))
-            self._description.duration = None if stop is None or stop <= start else stop - start
         elif tag == "ScalarVariable":
             self._scalar = attributes
         elif tag in _TYPES and self._scalar is not None:
@@ -234,18 +204,13 @@ class _Reader:
         self, kind: str, attributes: Mapping[str, str], items: Mapping[str, tuple[str, ...]], *, is_array: bool
     ) -> FmuVariable:
         """`items`: names of the values of each enumeration."""
-        lower, upper = ("0", "1") if kind == "Boolean" else (attributes.get("min"), attributes.get("max"))
         declared = attributes.get("declaredType", "")
         unit = attributes.get("unit") or self._type_units.get(declared) or "1"
         return FmuVariable(
             attributes.get("name", ""),
             attributes.get("causality", "local"),
-            kind in _WHOLE,
             number(attributes.get("start")),
-            number(lower),
-            number(upper),
             unit,
-            attributes.get("description", ""),
             kind=kind,
             items=items.get(declared, ()) if kind == "Enumeration" else (),
             spellings=units.spellings(unit, self._base_units.get(unit)),
