@@ -2,13 +2,15 @@
 
 import csv
 import re
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any
 
 import pytest
 from playwright.sync_api import Page, Route, expect
-from tests.browser.conftest import Opening, barriers
+from tests.browser.conftest import Opening, barriers, barriers_everywhere
 from tests.support.computed import ComputedBackend
 from tests.support.problems import store, submit_checked
 from tests.support.runs import run
@@ -135,6 +137,60 @@ def test_refusals_stay_until_they_are_dismissed_and_what_was_typed_is_kept(shown
     ticked.get_by_role("button", name="Really delete").click()
     expect(refusals).to_contain_text(rerun)
     expect(page.get_by_role("checkbox", name=shown.second.id[:8])).to_be_checked()
+
+
+def test_the_start_page_says_what_happened_since_the_last_visit(shown: Shown, opening: Opening) -> None:
+    now = time.time()
+
+    def listed(page: dict[str, Any]) -> dict[str, Any]:
+        second, first = (next(item for item in page["items"] if item["name"] == name) for name in ("second", "first"))
+        better = second["best"] | {"objective": first["best"]["objective"] + 5}
+        going = second | {"state": "running", "ended_at": None}
+        broken = {"state": "failed", "error": "no licence file", "best": None}
+        odd = [
+            second | broken | {"id": "a", "name": "broken"},
+            going | {"id": "b", "name": "slow", "degraded": "a worker is gone"},
+            going | {"id": "c", "name": "waits", "waiting": "cells wait for `bench`"},
+            going | {"id": "d", "name": "rests", "state": "paused"},
+            second | {"id": "e", "name": "strict", "best": better | {"violation": 0.25}},
+        ]
+        return page | {"items": [*odd, second | {"best": better}, first | {"ended_at": iso(now - 200_000)}]}
+
+    page = opening(f"{shown.api.url}/#/nowhere", expected=("404", "409"))
+    page.evaluate("localStorage.removeItem('visit')")
+    changed(page, r"/campaigns\?limit=100", listed)
+    changed(page, "/problems/[0-9a-f]+$", lambda problem: problem | {"simulator": {"kind": "highway"}})
+    page.goto(f"{shown.api.url}/#/campaigns")
+    news = page.get_by_role("region", name="Since the last visit")
+    expect(news).to_contain_text("the last 24 hours: this browser knows no earlier visit")
+    needs = [
+        ("broken", "no licence file", "Start it again", "#/submit?from=a"),
+        ("slow", "a worker is gone", "See the workers", "#/workers"),
+        ("strict", "breaks them by 25.0 %", "Change the constraints", "#/submit?from=e"),
+        ("waits", "cells wait for bench", "See who holds it", "#/workers"),
+    ]
+    for name, why, title, place in needs:
+        line = news.get_by_role("listitem").filter(has_text=why)
+        expect(line.get_by_role("link", name=name, exact=True)).to_be_visible()
+        expect(line.get_by_role("link", name=title, exact=True)).to_have_attribute("href", place)
+    best = shown.api.http.get(f"/api/v1/campaigns/{shown.first.id}").json()["best"]["objective"]
+    gained = news.get_by_role("listitem").filter(has_text=f"before {round(best, 3):g}")
+    expect(gained).to_contain_text(f"second {round(best + 5, 3):g}")
+    expect(gained.get_by_role("link", name="first", exact=True)).to_be_visible()
+    expect(news.get_by_role("heading", name="Ended: 3")).to_be_visible()
+    expect(news).to_contain_text("Are the scores right?")
+    assert barriers_everywhere(page) == []
+    gained.get_by_role("button", name="10 s of").press("Enter")
+    page.wait_for_url(re.compile(r"/evaluations/\d+\?play=10"))
+    page.evaluate("seen => localStorage.setItem('visit', `1 ${seen}`)", (now - 7200) * 1000)
+    page.goto(f"{shown.api.url}/#/campaigns")
+    expect(news).to_contain_text("the end of your last visit in this browser")
+    expect(news.locator("h2")).to_contain_text(str(datetime.fromtimestamp(now - 7200, UTC).day))
+    page.unroute_all(behavior="ignoreErrors")
+
+
+def iso(moment: float) -> str:
+    return datetime.fromtimestamp(moment, UTC).isoformat()
 
 
 def test_older_campaigns_stay_listed_and_follow_the_filter(shown: Shown, opening: Opening) -> None:

@@ -56,6 +56,9 @@ def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, 
         assert drawn.value.path().read_text().startswith("<svg")
         page.get_by_role("button", name="Play").click()
         expect(page.get_by_role("img", name=re.compile(r"Top view of the road at ([4-9]|\d\d)"))).to_be_visible()
+        played = opening(page.url.partition("?")[0] + "?play=2")
+        expect(played.get_by_role("img", name="Top view of the road at 2 s", exact=False)).to_be_visible()
+        expect(played.get_by_role("button", name="Play", exact=True)).to_be_visible()
         expect(opening(page.url).get_by_role("img", name=re.compile(r"Top view of the road at ([3-9]|\d\d)"))).to_be_visible()
 
         page.get_by_role("link", name="In its campaign").click()

@@ -18,6 +18,11 @@ const READ_ONLY =
 /** The kind of simulator that drives on road networks, and reports replays. */
 const ON_ROADS = "highway";
 
+/** Whether the problem's runs are drawn on a road. */
+export function replays({ simulator }: Pick<ProblemAnswer, "simulator">): boolean {
+  return simulator["kind"] === ON_ROADS;
+}
+
 type Named<T> = { [K in keyof T as string extends K ? never : K]: T[K] };
 type Row = Omit<Named<EvaluationDetail>, "outcome"> & { outcome: Outcome | null };
 
@@ -40,7 +45,7 @@ export class Run {
     this.row ??= await get<Row>(`/evaluations/${this.id}`, signal);
     const { campaign, scenario } = this.row;
     this.problem ??= await problemOf(campaign.problem, signal);
-    if (Object.keys(this.problem.series).length === 0 && this.problem.simulator["kind"] !== ON_ROADS) {
+    if (Object.keys(this.problem.series).length === 0 && !replays(this.problem)) {
       this.untraced = "The problem declares no time series: its results are the measures.";
     } else if (this.trace === null && this.reported === null) {
       this.waiting = SIMULATING;

@@ -1,0 +1,95 @@
+/** What happened to campaigns since a moment: which ended, what has a better answer, and what needs a person. */
+
+import { hasFront } from "../front/sets";
+import type { Campaign, ResultTrust } from "../server/types";
+import { evidenceOf } from "./evidence";
+import { percent } from "./format";
+import { changeOf, gain } from "./gain";
+import { calibrates } from "./studies";
+
+const DAY_MILLISECONDS = 86_400_000;
+const AWAY_MILLISECONDS = 3_600_000;
+/** Settings that decide what an objective means: only campaigns with equal ones are compared. */
+const DECIDING = ["problem", "catalogue", "driving_function", "vehicle", "evaluator", "weights", "objectives", "constraints"];
+
+export interface Visit {
+  since: number;
+  /** Whether it is the end of an earlier visit in this browser, and not the last 24 hours. */
+  known: boolean;
+}
+
+/** The visit that goes on, or begins because the start page was out of sight for an hour; `kept` is what the last call returned to keep. */
+export function visitAt(kept: string | null, now: number): Visit & { keep: string } {
+  const [since = NaN, seen = NaN] = (kept ?? "").split(" ").map((part) => Number.parseInt(part, 10));
+  const from = now - seen > AWAY_MILLISECONDS ? seen : since;
+  const known = Number.isFinite(from) && from <= now;
+  return { since: known ? from : now - DAY_MILLISECONDS, known, keep: `${Number.isFinite(from) ? from : ""} ${now}` };
+}
+
+export interface Better {
+  campaign: Campaign;
+  /** The value before: of another campaign, or of the baseline. */
+  before: number;
+  of: Campaign | null;
+  /** The scenario with the largest gain. */
+  scenario: string;
+}
+
+/** Whether a campaign ran after a moment. */
+const isNew = ({ ended_at, started_at }: Campaign, since: number): boolean => started_at !== null && (ended_at === null || Date.parse(ended_at) > since);
+
+/** The best new campaign of each question whose best value beats those before by more than the tolerance. Fronts have no best set. */
+export function betterSince(known: readonly Campaign[], since: number): Better[] {
+  const asked = known.filter((campaign) => campaign.best && campaign.best.violation === 0 && campaign.spec["problem"] !== undefined && calibrates(campaign) && !hasFront(campaign.spec));
+  const questions = Map.groupBy(asked, ({ spec, scale }) => JSON.stringify([scale, ...DECIDING.map((name) => spec[name])]));
+  return [...questions.values()].flatMap((campaigns): Better[] => {
+    const minimised = (campaigns[0]?.objective ?? campaigns[0]?.scale)?.direction === "minimise";
+    const ahead = (from: readonly Campaign[]): Campaign | undefined => [...from].sort((a, b) => -(gain(a.best?.objective, b.best?.objective, minimised) ?? 0))[0];
+    const now = ahead(campaigns.filter((campaign) => isNew(campaign, since)));
+    const old = ahead(campaigns.filter((campaign) => !isNew(campaign, since)));
+    const before = old?.best ?? now?.baseline;
+    const gained = gain(now?.best?.objective, before?.objective, minimised);
+    if (!now?.best || typeof before?.objective !== "number" || gained === null || changeOf(gained, now.objective ? 0 : now.scale.tolerance) !== "better") return [];
+    const gains = Object.entries(now.best.scores).map(([name, score]) => ({ name, by: gain(score, before.scores[name], now.scale.direction === "minimise") ?? 0 }));
+    return [{ campaign: now, before: before.objective, of: old ?? null, scenario: gains.sort((a, b) => b.by - a.by)[0]?.name ?? "" }];
+  });
+}
+
+/** The gravest first. */
+const KINDS = ["failed", "degraded", "nothing feasible", "waiting", "doubtful", "not finished", "paused"] as const;
+
+/** What a campaign needs a person for, with the next thing to do: a place to go to, or to resume it. */
+export interface Need {
+  campaign: Campaign;
+  kind: (typeof KINDS)[number];
+  why: string;
+  title: string;
+  path: readonly string[];
+  query?: Record<string, string>;
+}
+
+/** The list of what needs a person. Ended campaigns without `trust` are not judged yet. */
+export function needsOf(known: readonly Campaign[], since: number, trust: Readonly<Record<string, ResultTrust>>): Need[] {
+  const needs = known.flatMap((campaign): Need[] => {
+    const { id, state, best } = campaign;
+    const again = { path: ["submit"], query: { from: id } };
+    if (campaign.ended_at === null) {
+      if (campaign.degraded) return [{ campaign, kind: "degraded", why: campaign.degraded, title: "See the workers", path: ["workers"] }];
+      if (campaign.waiting && state === "running") return [{ campaign, kind: "waiting", why: campaign.waiting, title: "See who holds it", path: ["workers"] }];
+      return state === "paused" && !campaign.requested_action ? [{ campaign, kind: "paused", why: "It goes on when you resume it.", title: "Resume", path: [] }] : [];
+    }
+    if (Date.parse(campaign.ended_at) <= since || state === "cancelled") return [];
+    if (state === "failed") return [{ campaign, kind: "failed", why: campaign.error ?? "It ended with an error.", title: "Start it again", ...again }];
+    if (!calibrates(campaign)) return [];
+    if (!best) return [{ campaign, kind: "nothing feasible", why: "No set has a result in every scenario.", title: "See the log", path: ["campaigns", id, "overview"], query: { at: "log" } }];
+    if (best.violation > 0) return [{ campaign, kind: "nothing feasible", why: `No set keeps all constraints; the best one breaks them by ${percent(best.violation)}.`, title: "Change the constraints", ...again }];
+    const doubt = trust[id]?.verdicts.find(({ light }) => light === "red" || light === "amber");
+    if (!doubt) return [];
+    const on = { ...again, query: { from: id, start: JSON.stringify([best.parameters]) } };
+    if (doubt.code === "at_ends") return [{ campaign, kind: "not finished", why: doubt.text, title: "Widen the range", ...on }];
+    if (doubt.question === "search") return [{ campaign, kind: "not finished", why: doubt.text, title: "Search on from its best set", ...on }];
+    const { view, query, title } = evidenceOf(doubt);
+    return [{ campaign, kind: "doubtful", why: doubt.text, title: `See the ${title}`, path: ["campaigns", id, view], query }];
+  });
+  return needs.sort((a, b) => KINDS.indexOf(a.kind) - KINDS.indexOf(b.kind));
+}
