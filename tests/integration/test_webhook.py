@@ -166,6 +166,21 @@ def test_events_of_hours_without_a_post_are_not_read_again(database: Database, m
         assert posted[-1]["campaign"]["id"] == ended
 
 
+def test_posting_goes_on_after_an_unexpected_fault(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(webhook, "AFTER_FAULT_SECONDS", 0.0)
+    again, calls = threading.Event(), iter([RuntimeError])
+
+    def post(self: Webhook) -> None:
+        del self
+        for error in calls:
+            raise error
+        again.set()
+
+    monkeypatch.setattr(Webhook, "post", post)
+    with Webhook(database, "http://localhost"):
+        assert again.wait(60)
+
+
 def test_after_the_election_of_another_dispatcher_nothing_is_posted_or_logged(
     database: Database, caplog: pytest.LogCaptureFixture
 ) -> None:

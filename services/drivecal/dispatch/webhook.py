@@ -26,7 +26,7 @@ from drivecal.storage.events import StoredEvent
 KINDS = (EventKind.SUCCEEDED, EventKind.FAILED, EventKind.CANCELLED, EventKind.STALLED, EventKind.DEGRADED)
 NAME = "webhook"
 """Name of the row that says which events were posted."""
-EVERY_SECONDS, TIMEOUT_SECONDS = 1.0, 10.0
+EVERY_SECONDS, AFTER_FAULT_SECONDS, TIMEOUT_SECONDS = 1.0, 60.0, 10.0
 PAUSES = (1.0, 5.0, 25.0)
 """Seconds before each further attempt; after the last one the event is given up."""
 OVERLAP, SKIP = timedelta(seconds=60), timedelta(hours=1)
@@ -68,8 +68,8 @@ class Webhook:
             except SupersededError:
                 return  # the elected dispatcher posts
             except Exception:  # a fault of this thread must not end the dispatcher
-                log.exception("no more webhooks are posted until the server is started again")
-                return
+                log.exception("the next webhook is posted after %g s", AFTER_FAULT_SECONDS)
+                self._stopped.wait(AFTER_FAULT_SECONDS)
             self._stopped.wait(EVERY_SECONDS)
 
     def post(self) -> None:

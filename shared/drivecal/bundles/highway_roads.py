@@ -29,6 +29,7 @@ from drivecal.bundles.traffic.places import Map
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.scenarios import FARTHEST
 from drivecal.roads.conversion import converted
 from drivecal.roads.corridor import Corridor, corridor
 from drivecal.roads.network import Edge, Network, network_file, source_of
@@ -118,9 +119,20 @@ def _roads_of_tasks(manifest: Manifest, files: Mapping[str, BundleFile]) -> Iter
         scenario = scenario_of(name, data)
         if isinstance(scenario, TaskScenario) and scenario.network in files:
             try:
-                scenario.on(name, files[scenario.network].content)
+                road = scenario.on(name, files[scenario.network].content).road
             except InvalidInputError as error:
                 yield f"scenarios.{name}", list(_prefixed(error, f"scenarios.{name}"))
+            else:
+                yield f"scenarios.{name}", list(_starts(scenario, road.length, f"scenarios.{name}"))
+
+
+def _starts(scenario: TaskScenario, length: float, field: str) -> Iterator[Problem]:
+    """Yields the faults of vehicles that start beyond an end of the road, of `length` (m), under some seed."""
+    for index, other in enumerate(scenario.traffic):
+        reach = FARTHEST * other.departure_deviation * other.speed
+        if not reach <= other.s <= length - reach:
+            message = f"{other.id} starts at {other.s - reach:g} to {other.s + reach:g} m of a road of {length:.2f} m"
+            yield Problem(f"{field}.traffic[{index}].s", message, f"give {reach:g} to {length - reach:.2f}")
 
 
 def _notes(road: Corridor, field: str, scenario: HighwayScenario) -> Iterator[str]:

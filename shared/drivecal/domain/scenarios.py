@@ -104,6 +104,10 @@ class TrafficVehicle:
     """Standard deviation (s) over seeds of the time at which it passes its start."""
 
 
+FARTHEST = 2.0
+"""Standard deviations that a start or a speed of the traffic differs at most."""
+
+
 @dataclass(frozen=True)
 class Scenario:
     """A scenario of a catalogue."""

@@ -14,7 +14,7 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import IO, Any
 
 from drivecal.cluster.machine import cpus
 from drivecal.cluster.pulse import Pipe
@@ -26,7 +26,6 @@ from drivecal.execution.worker_process import WorkerProcess
 
 ENDING_SECONDS = 5.0
 """Time limit for the threads of a process that was ended."""
-LARGEST_STARTS = START.size * 65536  # bytes of the file of starts, which is emptied then
 
 
 class ConnectedProcess:
@@ -36,10 +35,15 @@ class ConnectedProcess:
     """
 
     def __init__(
-        self, process: subprocess.Popen[bytes], connection: Connection, pulse: Pipe, arrived: threading.Condition
+        self,
+        process: subprocess.Popen[bytes],
+        connection: Connection,
+        pulse: Pipe,
+        starts: IO[bytes],
+        arrived: threading.Condition,
     ) -> None:
-        """`arrived` is notified of answers, and of the end of the process; `pulse` gets its signs of life."""
-        self.process, self.pulse = process, pulse
+        """`arrived` is notified of answers, and of the end of the process; `pulse` gets its signs of life, `starts` the runs that begin."""
+        self.process, self.pulse, self._starts = process, pulse, starts
         self.answers: dict[int, RemoteAnswer] = {}
         self.ended = False
         self._connection, self._arrived = connection, arrived
@@ -52,6 +56,11 @@ class ConnectedProcess:
         """Sends a call after those before it."""
         self._calls.put(call)
 
+    def starts(self, number: int) -> Mapping[int, int]:
+        """Returns how many runs a call began, by cell. The process forgets them when it begins its next call."""
+        content = os.pread(self._starts.fileno(), os.fstat(self._starts.fileno()).st_size, 0)
+        return Counter(cell for begun_by, cell in START.iter_unpack(content) if begun_by == number)
+
     def end(self) -> None:
         """Ends the process, whatever it does."""
         self.process.kill()
@@ -59,8 +68,8 @@ class ConnectedProcess:
         self._calls.put(None)
         for thread in self._threads:
             thread.join(ENDING_SECONDS)
-        self._connection.close()
-        self.pulse.close()
+        for held in (self._connection, self.pulse, self._starts):
+            held.close()
 
     def _send_all(self) -> None:
         with suppress(OSError):  # the end of the process is noticed by the other thread
@@ -97,24 +106,20 @@ class ProcessBackend(SupervisedBackend):
         self._trial = trial
         self._arrived = threading.Condition()
         self._numbers = itertools.count(1)
-        self._starts = tempfile.TemporaryFile()  # noqa: SIM115  # for as long as the backend
         for _ in range(limits.workers or cpus()):
             self._hire(None)
 
     def _launch(self, worker: WorkerProcess) -> None:
         ours, theirs = socket.socketpair()
-        pulse = Pipe()
+        pulse, starts = Pipe(), tempfile.TemporaryFile()  # noqa: SIM115  # for as long as the process
         with theirs:
-            kept = [theirs.fileno(), pulse.writer, self._starts.fileno()]
+            kept = [theirs.fileno(), pulse.writer, starts.fileno()]
             command = [sys.executable, "-m", "drivecal.execution.processes.child", *map(str, kept), worker.name]
             process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=kept)  # noqa: S603  # our own module
-        worker.handle = ConnectedProcess(process, Connection(ours.detach()), pulse, self._arrived)
+        worker.handle = ConnectedProcess(process, Connection(ours.detach()), pulse, starts, self._arrived)
         worker.warming = self._call(worker.handle, "warm", self._trial)
 
     def _send(self, worker: WorkerProcess, batch: Batch) -> SentCall:
-        if os.fstat(self._starts.fileno()).st_size > LARGEST_STARTS:
-            self._starts.seek(0)  # the workers' place as well
-            self._starts.truncate()
         return self._call(worker.handle, "run", batch)
 
     def _store(self, worker: WorkerProcess, bundle: str, archive: bytes) -> None:
@@ -129,8 +134,7 @@ class ProcessBackend(SupervisedBackend):
         return bool(worker.handle.pulse.is_silent())
 
     def _starts_of(self, reference: SentCall) -> Mapping[int, int]:
-        content = os.pread(self._starts.fileno(), 2 * LARGEST_STARTS, 0)
-        return Counter(cell for number, cell in START.iter_unpack(content) if number == reference.number)
+        return reference.child.starts(reference.number)
 
     def _end(self, worker: WorkerProcess) -> None:
         worker.handle.end()

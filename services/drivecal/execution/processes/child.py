@@ -35,6 +35,8 @@ def main() -> int:
     worker = Worker(name, begins=begins)
     while True:
         call = calls.get()
+        os.lseek(starts, 0, os.SEEK_SET)
+        os.ftruncate(starts, 0)  # answered calls said themselves what they began
         answer = _answer(worker, call)
         if call.number:
             connection.send(answer)

@@ -7,6 +7,10 @@ from dataclasses import replace
 import pytest
 import yaml
 
+from drivecal.bundles.archives import BundleFile
+from drivecal.bundles.checks import checked
+from drivecal.bundles.highway_roads import check_roads
+from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.scenarios.highway import FOLDER, HIGHWAY, RANDOM_FOLDER
@@ -65,6 +69,17 @@ def test_the_random_motorway_differs_from_the_other_in_its_traffic_alone() -> No
     assert {name for name in own if own[name] != other[name]} == {"problem", "description"}
     networks = [{path.name: path.read_bytes() for path in folder.glob("*.xml")} for folder in (RANDOM_FOLDER, FOLDER)]
     assert networks[0] == networks[1]
+
+
+@pytest.mark.parametrize(("vehicle", "s"), [(0, 4.4), (1, 1e4)])
+def test_a_vehicle_that_may_start_beyond_an_end_of_the_road_is_refused(vehicle: int, s: float) -> None:
+    document = yaml.safe_load((RANDOM_FOLDER / "problem.yaml").read_text()) | {"problem": "own"}
+    files = {path.name: BundleFile(path.read_bytes(), executable=False) for path in RANDOM_FOLDER.glob("*.xml")}
+    check_roads(checked(document), files)
+    document["scenarios"]["S1r"]["traffic"][vehicle]["s"] = s
+    with pytest.raises(InvalidInputError) as error:
+        check_roads(checked(document), files)
+    assert [problem.field for problem in error.value.problems] == [f"scenarios.S1r.traffic[{vehicle}].s"]
 
 
 def test_the_coordinator_can_load_the_catalogue_without_simulator_and_kernels() -> None:

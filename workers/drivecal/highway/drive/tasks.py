@@ -12,7 +12,7 @@ from drivecal.bundles.highway import HighwayScenario
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import FAILED_RATING, Failure, Rating, RunResult
 from drivecal.domain.roads import Floats
-from drivecal.domain.scenarios import Scenario, TrafficVehicle
+from drivecal.domain.scenarios import FARTHEST, Scenario, TrafficVehicle
 from drivecal.highway.comfort.metrics import comfort_metrics
 from drivecal.highway.drive.control import PlannerControl
 from drivecal.highway.drive.loop import FinishedRun, Loop
@@ -23,8 +23,6 @@ from drivecal.plugins.ports import DrivingFunction, Evaluator, Series, SeriesEva
 from drivecal.roads.carriageway import carriageway, corridor_of
 
 NETWORK = "road.net.xml"
-FARTHEST = 2.0
-"""Standard deviations that a start or a speed of the traffic differs at most."""
 
 
 def drawn(scenario: Scenario) -> Scenario:
