@@ -17,6 +17,8 @@ from tests.support.tree import PROJECT, loaded
 
 from drivecal.client import Client
 from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.heartbeat import Waits
+from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.outside import sets as outside_sets
@@ -214,6 +216,34 @@ def test_sets_outside_of_the_space_are_repaired_on_request(sqlite: RunningApi) -
     campaign = submitted(sqlite, optimizer={"kind": "external", "infeasible": "repair"})
     changed = propose(sqlite, campaign, {"sets": [{"key": "a", "parameters": {"P1": 1.2, "P3": -5}}]})["changed"]
     assert (changed["a"]["P1"], changed["a"]["P3"]) == (1, 0)
+
+
+def test_a_campaign_that_waits_for_sets_takes_no_place_and_says_so(api: RunningApi) -> None:
+    fed, other = submitted(api), submitted(api, optimizer={"kind": "random", "population": 5, "iterations": 1})
+    said: list[Waits] = []
+    work = dispatcher(api.database, ComputedBackend(1), running_campaigns=1, tell=lambda *told: said.append(told[2]))
+    propose(api, fed, sets(0, 3))
+    assert ended(api, other, work)["state"] == "succeeded"
+    work = dispatcher(api.database, ComputedBackend(1), running_campaigns=1, tell=lambda *told: said.append(told[2]))
+    for _ in range(3_000):
+        work.step()
+        if said and said[-1].campaigns:
+            break
+    with api.database.transaction() as connection:
+        campaigns.explain(connection, said[-1].campaigns)
+    [waiting] = api.http.get("/api/v1/workers").json()["waiting"]
+    assert (waiting["id"], waiting["reason"]) == (fed, outside_sets.AWAITED)
+    assert read(api, fed)["waiting"] == outside_sets.AWAITED
+    assert 'drivecal_campaigns_waiting{for="sets"} 1.0' in api.http.get("/metrics").text
+    full = submitted(api)
+    propose(api, full, sets(50, 300))
+    propose(api, fed, sets(10, 2))
+    for _ in range(3_000):
+        work.step()
+        if len(answers(api, fed)["items"]) == 10:
+            break
+    assert len(answers(api, fed)["items"]) == 10
+    assert read(api, full)["state"] == "running", "it has the place, and the first one went on"
 
 
 def test_a_request_may_wait_for_an_answer(sqlite: RunningApi) -> None:

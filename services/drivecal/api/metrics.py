@@ -104,9 +104,10 @@ def _of_database(totals: Statistics) -> Iterator[Any]:
         pending.add_metric([stage], sums.pending[stage])
     yield cells
     yield pending
-    yield GaugeMetricFamily(
-        "drivecal_campaigns_waiting", "Campaigns that wait for a place, or with cells that wait", totals.waiting
-    )
+    waiting = GaugeMetricFamily("drivecal_campaigns_waiting", "Campaigns that wait, by what they wait for", labels=["for"])
+    for awaited in ("place", "cells", "sets"):
+        waiting.add_metric([awaited], totals.waiting.get(awaited, 0))
+    yield waiting
     yield GaugeMetricFamily("drivecal_leases", "Cells that are at workers", totals.leases)
     newest = "Number of the newest run in the reference table: how many there are, or on PostgreSQL a little more"
     yield GaugeMetricFamily("drivecal_reference_runs", newest, totals.largest_run)

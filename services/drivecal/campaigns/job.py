@@ -17,6 +17,8 @@ class Job(ABC):
     """True if work remains that needs no result."""
     asks_ahead: bool = False
     """True if `work` may return more cells while earlier cells are at workers."""
+    awaited: str | None = None
+    """Reason why nothing goes on until another program acts; None while it goes on."""
     budget: RunBudget | None = None
     """Runs that the campaign may start, known after the first `work`; None without a limit."""
 

@@ -69,6 +69,12 @@ class Active:
         return None if self.job is None else self.job.stage
 
     @property
+    def awaited(self) -> str | None:
+        """The reason if another program has to act first."""
+        job = self.job or self.beginning
+        return None if job is None else job.awaited
+
+    @property
     def priority(self) -> int:
         """The priority of the campaign's cells."""
         return EVALUATION_PRIORITY if self.campaign.kind == "evaluation" else self.campaign.priority
@@ -132,6 +138,8 @@ EVENTS_KEPT = timedelta(days=30)
 TRACES_KEPT, MOST_TRACES = timedelta(days=1), 200
 STALL_SECONDS = 600.0
 """Time without a result after which a campaign whose cells wait has stalled."""
+MOST_BEGUN = 8
+"""Most campaigns for each place. Campaigns that wait for sets of other programs take none, and go on at once when sets come."""
 RETRY_SECONDS = 5.0
 """Delay before a campaign resumes whose cells were answered or simulated elsewhere."""
 
@@ -198,7 +206,9 @@ class Dispatcher:
                 by_tag[completion.tag].unwritten.append(completion)
 
     def _report(self) -> None:
-        waits = {sequence: self._pool.waits(active.tag) for sequence, active in self._active.items()} | self._places()
+        waits = {
+            sequence: self._pool.waits(each.tag) or each.awaited for sequence, each in self._active.items()
+        } | self._places()
         said = {sequence: reason for sequence, reason in waits.items() if reason is not None}
         self._tell(self._pool.workers(), self._pool.trouble(), Waits(said, self._pool.resources()))
 
@@ -206,6 +216,8 @@ class Dispatcher:
         """Returns why campaigns wait to be started or to go on, by number."""
         most, count = self._running_campaigns, len(self._in_line)
         why = f"{most} campaigns run, the most at a time on this server (DRIVECAL_RUNNING_CAMPAIGNS)"
+        if self._busy < most:
+            why = f"{len(self._active):,} campaigns have begun, most of which wait for sets of other programs: finish or cancel some"
         order = "higher priorities first, then the order of submission"
         return {
             waiting.sequence: f"{why}; place {place} of {count} in the queue with priority {waiting.priority}: {order}"
@@ -292,7 +304,12 @@ class Dispatcher:
     @property
     def _is_full(self) -> bool:
         """True if no further campaign may run at the same time."""
-        return sum(active.campaign.kind != "evaluation" for active in self._active.values()) >= self._running_campaigns
+        return self._busy >= self._running_campaigns or len(self._active) >= MOST_BEGUN * self._running_campaigns
+
+    @property
+    def _busy(self) -> int:
+        """Number of campaigns that take a place: single evaluations and campaigns that wait for other programs take none."""
+        return sum(each.campaign.kind != "evaluation" and each.awaited is None for each in self._active.values())
 
     def _start(self, campaign: CampaignHeading) -> None:
         with self._database.transaction() as connection:

@@ -446,6 +446,16 @@ def explain(connection: Connection, waits: Mapping[int, str]) -> None:
             connection.execute(_of(sequence).values(waiting=waits.get(sequence)))
 
 
+def waits(connection: Connection) -> list[tuple[str, str, CampaignState, str]]:
+    """Returns id, name, state and reason of the campaigns that wait, in the order of submission."""
+    columns = campaigns.c.id, campaigns.c.name, campaigns.c.state, campaigns.c.waiting
+    query = select(*columns).where(campaigns.c.ended_at.is_(None), campaigns.c.waiting.is_not(None))
+    return [
+        (row.id, row.name, CampaignState(row.state), row.waiting)
+        for row in connection.execute(query.order_by(campaigns.c.sequence))
+    ]
+
+
 def end(connection: Connection, sequence: int, state: CampaignState, error: str | None = None) -> bool:
     """Ends a campaign as `state`; False if it has ended already."""
     open_states = [state for state in CampaignState if not state.ended]

@@ -182,12 +182,20 @@ class ResourceAnswer(Answer):
     settling: int = 0
 
 
+class WaitingAnswer(Answer):
+    """A campaign that waits, or has cells that wait for something else than their turn, and why."""
+
+    id: str
+    name: str
+    reason: str
+
+
 class WorkerPage(Page[WorkerAnswer]):
     """The workers, and when the dispatcher that drives them was last heard of (null: never). `fresh` is false if it has been silent for
     too long to believe what it said; `degraded` says what is wrong."""
 
     resources: list[ResourceAnswer] = Field(default_factory=list)
-
+    waiting: list[WaitingAnswer] = Field(default_factory=list)
     dispatcher_seen_at: datetime | None = None
     fresh: bool = False
     degraded: str | None = None

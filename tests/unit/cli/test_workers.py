@@ -1,7 +1,7 @@
 from datetime import UTC, datetime, timedelta
 
 from drivecal.cli.commands.serve import doing, remarks
-from drivecal.contracts.inventory import WorkerAnswer, WorkerPage
+from drivecal.contracts.inventory import WaitingAnswer, WorkerAnswer, WorkerPage
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 
@@ -24,3 +24,6 @@ def test_what_a_silent_dispatcher_said_is_marked_as_old() -> None:
         "this is what the dispatcher said 3 min 00 s ago, before it fell silent",
     ]
     assert remarks(page.model_copy(update={"fresh": True, "degraded": None}), NOW) == []
+    waiting = [WaitingAnswer(id="0123456789", name="night", reason="2 of 2 licences are in use")]
+    [line] = remarks(WorkerPage(items=[], fresh=True, waiting=waiting), NOW)
+    assert all(word in line for word in ("night", "01234567", "2 of 2 licences"))

@@ -26,6 +26,7 @@ from drivecal.contracts.inventory import (
     ScenarioDetail,
     ScenarioPage,
     VehicleAnswer,
+    WaitingAnswer,
     WorkerAnswer,
     WorkerPage,
 )
@@ -38,7 +39,7 @@ from drivecal.domain.setups import Setup
 from drivecal.domain.vehicles import CLOSED_LOOP_MEASURES
 from drivecal.optimizers.repair import supported
 from drivecal.plugins import registry
-from drivecal.storage import bundles, processes
+from drivecal.storage import bundles, campaigns, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import setups
@@ -113,11 +114,13 @@ def workers(database: DatabaseDependency) -> WorkerPage:
     """The workers with their activity, as the dispatcher last reported them."""
     with database.read() as connection:
         dispatcher = processes.read(connection, processes.DISPATCHER)
+        waiting = campaigns.waits(connection)
     judgement = judge(dispatcher, now())
     reported = {} if dispatcher is None else dispatcher.detail
     return WorkerPage(
         items=[WorkerAnswer.model_validate(worker) for worker in reported.get("workers", [])],
         resources=[ResourceAnswer.model_validate(use) for use in reported.get("resources", [])],
+        waiting=[WaitingAnswer(id=number, name=name, reason=reason) for number, name, _, reason in waiting],
         dispatcher_seen_at=None if dispatcher is None else dispatcher.heartbeat_at,
         fresh=not judgement.silent,
         degraded="; ".join(judgement.problems) or None,

@@ -25,8 +25,8 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.outside import sets as outside_sets
 from drivecal.storage.outside.sets import OutsideSet
 
-LOOK_SECONDS = 0.1
-"""Interval of checks for new sets while none wait."""
+LOOK_SECONDS, LONGEST_LOOK = 0.1, 1.0
+"""Interval (s) of checks for new sets while none wait: a tenth of the time without a set, between these."""
 MOST_SETS = 1_000
 """Sets of a round."""
 
@@ -46,7 +46,7 @@ class OutsideSearch(Calibration):
         self._most = self._ahead
         """Sets that the next round tries to ask for: fewer after a cut, because each set is looked up again."""
         self._offered: Sequence[OutsideSet] = ()
-        self._look_at = 0.0
+        self._look_at, self._fed_at = 0.0, time.monotonic()
 
     def _begin(self) -> None:
         super()._begin()
@@ -79,7 +79,11 @@ class OutsideSearch(Calibration):
         if reason is not None:
             self._end_search(reason)
         elif not self._offered:
-            self._look_at = time.monotonic() + LOOK_SECONDS
+            idle = time.monotonic() - self._fed_at
+            self._look_at = time.monotonic() + min(LONGEST_LOOK, max(LOOK_SECONDS, idle / 10))
+        else:
+            self._fed_at = time.monotonic()
+        self.awaited = outside_sets.AWAITED if reason is None and not self._offered and not self._under_way else None
         return reason is not None or bool(self._offered)
 
     @property

@@ -129,7 +129,8 @@ def remarks(page: WorkerPage, now: datetime) -> list[str]:
     """Returns remarks on the table."""
     late = {use.name: f", {use.settling} of them by runs of lost workers" if use.settling else "" for use in page.resources}
     uses = [f"{use.name}: {use.held} of {use.total} in use{late[use.name]}" for use in page.resources]
-    lines = [*uses, *([f"degraded: {page.degraded}"] if page.degraded else [])]
+    waits = [f"{each.name} ({each.id[:8]}) waits: {each.reason}" for each in page.waiting]
+    lines = [*uses, *waits, *([f"degraded: {page.degraded}"] if page.degraded else [])]
     if not page.fresh and page.items and page.dispatcher_seen_at is not None:
         age = duration((now - page.dispatcher_seen_at) / timedelta(seconds=1))
         lines.append(f"this is what the dispatcher said {age} ago, before it fell silent")

@@ -14,14 +14,15 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import Connection, func, select
 
-from drivecal.domain.campaigns import StageName
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import leases, processes
-from drivecal.storage.campaigns import by_stage
+from drivecal.storage.campaigns import by_stage, waits
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import campaigns
 from drivecal.storage.engine.tables import leases as leases_table
 from drivecal.storage.engine.types import now
+from drivecal.storage.outside.sets import AWAITED
 from drivecal.storage.processes import StoredProcess
 from drivecal.storage.references import runs
 
@@ -87,8 +88,8 @@ class Statistics:
     largest_run: int
     """The number of the newest run in the reference table: how many there are, or, on PostgreSQL, a little more."""
     dispatcher: StoredProcess | None
-    waiting: int = 0
-    """Campaigns that wait, or whose cells wait for something else than their turn."""
+    waiting: Mapping[str, int] = field(default_factory=dict)
+    """Campaigns that wait by what they wait for: a place, resources or workers for their cells, or sets of another program."""
 
 
 def read(connection: Connection, tally: Tally) -> tuple[Statistics, Tally]:
@@ -100,9 +101,14 @@ def read(connection: Connection, tally: Tally) -> tuple[Statistics, Tally]:
         # whatever the time: a slow cell outlasts its lease, which ends when the cell comes back
         current = (leases_table.c.term == dispatcher.term) & (leases_table.c.expires_at != leases.OVER)
         out = connection.scalar(select(func.count()).select_from(leases_table).where(current)) or 0
-    is_waiting = campaigns.c.ended_at.is_(None) & campaigns.c.waiting.is_not(None)
-    waiting = connection.scalar(select(func.count()).select_from(campaigns).where(is_waiting)) or 0
+    waiting = Counter(_awaited(state, reason) for *_, state, reason in waits(connection))
     return Statistics(sums, out, runs.largest_id(connection), dispatcher, waiting), following
+
+
+def _awaited(state: CampaignState, reason: str) -> str:
+    if reason == AWAITED:
+        return "sets"
+    return "place" if state in {CampaignState.QUEUED, CampaignState.PAUSED} else "cells"
 
 
 def _advance(connection: Connection, tally: Tally) -> tuple[Sums, Tally]:

@@ -19,6 +19,12 @@ from drivecal.storage.engine.tables import evaluations, outside_sets, parameter_
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import metrics
 
+AWAITED = (
+    "all proposed sets are answered; another program proposes further ones (POST /campaigns/ID/sets) or ends the campaign"
+    " (POST /campaigns/ID/finish), which takes no place of running campaigns meanwhile"
+)
+"""Reason why a campaign waits whose sets others propose."""
+
 
 @dataclass(frozen=True, slots=True)
 class OutsideSet:
