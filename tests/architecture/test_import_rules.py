@@ -31,7 +31,7 @@ PLANTED = {
         "import drivecal.highway.drive.tasks",
     ),
     "The motorway's imports point down": ("workers/drivecal/highway/comfort", "import drivecal.highway.drive"),
-    "What both sides speak knows neither side": ("shared/drivecal/plugins", "import drivecal.highway.vehicle.single_track"),
+    "What both sides speak knows neither side": ("shared/drivecal/plugins", "import drivecal.highway.vehicle.plugin"),
     "Only the backends and drivecal.local reach the workers": ("services/drivecal/cli", "import drivecal.runtime"),
     "The workers do not know the coordinator": ("workers/drivecal/runtime", "from drivecal.reduction import keys"),
     "One module speaks to SUMO": ("workers/drivecal/highway/drive", "import libsumo"),

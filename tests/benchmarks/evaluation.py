@@ -24,7 +24,7 @@ from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.sumo import EGO
-from drivecal.highway.vehicle.single_track import SINGLE_TRACK
+from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 
 TARGET = Path(".drivecal/bench/evaluation.json")
 AT_MOST = 4.0

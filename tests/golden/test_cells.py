@@ -20,7 +20,7 @@ from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
-from drivecal.highway.vehicle.single_track import SINGLE_TRACK
+from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 from drivecal.plugins.setups import simulator
 
 FILE = Path(__file__).with_name("cells.json")

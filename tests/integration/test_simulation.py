@@ -29,7 +29,7 @@ from drivecal.highway.drive.trace import EGO_COLUMNS
 from drivecal.highway.drive.traffic import Traffic, TrafficError
 from drivecal.highway.scenarios.highway import HIGHWAY, RANDOM_FOLDER
 from drivecal.highway.sumo import EGO
-from drivecal.highway.vehicle.single_track import SINGLE_TRACK
+from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 from drivecal.plugins.ports import Observation, VehicleModel
 from drivecal.roads.carriageway import carriageway
 from drivecal.runtime.runners import scenario_of

@@ -6,11 +6,13 @@ parameters. Each of these sets is compared with variants that differ from it onl
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.parameters import Indices
+from drivecal.domain.scales import Scale
 from drivecal.plugins.ports import Floats
 
 ROWS = 1_000
@@ -273,3 +275,30 @@ def _lower_limit(shares: Floats) -> float:
         middle = 0.5 * (below + above)
         below, above = (middle, above) if capital(float(np.exp(middle))) >= enough else (below, middle)
     return float(np.exp(below))
+
+
+def compared(differences: Floats, scale: Scale) -> dict[str, Any]:
+    """Returns the fields of a row that follow from differences of scores, shape (n,)."""
+    total, away = len(differences), np.abs(differences)
+    wrong = int((away > scale.largest_agreeing).sum())
+    bins, counts = np.unique(_bars(differences, scale), return_counts=True)
+    return {
+        "compared": total,
+        "wrong": wrong,
+        "different": int((away > scale.rounding).sum()),
+        "error_rate": wrong / total if total else None,
+        "histogram": {str(number): count for number, count in zip(bins.tolist(), counts.tolist(), strict=True)},
+        "histogram_step": scale.bin,
+    }
+
+
+def _bars(differences: Floats, scale: Scale) -> Indices:
+    """Returns numbers of bars, 0 in the middle: a bar is wrong exactly if its differences are; the outermost hold all beyond the span."""
+    last = scale.last_bar + 1
+    numbers = np.clip(np.rint(differences / scale.bin), -last, last)
+    agreeing = next((number - 1 for number in range(1, last) if scale.is_wrong(number * scale.bin)), last - 1)
+    sizes = np.abs(numbers)
+    wrong = np.abs(differences) > scale.largest_agreeing
+    sizes = np.where(wrong, np.maximum(sizes, agreeing + 1), np.minimum(sizes, agreeing))
+    bars: Indices = (np.copysign(1, differences) * sizes).astype(np.int64)
+    return bars

@@ -7,7 +7,7 @@ from importlib.metadata import version
 
 from fastapi import Depends, FastAPI
 
-from drivecal.api import document
+from drivecal.api import openapi
 from drivecal.api.dependencies import Limits
 from drivecal.api.http import problems, queries
 from drivecal.api.http.authorisation import Authorisation
@@ -114,5 +114,5 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         app.include_router(noun.router, prefix=ROOT)
     app.include_router(page.router)
     app.include_router(health.router)
-    document.describe(app, asks_for_tokens=tokens is not None)
+    openapi.describe(app, asks_for_tokens=tokens is not None)
     return app

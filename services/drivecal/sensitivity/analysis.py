@@ -29,11 +29,11 @@ from drivecal.sensitivity.designs import (
     Floats,
     SobolRows,
     lines_design,
-    measures,
     paper_design,
     radial_design,
     regions_design,
 )
+from drivecal.sensitivity.effects import measures
 from drivecal.sensitivity.scenario import (
     ScenarioInfluence,
     ScenarioState,

@@ -1,5 +1,4 @@
-"""Radial designs from Sobol' points (Campolongo, Saltelli and Cariboni 2011, the paper's [23]), designs along axes, and elementary
-effects.
+"""Radial designs from Sobol' points (Campolongo, Saltelli and Cariboni 2011, the paper's [23]), designs along axes.
 
 From each base point one step is made along each parameter, to the auxiliary point's value. Base and auxiliary points are the first and
 the last columns of one Sobol' sequence; the auxiliary one lies four rows further, because early rows are equal in many columns. The
@@ -19,7 +18,6 @@ and with the step law of the radial design.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import nan, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -94,38 +92,6 @@ class DesignBuilder:
         steps[first == second] = np.nan
         full = (*shape, first.shape[-1])
         return Design(points, first.reshape(full), second.reshape(full), steps.reshape(full))
-
-
-@dataclass(frozen=True, slots=True)
-class EffectStatistics:
-    """Statistics of r elementary effects of a parameter: mean, mean of magnitudes, standard deviation, and number.
-
-    Fewer than two effects have no standard deviation: all figures are NaN then.
-    """
-
-    mu: float
-    mu_star: float
-    sigma: float
-    n_effects: int
-
-    @property
-    def s_rel(self) -> float:
-        """The relative sensitivity sqrt(mu^2 + sigma^2), which is about the root mean square of the effects."""
-        return sqrt(self.mu**2 + self.sigma**2)
-
-
-def measures(effects: Floats) -> EffectStatistics:
-    """Returns the statistics of an analysis' effects, shape (r,); NaN effects of failed runs do not count."""
-    known = effects[~np.isnan(effects)]
-    if known.size < 2:
-        return EffectStatistics(nan, nan, nan, known.size)
-    mean, magnitude = float(known.mean()), float(np.abs(known).mean())
-    return EffectStatistics(mean, magnitude, float(known.std(ddof=1)), known.size)
-
-
-def smallest_nonzero(statistics: Sequence[EffectStatistics]) -> float | None:
-    """The smallest s_rel that is not zero, None if all are: with few samples a threshold below it means any change at all."""
-    return min((effect.s_rel for effect in statistics if effect.s_rel > 0), default=None)
 
 
 SHIFT = 4

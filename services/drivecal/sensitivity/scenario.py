@@ -18,7 +18,8 @@ from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import EVERYWHERE, Influence
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.domain.scales import COMFORT, Scale
-from drivecal.sensitivity.designs import EffectStatistics, Floats, measures, smallest_nonzero
+from drivecal.sensitivity.designs import Floats
+from drivecal.sensitivity.effects import EffectStatistics, measures, smallest_nonzero
 from drivecal.sensitivity.thresholds import Threshold, Verdict, verdict
 
 

@@ -34,7 +34,8 @@ import numpy as np
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.rounding import SHARE
 from drivecal.domain.scales import COMFORT, Scale
-from drivecal.sensitivity.designs import EffectStatistics, Floats
+from drivecal.sensitivity.designs import Floats
+from drivecal.sensitivity.effects import EffectStatistics
 
 TOLERATED_RATE = 0.01
 """Changes by the tolerance, per step, that count as negligible; the largest error ratio in Table 2 is 0.0108."""

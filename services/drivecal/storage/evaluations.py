@@ -23,7 +23,7 @@ from sqlalchemy import (
 
 from drivecal.contracts.campaign import GenerationCounts
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import COPIED, Donor, Outcome, OutcomeCosts, RequestedCell
+from drivecal.domain.evaluations import NOT_SIMULATED, Donor, Outcome, OutcomeCosts, RequestedCell
 from drivecal.storage import leases
 from drivecal.storage.engine.bulk import execute_rows, numbers, rows_among
 from drivecal.storage.engine.tables import campaigns, evaluations, ratings, runs
@@ -352,7 +352,7 @@ def confirmed(connection: Connection, campaign_sequence: int, iterations: int) -
             late.c.stage == StageName.CALIBRATION,
             late.c.iteration >= iterations,
             first.c.iteration < iterations,
-            first.c.outcome.in_(COPIED),
+            first.c.outcome.in_(NOT_SIMULATED),
         )
         .group_by(late.c.id, late.c.scenario)
         .subquery()

@@ -22,7 +22,7 @@ from sqlalchemy import (
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NotFoundError
-from drivecal.domain.evaluations import COPIED, CellScore, Outcome
+from drivecal.domain.evaluations import NOT_SIMULATED, CellScore, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.records import decode_cursor, encode_cursor
@@ -38,7 +38,7 @@ parsed = lru_cache(10_000)(ParameterSet.from_json)
 Valued = Callable[[Mapping[str, float | None], str | None], Mapping[str, float]]
 """Returns further values of a run from its metrics and its failure."""
 _PLACE = tuple(evaluations.c[name] for name in ("stage", "iteration", "individual", "scenario", "seed"))
-_COPIED = evaluations.c.outcome.in_(COPIED)
+_COPIED = evaluations.c.outcome.in_(NOT_SIMULATED)
 # Made once: an alias computes its columns anew, which takes longer than to read a small campaign.
 _ANSWERING_RUN, _OWN_RUN, _OWN_RATING = runs.alias("answering_run"), runs.alias("own_run"), ratings.alias("own_rating")
 

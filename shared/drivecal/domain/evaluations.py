@@ -24,9 +24,9 @@ class Outcome(StrEnum):
     """No result after all attempts: score null, ranked last, never a reference."""
 
 
-COPIES = (Outcome.REPEATED, Outcome.REUSED)
+ANSWERED_BY_DONOR = (Outcome.REPEATED, Outcome.REUSED)
 """Outcomes of cells that a donor answers: on the basis of an equal set, or of an influence map."""
-COPIED = (Outcome.REUSED, Outcome.PREDICTED)
+NOT_SIMULATED = (Outcome.REUSED, Outcome.PREDICTED)
 """Outcomes for which no run of the very cell is known."""
 
 
@@ -123,7 +123,7 @@ class RequestedCell:
     @property
     def answered_at_once(self) -> bool:
         """True if a stored result is the cell's answer as soon as the cell is stored: it waits for no leader and no verdict."""
-        return self.donor is not None and self.lot is None and self.plan in COPIES
+        return self.donor is not None and self.lot is None and self.plan in ANSWERED_BY_DONOR
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
-from drivecal.highway.vehicle.single_track import SINGLE_TRACK
+from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 
 NSGA2 = {"kind": "optuna", "sampler": "nsga2", "population": 10}
 JERK = {"measure": "peak_lateral_jerk_mps3", "direction": "minimise"}

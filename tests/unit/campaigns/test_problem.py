@@ -6,8 +6,8 @@ import pytest
 from tests.support.values import MIDDLE
 
 from drivecal.campaigns.resolve.maps import map_from_document, map_to_document, resolve_map
+from drivecal.campaigns.resolve.optimizer import UNLIMITED
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
-from drivecal.campaigns.resolve.resolvers import UNLIMITED
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.domain.errors import InvalidInputError
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.scales import COST
 
-from drivecal.analysis.validation import design
-from drivecal.campaigns.stages.validation import compared, reducible_space
+from drivecal.analysis.validation import compared, design
+from drivecal.campaigns.stages.validation import reducible_space
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.domain.scales import COMFORT, Scale

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivecal.bundles.expressions import Constraint
-from drivecal.campaigns.resolve.resolvers import Optimization
+from drivecal.campaigns.resolve.optimizer import Optimization
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM

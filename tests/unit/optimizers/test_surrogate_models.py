@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import Matern
 
+from drivecal.optimizers.surrogate.gaussian_process import Encoding, GaussianProcess, Hyperparameters, fitted
 from drivecal.optimizers.surrogate.models import FEWEST, MOST, ScenarioModel, Warp
-from drivecal.optimizers.surrogate.processes import Encoding, GaussianProcess, Hyperparameters, fitted
 from drivecal.plugins.ports import Floats
 
 ENCODING = Encoding(np.array([101, 51, 4], dtype=np.int64), ("grid", "integer", "choice"))

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from drivecal.sensitivity.designs import COLUMNS, SHORTEST, EffectStatistics, Floats, SobolRows, measures, radial_design
+from drivecal.sensitivity.designs import COLUMNS, SHORTEST, Floats, SobolRows, radial_design
+from drivecal.sensitivity.effects import EffectStatistics, measures
 
 SAMPLES = 4096
 A = np.array([0.0, 1.0, 4.5, 9.0])

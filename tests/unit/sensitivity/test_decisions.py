@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivecal.domain.influence import EVERYWHERE, Influence
-from drivecal.sensitivity.designs import EffectStatistics, measures
+from drivecal.sensitivity.effects import EffectStatistics, measures
 from drivecal.sensitivity.scenario import ParameterInfluence, Region, RegionConfirmation, decided_by
 from drivecal.sensitivity.thresholds import Verdict
 

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.sensitivity.designs import COLUMNS, Design, Floats, SobolRows, measures, radial_design, smallest_nonzero
+from drivecal.sensitivity.designs import COLUMNS, Design, Floats, SobolRows, radial_design
+from drivecal.sensitivity.effects import measures, smallest_nonzero
 
 effect_lists = st.lists(st.floats(-100, 100), min_size=2, max_size=30).map(np.array)
 factors = st.floats(0.01, 100)

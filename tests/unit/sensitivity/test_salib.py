@@ -10,7 +10,8 @@ from SALib.test_functions import Sobol_G
 from scipy.stats import qmc
 
 from drivecal.domain.parameters import Indices
-from drivecal.sensitivity.designs import COLUMNS, Design, Floats, SobolRows, measures, radial_design, snapped
+from drivecal.sensitivity.designs import COLUMNS, Design, Floats, SobolRows, radial_design, snapped
+from drivecal.sensitivity.effects import measures
 
 DIMENSIONS, SAMPLES = 6, 64
 A = np.array([0.0, 1.0, 4.5, 9.0, 99.0, 0.5])

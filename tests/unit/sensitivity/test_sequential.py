@@ -14,7 +14,8 @@ from tests.unit.sensitivity.synthetic import Box, Score, drive, space_of, stairc
 from drivecal.domain.influence import EVERYWHERE
 from drivecal.domain.parameters import Indices
 from drivecal.sensitivity.analysis import SensitivityAnalysis
-from drivecal.sensitivity.designs import Floats, measures
+from drivecal.sensitivity.designs import Floats
+from drivecal.sensitivity.effects import measures
 from drivecal.sensitivity.thresholds import MuSigmaThresholds, SensitivitySettings, Threshold, is_surely_influential, verdict
 
 SPACE = space_of(41, 101, 61)

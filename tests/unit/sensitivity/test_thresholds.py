@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.sensitivity.designs import Floats, measures
+from drivecal.sensitivity.designs import Floats
+from drivecal.sensitivity.effects import measures
 from drivecal.sensitivity.thresholds import (
     MuSigmaThresholds,
     SensitivitySettings,

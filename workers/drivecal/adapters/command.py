@@ -40,7 +40,7 @@ def run_probe(section: Mapping[str, Any], folder: Path) -> str:
     paths = [each for each in given if isinstance(each, str)]
     if section.get("environment") or paths:
         settings = json.dumps({"environment": section.get("environment") or [], "paths": paths})
-        command, room = [*DRIVER, "drivecal.adapters.outside", settings], {**section, "memory_mb": LEAST_MEMORY_MB}
+        command, room = [*DRIVER, "drivecal.adapters.inputs", settings], {**section, "memory_mb": LEAST_MEMORY_MB}
         lines.append(_printed(command, "the digest of variables and inputs", room, folder, MOST_DIGESTS))
     for each in given:
         if not isinstance(each, str):

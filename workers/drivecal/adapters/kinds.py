@@ -15,7 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from drivecal.adapters import outside
+from drivecal.adapters import inputs
 from drivecal.adapters.children import Launch, check_command
 from drivecal.adapters.command import DRIVER, CommandSession
 from drivecal.adapters.process import ProcessSession
@@ -113,7 +113,7 @@ def _open_python(
             "wheels": None if wheels is None else str(folder / wheels),
             "packages": str(scratch.folder / "packages"),
             "random": section.get("random", False),
-            "opened": str(scratch.folder / outside.NAME) if declared.watched else None,
+            "opened": str(scratch.folder / inputs.NAME) if declared.watched else None,
         }
         launch = Launch.of([*DRIVER, "drivecal.adapters.python_driver", json.dumps(settings)], section)
         timeout = section["timeout"]

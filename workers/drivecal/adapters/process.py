@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from drivecal.adapters import answers, outside
+from drivecal.adapters import answers, inputs
 from drivecal.adapters.children import Children, Launch
 from drivecal.adapters.pipes import RUN_LIMIT, Pipes
 from drivecal.adapters.scratch import Scratch
@@ -87,7 +87,7 @@ class ProcessSession:
 
     def opened(self) -> set[str]:
         """Returns paths of files that the child has opened, as far as they are seen."""
-        return outside.seen(self._scratch.folder / outside.NAME, self._children.family)
+        return inputs.seen(self._scratch.folder / inputs.NAME, self._children.family)
 
     def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False, seed: int = SEED) -> RunOutcome:
         """Runs one parameter set under a seed. Raises UnavailableError if a new child reports an error instead of being ready."""

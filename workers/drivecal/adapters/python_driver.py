@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import Any
 
 from drivecal.adapters.driver import Evaluate, serve
-from drivecal.adapters.outside import record
+from drivecal.adapters.inputs import record
 from drivecal.domain.errors import InvalidInputError, Problem
 
 MOST_BYTES = 4 << 30

@@ -18,7 +18,7 @@ from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
-from drivecal.domain.evaluations import COPIES, Donor, Outcome, Rating, RequestedCell
+from drivecal.domain.evaluations import ANSWERED_BY_DONOR, Donor, Outcome, Rating, RequestedCell
 from drivecal.domain.scales import plain
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduling.in_flight import Completed, RunBudget, Work
@@ -164,7 +164,7 @@ class CellTracker:
         self._requests = {number: request for number, request in requests.items() if number in waiting}
         self._copies = {}
         for cell in self._pending.values():
-            if cell.plan in COPIES and cell.reference is not None and cell.lot is None:
+            if cell.plan in ANSWERED_BY_DONOR and cell.reference is not None and cell.lot is None:
                 self._copies.setdefault(cell.reference, []).append(cell)
         if self._counts_starts:  # before cells are answered, which gives their starts back
             self.budget.left -= leases.starts(connection, list(self._pending))

@@ -16,7 +16,7 @@ from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.goals import check_reuse, find_goals
-from drivecal.campaigns.resolve.resolvers import Optimization
+from drivecal.campaigns.resolve.optimizer import Optimization, check_abilities, choose_optimizer, note_search, settled_search
 from drivecal.campaigns.resolve.spaces import (
     fixed_to_document,
     free_values,
@@ -184,7 +184,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     diagnostics = Diagnostics()
     workbench = find_workbench(specification, bundles, diagnostics)
     weights, notes = resolvers.normalise_weights(specification.weights, workbench.scenarios, diagnostics)
-    optimization = resolvers.choose_optimizer(specification, len(weights), diagnostics)
+    optimization = choose_optimizer(specification, len(weights), diagnostics)
     if notes and (specification.objectives or specification.constraints):
         notes += ("objectives and constraints leave these scenarios out as well",)
     notes += resolvers.note_threshold(specification)
@@ -195,8 +195,8 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     reduction, more = check_reuse(specification.reduction, goals, diagnostics)
     specification = specification.model_copy(update={"reduction": reduction})
     notes += more
-    resolvers.check_abilities(optimization, constraints, goals, diagnostics)
-    notes += resolvers.note_search(optimization, constraints)
+    check_abilities(optimization, constraints, goals, diagnostics)
+    notes += note_search(optimization, constraints)
     if specification.baseline is None:
         baseline, more = resolvers.own_baseline(workbench.baseline, constraints)
         notes += more
@@ -212,9 +212,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     diagnostics.raise_if_any()
     if workbench.make is None or space is None or constraints is None:
         raise AssertionError("a part is missing without a finding")
-    specification = specification.model_copy(
-        update=dict(workbench.settled) | resolvers.settled_search(specification, optimization)
-    )
+    specification = specification.model_copy(update=dict(workbench.settled) | settled_search(specification, optimization))
     bench = replace(workbench.make(weights), repeat=specification.reduction.repeat)
     resolvers.check_units(specification, bench.scale, diagnostics)
     diagnostics.raise_if_any()

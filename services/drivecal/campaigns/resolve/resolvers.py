@@ -1,119 +1,23 @@
-"""Resolves each part of a specification against the installed plug-ins, and adds its problems to the diagnostics."""
+"""Resolves the other parts of a specification against the installed plug-ins, and adds its problems to the diagnostics."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
-from pydantic import BaseModel, ValidationError
-
-from drivecal.analysis.goals import Goals
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Parameterised, given_set
-from drivecal.contracts.campaign import STUDIES
-from drivecal.contracts.input_errors import nearest, problem
-from drivecal.contracts.specification import (
-    BudgetSpecification,
-    CampaignSpecification,
-    OptimizerSection,
-    SensitivitySpecification,
-    SeparateThresholds,
-)
+from drivecal.contracts.specification import CampaignSpecification, SensitivitySpecification, SeparateThresholds
 from drivecal.domain.constraints import Constraints
-from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace, Setting
+from drivecal.domain.parameters import ParameterSet, ParameterSpace, Setting
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.vehicles import VehicleParameter
-from drivecal.optimizers.external import External
-from drivecal.optimizers.repair import RepairingOptimizer, create_optimizer, lacking, restore_optimizer, supported
 from drivecal.plugins import registry
-from drivecal.plugins.ports import Ability, ConstrainedFunction, Optimizer, OptimizerPlugin
-from drivecal.plugins.search import SearchPlugin
+from drivecal.plugins.ports import ConstrainedFunction
 from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.thresholds import SensitivitySettings
 
-ORDERING = ("swarm", "cma_es")
-"""Built-in optimizers that move through the values of a parameter in their order."""
 MOST_WRONG_SETS = 200
 """Problems after which further start sets are not checked."""
-
-
-BY_DEFAULT = 100
-"""Simulations for each scenario of a search without a budget."""
-UNLIMITED = 1_000_000
-"""Cells that are expected at most of a search without a limit of simulations."""
-
-
-@dataclass(frozen=True)
-class Optimization:
-    """The chosen optimizer with its checked settings, and the end of its search."""
-
-    plugin: OptimizerPlugin | SearchPlugin
-    settings: BaseModel
-    budget: BudgetSpecification | None
-    iterations: int | None
-    """Largest number of iterations; None if the budget alone ends the search."""
-
-    @property
-    def by_cell(self) -> SearchPlugin | None:
-        """The plug-in if it searches by the cell."""
-        return self.plugin if isinstance(self.plugin, SearchPlugin) else None
-
-    @property
-    def is_external(self) -> bool:
-        """True if another program proposes the sets."""
-        return isinstance(self.plugin, External)
-
-    @property
-    def by_population(self) -> OptimizerPlugin:
-        """The plug-in if it proposes whole populations. Raises TypeError."""
-        if isinstance(self.plugin, SearchPlugin):
-            raise TypeError(f"{self.plugin.name} searches by the cell")
-        return self.plugin
-
-    @property
-    def population(self) -> int:
-        """Sets in each iteration; 0 of a search by the cell."""
-        return 0 if self.by_cell is not None else int(self._setting("population"))
-
-    @property
-    def seed(self) -> int:
-        """Seed of the search."""
-        return int(self._setting("seed"))
-
-    def _setting(self, name: str) -> Any:
-        """Returns a setting that plug-ins of its kind have."""
-        return self.settings.model_dump(include={name})[name]
-
-    def expected_cells(self, scenarios: int) -> tuple[int, int]:
-        """Returns the largest numbers of proposed and of requested cells."""
-        unknown = 0 if self.is_external else UNLIMITED
-        most = unknown if self.budget is None or self.budget.simulations is None else self.budget.simulations
-        if self.iterations is None:
-            return most, most
-        requested = self.by_population.requested_individuals(self.settings)
-        return self.population * self.iterations * scenarios, requested * scenarios
-
-    def begin(self, constraints: Constraints, start: Indices | None) -> Optimizer:
-        """Returns a new optimizer of the space whose proposals keep the constraints; `start`: rows of its first population.
-
-        Constraints fill the population up with feasible rows, for the optimizer's own start design knows none.
-        """
-        space = constraints.space
-        if not constraints:
-            return create_optimizer(self.by_population, self.settings, space.n_values, space.kinds, start)
-        region = constraints.whole_region
-        drawn = region.sample(self.population, np.random.Generator(np.random.PCG64(self.seed)))
-        start = drawn if start is None else np.concatenate([start, drawn])[: self.population]
-        optimizer = create_optimizer(self.by_population, self.settings, space.n_values, space.kinds, start)
-        return RepairingOptimizer(optimizer, region.repair)
-
-    def restore(self, constraints: Constraints, state: Mapping[str, Any]) -> Optimizer:
-        """Returns the optimizer that continues from `state`."""
-        space = constraints.space
-        optimizer = restore_optimizer(self.by_population, self.settings, space.n_values, space.kinds, state)
-        return RepairingOptimizer(optimizer, constraints.whole_region.repair) if constraints else optimizer
 
 
 def find_scenarios(
@@ -153,51 +57,6 @@ def note_threshold(specification: CampaignSpecification) -> tuple[str, ...]:
     if not isinstance(wanted, SensitivitySpecification) or wanted.threshold != "auto":
         return ()
     return (thresholds.tolerance_text(wanted.samples),)
-
-
-def choose_optimizer(specification: CampaignSpecification, scenarios: int, diagnostics: Diagnostics) -> Optimization | None:
-    """Returns the optimizer of a problem with a number of weighted scenarios, with its checked settings; None if none is requested."""
-    wanted = specification.optimizer
-    if wanted is None:
-        analyses = isinstance(specification.sensitivity, SensitivitySpecification)
-        if not analyses and not any(getattr(specification, study) for study in STUDIES):
-            diagnostics.add(
-                "optimizer", "there is nothing to do", "choose an optimizer, a sensitivity analysis or another stage"
-            )
-        return None
-    plugin = diagnostics.attempt(lambda: registry.optimizer(wanted.kind))
-    if plugin is None:
-        return None
-    try:
-        settings = plugin.settings.model_validate(wanted.model_dump(exclude={"start_sets"}, exclude_none=True))
-    except ValidationError as error:
-        for detail in error.errors(include_url=False):
-            field = ".".join(["optimizer", *(str(part) for part in detail["loc"])])
-            if detail["type"] == "extra_forbidden":
-                remedy = nearest(str(detail["loc"][-1]), list(plugin.settings.model_fields))
-                diagnostics.add(field, f"{plugin.name} has no such setting", remedy)
-            else:
-                diagnostics.problems.append(problem(field, detail))
-        return None
-    budget = specification.budget
-    if budget is None and isinstance(plugin, SearchPlugin) and not isinstance(plugin, External):
-        budget = BudgetSpecification(simulations=BY_DEFAULT * max(1, scenarios))
-    ends_by_budget = budget is not None and wanted.iterations is None
-    iterations = (
-        None
-        if ends_by_budget or isinstance(plugin, SearchPlugin)
-        else int(settings.model_dump(include={"iterations"})["iterations"])
-    )
-    return Optimization(plugin, settings, budget, iterations)
-
-
-def settled_search(specification: CampaignSpecification, chosen: Optimization | None) -> dict[str, Any]:
-    """Returns the specification's optimizer and budget with their defaults, by field."""
-    if chosen is None or specification.optimizer is None:
-        return {}
-    left_out = {"start_sets"} if chosen.iterations is not None else {"start_sets", "iterations"}
-    settings = specification.optimizer.model_dump(include={"start_sets"}) | chosen.settings.model_dump(exclude=left_out)
-    return {"optimizer": OptimizerSection.model_validate(settings), "budget": chosen.budget}
 
 
 def own_baseline(
@@ -291,21 +150,6 @@ def check_validation(specification: CampaignSpecification, diagnostics: Diagnost
         diagnostics.add("validation.largest", message, "give at least as many")
 
 
-def note_search(optimization: Optimization | None, constraints: Constraints | None) -> tuple[str, ...]:
-    """Notes how the search treats constraints, and choices to which an optimizer gives an order."""
-    if optimization is None or constraints is None:
-        return ()
-    notes: list[str] = []
-    if constraints:
-        notes.append(f"sets that break {', '.join(constraints.listed)} are replaced by feasible ones near them")
-    choices = [parameter.name for parameter in constraints.space.searched if parameter.choices]
-    if choices and optimization.plugin.name in ORDERING:
-        notes.append(
-            f"{optimization.plugin.name} treats the choices of {', '.join(choices)} as ordered, as they are listed; optuna does not"
-        )
-    return tuple(notes)
-
-
 def constraints_of(function: Parameterised, space: ParameterSpace) -> Constraints:
     """Returns the constraints of a driving function; none for a plug-in without."""
     return Constraints(space, function.constraints if isinstance(function, ConstrainedFunction) else {})
@@ -321,27 +165,6 @@ def find_constraints(function: Parameterised | None, space: ParameterSpace, diag
         if diagnostics.attempt(lambda: constraints.region(0 * last, last)) is None:
             return None
     return constraints
-
-
-def check_abilities(
-    optimization: Optimization | None, constraints: Constraints | None, goals: Goals | None, diagnostics: Diagnostics
-) -> None:
-    """Adds a problem for each kind of parameter that the optimizer does not search, for constraints on parameters that it does not cope
-    with, and for several objectives or constraints on results if it handles a single number only."""
-    if optimization is None or constraints is None:
-        return
-    wanted: set[Ability] = {*constraints.space.kinds, *(("constraints",) if constraints else ())}
-    name = optimization.plugin.name
-    if goals is not None and goals.is_vector and "objectives" not in supported(optimization.plugin):
-        message = f"{name} searches by a single number, without constraints on results"
-        diagnostics.add("optimizer.kind", message, "choose surrogate or optuna, or give one objective and no constraints")
-    for ability in lacking(optimization.plugin, wanted):
-        concerned = [parameter.name for parameter in constraints.space.searched if parameter.kind == ability]
-        message = f"{name} does not support {ability} parameters ({', '.join(concerned)})"
-        if ability == "constraints":
-            message = f"{name} does not support constraints"
-        remedy = f"choose another optimizer, or let the plug-in declare {ability!r} in `supports`"
-        diagnostics.add("optimizer.kind", message, remedy)
 
 
 def plan_analysis(

@@ -175,7 +175,7 @@ class Calibration(Stage):
             self._has_learned = True
         iterations, each = self._optimization.iterations, max(1.0, self._changed)
         most = ENDLESS if iterations is None else iterations - self._next
-        generations = min(most, self._room / len(self._problem.scenarios) / each)
+        generations = min(most, self._cells_left / len(self._problem.scenarios) / each)
         waiting = sum(map(len, self._batches)) + generations * each
         return self._planner.is_ready(waiting, len(self._batches) + generations)
 
@@ -255,7 +255,7 @@ class Calibration(Stage):
             return None
         if budget.minutes is not None and search.minutes(now()) >= budget.minutes:
             return "budget"
-        if budget.simulations is not None and self._room < 1:
+        if budget.simulations is not None and self._cells_left < 1:
             return "budget"
         return "stagnation" if search.stood_still_at is not None and search.stood_still_at <= number - self._window else None
 
@@ -293,7 +293,7 @@ class Calibration(Stage):
             raise RuntimeError("the stage has not started")
         (self._asker, asked), self._computation = self._computation.result(), None
         if asked is None:
-            self._end_search("budget" if self._room < 1 else "stagnation")
+            self._end_search("budget" if self._cells_left < 1 else "stagnation")
             return None
         number, self._next = self._next, self._next + 1
         self._asked[number] = asked
@@ -357,7 +357,7 @@ class Calibration(Stage):
         return self._within_budget(asked, planned)
 
     @property
-    def _room(self) -> float:
+    def _cells_left(self) -> float:
         """Cells that the search may ask for; infinite without a budget of simulations."""
         budget = self._tracker.budget
         left = budget.left - ((self._limit or 0) - (self._problem.search_simulations or 0))
@@ -365,7 +365,7 @@ class Calibration(Stage):
 
     def _within_budget(self, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
         """Returns the first cells for which the budget suffices; the search ends with them if it does not for all."""
-        by_cell, reduction, room = self._by_cell is not None, self._problem.specification.reduction, self._room
+        by_cell, reduction, room = self._by_cell is not None, self._problem.specification.reduction, self._cells_left
         if not by_cell and self._policy().mode not in {"off", "exact"}:  # may confirm the best set
             room -= min(min(reduction.confirm, CONFIRMED) * len(self._problem.scenarios), (self._limit or 0) // 10)
         within = task.affordable(planned, room, [bench.seed for bench, _ in asked.cells], self._kept, by_cell=by_cell)

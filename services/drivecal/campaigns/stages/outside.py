@@ -140,7 +140,7 @@ class OutsideSearch(Calibration):
         return super()._form_lots(connection, asked, kept)
 
     @property
-    def _room(self) -> float:
+    def _cells_left(self) -> float:
         return self._tracker.budget.left
 
     def _within_budget(self, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
@@ -150,7 +150,7 @@ class OutsideSearch(Calibration):
 
     def _cut(self, planned: list[RequestedCell]) -> list[RequestedCell]:
         """Returns the cells of the first sets; at least one set, unless the budget does not suffice for it."""
-        left, ahead, first = self._room, self._ahead, 0
+        left, ahead, first = self._cells_left, self._ahead, 0
         runs = [each.replicates for each in self._offered]
         for position, cell in enumerate(planned):
             if cell.individual != planned[first].individual:

@@ -11,8 +11,8 @@ from drivecal.analysis.aims import JudgedGoals, WeightedScore
 from drivecal.analysis.goals import SCORE
 from drivecal.analysis.replicates import choosing
 from drivecal.campaigns.cells.planning import View, ensure_setups
+from drivecal.campaigns.resolve.optimizer import Optimization
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.resolve.resolvers import Optimization
 from drivecal.campaigns.stages.asking import WINDOW, AskedRound, PopulationAsker
 from drivecal.contracts.campaign import GenerationCounts, SearchState
 from drivecal.domain.campaigns import StageName

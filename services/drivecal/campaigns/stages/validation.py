@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.analysis.validation import Differences, ReducibleSpace, Region, ValidationDesign, design, mean_interval
+from drivecal.analysis.validation import Differences, ReducibleSpace, Region, ValidationDesign, compared, design, mean_interval
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec, specification_of
@@ -15,9 +15,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.parameters import Indices, Parameter, ParameterSpace, billionths
-from drivecal.domain.scales import Scale
-from drivecal.plugins.ports import Floats
+from drivecal.domain.parameters import Parameter, ParameterSpace, billionths
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.reduction.lots import draw
 from drivecal.storage import campaigns, lots, results
@@ -50,33 +48,6 @@ def _regions(influence_map: InfluenceMap, scenario: str, parameter: Parameter) -
     if influence.upper is not None:
         regions.append(range(max(start, parameter.last_upto(billionths(influence.upper)) + 1), stop))
     return regions
-
-
-def compared(differences: Floats, scale: Scale) -> dict[str, Any]:
-    """Returns the fields of a row that follow from differences of scores, shape (n,)."""
-    total, away = len(differences), np.abs(differences)
-    wrong = int((away > scale.largest_agreeing).sum())
-    bins, counts = np.unique(_bars(differences, scale), return_counts=True)
-    return {
-        "compared": total,
-        "wrong": wrong,
-        "different": int((away > scale.rounding).sum()),
-        "error_rate": wrong / total if total else None,
-        "histogram": {str(number): count for number, count in zip(bins.tolist(), counts.tolist(), strict=True)},
-        "histogram_step": scale.bin,
-    }
-
-
-def _bars(differences: Floats, scale: Scale) -> Indices:
-    """Returns numbers of bars, 0 in the middle: a bar is wrong exactly if its differences are; the outermost hold all beyond the span."""
-    last = scale.last_bar + 1
-    numbers = np.clip(np.rint(differences / scale.bin), -last, last)
-    agreeing = next((number - 1 for number in range(1, last) if scale.is_wrong(number * scale.bin)), last - 1)
-    sizes = np.abs(numbers)
-    wrong = np.abs(differences) > scale.largest_agreeing
-    sizes = np.where(wrong, np.maximum(sizes, agreeing + 1), np.minimum(sizes, agreeing))
-    bars: Indices = (np.copysign(1, differences) * sizes).astype(np.int64)
-    return bars
 
 
 class ValidationStage(StudyStage):

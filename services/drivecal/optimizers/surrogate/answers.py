@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.parameters import Indices
-from drivecal.optimizers.surrogate.processes import Encoding
+from drivecal.optimizers.surrogate.gaussian_process import Encoding
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, CellAnswer
 

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from drivecal.domain.parameters import Indices
 from drivecal.domain.rounding import grain
-from drivecal.optimizers.surrogate.processes import EXACT, SAMPLED, GaussianProcess, Hyperparameters, NoisePrior, fitted
+from drivecal.optimizers.surrogate.gaussian_process import EXACT, SAMPLED, GaussianProcess, Hyperparameters, NoisePrior, fitted
 from drivecal.plugins.ports import Floats
 
 Bools = npt.NDArray[np.bool_]

@@ -15,10 +15,10 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]  
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.surrogate.answers import Answers, BegunSet
 from drivecal.optimizers.surrogate.candidates import children
+from drivecal.optimizers.surrogate.gaussian_process import Encoding
 from drivecal.optimizers.surrogate.giving_up import beaten, improbable, without_result
 from drivecal.optimizers.surrogate.merits import Merit, Standing
 from drivecal.optimizers.surrogate.models import ScenarioModel
-from drivecal.optimizers.surrogate.processes import Encoding
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import AskedCell, CellAnswer, SearchTask
 

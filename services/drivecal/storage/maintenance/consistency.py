@@ -24,7 +24,7 @@ from sqlalchemy import (
 )
 
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.evaluations import COPIES, Outcome
+from drivecal.domain.evaluations import ANSWERED_BY_DONOR, Outcome
 from drivecal.storage.campaigns import by_stage, stage_counts
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import (
@@ -146,14 +146,14 @@ def check_answers(connection: Connection) -> Iterator[str]:
     same = and_(
         run.c.setup_id == cell.setup_id, or_(cell.outcome == Outcome.REUSED, run.c.parameter_set_id == cell.parameter_set_id)
     )
-    answered = cell.outcome.in_((Outcome.SIMULATED, *COPIES))
+    answered = cell.outcome.in_((Outcome.SIMULATED, *ANSWERED_BY_DONOR))
     broken = answered & (run.c.id.is_(None) | ~same)
     yield from _cells(connection, joined, broken, "have no run of their own cell")
     scored = answered | (cell.outcome == Outcome.PREDICTED)
     yield from _cells(connection, joined, scored & (cell.score.is_(None) | cell.rating.is_(None)), "have no score")
     failed = (cell.outcome == Outcome.FAILED) & (cell.run_id.is_not(None) | cell.score.is_not(None))
     yield from _cells(connection, joined, failed, "failed and have a result all the same")
-    orphaned = cell.outcome.in_(COPIES) & (
+    orphaned = cell.outcome.in_(ANSWERED_BY_DONOR) & (
         donor.c.id.is_(None) | (donor.c.outcome != Outcome.SIMULATED) | donor.c.outcome.is_(None)
     )
     yield from _cells(connection, joined, orphaned, "are copies of cells that may not answer others")
@@ -168,7 +168,7 @@ def check_lots(connection: Connection) -> Iterator[str]:
     yield from _cells(connection, joined, unchecked, "are predictions that no inspected lot released")
     uninspected = (cell.outcome == Outcome.REUSED) & cell.lot.is_not(None) & ~released
     yield from _cells(connection, joined, uninspected, "are reused, and their lots were not released")
-    other = cell.lot.is_not(None) & cell.outcome.in_(COPIES) & (lots.c.kind != cell.outcome)
+    other = cell.lot.is_not(None) & cell.outcome.in_(ANSWERED_BY_DONOR) & (lots.c.kind != cell.outcome)
     yield from _cells(connection, joined, other, "are copies in lots of another kind")
     members = (
         func.count(cell.id),

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from drivecal.highway.vehicle import equations, kernels
+from drivecal.highway.vehicle import kernels, single_track
 from drivecal.highway.vehicle.model import SingleTrackModel
 from drivecal.highway.vehicle.parameters import NOMINAL, understeer_gradient
 
@@ -81,7 +81,7 @@ def test_an_unstable_vehicle_keeps_its_last_valid_state() -> None:
     dynamics = np.full((300, 5), np.nan)
     assert not drive(model, dynamics, steering=0.4)
     assert np.isfinite(dynamics).all()
-    assert np.abs(dynamics[:, 2]).max() <= equations.ADHESION_LIMIT
+    assert np.abs(dynamics[:, 2]).max() <= single_track.ADHESION_LIMIT
     assert not drive(vehicle(), np.zeros((10, 5)), curvature=float("nan"))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.unit.highway.vehicle.stability import critical_speed
 
-from drivecal.highway.vehicle import equations, kernels
+from drivecal.highway.vehicle import kernels, single_track
 from drivecal.highway.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters, understeer_gradient
 from drivecal.plugins.ports import Floats
 
@@ -33,7 +33,7 @@ def closed_loop(p: SingleTrackParameters, v: float) -> Floats:
         -(ahead**2 * front + behind**2 * rear) / (p.yaw_inertia * v),
         ahead * front / p.yaw_inertia,
     ]
-    steering = (-gains - np.array([0.0, 0.0, 0.0, 0.0, 1.0])) / equations.STEERING_LAG
+    steering = (-gains - np.array([0.0, 0.0, 0.0, 0.0, 1.0])) / single_track.STEERING_LAG
     return np.array([[0.0, v, v, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, *slip], [0.0, 0.0, *yaw], steering])
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tests.support.effort import examples
 from tests.unit.highway.vehicle.stability import critical_speed
 
-from drivecal.highway.vehicle import equations
+from drivecal.highway.vehicle import single_track
 from drivecal.highway.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters, understeer_gradient
 from drivecal.plugins.ports import Floats
 
@@ -28,11 +28,11 @@ def run(
     parameters: SingleTrackParameters = NOMINAL,
     steering_rate: float = 0.0,
     acceleration: float = 0.0,
-    step: float = equations.STEP,
+    step: float = single_track.STEP,
 ) -> Floats:
-    state, plant = state.copy(), equations.pack_plant(parameters)
+    state, plant = state.copy(), single_track.pack_plant(parameters)
     for _ in range(round(seconds / step)):
-        equations.advance(state, steering_rate, acceleration, plant, step)
+        single_track.advance(state, steering_rate, acceleration, plant, step)
     return state
 
 
@@ -82,10 +82,10 @@ def test_between_the_models_steady_cornering_lies_between_theirs(speed: float) -
 
 @pytest.mark.parametrize("corner", CORNERS)
 def test_braking_through_the_switch_of_models_leaves_no_jump(corner: SingleTrackParameters) -> None:
-    state, plant = run(state_at(8.0, 0.03), 10.0, corner), equations.pack_plant(corner)
+    state, plant = run(state_at(8.0, 0.03), 10.0, corner), single_track.pack_plant(corner)
     yaw_rates, slips = [state[5]], [state[4]]
     while state[3] > 0.5:
-        equations.advance(state, 0.0, -2.0, plant, equations.STEP)
+        single_track.advance(state, 0.0, -2.0, plant, single_track.STEP)
         yaw_rates.append(state[5])
         slips.append(state[4])
     # Steady curvature times 2 m/s^2 is 0.02 to 0.05 rad/s^2; a step lasts 0.01 s.

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
 
-from drivecal.highway.vehicle import equations, kernels
+from drivecal.highway.vehicle import kernels, single_track
 from drivecal.highway.vehicle.model import SingleTrackModel
 from drivecal.highway.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters, understeer_gradient
 from drivecal.plugins.ports import Floats
@@ -68,21 +68,23 @@ class Naive:
 
         steady = nominal.wheelbase + understeer_gradient(nominal) * v**2
         matrix = np.array([self.nominal_column(v, 0), self.nominal_column(v, 1)]).T
-        delay = equations.STEERING_LAG - np.trace(matrix) / np.linalg.det(matrix) - nominal.distance_rear / v
+        delay = single_track.STEERING_LAG - np.trace(matrix) / np.linalg.det(matrix) - nominal.distance_rear / v
         slip_per_acceleration = nominal.mass * nominal.distance_front / (nominal.cornering_stiffness_rear * nominal.wheelbase)
         lead = slip_per_acceleration * v - nominal.distance_rear / v
         ahead, due = np.interp([time + max(delay, 0.0), time + max(lead, 0.0)], rows, trajectory[:, 4])
         feedback = kernels.LATERAL_STIFFNESS * lateral_error / v**2 + kernels.LATERAL_DAMPING * math.sin(course_error) / v
         target = steady * (ahead + kernels.YAW_RATE_GAIN * (due - yaw_rate / v) - feedback)
-        target = np.clip(target, -equations.STEERING_LIMIT, equations.STEERING_LIMIT)
-        share = 1.0 - math.exp(-equations.STEP / equations.STEERING_LAG)
-        rate = np.clip((target - delta) * share / equations.STEP, -equations.STEERING_RATE_LIMIT, equations.STEERING_RATE_LIMIT)
+        target = np.clip(target, -single_track.STEERING_LIMIT, single_track.STEERING_LIMIT)
+        share = 1.0 - math.exp(-single_track.STEP / single_track.STEERING_LAG)
+        rate = np.clip(
+            (target - delta) * share / single_track.STEP, -single_track.STEERING_RATE_LIMIT, single_track.STEERING_RATE_LIMIT
+        )
 
         speed = np.interp(time, rows, trajectory[:, 5])
-        wanted = np.interp(time + equations.DRIVE_LAG, rows, trajectory[:, 6])
+        wanted = np.interp(time + single_track.DRIVE_LAG, rows, trajectory[:, 6])
         wanted -= kernels.SPEED_GAIN * (v * math.cos(course_error) - speed) + kernels.POSITION_GAIN * position_error
-        wanted = np.clip(wanted, equations.LOWEST_ACCELERATION, equations.HIGHEST_ACCELERATION)
-        share = 1.0 - math.exp(-equations.STEP / equations.DRIVE_LAG)
+        wanted = np.clip(wanted, single_track.LOWEST_ACCELERATION, single_track.HIGHEST_ACCELERATION)
+        share = 1.0 - math.exp(-single_track.STEP / single_track.DRIVE_LAG)
         return float(rate), float(self.acceleration + share * (wanted - self.acceleration))
 
     @staticmethod
@@ -95,7 +97,7 @@ class Naive:
 
     def follow(self, trajectory: Floats, since: float, steps: int) -> Floats:
         rows = []
-        h = equations.STEP
+        h = single_track.STEP
         for k in range(steps):
             u = self.commands(trajectory, since + k * h)
             k1 = self.derivative(self.x, *u)
@@ -205,7 +207,7 @@ def test_a_jump_of_the_trajectory_that_no_tyre_can_follow_is_unstable(straight: 
     model.start(0.0, 0.0, 0.0, 40.0)
     dynamics = np.zeros((200, 5))
     assert not model.follow(trajectory, 0.0, 2.0, dynamics)
-    assert np.abs(dynamics[:, 2]).max() <= equations.ADHESION_LIMIT
+    assert np.abs(dynamics[:, 2]).max() <= single_track.ADHESION_LIMIT
     assert np.array_equal(dynamics[-1], dynamics[-2]), "the rows stay at the last sound values"
 
 

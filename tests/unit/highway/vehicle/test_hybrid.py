@@ -16,7 +16,7 @@ from tests.support.effort import examples
 
 from drivecal.highway.training import vehicle as training
 from drivecal.highway.training.vehicle import Drives
-from drivecal.highway.vehicle import equations, hybrid, residual
+from drivecal.highway.vehicle import hybrid, residual, single_track
 from drivecal.highway.vehicle.hybrid import HYBRID, Hybrid
 from drivecal.highway.vehicle.model import HybridModel, SingleTrackModel
 from drivecal.highway.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters
@@ -29,13 +29,13 @@ inputs = st.tuples(*([st.floats(-1.0, 1.0)] * 6))
 
 
 def packed(model: Residual, parameters: SingleTrackParameters = NOMINAL) -> Floats:
-    return np.concatenate([equations.pack_plant(parameters), model.pack(parameters)])
+    return np.concatenate([single_track.pack_plant(parameters), model.pack(parameters)])
 
 
 def outputs(model: Residual, shares: Floats) -> Floats:
     """The residual at this share of the range, shape (2,)."""
     x = shares * model.limits
-    return np.array(equations.residual_outputs(tuple(x[:4].tolist()), float(x[4]), float(x[5]), packed(model)))
+    return np.array(single_track.residual_outputs(tuple(x[:4].tolist()), float(x[4]), float(x[5]), packed(model)))
 
 
 def framework(model: Residual) -> MLPRegressor:
@@ -73,7 +73,7 @@ def test_the_residual_of_a_mirrored_motion_is_mirrored(shares: tuple[float, ...]
 def test_the_residual_is_bounded_and_ends_where_its_range_does(shares: tuple[float, ...], stretch: float) -> None:
     magnitudes = np.abs(outputs(shipped(), stretch * np.array(shares)))
     assert (magnitudes <= shipped().bounds).all()
-    if stretch * max(abs(share) for share in shares) >= 1.0 + equations.FADE:
+    if stretch * max(abs(share) for share in shares) >= 1.0 + single_track.FADE:
         assert magnitudes.tolist() == [0.0, 0.0]
 
 
@@ -155,8 +155,8 @@ def test_the_residual_of_a_vehicle_is_scaled_by_its_loads() -> None:
         2.0 * NOMINAL.yaw_inertia,
     )
     state = np.array([0.0, 0.0, 0.0, 30.0, -0.01, 0.05, 0.0, 0.0, 0.02, 0.0])
-    here = equations.residual_accelerations(state, 0.01, 0.5, packed(shipped()))
-    there = equations.residual_accelerations(state, 0.01, 0.5, packed(shipped(), heavy))
+    here = single_track.residual_accelerations(state, 0.01, 0.5, packed(shipped()))
+    there = single_track.residual_accelerations(state, 0.01, 0.5, packed(shipped(), heavy))
     assert here[2]
     assert there[:2] == pytest.approx(here[:2], rel=1e-12)
     assert abs(here[0]) > 1e-3

@@ -16,7 +16,7 @@ from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
 from vehiclemodels.utils.vehicle_dynamics_ks_cog import vehicle_dynamics_ks_cog
 from vehiclemodels.vehicle_dynamics_st import vehicle_dynamics_st
 
-from drivecal.highway.vehicle import equations
+from drivecal.highway.vehicle import single_track
 from drivecal.highway.vehicle.parameters import NOMINAL, SingleTrackParameters
 from drivecal.plugins.ports import Floats
 
@@ -49,11 +49,11 @@ def steering_rates(rng: np.random.Generator, pieces: int) -> Floats:
 
 
 def ours(p: SingleTrackParameters, speed: float, acceleration: float, rates: Floats, piece: float) -> Floats:
-    state, plant = np.array([0.0, 0.0, 0.3, speed, 0.0, 0.0, 0.0, 0.0, 0.0]), equations.pack_plant(p)
+    state, plant = np.array([0.0, 0.0, 0.3, speed, 0.0, 0.0, 0.0, 0.0, 0.0]), single_track.pack_plant(p)
     rows = []
     for rate in rates:
-        for _ in range(round(piece / equations.STEP)):
-            equations.advance(state, rate, acceleration, plant, equations.STEP)
+        for _ in range(round(piece / single_track.STEP)):
+            single_track.advance(state, rate, acceleration, plant, single_track.STEP)
         rows.append([state[0], state[1], state[8], state[3], state[2], state[5], state[4]])
     return np.array(rows)
 
@@ -110,7 +110,7 @@ def test_slowly_it_moves_as_their_kinematic_model_for_small_steering_angles() ->
     expected = solve_ivp(field, (0.0, seconds), [0.0, 0.0, delta, speed, 0.0], rtol=1e-10, atol=1e-12).y[:, -1]
     wheelbase = NOMINAL.wheelbase
     settled = [0.0, 0.0, 0.0, speed, NOMINAL.distance_rear / wheelbase * delta, speed * delta / wheelbase, 0.0, 0.0, delta]
-    state, plant = np.array(settled), equations.pack_plant(NOMINAL)
-    for _ in range(round(seconds / equations.STEP)):
-        equations.advance(state, 0.0, 0.0, plant, equations.STEP)
+    state, plant = np.array(settled), single_track.pack_plant(NOMINAL)
+    for _ in range(round(seconds / single_track.STEP)):
+        single_track.advance(state, 0.0, 0.0, plant, single_track.STEP)
     assert [state[0], state[1], state[2]] == pytest.approx([expected[0], expected[1], expected[4]], rel=2e-3)

@@ -16,7 +16,7 @@ from drivecal.highway.drive.geometry import S, path_of
 from drivecal.highway.drive.measures import TICK, Record, distance_at_limit
 from drivecal.highway.drive.traffic import Traffic
 from drivecal.highway.geometry import hit
-from drivecal.highway.vehicle import equations, kernels
+from drivecal.highway.vehicle import kernels, single_track
 from drivecal.highway.vehicle.kernels import FOLLOWED, PATH, TOO_SHORT, TRAJECTORY, UNSTABLE, drive, follow
 from drivecal.highway.vehicle.model import SingleTrackModel
 from drivecal.plugins.ports import VehicleModel
@@ -31,7 +31,7 @@ OFF_ROAD = 3
 """Further result of a move, after the results of `kernels.follow`."""
 
 
-@compiled_with(equations, kernels, shared, geometry)
+@compiled_with(single_track, kernels, shared, geometry)
 def _move(
     line: Floats, lanes: Floats, state: Floats, plant: Floats, controller: Floats, by: int, lateral: float, acceleration: float,
     trajectory: Floats, since: float, track: int, dynamics: Floats, index: int, samples: int, motion: Floats,

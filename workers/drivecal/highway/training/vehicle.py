@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from drivecal.highway.training import multibody
 from drivecal.highway.training.multibody import QUIET, STEP, TRAINED, UNSEEN, Recording, draw
 from drivecal.highway.training.tables import table
-from drivecal.highway.vehicle import equations
+from drivecal.highway.vehicle import single_track
 from drivecal.highway.vehicle.parameters import SingleTrackParameters
 from drivecal.highway.vehicle.residual import Residual
 from drivecal.plugins.ports import Floats
@@ -45,12 +45,12 @@ def _drive(plant: Floats, inputs: Floats, start: Floats, out: Floats, extremes: 
         rate, acceleration = (inputs[k + 1, 0] - inputs[k, 0]) / 0.01, (inputs[k + 1, 1] - inputs[k, 1]) / 0.01
         if extremes.shape[0] > 0:
             v, yaw_rate = state[3], state[5]
-            slip, yaw = equations.plain_slip_and_yaw(v, state[4], yaw_rate, state[8], plant)
-            lateral, speed, pull = equations.residual_inputs(v, yaw_rate, slip, yaw, rate, acceleration, plant)
-            first, second = equations.residual_outputs(lateral, speed, pull, plant)
+            slip, yaw = single_track.plain_slip_and_yaw(v, state[4], yaw_rate, state[8], plant)
+            lateral, speed, pull = single_track.residual_inputs(v, yaw_rate, slip, yaw, rate, acceleration, plant)
+            first, second = single_track.residual_outputs(lateral, speed, pull, plant)
             for j, value in enumerate((*lateral, speed, pull, first, second)):
                 extremes[j] = max(extremes[j], abs(value))
-        outside += not equations.advance(state, rate, acceleration, plant, 0.01)
+        outside += not single_track.advance(state, rate, acceleration, plant, 0.01)
         out[k, 0], out[k, 1], out[k, 2] = state[5], state[7], state[1]
     return outside
 
@@ -120,7 +120,7 @@ class Drives:
 
 def hybrid_plant(parameters: SingleTrackParameters, residual: Residual) -> Floats:
     """Returns the `plant` of a hybrid vehicle."""
-    return np.concatenate([equations.pack_plant(parameters), residual.pack(parameters)])
+    return np.concatenate([single_track.pack_plant(parameters), residual.pack(parameters)])
 
 
 SEED = 2
@@ -184,7 +184,7 @@ def fit_baseline(drives: Drives) -> SingleTrackParameters:
         return replace(start, cornering_stiffness_front=float(front), cornering_stiffness_rear=float(rear))
 
     def residuals(logarithms: Floats) -> Floats:
-        return _scaled(drives.outputs(equations.pack_plant(parameters(logarithms))) - drives.truth)
+        return _scaled(drives.outputs(single_track.pack_plant(parameters(logarithms))) - drives.truth)
 
     begin = np.log([start.cornering_stiffness_front, start.cornering_stiffness_rear])
     return parameters(least_squares(residuals, begin, diff_step=[1e-4, 1e-4], x_scale=0.1).x)
@@ -204,12 +204,12 @@ def fit_residual(drives: Drives, baseline: SingleTrackParameters) -> Residual:
         baseline=np.array(astuple(baseline)),
     )
     plant = hybrid_plant(baseline, free)
-    places = range(equations.LAYERS, len(plant))
-    begin = plant[equations.LAYERS :]
+    places = range(single_track.LAYERS, len(plant))
+    begin = plant[single_track.LAYERS :]
     typical = np.tile(TYPICAL, UNITS)
 
     def plant_of(weights: Floats) -> Floats:
-        return np.concatenate([plant[: equations.LAYERS], weights])
+        return np.concatenate([plant[: single_track.LAYERS], weights])
 
     def residuals(weights: Floats) -> Floats:
         return np.concatenate([_scaled(drives.outputs(plant_of(weights)) - drives.truth), DECAY * weights / typical])
@@ -252,8 +252,8 @@ def errors(residual: Residual, kinds: Sequence[str], drives: Drives) -> dict[str
     """
     kind_of_drive = np.array(kinds)
     baseline = SingleTrackParameters(*residual.baseline.tolist())
-    means = {"converted": _root_mean_square(drives.errors(equations.pack_plant(multibody.converted())))}
-    plants = {"plain": equations.pack_plant(baseline), "hybrid": hybrid_plant(baseline, residual)}
+    means = {"converted": _root_mean_square(drives.errors(single_track.pack_plant(multibody.converted())))}
+    plants = {"plain": single_track.pack_plant(baseline), "hybrid": hybrid_plant(baseline, residual)}
     for name, plant in plants.items():
         by_drive = drives.errors(plant)
         means[name] = _root_mean_square(by_drive)

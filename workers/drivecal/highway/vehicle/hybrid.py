@@ -5,8 +5,8 @@ from functools import cached_property
 
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.highway.vehicle.parameters import TABLE_8, SingleTrackParameters
+from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 from drivecal.highway.vehicle.residual import shipped
-from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.plugins.arrays import content_digest
 from drivecal.plugins.ports import Vehicle, VehicleModel
 

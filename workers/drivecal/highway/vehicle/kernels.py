@@ -1,6 +1,6 @@
 """Compiled trackers: loops over steps of 0.01 s that steer the vehicle along trajectories and paths, or by commands.
 
-`state` and `plant`: as in `equations`. `trajectory`, shape (n, 7): as from `Planner.plan`.
+`state` and `plant`: as in `single_track`. `trajectory`, shape (n, 7): as from `Planner.plan`.
 """
 
 import math
@@ -8,12 +8,12 @@ import math
 import numpy as np
 
 from drivecal.highway.compilation import compiled_with
-from drivecal.highway.vehicle import equations
-from drivecal.highway.vehicle.equations import DRIVE_LAG, DYNAMIC_ABOVE, STEERING_LAG, STEP, move
+from drivecal.highway.vehicle import single_track
 from drivecal.highway.vehicle.parameters import SingleTrackParameters, understeer_gradient
+from drivecal.highway.vehicle.single_track import DRIVE_LAG, DYNAMIC_ABOVE, STEERING_LAG, STEP, move
 from drivecal.plugins.ports import Floats
 
-compiled = compiled_with(equations)
+compiled = compiled_with(single_track)
 
 FOLLOWED, UNSTABLE, TOO_SHORT = 0, 1, 2
 """Results of `follow`."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from drivecal.highway.vehicle import equations, kernels
+from drivecal.highway.vehicle import kernels, single_track
 from drivecal.highway.vehicle.parameters import NOMINAL, SingleTrackParameters
 from drivecal.highway.vehicle.residual import Residual
 from drivecal.plugins.ports import Floats
@@ -15,7 +15,7 @@ class SingleTrackModel:
 
     def __init__(self, parameters: SingleTrackParameters, nominal: SingleTrackParameters = NOMINAL) -> None:
         self.parameters = parameters
-        self._plant = equations.pack_plant(parameters)
+        self._plant = single_track.pack_plant(parameters)
         self._controller = kernels.pack_controller(nominal)
         self._state = np.zeros(9)
         self._pose = self._state[:8]
@@ -44,7 +44,7 @@ class SingleTrackModel:
         Returns False if the vehicle became unstable: its state and the remaining rows keep their last valid values. Raises ValueError if
         the trajectory ends before `since` + `duration`, or if `dynamics` does not have one row per 0.01 s.
         """
-        steps = round(duration / equations.STEP)
+        steps = round(duration / single_track.STEP)
         if dynamics.shape[0] != steps:
             raise ValueError(f"dynamics has {dynamics.shape[0]} rows; {duration} s need {steps}")
         status = kernels.follow(self._state, self._plant, self._controller, trajectory, since, steps, dynamics)
@@ -68,4 +68,4 @@ class HybridModel(SingleTrackModel):
     @property
     def metrics(self) -> Mapping[str, float]:
         """Seconds of the run outside the residual's training range, where the vehicle fell back to the single track."""
-        return {"outside_training_range_s": self._state.item(9) * equations.STEP}
+        return {"outside_training_range_s": self._state.item(9) * single_track.STEP}

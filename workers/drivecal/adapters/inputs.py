@@ -1,6 +1,6 @@
 """Inputs of runs outside of the bundle: digests of variables, files and folders, and the files that a simulator opens.
 
-`python -I -B -m drivecal.adapters.outside SETTINGS` prints a digest a line, and sees what a simulator sees. Opened files are known from
+`python -I -B -m drivecal.adapters.inputs SETTINGS` prints a digest a line, and sees what a simulator sees. Opened files are known from
 Python's audit hook, and from what processes hold open or have mapped: a file that compiled code opens and closes again is not seen.
 """
 
