@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from io import SEEK_END
 from pathlib import Path
 from typing import IO
-from xml.parsers import expat  # DTDs and entities, which make XML dangerous, are refused below
 
 from drivecal.bundles import units
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.roads.documents import Attributes, read_elements
 
 LARGEST_DESCRIPTION = 32 << 20
 LARGEST_DIRECTORY = 4 << 20
@@ -122,22 +122,15 @@ def _directory_size(whole: IO[bytes]) -> int:
 def parse_description(content: bytes, name: str = "modelDescription.xml") -> FmuDescription:
     """Returns the content of a modelDescription.xml. Raises InvalidInputError for XML that is damaged or has a DTD."""
     reader = _Reader()
-    try:
-        reader.parser.Parse(content, True)
-    except (expat.ExpatError, ValueError, LookupError) as error:
-        raise _refused(name, f"its description cannot be read: {shown(str(error), 200)}", "export the FMU again") from error
+    read_elements(content, name, "fmiModelDescription", reader.start, lambda _: None)
     return reader.description
 
 
 class _Reader:
-    """Collects a description from the events of expat."""
+    """Collects a description from its elements."""
 
     def __init__(self) -> None:
         self._description = FmuDescription()
-        self.parser = expat.ParserCreate()
-        self.parser.StartDoctypeDeclHandler = self._refuse
-        self.parser.EntityDeclHandler = self._refuse
-        self.parser.StartElementHandler = self._start
         self._scalar: Mapping[str, str] | None = None
         """Attributes of the ScalarVariable (FMI 2) whose type comes next."""
         self._variables: list[tuple[str, dict[str, str]]] = []
@@ -161,10 +154,11 @@ class _Reader:
         ]
         return self._description
 
-    def _refuse(self, *_: object) -> None:
-        raise ValueError("DTDs and entities are not supported")
-
-    def _start(self, tag: str, attributes: Mapping[str, str]) -> None:
+    def start(self, element: Attributes) -> None:
+        """Takes an element in. Raises InvalidInputError for too many variables."""
+        tag, attributes = element.element, element.values
+        if len(self._variables) > MOST_VARIABLES:
+            raise element.fault(f"there are more than {MOST_VARIABLES:,} variables", "give a smaller FMU")
         if tag == "fmiModelDescription":
             self._description.fmi = attributes.get("fmiVersion", "")
         elif tag == "CoSimulation":
@@ -172,10 +166,10 @@ class _Reader:
         elif tag == "ScalarVariable":
             self._scalar = attributes
         elif tag in _TYPES and self._scalar is not None:
-            self._add(tag, {**attributes, **self._scalar})
+            self._variables.append((tag, {**attributes, **self._scalar}))
             self._scalar = None
         elif tag in _TYPES and "valueReference" in attributes:
-            self._add(tag, dict(attributes))
+            self._variables.append((tag, dict(attributes)))
         elif tag == "Dimension" and self._variables:
             self._arrays.add(len(self._variables) - 1)
         else:
@@ -194,11 +188,6 @@ class _Reader:
         elif tag == "BaseUnit":
             base = {name: number(text) for name, text in attributes.items()}
             self._base_units[self._unit] = {name: value for name, value in base.items() if value is not None}
-
-    def _add(self, kind: str, attributes: dict[str, str]) -> None:
-        if len(self._variables) >= MOST_VARIABLES:
-            raise ValueError(f"it has more than {MOST_VARIABLES:,} variables")
-        self._variables.append((kind, attributes))
 
     def _variable(
         self, kind: str, attributes: Mapping[str, str], items: Mapping[str, tuple[str, ...]], *, is_array: bool
