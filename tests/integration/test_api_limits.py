@@ -104,7 +104,7 @@ def test_the_client_waits_for_room_as_long_as_it_is_asked_to_and_then_gives_up(
 def test_influence_maps_are_kept_up_to_a_limit_however_many_come_at_once(
     api: RunningApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(admission.admit_map, "__defaults__", (PLACES,))
+    monkeypatch.setattr(admission, "MOST_MAPS", PLACES)
     document = {"scenarios": {"S1": {"P1": {"influential": False}}}}
     with ThreadPoolExecutor(10) as pool:
         responses = list(pool.map(lambda _: post(api, document, path="influence-maps"), range(10)))

@@ -16,7 +16,7 @@ from drivecal.analysis.front import Mask, non_dominated
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.scoring import LARGEST, rate
 from drivecal.domain.evaluations import CellScore
-from drivecal.domain.rounding import grain, grains, levels, same
+from drivecal.domain.rounding import grains, levels, same
 from drivecal.domain.scales import Scale
 from drivecal.plugins.ports import Floats
 
@@ -125,10 +125,6 @@ class Objective(Goal):
     def span(self) -> float:
         """Width of the declared range; 0 for a measure."""
         return 0.0 if self.value.scale is None else self.value.scale.span
-
-    def slack(self, *amounts: float) -> float:
-        """Returns the largest difference of amounts that does not count: the tolerance, or rounding."""
-        return max(self.tolerance, grain(*amounts, span=self.span))
 
 
 @dataclass(frozen=True)
@@ -240,7 +236,7 @@ class Goals:
         return np.array(list(map(self.compared, judgements)), dtype=np.float64).reshape(-1, len(self.objectives))
 
     def slacks(self, points: Floats, others: Floats) -> Floats:
-        """Returns the largest differences of signed objectives that do not count (`Objective.slack`), of the shape of both."""
+        """Returns the largest differences of signed objectives that do not count, of the shape of both."""
         tolerances = np.array([goal.tolerance for goal in self.objectives], dtype=np.float64)
         return np.maximum(tolerances, grains(points, others, np.array([goal.span for goal in self.objectives])))
 

@@ -25,7 +25,7 @@ Indices = npt.NDArray[np.int64]
 class BaggedTrees:
     """Trees on bootstrap samples of scored parameter sets. They split by the variance of the scores."""
 
-    def __init__(self, tolerance: float) -> None:
+    def __init__(self, tolerance: float = 0.0) -> None:
         self._tolerance = tolerance
         self._agreeing = tolerance
         """Largest difference of agreeing scores: the tolerance, with room for rounding."""

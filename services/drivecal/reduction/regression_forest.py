@@ -23,9 +23,6 @@ class RegressionForest(BaggedTrees):
     """Votes of trees for continuous scores. The predicted score is the median vote, which a few trees beyond a cliff (failed runs) do not
     move; the confidence is the share of votes within `tolerance` of it. Continuous scores are their own ratings."""
 
-    def __init__(self, tolerance: float = 0.0) -> None:
-        super().__init__(tolerance)
-
     def fit(self, features: Floats, scores: Floats, ratings: Floats) -> None:
         """Learns from at least one score."""
         del ratings

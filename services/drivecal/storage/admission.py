@@ -76,11 +76,11 @@ def earlier(connection: Connection, body_digest: str | None, *keys: str | None) 
     return None if row is None else row.sequence
 
 
-def admit_map(connection: Connection, source: str, most: int = MOST_MAPS) -> None:
-    """Raises TooLargeError if `most` influence maps of a source are kept already; otherwise as `admit`."""
+def admit_map(connection: Connection, source: str) -> None:
+    """Raises TooLargeError if MOST_MAPS influence maps of a source are kept already; otherwise as `admit`."""
     alone(connection)
     kept = connection.scalar(select(func.count()).where(influence_maps.c.source == source)) or 0
-    if kept >= most:
+    if kept >= MOST_MAPS:
         instead = "use one of those (GET /influence-maps)"
         raise TooLargeError(
             Problem("", f"{kept:,} posted influence maps are kept already, as many as this server takes", instead)

@@ -15,7 +15,6 @@ from sqlalchemy import (
     Row,
     Select,
     SmallInteger,
-    Table,
     Text,
     Update,
     bindparam,
@@ -77,11 +76,11 @@ def _on_postgresql(element: _DocumentByNumber, compiler: SQLCompiler, **options:
     return f"json_object_agg({compiler.process(element.clauses, **options)})"
 
 
-def by_stage(of: Table | Any = campaigns) -> Label[dict[StageName, dict[str, int]]]:
-    """Returns the column `stages` of a query over `of`, the campaigns: their counts by stage."""
+def by_stage() -> Label[dict[StageName, dict[str, int]]]:
+    """Returns the column `stages` of a query over the campaigns: their counts by stage."""
     number, cells = type_coerce(campaign_stages.c.stage, SmallInteger), type_coerce(campaign_stages.c.cells, JSON)
-    query = select(_DocumentByNumber(number, cells)).where(campaign_stages.c.campaign_sequence == of.c.sequence)
-    return query.correlate(of).scalar_subquery().label("stages")
+    query = select(_DocumentByNumber(number, cells)).where(campaign_stages.c.campaign_sequence == campaigns.c.sequence)
+    return query.correlate(campaigns).scalar_subquery().label("stages")
 
 
 def stage_counts(stages: CountsByStage, stage: StageName) -> CellCounts:

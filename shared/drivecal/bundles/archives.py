@@ -84,23 +84,21 @@ def _read(folder: Path, largest: int, most_files: int) -> dict[str, BundleFile]:
     return files
 
 
-def with_files(archive: bytes, additions: Mapping[str, bytes], largest: int = LARGEST, most_files: int = MOST_FILES) -> bytes:
+def with_files(archive: bytes, additions: Mapping[str, bytes]) -> bytes:
     """Returns an archive with further files. Raises InvalidInputError if it becomes too large."""
-    files = files_of(archive, largest, most_files) | {
-        name: BundleFile(content, executable=False) for name, content in additions.items()
-    }
-    if sum(len(file.content) for file in files.values()) > largest or len(files) > most_files:
-        raise _too_large("", largest, most_files)
+    files = files_of(archive) | {name: BundleFile(content, executable=False) for name, content in additions.items()}
+    if sum(len(file.content) for file in files.values()) > LARGEST or len(files) > MOST_FILES:
+        raise _too_large("", LARGEST, MOST_FILES)
     return _written(files)
 
 
-def unpack(archive: bytes, folder: Path, digest: str | None = None, largest: int = LARGEST) -> None:
+def unpack(archive: bytes, folder: Path, digest: str | None = None) -> None:
     """Writes an archive's files into a new, read-only folder, which appears complete or not at all.
 
     `digest`: the expected digest of the content. Raises InvalidInputError if it differs or the archive is unsafe, and FileExistsError if
     the folder is there and not empty.
     """
-    files = files_of(archive, largest)
+    files = files_of(archive)
     if digest is not None and _digest(files) != digest:
         message = f"the content has the digest {_digest(files)}, not {shown(digest)}"
         raise InvalidInputError(Problem("", message, "push the problem again"))

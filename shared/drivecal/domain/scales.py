@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from math import ceil
-from typing import Any, Literal
+from typing import Any
 
 from drivecal.domain.rounding import SHARE, grain
 
@@ -115,17 +115,14 @@ class Scale:
         return cls(**(document | {"direction": Direction(document["direction"])}))
 
 
-def unit_text(unit: str | None, before: str = " ") -> str:
-    """Returns a unit for readers, after `before`; nothing for values without unit."""
-    return "" if unit in {None, "", "1"} else f"{before}{unit}"
+def unit_text(unit: str | None) -> str:
+    """Returns a unit for readers, after a space; nothing for values without unit."""
+    return "" if unit in {None, "", "1"} else f" {unit}"
 
 
-def objective_text(objective: float, sign: Literal["", "+"] = "") -> str:
-    """Returns an objective for readers, with four decimals, or with six significant digits if it is small or large; with `+` signed, as
-    differences are."""
-    if objective == 0 or SMALL <= abs(objective) < LARGE:
-        return f"{objective:{sign}.4f}"
-    return f"{objective:{sign}.6g}"
+def objective_text(objective: float) -> str:
+    """Returns an objective for readers, with four decimals, or with six significant digits if it is small or large."""
+    return f"{objective:.4f}" if objective == 0 or SMALL <= abs(objective) < LARGE else f"{objective:.6g}"
 
 
 def told(score: float | None) -> str:

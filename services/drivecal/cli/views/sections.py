@@ -163,9 +163,7 @@ def solutions_table(solutions: Sequence[Solution]) -> list[Block]:
     return [Table(header, rows, caption)]
 
 
-def evaluation_command(
-    parameters: Mapping[str, float | str], spec: Mapping[str, Any], scenarios: Collection[str], vehicle: str | None = None
-) -> str:
+def evaluation_command(parameters: Mapping[str, float | str], spec: Mapping[str, Any], scenarios: Collection[str]) -> str:
     """Returns the command that drives a parameter set as a campaign did. It has an option for each setting that differs from the command's
     default.
 
@@ -173,7 +171,6 @@ def evaluation_command(
         parameters: the set.
         spec: of the campaign.
         scenarios: of the campaign.
-        vehicle: another vehicle model.
     """
     usual = EvaluationSpecification.model_fields
     given = ((name, spec.get(name)) for name in ("problem", "catalogue", "driving_function", "evaluator"))
@@ -185,7 +182,7 @@ def evaluation_command(
     ]
     own: Mapping[str, Any] = spec.get("vehicle") or {}
     nominal = VehicleSpecification().model
-    model = vehicle or own.get("model", nominal)
+    model = own.get("model", nominal)
     if model != nominal:
         words.append(f"--vehicle {model}")
     if own.get("parameters"):

@@ -62,7 +62,7 @@ class Answers:
     def __contains__(self, indices: tuple[int, ...]) -> bool:
         return indices in self._numbers
 
-    def begin(self, indices: tuple[int, ...], *, whole: bool = False, promise: float | None = None) -> BegunSet:
+    def begin(self, indices: tuple[int, ...], *, promise: float | None = None) -> BegunSet:
         """Returns the set with these grid indices, a new one if it has not begun."""
         if indices in self._numbers:
             return self.sets[self._numbers[indices]]
@@ -70,7 +70,7 @@ class Answers:
         if number == len(self._asked):
             self._grow()
         self._features[number] = self._encoding(np.array([indices], dtype=np.int64))[0]
-        self.sets.append(BegunSet(indices, number, whole, promise))
+        self.sets.append(BegunSet(indices, number, promise=promise))
         return self.sets[-1]
 
     def _grow(self) -> None:
