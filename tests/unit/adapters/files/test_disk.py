@@ -15,6 +15,8 @@ from drivecal.adapters.files import remove
 from drivecal.domain.evaluations import Breakdown
 
 MEGABYTE = 1 << 20
+ALWAYS = -(10**12)
+"""Files are counted at each look: the room that others free meanwhile must not hide what a session takes."""
 
 
 def limit(monkeypatch: pytest.MonkeyPatch, **limits: int) -> None:
@@ -28,14 +30,19 @@ def limit(monkeypatch: pytest.MonkeyPatch, **limits: int) -> None:
 def test_files_that_fill_the_disk_cost_their_run_and_are_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: dict[str, int]
 ) -> None:
-    """The disk loses its room to files of others, too, so that only what the session wrote counts."""
-    limit(monkeypatch, **most, NOTICED_MB=50, NOTICED_FILES=20)
+    limit(monkeypatch, **most, NOTICED_MB=ALWAYS)
     size = 2_000_000 if "MOST_DISK_MB" in most else 1
     fill = f"[open(os.path.join(os.environ['TMPDIR'], 'f%d' % n), 'wb').write(bytes({size})) for n in range(100)]"
     with served(tmp_path, f"if x == 1.0:\n    {fill}\n    time.sleep(600)") as session:
         assert "of disk" in lost(session, {"x": 1.0}, Breakdown.ERROR)
         assert sum(1 for _ in scratch_of(session).home.rglob("*")) == 0
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_files_are_counted_after_a_loss_of_room_for_bytes_or_for_files() -> None:
+    before = files.Room(1000, 100_000)
+    after = [files.Room(936, 100_000), files.Room(1000, 90_000), files.Room(937, 90_001), files.Room(2000, 200_000)]
+    assert [room.lost(before) for room in after] == [True, True, False, False]
 
 
 def test_a_session_that_holds_much_of_a_full_disk_is_ended_and_emptied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -74,7 +81,7 @@ ctypes.CDLL(None).pthread_exit(None)""",
 
 @pytest.mark.parametrize("body", NAMELESS.values(), ids=NAMELESS)
 def test_files_without_a_name_fill_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str) -> None:
-    limit(monkeypatch, MOST_DISK_MB=100, NOTICED_MB=50)
+    limit(monkeypatch, MOST_DISK_MB=100, NOTICED_MB=ALWAYS)
     body = body.strip().replace("\n", "\n    ")
     with served(tmp_path, f"if x == 1.0:\n    {body}\n    time.sleep(600)") as session:
         assert "of disk" in lost(session, {"x": 1.0}, Breakdown.ERROR)
@@ -134,7 +141,7 @@ def test_a_folder_without_rights_cannot_hide_files(mode: int) -> None:
 
 
 def test_a_tree_beyond_the_longest_path_cannot_hide_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    limit(monkeypatch, NOTICED_FILES=20)
+    limit(monkeypatch, NOTICED_MB=ALWAYS)
     deep = "[(os.mkdir('deep'), os.chdir('deep')) for _ in range(1500)]"
     with served(tmp_path, f"if x == 1.0:\n    {deep}\n    time.sleep(600)") as session:
         assert "cannot be counted: File name too long" in lost(session, {"x": 1.0}, Breakdown.ERROR)
@@ -168,7 +175,7 @@ def test_a_count_ends_at_its_limit(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not files.is_in_memory("/dev/shm"), reason="this machine has no file system in memory")
 def test_files_in_memory_take_no_more_than_the_memory_of_the_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    limit(monkeypatch, NOTICED_MB=50)
+    limit(monkeypatch, NOTICED_MB=ALWAYS)
     with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
         monkeypatch.setattr(tempfile, "tempdir", folder)
         fill = "[open('f%d' % n, 'wb').write(bytes(10 << 20)) for n in range(12)]"
