@@ -14,6 +14,7 @@ import pytest
 import typer
 import yaml
 from tests.support.computed import ComputedBackend
+from tests.support.problems import MANIFEST, heated, push
 from tests.support.runs import working
 from tests.support.server import RunningApi, serving
 from tests.support.tree import PROJECT
@@ -99,6 +100,26 @@ def test_new_runs_that_differ_from_stored_ones_fail_the_check(checking: Checking
     again = checking(chosen, "--fresh", "--json")
     assert again.exit_code == 1
     assert [each["scenario"] for each in json.loads(again.stdout)["findings"] if each["broken"]] == ["all"]
+
+
+def test_a_fresh_check_takes_every_score_and_measure_from_new_runs(checking: Checking) -> None:
+    push(checking.api.database, checking.folder / "heater")
+    chosen, base = (checking.file(f"{gain}.json", MANIFEST["baseline"] | {"gain": gain}) for gain in (0.5, 1.0))
+    bounds = [
+        {"measure": "discomfort", "at_least": 8},
+        {"score": "ease", "at_most": 2},
+        {"score": "ease", "worse_by_at_most": 0.0},
+    ]
+    options = "--problem", "heater", "--limits", checking.file("limits.yaml", {"limits": bounds}), "--baseline", base, "--json"
+    checking.backend.answer = heated
+    assert {each["limit"] for each in broken(checking(chosen, *options))} >= {"ease at most 2"}
+    values = {"energy_kwh": 1.0, "discomfort": 9.0}
+    checking.backend.answer = lambda _, cell: CellResult(cell.id, None, None, values, None, 7.0)
+    assert broken(checking(chosen, *options, "--fresh")) == [], "the problem does not say that its runs repeat"
+
+
+def broken(checked: Result) -> list[dict[str, Any]]:
+    return [each for each in json.loads(checked.stdout)["findings"] if each["broken"]]
 
 
 def test_a_calibration_file_with_labels_is_checked_like_any_set(checking: Checking) -> None:

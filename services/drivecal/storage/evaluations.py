@@ -27,7 +27,9 @@ from drivecal.domain.evaluations import NOT_SIMULATED, Donor, Outcome, OutcomeCo
 from drivecal.storage import leases
 from drivecal.storage.engine.bulk import execute_rows, numbers, rows_among
 from drivecal.storage.engine.tables import campaigns, evaluations, ratings, runs
+from drivecal.storage.engine.types import finite
 from drivecal.storage.references import metrics
+from drivecal.storage.references.runs import metrics as metrics_of_runs
 from drivecal.storage.references.runs import occupying
 
 AUDITED = and_(evaluations.c.inspected, evaluations.c.reference.is_not(None))
@@ -96,6 +98,21 @@ def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> tuple[int
     return leases.end(
         connection, [answer.id for answer in answers]
     )  # of an earlier attempt too: another cell's run may be the answer
+
+
+def keep_metrics(connection: Connection, metrics: Mapping[int, Mapping[str, float]]) -> None:
+    """Stores measures of cells, by id, whose own runs differ from the stored runs of the same sets."""
+    rows = [{"evaluation": number, "own": finite(dict(values))} for number, values in metrics.items()]
+    mine = update(evaluations).where(evaluations.c.id == bindparam("evaluation"))
+    execute_rows(connection, mine.values(metrics=bindparam("own")), rows)
+
+
+def measured(connection: Connection, cells: Mapping[int, int | None]) -> dict[int, dict[str, float | None]]:
+    """Returns the measures of cells by id: of their own runs, or of the runs that answered them. `cells` has the ids of these runs."""
+    answering = metrics_of_runs(connection, [run for run in cells.values() if run is not None])
+    known = {cell: answering[run] for cell, run in cells.items() if run in answering}
+    query = select(evaluations.c.id, evaluations.c.metrics).where(evaluations.c.metrics.is_not(None))
+    return known | {row.id: row.metrics for row in rows_among(connection, query, evaluations.c.id, sorted(cells))}
 
 
 _ANSWER = tuple(field.name for field in fields(AnsweredCell) if field.name != "id")

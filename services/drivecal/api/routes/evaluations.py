@@ -27,9 +27,8 @@ from drivecal.contracts.evaluation import (
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.domain.errors import ConflictError, NotFoundError
-from drivecal.storage import admission, campaigns, results, traces
+from drivecal.storage import admission, campaigns, evaluations, results, traces
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.references import runs
 
 router = APIRouter(prefix="/evaluations", tags=["evaluations"], route_class=StrictRoute)
 
@@ -91,12 +90,12 @@ _NOT_YET = "nothing of it has been asked for yet; try again when it has started"
 
 def _detail(connection: Connection, number: int) -> dict[str, Any]:
     row = results.by_id(connection, number)
-    measured = runs.metrics(connection, [] if row.run_id is None else [row.run_id])
+    measured = evaluations.measured(connection, {row.id: row.run_id})
     made_by = campaigns.by_sequence(connection, row.campaign_sequence)
     campaign = CampaignOfEvaluation(id=made_by.id, problem=made_by.spec["problem"], scale=stored_scale(made_by.resolution))
     return evaluation_row(row) | {
         "detail": row.detail,
-        "metrics": None if row.run_id is None else measured[row.run_id],
+        "metrics": measured.get(row.id),
         "parameters": row.parameters.floats,
         "campaign": campaign.model_dump(mode="json"),
     }
@@ -119,8 +118,8 @@ def _single(connection: Connection, evaluation_id: str) -> StoredCampaign:
 
 def _evaluation(connection: Connection, stored: StoredCampaign) -> Evaluation:
     rows, _ = results.page(connection, stored.sequence, limit=MOST_SCENARIOS)
-    measured = runs.metrics(connection, [row.run_id for row in rows if row.run_id is not None])
-    return evaluation_answer(stored, [EvaluatedCell.of(row, metrics=measured.get(row.run_id or 0)) for row in rows])
+    measured = evaluations.measured(connection, {row.id: row.run_id for row in rows})
+    return evaluation_answer(stored, [EvaluatedCell.of(row, metrics=measured.get(row.id)) for row in rows])
 
 
 ANSWERS: dict[int | str, dict[str, object]] = {

@@ -203,6 +203,8 @@ class CellTracker:
             else:
                 orphans += self._break_down(cell, completion, answers)
         stored = runs.insert_results(connection, [self._new_run(*simulated) for simulated in finished])
+        others = {cell.id: each.result.metrics for (cell, each, _), run in zip(finished, stored, strict=True) if not run.agrees}
+        evaluations.keep_metrics(connection, others)
         for (cell, simulation, rating), run in zip(finished, stored, strict=True):
             self._simulated(cell, simulation, rating, run, answers)
             if simulation.result.trace is not None:

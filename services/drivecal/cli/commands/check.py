@@ -75,7 +75,7 @@ class CheckedSet:
     baseline: Mapping[str, Mapping[str, EvaluatedCell]]
     problem: ProblemAnswer
     differing: int = 0
-    """New runs that gave another result than the stored ones, whose measures the cells hold."""
+    """New runs that gave another result than the stored ones."""
 
     @property
     def scenarios(self) -> Mapping[str, EvaluatedCell]:
@@ -123,7 +123,7 @@ def check(
     limits: Annotated[str | None, typer.Option(metavar="FILE", help="Limits of scores and measures, YAML or JSON.")] = None,
     baseline: Annotated[str | None, typer.Option(metavar="SET", help="A set to compare with, given as SET is.")] = None,
     names: Annotated[str | None, typer.Option(metavar="FILE", help="Labels of the parameters in DCM and CDFX files.")] = None,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Simulate again what is stored.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Simulate the set and the baseline again.")] = False,
     junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the findings as JUnit XML.")] = None,
     summary: Annotated[Path | None, typer.Option(metavar="FILE", help="Append a summary in Markdown.")] = None,
     timeout: Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; then exit status 6.")] = None,
@@ -138,9 +138,12 @@ def check(
         _refuse_unknown(wanted, known, has_baseline=baseline is not None)
         first = next(iter(known.scores))
         scores = list(dict.fromkeys([first, *(limit.score for limit in wanted if limit.score is not None)]))
-        compared = {} if baseline is None else _evaluated(client, _set(client, baseline, names)[0], known, scores, timeout)[0]
-        cells, differing = _evaluated(client, parameters, known, scores, timeout, fresh=fresh)
-    checked = CheckedSet(cells, compared, known, differing)
+        compared: dict[str, dict[str, EvaluatedCell]] = {}
+        differing = 0
+        if baseline is not None:
+            compared, differing = _evaluated(client, _set(client, baseline, names)[0], known, scores, timeout, fresh=fresh)
+        cells, more = _evaluated(client, parameters, known, scores, timeout, fresh=fresh)
+    checked = CheckedSet(cells, compared, known, differing + more)
     findings = list(checked.findings(wanted))
     if junit is not None:
         with file_faults(junit, "written", "give another file"):
@@ -208,8 +211,11 @@ def _evaluated(
     *,
     fresh: bool = False,
 ) -> tuple[dict[str, dict[str, EvaluatedCell]], int]:
-    """Returns the cells of a set by score and scenario, and the number of new runs that differ from stored ones. `parameters` may hold
-    values of other problems as well."""
+    """Returns the cells of a set by score and scenario, and the number of new runs that differ from stored ones.
+
+    With `fresh`, further scores rate the stored runs if the new ones are equal, and else new runs of their own. `parameters` may hold
+    values of other problems as well.
+    """
     missing = [name for name in problem.parameters if name not in parameters]
     if missing:
         remedy = "give one value per parameter; --names has the labels of a calibration file"
@@ -219,7 +225,8 @@ def _evaluated(
     for number, score in enumerate(scores):
         evaluator = "reference" if number == 0 else score
         wanted: dict[str, Any] = {"parameters": values, "problem": problem.digest, "evaluator": evaluator}
-        evaluation = ended(client, client.evaluate(wanted | ({"fresh": True} if fresh and number == 0 else {})), timeout)
+        simulates = fresh and (number == 0 or differing > 0)
+        evaluation = ended(client, client.evaluate(wanted | ({"fresh": True} if simulates else {})), timeout)
         cells[score] = _cells(evaluation)
         differing += evaluation.unrepeatable
     return cells, differing

@@ -262,6 +262,7 @@ evaluations = Table(
     Column("worker", Text),
     Column("attempts", Integer, nullable=False),
     Column("detail", Text),
+    Column("metrics", Document),  # of its own run, if it differs from the stored run of the same set
     # Set for cells that the predictor predicted. `lot` is set if it was trusted, or if references are to answer the cell.
     Column("lot", Identity),
     Column("confidence", Float),
