@@ -19,6 +19,7 @@ from tests.support.runs import dispatcher, everything, finish, get, rows_of
 from drivecal.campaigns.stages.replication import Replication
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import generations, studies
 from drivecal.storage.campaigns import StoredCampaign
@@ -147,6 +148,48 @@ def test_a_study_of_another_campaign_chooses_by_the_seeds_that_chose_there(tmp_p
     assert [row["parameters"] for row in document["items"]] == [searched.best.parameters]
 
 
+RATED: dict[str, Any] = {
+    "replicates": {"most": 15},
+    "budget": {"simulations": 160},
+    "objectives": [{"measure": "y", "direction": "minimise", "failed": 5}],  # failed runs pay
+    "constraints": [{"rate": 0.2}],
+}
+
+
+def failing(setup: SetupRequest, cell: Cell) -> CellResult:
+    """A cost with its minimum at 0.6, around which half of the runs fail."""
+    x = float(cell.parameters["x"])
+    drawn = np.random.Generator(np.random.PCG64([setup.seed, round(200 * x), sum(setup.scenario.encode())])).random()
+    failure = "collision" if abs(x - 0.6) < 0.05 and drawn < 0.5 else None
+    return CellResult(cell.id, None, None, {"y": true_cost(x)}, failure, 7.0)
+
+
+def test_a_set_whose_failures_are_rare_enough_is_the_best(database: Database) -> None:
+    luckiest = carried_out(database, driven=failing, **RATED | {"constraints": []}).best
+    kept = carried_out(database, driven=failing, **RATED).best
+    assert luckiest is not None
+    assert abs(float(luckiest.parameters["x"]) - 0.6) < 0.05
+    assert kept is not None
+    assert 0.05 <= abs(float(kept.parameters["x"]) - 0.6) < 0.1
+    assert (kept.violation, kept.undecided, kept.constraints["failures"]) == (0.0, False, 0.0)
+    assert kept.constraints["failures_upper"] <= 0.2
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"constraints": [{"rate": 0.01}]}, "constraints[0].rate"),
+        ({"budget": {"simulations": 50}}, "constraints[0].rate"),
+        ({"constraints": [{"measure": "y", "at_most": 3, "rate": 0.2, "scenarios": ["city"]}]}, "constraints[0].rate"),
+    ],
+    ids=["seeds", "budget", "scenarios"],
+)
+def test_a_rate_that_a_campaign_cannot_show_is_refused(database: Database, changes: dict[str, Any], field: str) -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        submit_checked(database, SPEC | RATED | changes)
+    assert [each.field for each in refused.value.problems] == [field]
+
+
 def test_runs_are_repeated_by_seed(database: Database) -> None:
     spec: dict[str, Any] = {"optimizer": POPULATIONS | {"iterations": 3}, "budget": None}
     first, again = carried_out(database, **spec), carried_out(database, **spec)
@@ -189,9 +232,13 @@ def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: 
     assert sum("samples" in note for note in ended.notes) == 1
 
 
-@pytest.mark.parametrize("optimizer", [SPEC["optimizer"], POPULATIONS], ids=["cells", "population"])
+@pytest.mark.parametrize(
+    ("changes", "driven"),
+    [({}, noisy), ({"optimizer": POPULATIONS}, noisy), (RATED, failing)],
+    ids=["cells", "population", "rates"],
+)
 def test_kills_and_the_order_of_answers_change_nothing(
-    tmp_path: Path, optimizer: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, changes: dict[str, Any], driven: Callable[[Any, Cell], CellResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     results = []
     for deaths in (0, 3):
@@ -205,12 +252,12 @@ def test_kills_and_the_order_of_answers_change_nothing(
             return ask(replication, *arguments)
 
         database = opened(tmp_path / f"{deaths}.db")
-        campaign = submit_checked(database, SPEC | {"optimizer": optimizer})
+        campaign = submit_checked(database, SPEC | changes)
         with monkeypatch.context() as patched:
             patched.setattr(Replication, "ask", die)
             while not get(database, campaign).state.ended:
                 with suppress(Killed):
-                    finish(database, campaign, dispatcher(database, ComputedBackend(deaths, driven=noisy)))
+                    finish(database, campaign, dispatcher(database, ComputedBackend(deaths, driven=driven)))
         assert left == [0]
         seeds = [(row.iteration, row.individual, row.scenario, row.seed) for row in rows_of(database, campaign)]
         results.append((seeds, everything(database, campaign)))

@@ -7,12 +7,13 @@ data, so that its results can be read without its problem.
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from math import isclose
+from math import ceil, isclose, log, log1p
 from typing import Any, Literal
 
 import numpy as np
 
 from drivecal.analysis.front import Mask, non_dominated
+from drivecal.analysis.replicates import rate_bounds
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.scoring import LARGEST, rate
 from drivecal.domain.evaluations import CellScore
@@ -22,6 +23,10 @@ from drivecal.plugins.ports import Floats
 
 SCORE = "score"
 """Key of the campaign's own score, which cells store."""
+FAILED = ""
+"""In the place of a measure's name: 1 for a failed run, else 0."""
+UNDECIDED = 1e-3
+"""Largest violation of a rate that may be kept or not, as far as is known; less than that of a rate that is surely exceeded."""
 AT_A_TIME = 256
 """Sets that are compared with a front at a time."""
 AggregateKind = Literal["mean", "min", "max", "quantile"]
@@ -48,6 +53,8 @@ class CellValue:
     def of(self, measures: Mapping[str, float | None], failure: str | None) -> float | None:
         """Returns the value of a run; None if it lacks a measure. A measure beyond LARGEST counts as LARGEST, as sums of it could
         overflow."""
+        if self.measure == FAILED:
+            return 0.0 if failure is None else 1.0
         if self.measure is not None:
             measured = measures.get(self.measure) if failure is None else self.failed
             return None if measured is None else min(max(measured, -LARGEST), LARGEST)
@@ -129,11 +136,36 @@ class Objective(Goal):
 
 @dataclass(frozen=True)
 class Bound(Goal):
-    """A constraint: an amount of at least, for `sign` 1, or at most `limit`. `span`: the unit of its violations."""
+    """A constraint: an amount of at least, for `sign` 1, or at most `limit`. `span`: the unit of its violations.
+
+    With a `rate` it bounds the share of a set's runs, over seeds and scenarios, that are beyond the limit: the set keeps it if the exact
+    upper bound of the share at this confidence is at most `rate`. Models of searches by the cell look at the limit alone.
+    """
 
     sign: int
     limit: float
     span: float
+    rate: float | None = None
+    confidence: float = 0.95
+
+    @property
+    def fewest_runs(self) -> int:
+        """Number of runs that show the rate if none is beyond the limit; 0 without a rate."""
+        return 0 if self.rate is None else ceil(log(1 - self.confidence) / log1p(-self.rate) - 1e-9)
+
+    def beyond(self, runs: Iterable[Mapping[str, CellScore]]) -> tuple[int, int]:
+        """Returns how many runs are beyond the limit or have no value, and how many runs there are; `runs`: cells by scenario, by seed."""
+        cells = [run[scenario] for run in runs for scenario in self.shares if scenario in run]
+        values = [cell.score if self.value.key == SCORE else cell.values.get(self.value.key) for cell in cells]
+        return sum(value is None or self.violation(value) > 0 for value in values), len(values)
+
+    def excess(self, share: float, least: float, most: float) -> float:
+        """Returns the violation of the rate by a share of runs with these bounds: 0 if it is surely kept. If runs do not tell, it is
+        UNDECIDED at most, and the less the nearer the set is to show it."""
+        rate = self.rate or 0.0
+        if most <= rate:
+            return 0.0
+        return UNDECIDED * (most - rate) / (1 - rate) if least <= rate else max(10 * UNDECIDED, share - rate)
 
     def violation(self, amount: float) -> float:
         """Returns by how much it is broken, in spans; 0 if it is kept. An amount that equals the limit but for rounding keeps it."""
@@ -147,6 +179,8 @@ class Judged:
     amounts: tuple[float, ...]
     violation: float
     bounded: tuple[float, ...] = ()
+    undecided: bool = False
+    """Further runs may show that all constraints are kept: rates alone are in the way, and none is surely exceeded."""
 
     @property
     def broken(self) -> bool:
@@ -169,10 +203,12 @@ class Goals:
 
     @cached_property
     def bound_names(self) -> list[str]:
-        """Names of the constraints, made unique: the second and later uses of a name get a number."""
+        """Names of the constrained amounts, made unique: the second and later uses of a name get a number. A rate has three: the share of
+        runs that was found, and its bounds."""
         names: list[str] = []
         for bound in self.bounds:
-            names.append(_numbered(bound.name, names))
+            name = _numbered(bound.name, names)
+            names += [name] if bound.rate is None else [name, f"{name}_lower", f"{name}_upper"]
         return names
 
     def named_bounds(self, judgement: Judged | None) -> dict[str, float]:
@@ -214,18 +250,37 @@ class Goals:
         values = {key: value.of(measures, failure) for key, value in self.computed.items()}
         return {key: value for key, value in values.items() if value is not None}
 
-    def judge(self, cells: Mapping[str, CellScore]) -> Judged | None:
-        """Returns the judgement of a set from its cells by scenario; None if a value is missing."""
+    @property
+    def fewest_seeds(self) -> int:
+        """Number of seeds that show all rates if no run is beyond a limit."""
+        return max((ceil(bound.fewest_runs / len(bound.shares)) for bound in self.bounds), default=0)
+
+    def judge(self, cells: Mapping[str, CellScore], runs: Sequence[Mapping[str, CellScore]] = ()) -> Judged | None:
+        """Returns the judgement of a set from its cells by scenario; None if a value is missing. `runs`: its cells by seed, which rates
+        count, if `cells` are means."""
         values = {name: dict(cell.values) for name, cell in cells.items()}
         for name, cell in cells.items():
             if cell.score is not None:
                 values[name].setdefault(SCORE, cell.score)
         amounts = [amount for objective in self.objectives if (amount := objective.amount(values)) is not None]
-        bounded = [amount for bound in self.bounds if (amount := bound.amount(values)) is not None]
-        if len(amounts) < len(self.objectives) or len(bounded) < len(self.bounds):
+        if len(amounts) < len(self.objectives):
             return None
-        violation = sum(bound.violation(amount) for bound, amount in zip(self.bounds, bounded, strict=True))
-        return Judged(tuple(amounts), violation, tuple(bounded))
+        bounded, violations, undecided = list[float](), list[float](), 0
+        for bound in self.bounds:
+            amount = bound.amount(values)
+            if amount is None:
+                return None
+            if bound.rate is None:
+                bounded.append(amount)
+                violations.append(bound.violation(amount))
+                continue
+            beyond, count = bound.beyond(runs or [cells])
+            known = beyond / count, *rate_bounds(beyond, count, bound.confidence)
+            bounded += known
+            violations.append(bound.excess(*known))
+            undecided += 0 < violations[-1] <= UNDECIDED
+        is_open = undecided > 0 and undecided == sum(violation > 0 for violation in violations)
+        return Judged(tuple(amounts), sum(violations), tuple(bounded), is_open)
 
     def compared(self, judgement: Judged) -> tuple[float, ...]:
         """Returns the objectives of a set, higher is better."""

@@ -39,15 +39,15 @@ def choosing(most: int) -> int:
     return most - fresh if fresh > 1 else most
 
 
-def kept_back(budget: int, scenarios: int, most: int, *, by_cell: bool) -> int:
-    """Returns the simulations of a budget that are kept for the runs after the search."""
+def kept_back(budget: int, scenarios: int, most: int, shown: int = 0, *, by_cell: bool) -> int:
+    """Returns the simulations of a budget that are kept for the runs after the search; `shown`: seeds that rates need at least."""
     share = KEPT_BY_CELL if by_cell else KEPT
-    return min(budget // 2, max(int(share * budget), fewest(scenarios, most))) if most > 1 else 0
+    return min(budget // 2, max(int(share * budget), fewest(scenarios, most, shown))) if most > 1 else 0
 
 
-def fewest(scenarios: int, most: int) -> int:
-    """Returns the simulations that the choice and the report of the best set need at least."""
-    return (most - choosing(most) + FIRST) * scenarios if most > 1 else 0
+def fewest(scenarios: int, most: int, shown: int = 0) -> int:
+    """Returns the simulations that the choice and the report of the best set need at least; `shown`: seeds that rates need."""
+    return (most - choosing(most) + max(FIRST, shown)) * scenarios if most > 1 else 0
 
 
 @dataclass(frozen=True)
@@ -241,3 +241,11 @@ def mean_interval(values: Sequence[float], confidence: float) -> tuple[float, fl
 
     half = float(stdtrit(len(values) - 1, 0.5 + confidence / 2) * np.std(values, ddof=1) / np.sqrt(len(values)))
     return float(np.mean(values)) - half, float(np.mean(values)) + half
+
+
+def rate_bounds(found: int, runs: int, confidence: float) -> tuple[float, float]:
+    """Returns what a rate is at least and at most, each with this confidence, if `found` of `runs` count (Clopper, Pearson 1934)."""
+    from scipy.special import betaincinv
+
+    least = 0.0 if found == 0 else float(betaincinv(found, runs - found + 1, 1 - confidence))
+    return least, 1.0 if found == runs else float(betaincinv(found + 1, runs - found, confidence))

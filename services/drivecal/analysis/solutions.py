@@ -72,9 +72,19 @@ class EvaluatedSet:
         """Sum of the violations of constraints, in shares."""
         return 0.0 if self.judgement is None else self.judgement.violation
 
+    @property
+    def is_undecided(self) -> bool:
+        """True if its runs do not decide whether it keeps its rates, and it keeps all other constraints."""
+        return self.judgement is not None and self.judgement.undecided
+
     def equals(self, other: "EvaluatedSet") -> bool:
         """Returns whether objective and violation are the same but for rounding."""
         return same(self.objective, other.objective, self.span) and same(self.violation, other.violation)
+
+
+UNCOMPARED: dict[str, Any] = dict.fromkeys(("standard_error", "lower", "upper", "probability_best", "runs_to_tell", "bound"))
+UNCOMPARED["is_close"] = False
+"""Fields that a comparison with other sets fills in, with their values before it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +206,7 @@ class Ranking:
         """Returns the solution of a set by the means over some of its seeds, which become its answers."""
         runs = self._runs[number]
         self._answers[number] = {name: over_seeds([runs[seed][name] for seed in seeds]) for name in runs[seeds[0]]}
-        solution = self._solution(number, self._answers[number])
+        solution = self._solution(number, self._answers[number], self._counted(number))
         objective = fmean(self._samples[number][seed] for seed in seeds)
         return None if solution is None else replace(solution, objective=objective)
 
@@ -233,10 +243,35 @@ class Ranking:
         """Returns the seeds under which a set was run."""
         return self._runs.get(parameter_set, {}).keys()
 
-    def standing(self) -> tuple[list[int], SetStatistics] | None:
+    def keeps(self, parameter_set: int) -> bool:
+        """Returns whether a set keeps all constraints, by the seeds that choose."""
+        return self._solutions[parameter_set].choice.violation == 0
+
+    def is_open(self, parameter_set: int) -> bool:
+        """Returns whether further seeds may show that a set keeps its rates, and nothing else is in its way."""
+        judgement, runs = self._solutions[parameter_set].choice.judgement, self._runs[parameter_set]
+        if self._goals is None or judgement is None or not judgement.undecided:
+            return False
+        left = sum(seed not in runs for seed in range(1, self._choosing + 1))
+        return left > 0 and all(
+            replicates.rate_bounds(beyond, count + left * len(bound.shares), bound.confidence)[1] <= bound.rate
+            for bound in self._goals.bounds
+            if bound.rate is not None
+            for beyond, count in [bound.beyond(self._counted(parameter_set))]
+        )
+
+    def _counted(self, parameter_set: int) -> list[dict[str, CellScore]]:
+        """Returns the cells of a set by seed that rates count: of the seeds that choose."""
+        return [cells for seed, cells in sorted(self._runs[parameter_set].items()) if seed <= self._choosing]
+
+    def standing(self, *, with_open: bool = False) -> tuple[list[int], SetStatistics] | None:
         """Returns what is known of the sets by the seeds that choose, and their ids; None without a set. Sets that keep all
-        constraints, or else all sets."""
-        kept = [each for each in self._solutions.values() if each.choice.violation == 0] or list(self._solutions.values())
+        constraints, or else all sets. `with_open`: sets that may turn out to keep them as well."""
+        everything = list(self._solutions.values())
+        kept = [
+            each for each in everything if self.keeps(each.parameter_set) or (with_open and self.is_open(each.parameter_set))
+        ]
+        kept = kept or everything
         kept.sort(
             key=lambda each: each.parameter_set
         )  # sums depend on the order, and a restart learns of the sets in another one
@@ -268,6 +303,8 @@ class Ranking:
         if known is None:
             return
         numbers, standing = known
+        for number in self._solutions.keys() - set(numbers):  # compared before the first set kept the constraints
+            self._solutions[number] = replace(self._solutions[number], **UNCOMPARED)
         for number in numbers:
             fresh = [objective for seed, objective in sorted(self._samples.get(number, {}).items()) if seed > self._choosing]
             interval = replicates.mean_interval(fresh, confidence)
@@ -413,7 +450,9 @@ class Ranking:
         self._assess()
         return self._solutions.get(parameter_set)
 
-    def _solution(self, number: int, cells: Mapping[str, CellScore]) -> EvaluatedSet | None:
+    def _solution(
+        self, number: int, cells: Mapping[str, CellScore], runs: Sequence[Mapping[str, CellScore]] = ()
+    ) -> EvaluatedSet | None:
         objective = rating = 0.0
         scores: dict[str, float] = {}
         reused: list[str] = []
@@ -433,7 +472,7 @@ class Ranking:
         )
         if self._goals is None:
             return solution
-        judgement = self._goals.judge(cells)
+        judgement = self._goals.judge(cells, runs)
         if judgement is None:
             return None
         first = self._goals.objectives[0]

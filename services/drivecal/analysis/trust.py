@@ -80,6 +80,7 @@ class Chosen:
     compared: Sequence[BesideBaseline] = ()
     copied: Sequence[str] = ()
     violation: float = 0.0
+    undecided: bool = False
     baseline_violation: float = 0.0
     is_judged: bool = True
     is_best: bool = False
@@ -185,7 +186,9 @@ def _chosen(chosen: Chosen, ranges: Mapping[str, tuple[float, float]], *, with_o
     if not chosen.is_judged:
         yield verdict("not_judged", "red")
         return
-    if chosen.violation > 0:
+    if chosen.undecided:
+        yield verdict("constraints_undecided", "amber", subject="the chosen set")
+    elif chosen.violation > 0:
         yield verdict("constraints_broken", "red", share=chosen.violation)
     if with_origin:
         copied = list(chosen.copied)
@@ -240,7 +243,9 @@ def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:
 
 
 def _constraints(campaign: Campaign) -> Iterator[ResultVerdict]:
-    if campaign.best is not None and campaign.best.violation > 0:
+    if campaign.best is not None and campaign.best.undecided:
+        yield verdict("constraints_undecided", "amber", subject="the best set")
+    elif campaign.best is not None and campaign.best.violation > 0:
         yield verdict("no_set_keeps_constraints", "red", share=campaign.best.violation)
 
 

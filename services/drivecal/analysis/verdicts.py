@@ -34,6 +34,7 @@ SCORES = CONFIRMED | {
     "own.",
     "constraints_broken": "The chosen set breaks the constraints by {share:.1%}.",
     "no_set_keeps_constraints": "No set keeps all constraints; the best set breaks them by {share:.1%}.",
+    "constraints_undecided": "Runs do not decide whether {subject} keeps its rates: more seeds (replicates.most) or a larger budget may.",
     "scores_copied": "This very set was not simulated in {scenarios:list}: its scores there are copied.",
     "scores_simulated": "Every score of {subject} was simulated or repeats a simulation.",
     "never_confirmed": "The best set was not simulated again after the search (reduction.confirm is 0): a score may be a copy.",

@@ -169,6 +169,10 @@ class Best(Answer):
     scores: dict[str, Score]
     alternatives: int
     violation: float = 0.0
+    undecided: bool = False
+    """Its runs do not decide whether it keeps its rates; `violation` is small then, and above 0."""
+    constraints: dict[str, float] = {}
+    """The constrained amounts, as of `Solution`."""
     replicates: int = 1
     """Seeds under which it ran."""
     failures: int = 0

@@ -246,9 +246,14 @@ class GoalSpecification(Model):
     failed: Number | None = None
     """Worth of a measure of failed runs; null: a set with a failed run has no result here. A score has its own."""
 
+    @property
+    def counts_failures(self) -> bool:
+        """True if it bounds the rate of failed runs, and so names no value."""
+        return False
+
     @model_validator(mode="after")
     def _names_a_value(self) -> Self:
-        if (self.score is None) == (self.measure is None):
+        if (self.score is None) == (self.measure is None) and not self.counts_failures:
             raise ValueError(f"it names {'no score or' if self.score is None else 'a score and a'} measure; give one of them")
         if self.score is not None and self.failed is not None:
             raise ValueError("a score has a worth of failed runs already; leave `failed` out")
@@ -274,15 +279,37 @@ class ObjectiveSpecification(GoalSpecification):
 
 
 class ConstraintSpecification(GoalSpecification):
-    """A constraint: without `aggregate`, it has to hold in every scenario."""
+    """A constraint: without `aggregate`, it has to hold in every scenario.
+
+    With `rate`, for random simulators, a share of the runs may break it. Without score and measure, it is the share that fails.
+    """
 
     aggregate: Literal["mean", "min", "max"] | Quantile | None = None
     """Combines the values of all scenarios into one; null: the constraint holds in each."""
     at_least: Number | None = None
     at_most: Number | None = None
+    rate: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """Largest share of the runs, over seeds and scenarios, that may be beyond the limit, shown at `replicates.confidence`. A failed run
+    is beyond it unless `failed` is not."""
+
+    @property
+    def counts_failures(self) -> bool:
+        """See `GoalSpecification`."""
+        return self.rate is not None and self.score is None and self.measure is None
+
+    @property
+    def label(self) -> str:
+        """Name in results."""
+        return super().label or "failures"
 
     @model_validator(mode="after")
     def _has_a_limit(self) -> Self:
+        if self.rate is not None and self.aggregate is not None:
+            raise ValueError("a rate counts the runs of every scenario; leave `aggregate` out")
+        if self.counts_failures:
+            if any(given is not None for given in (self.at_least, self.at_most, self.failed)):
+                raise ValueError("a limit is one of a score or a measure; name one, or give `rate` alone for failed runs")
+            return self
         if (self.at_least is None) == (self.at_most is None):
             raise ValueError(f"it has {'no limit' if self.at_least is None else 'two limits'}; give at_least or at_most")
         return self

@@ -241,12 +241,15 @@ class Generation(GenerationCounts, _Iteration):
 
 class Solution(Answer):
     """An evaluated parameter set. `rank` counts from 1: sets that keep the constraints come first, then objective, `rating` and discovery
-    decide. `violation` is the sum of the violations, as shares. `constraints` has the bounded values by constraint name."""
+    decide. `violation` is the sum of the violations, as shares. `constraints` has the bounded values by constraint name; a rate NAME has
+    `NAME_lower` and `NAME_upper` as well, the exact bounds of the share that was found."""
 
     rank: int
     objective: float
     rating: float
     violation: float = 0.0
+    undecided: bool = False
+    """Its runs do not decide whether it keeps its rates, and it keeps all other constraints; `violation` is small then, and above 0."""
     constraints: Annotated[dict[str, float], Spread("constraint_")] = Field(default_factory=dict)
     scores: Annotated[dict[str, Score], Spread("score_")]
     reused: list[str] = Field(default_factory=list)
@@ -288,8 +291,8 @@ class FrontRow(Answer):
     `alternatives` counts the sets with the same objectives, with this one. The `knee` gives the most for what it costs. No set is better in
     the objectives `best_in`. `wins` is its share of all weightings of the objectives, scaled to the front, and `weights` has the corners of
     that region; both are null for more than three objectives, and for more than 1,000 sets of three. `violation` is the sum of the
-    violations, as shares; above 0 only if no set keeps all constraints. `constraints` has the bounded values by constraint name. `degree`
-    comes from the robustness stage, if any.
+    violations, as shares; above 0 only if no set keeps all constraints. `undecided` and `constraints` are as of `Solution`. `degree` comes
+    from the robustness stage, if any.
     """
 
     rank: int
@@ -297,6 +300,7 @@ class FrontRow(Answer):
     weighted: float | None = None
     """The weighted sum of the scaled objectives, 0 to 1, if weights were given."""
     violation: float
+    undecided: bool = False
     constraints: Annotated[dict[str, float], Spread("constraint_")] = Field(default_factory=dict)
     knee: bool
     best_in: list[str]

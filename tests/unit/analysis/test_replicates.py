@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from drivecal.analysis import replicates
-from drivecal.analysis.goals import Aggregate, Bound, CellValue, Goals, Objective
-from drivecal.analysis.replicates import SetStatistics, allocate, assess, choosing, mean_interval, to_tell
+from drivecal.analysis.goals import UNDECIDED, Aggregate, Bound, CellValue, Goals, Objective
+from drivecal.analysis.replicates import SetStatistics, allocate, assess, choosing, mean_interval, rate_bounds, to_tell
 from drivecal.analysis.solutions import Ranking
 from drivecal.campaigns.stages.replication import next_runs
 from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.evaluations import CellScore
+from drivecal.domain.scales import Direction, Scale
 from drivecal.plugins.ports import Floats
 
 SETS, CONFIDENCE, MOST = 12, 0.95, 300
@@ -216,3 +217,61 @@ def test_a_budget_keeps_runs_for_the_choice() -> None:
     assert replicates.kept_back(1000, 6, 20, by_cell=True) == 150
     assert replicates.kept_back(100, 6, 20, by_cell=True) == 50
     assert replicates.kept_back(600, 6, 1, by_cell=True) == 0
+
+
+RATE = Bound("gap", CellValue(measure="gap", failed=-1.0), {"S1": 1.0}, Aggregate("min"), 1, 0.0, 1.0, rate=0.1, confidence=0.9)
+"""At most a tenth of the runs has a gap below 0: 22 runs without one show it."""
+
+
+def rated(most: int, fails: dict[int, int]) -> Ranking:
+    """Three sets, the first the best. `fails`: each how many seeds one run of a set has a gap below 0."""
+    scale = Scale("score", Direction.MAXIMISE, -10, 10, 0.0, -10, None, "1")
+    goals = Goals((Objective("score", CellValue(scale), {"S1": 1.0}, Aggregate(), 1),), (RATE,))
+    wanted = ReplicatesSpecification(most=most)
+    ranking = Ranking({"S1": 1}, goals=goals, wanted=wanted)
+    chosen = [(place, 1) for place in range(3)]
+    noise = np.random.Generator(np.random.PCG64(1)).normal(size=(3, most)) / 10
+    while chosen:
+        cells = []
+        for place, seed in chosen:
+            gap = -1.0 if place in fails and seed % fails[place] == 0 else 1.0
+            score = float(noise[place, seed - 1] - place)
+            values = {RATE.value.key: gap}
+            cells.append(CellScore(place, "S1", score, score, True, 0, place, seed=seed, values=values))
+        ranking.add(cells)
+        chosen = next_runs(ranking, wanted, 4, 1000)
+    return ranking
+
+
+@pytest.mark.parametrize(
+    ("beyond", "runs", "least", "most"), [(0, 22, 0.0, 0.0), (0, 21, 1e-9, 1e-5), (2, 10, 1e-4, UNDECIDED), (9, 10, 0.79, 0.81)]
+)
+def test_a_rate_is_kept_broken_or_undecided(beyond: int, runs: int, least: float, most: float) -> None:
+    cells = [
+        {"S1": CellScore(1, "S1", 1.0, 1.0, True, 0, 0, seed=seed, values={RATE.value.key: -float(seed <= beyond)})}
+        for seed in range(1, runs + 1)
+    ]
+    judged = Goals((), (RATE,)).judge(cells[0], cells)
+    assert judged is not None
+    assert least <= judged.violation <= most
+    assert judged.undecided == (0 < most <= UNDECIDED)
+    assert judged.bounded == (beyond / runs, *rate_bounds(beyond, runs, 0.9))
+    assert RATE.fewest_runs == 22
+
+
+def test_bounds_of_rates_are_exact() -> None:
+    assert rate_bounds(0, 299, 0.95) == pytest.approx((0.0, 1 - 0.05 ** (1 / 299)))
+    assert rate_bounds(1, 50, 0.975) == pytest.approx((1 - 0.975 ** (1 / 50), 0.1064692), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("most", "fails", "best", "undecided"), [(40, {}, 0, False), (40, {0: 3}, 1, False), (20, {}, 0, True)]
+)
+def test_the_best_set_gets_the_runs_that_show_its_rate(most: int, fails: dict[int, int], best: int, undecided: bool) -> None:
+
+    ranking = rated(most, fails)
+    winner = ranking.best()
+    assert winner is not None
+    assert (winner[0].parameter_set, winner[0].violation > 0, winner[0].is_undecided) == (best, undecided, undecided)
+    for place in fails:  # it can keep the rate no more, and gets no further runs
+        assert max(ranking.seeds(place)) < 22

@@ -198,6 +198,7 @@ def set_at(
         compared=compared,
         copied=judged.reused,
         violation=judged.violation,
+        undecided=judged.is_undecided,
         baseline_violation=0.0 if baseline is None else baseline.violation,
         is_best=is_best,
     )

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from sqlalchemy import Connection
 
-from drivecal.analysis.goals import Bound, Goal, Objective
+from drivecal.analysis.goals import FAILED, Bound, Goal, Objective
 from drivecal.analysis.robustness import key_of
 from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.api.tables.ranking import given_weights
@@ -48,6 +48,7 @@ def front_table(
                 objectives=dict(zip(names, amounts, strict=True)),
                 weighted=worths[place],
                 violation=solution.violation,
+                undecided=solution.is_undecided,
                 constraints=front.goals.named_bounds(solution.judgement),
                 knee=front.knee == place,
                 best_in=[name for name, best in zip(names, front.extremes, strict=True) if best == place],
@@ -139,6 +140,9 @@ def _aggregate_text(goal: Goal) -> str:
 def bound_text(bound: Bound) -> str:
     """Returns a constraint in words."""
     sign = ">=" if bound.sign > 0 else "<="
+    if bound.rate is not None:
+        what = "that fail" if bound.value.measure == FAILED else f"without {bound.name} {sign} {bound.limit:g}"
+        return f"share of runs {what} <= {bound.rate:g}, at {bound.confidence:g} ({', '.join(bound.shares)})"
     return f"{_aggregate_text(bound)} of {bound.name} {sign} {bound.limit:g} ({', '.join(bound.shares)})"
 
 

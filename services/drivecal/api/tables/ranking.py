@@ -59,6 +59,7 @@ class CampaignRanking:
                 scores=dict(solution.scores),
                 reused=list(solution.reused),
                 violation=solution.violation,
+                undecided=solution.is_undecided,
                 constraints={} if self.goals is None else self.goals.named_bounds(solution.judgement),
                 iteration=solution.iteration,
                 individual=solution.individual,

@@ -1,9 +1,12 @@
 """Resolves the objectives and constraints of a campaign against the scores and measures of its problem."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import count
+from math import ceil
 
-from drivecal.analysis.goals import SCORE, Aggregate, Bound, CellValue, Goals, Objective
+from drivecal.analysis.goals import FAILED, SCORE, Aggregate, Bound, CellValue, Goals, Objective
+from drivecal.analysis.replicates import choosing, fewest, rate_bounds
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.specification import (
@@ -15,6 +18,9 @@ from drivecal.contracts.specification import (
     ReductionSpecification,
 )
 from drivecal.domain.scales import Direction
+
+LIKELY = 0.25
+"""Share of failed runs above which models of a search keep away, if the limit is lower: too few runs of a set tell less."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +49,41 @@ def find_goals(
         return None
     goals = Goals(
         tuple(objective for objective in objectives if objective is not None),
-        tuple(bound for bound in bounds if bound is not None),
+        tuple(replace(bound, confidence=specification.replicates.confidence) for bound in bounds if bound is not None),
     )
     plain = len(goals.objectives) == 1 and not bounds and goals.objectives[0].is_weighted_mean(weights)
     return None if plain and goals.objectives[0].tolerance == 0 else goals
+
+
+def check_rates(
+    goals: Goals | None, most: int, scenarios: int, simulations: int | None, diagnostics: Diagnostics, *, is_random: bool
+) -> None:
+    """Adds problems for rates of a simulator that is not random, and for rates that the campaign cannot show.
+
+    Args:
+        goals: the campaign's.
+        most: of its `replicates`.
+        scenarios: number of its scenarios.
+        simulations: of its budget; None without a limit.
+        diagnostics: where the problems go.
+        is_random: whether the simulator is.
+    """
+    for place, bound in enumerate(() if goals is None else goals.bounds):
+        if bound.rate is None:
+            continue
+        field, seeds, needed = f"constraints[{place}].rate", choosing(most), ceil(bound.fewest_runs / len(bound.shares))
+        takes = f"a rate of {bound.rate:g} takes {bound.fewest_runs:,} runs without one beyond the limit"
+        if not is_random:
+            message = "the simulator is not random, and each set has one run in a scenario"
+            diagnostics.add(field, message, "leave it out, or give `random: true` in problem.yaml")
+        elif needed > seeds:
+            least = rate_bounds(0, seeds * len(bound.shares), bound.confidence)[1]
+            enough = next(more for more in count(most) if choosing(more) >= needed)
+            message = f"{takes}, and {seeds} of {most} seeds choose a set"
+            diagnostics.add(field, message, f"give replicates.most of at least {enough}, or a rate of at least {least:.4g}")
+        elif simulations is not None and (kept := 2 * fewest(scenarios, most, needed)) > simulations:
+            message = f"{takes}, {needed:,} seeds, and half of the budget at most is kept for them and for the report"
+            diagnostics.add(field, message, f"give budget.simulations of at least {kept:,}, or a higher rate")
 
 
 def check_reuse(
@@ -96,14 +133,19 @@ def _objective(
 def _bound(
     given: ConstraintSpecification, field: str, known: KnownValues, weights: Mapping[str, float], diagnostics: Diagnostics
 ) -> Bound | None:
-    value = _value(given, field, known, diagnostics)
+    value = CellValue(measure=FAILED, failed=1.0) if given.counts_failures else _value(given, field, known, diagnostics)
     shares = _shares(given, field, weights, diagnostics)
-    limit = given.at_most if given.at_least is None else given.at_least
+    limit = (
+        max(given.rate or 0.0, LIKELY) if given.counts_failures else given.at_most if given.at_least is None else given.at_least
+    )
     if value is None or shares is None or limit is None:
         return None
     sign = -1 if given.at_least is None else 1
+    span = value.scale.span if value.scale else abs(limit) or 1.0
+    if given.rate is not None and value.scale is None and value.failed is None:
+        value = replace(value, failed=limit - sign * span)
     aggregate = _aggregate(given.aggregate or ("min" if sign > 0 else "max"))
-    return Bound(given.label, value, shares, aggregate, sign, limit, value.scale.span if value.scale else abs(limit) or 1.0)
+    return Bound(given.label, value, shares, aggregate, sign, limit, span, given.rate)
 
 
 def _value(given: GoalSpecification, field: str, known: KnownValues, diagnostics: Diagnostics) -> CellValue | None:

@@ -15,7 +15,7 @@ from drivecal.analysis.replicates import kept_back
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.goals import check_reuse, find_goals
+from drivecal.campaigns.resolve.goals import check_rates, check_reuse, find_goals
 from drivecal.campaigns.resolve.optimizer import Optimization, check_abilities, choose_optimizer, note_search, settled_search
 from drivecal.campaigns.resolve.spaces import (
     fixed_to_document,
@@ -99,13 +99,18 @@ class CalibrationProblem:
         return self.specification.replicates.least if self.bench.is_random else 1
 
     @property
+    def rate_seeds(self) -> int:
+        """The number of seeds that constraints on rates need at least; 0 without any."""
+        return 0 if self.goals is None else self.goals.fewest_seeds
+
+    @property
     def search_simulations(self) -> int | None:
         """The simulations of the budget that the search may use; None without a limit."""
         budget = None if self.optimization is None else self.optimization.budget
         if self.optimization is None or budget is None or budget.simulations is None or not self.bench.is_random:
             return None if budget is None else budget.simulations
         by_cell, most = self.optimization.by_cell is not None, self.specification.replicates.most
-        return budget.simulations - kept_back(budget.simulations, len(self.scenarios), most, by_cell=by_cell)
+        return budget.simulations - kept_back(budget.simulations, len(self.scenarios), most, self.rate_seeds, by_cell=by_cell)
 
     @property
     def start_indices(self) -> Indices:
@@ -215,6 +220,8 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     specification = specification.model_copy(update=dict(workbench.settled) | settled_search(specification, optimization))
     bench = replace(workbench.make(weights), repeat=specification.reduction.repeat)
     resolvers.check_units(specification, bench.scale, diagnostics)
+    budget = None if optimization is None or optimization.budget is None else optimization.budget.simulations
+    check_rates(goals, specification.replicates.most, len(weights), budget, diagnostics, is_random=bench.is_random)
     diagnostics.raise_if_any()
     notes += resolvers.note_predictions(specification, bench.scale)
     problem = CalibrationProblem(

@@ -506,7 +506,7 @@ class Calibration(Stage):
         best, is_better = self._ranking.best(), False
         if best is not None:
             solution, alternatives = best
-            number, before = solution.parameter_set, self._best
+            number, before, goals = solution.parameter_set, self._best, self._problem.goals
             parameters = parameter_sets.load(connection, [number])[number]
             self._best = Best(
                 objective=solution.objective,
@@ -514,12 +514,14 @@ class Calibration(Stage):
                 scores=dict(solution.scores),
                 alternatives=alternatives,
                 violation=solution.violation,
+                undecided=solution.is_undecided,
+                constraints={} if goals is None else goals.named_bounds(solution.judgement),
                 failure_interval=clopper_pearson(*self._ranking.failed_runs(number)) if solution.replicates > 1 else None,
                 **self._ranking.uncertainty(solution),
             )
             changed = before is None or not same(solution.objective, before.objective, solution.span)
             gain = 0.0 if before is None else solution.sign * (self._best.objective - before.objective)
-            goals = self._problem.goals  # the first set that keeps all constraints may be worse than the last that does not
+            # the first set that keeps all constraints may be worse than the last that does not
             if before is None or (changed and (gain > 0 or (goals is not None and goals.bounds))):
                 self._tell_best(connection, solution)
                 is_better = True
@@ -580,7 +582,8 @@ class Calibration(Stage):
         if is_over and self._search.predictions_off is not None:
             notes.append(self._search.predictions_off)
         if self._best is not None and self._best.violation > 0 and is_over:
-            notes.append(f"no set keeps all constraints on results: the best set breaks them by {self._best.violation:.1%}")
+            broken = "is not known to keep them" if self._best.undecided else f"breaks them by {self._best.violation:.1%}"
+            notes.append(f"no set keeps all constraints on results: the best set {broken}")
         return replace(
             super()._snapshot(connection),
             iteration=self._next - 1 if self._next else None,

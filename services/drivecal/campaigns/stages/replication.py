@@ -81,7 +81,8 @@ class Replication:
         table count as in the search, so that the same campaign again asks for the same cells."""
         chosen, requested = self._problem.optimization, tracker.counts.get("requested", 0)
         if chosen is None or chosen.budget is None or chosen.budget.simulations is None:
-            fewest = replicates.fewest(len(self._problem.scenarios), self._problem.specification.replicates.most)
+            most, shown = self._problem.specification.replicates.most, self._problem.rate_seeds
+            fewest = replicates.fewest(len(self._problem.scenarios), most, shown)
             return max(fewest, int((requested - after) * replicates.KEPT / (1 - replicates.KEPT))) - after
         left = int(tracker.budget.left)
         return left if chosen.by_cell is None else min(left, chosen.budget.simulations - requested)
@@ -98,7 +99,7 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
         room: the largest number of runs.
         affordable: number of runs, each in all scenarios, that the budget has left.
     """
-    known = ranking.standing()
+    known = ranking.standing(with_open=True)
     if known is None or wanted.most < 2:
         return []
     numbers, standing = known
@@ -110,8 +111,16 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
         seed = next((seed for seed in range(1, choosing + 1) if seed not in tried), None)
         if seed is not None:  # a seed without a result is not tried again
             chosen.setdefault(numbers[place], []).append(seed)
+    leader = numbers[standing.best(wanted.confidence)]
+    kept = ranking.standing() or known
+    spare = affordable - len(fresh) if ranking.keeps(kept[0][0]) else affordable  # without a set, there is nothing to report
+    if not chosen and spare > 0 and ranking.is_open(leader):
+        known_seeds = ranking.seeds(leader)
+        untried = [seed for seed in range(1, choosing + 1) if seed not in known_seeds]
+        chosen[leader] = untried[: min(room, spare, len(known_seeds))]  # at most as many again: a bad set is soon known
     if chosen or (standing.is_known and not standing.is_random):
         return [(number, seed) for number, seeds in chosen.items() for seed in seeds]
+    numbers, standing = kept
     best = numbers[standing.best(wanted.confidence)]
     left = [seed for seed in fresh if seed not in ranking.seeds(best)]
     return [(best, seed) for seed in left[:affordable]]

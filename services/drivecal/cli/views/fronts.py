@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from drivecal.cli.views.sections import Block, Table, percent
+from drivecal.cli.views.sections import Block, Table, broken_text, percent
 from drivecal.contracts.results import FrontBaseline, FrontSummary
 from drivecal.contracts.tables import FrontRow
 from drivecal.domain.scales import unit_text
@@ -77,5 +77,5 @@ def front_marks(row: FrontRow) -> str:
     """Returns what is special about a set of a front; a star: it has a score of a reference."""
     marks = [*(["knee"] if row.knee else []), *(f"best {name}" for name in row.best_in), *(["*"] if row.reused else [])]
     if row.violation > 0:
-        marks.append(f"breaks constraints by {row.violation:.1%}")
+        marks.append(broken_text(row))
     return ", ".join(marks)

@@ -15,6 +15,7 @@ from drivecal.cli.views.sections import (
     Table,
     account_blocks,
     audits_table,
+    broken_text,
     evaluation_command,
     failures_table,
     lots_table,
@@ -118,6 +119,8 @@ def _uncertainty_texts(best: Best) -> Iterator[str]:
     if best.failure_interval is not None:
         lower, upper = best.failure_interval
         yield f"{best.failures} failed runs; {percent(lower, 1)} to {percent(upper, 1)} of its runs fail"
+    if best.constraints:
+        yield "constrained: " + "  ".join(f"{name} {told(amount)}" for name, amount in best.constraints.items())
     if best.noise:
         yield "noise of a run: " + "  ".join(f"{name} {told(noise)}" for name, noise in best.noise.items())
 
@@ -270,7 +273,7 @@ def when(moment: datetime | None) -> str:
 
 def _set_text(shown: Best | Baseline) -> str:
     objective = "no result yet" if shown.objective is None else objective_text(shown.objective)
-    broken = f"  breaks the constraints on results by {shown.violation:.1%}" if shown.violation > 0 else ""
+    broken = f"  {broken_text(shown)}" if shown.violation > 0 else ""
     return f"{objective}{broken}  {parameters_text(shown.parameters, None)}"
 
 

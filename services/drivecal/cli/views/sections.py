@@ -7,11 +7,11 @@ from typing import Any, Literal
 
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.assignments import value_text
-from drivecal.contracts.campaign import ErrorRate, Released
+from drivecal.contracts.campaign import Baseline, Best, ErrorRate, Released
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.results import ResultTrust
 from drivecal.contracts.specification import EvaluationSpecification, VehicleSpecification
-from drivecal.contracts.tables import Solution, ValidationRow
+from drivecal.contracts.tables import FrontRow, Solution, ValidationRow
 from drivecal.domain.scales import Scale, objective_text, told
 
 OUTCOMES = ("simulated", "repeated", "reused", "predicted", "failed")
@@ -140,16 +140,22 @@ def account_blocks(account: Accounting | None) -> list[Block]:
     return [*blocks, *(f"  {remark}" for remark in account.remarks)]
 
 
+def broken_text(judged: Best | Baseline | Solution | FrontRow) -> str:
+    """Returns by how much a set breaks constraints on results, or that it is not known."""
+    undecided = not isinstance(judged, Baseline) and judged.undecided
+    return "not known to keep its rates" if undecided else f"breaks constraints by {judged.violation:.1%}"
+
+
 def solutions_table(solutions: Sequence[Solution]) -> list[Block]:
     """Returns the best sets; nothing without a set."""
     if not solutions:
         return []
     first = solutions[0]
-    broken = ["breaks constraints by"] if any(solution.violation > 0 for solution in solutions) else []
+    broken = ["constraints"] if any(solution.violation > 0 for solution in solutions) else []
     rows = [
         [
             *(solution.rank, objective_number(solution.objective), fixed(solution.rating, 3)),
-            *(percent(solution.violation or None, 1) for _ in broken),
+            *(broken_text(solution) if solution.violation else "kept" for _ in broken),
             *(f"{value:.6g}" for value in solution.constraints.values()),
             *(f"{told(score)}*" if name in solution.reused else told(score) for name, score in solution.scores.items()),
             *solution.parameters.values(),

@@ -24,6 +24,7 @@ export function tableOf(rows: readonly FrontRow[], parameters: readonly { name: 
   for (const [name, values] of Object.entries(further)) add(name, (_, place) => values[place]);
   spread(objectiveColumn, (row) => row.objectives);
   add("violation", (row) => row.violation);
+  add("undecided", (row) => row.undecided);
   spread(constraintColumn, (row) => row.constraints);
   add("knee", (row) => row.knee);
   add("best_in", (row) => row.best_in.join(" ") || null);
