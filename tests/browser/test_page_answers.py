@@ -189,6 +189,29 @@ def test_the_start_page_says_what_happened_since_the_last_visit(shown: Shown, op
     page.unroute_all(behavior="ignoreErrors")
 
 
+def test_the_workers_show_what_they_did_and_what_waits_for_what(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/#/nowhere", expected=("404",))
+    resources = [{"name": "bench", "total": 2, "held": 2}, {"name": "rig", "total": 1, "held": 0}]
+    idle = {"id": "worker-9", "node": "here", "state": "idle", "cells": 0}
+    waits = {"waiting": [{"id": "a" * 32, "name": "mine", "reason": "2 of 2 bench are in use"}]}
+    changed(page, "/workers", lambda answer: answer | waits | {"items": [idle], "resources": resources})
+    page.goto(f"{shown.api.url}/#/workers?minutes=15")
+    figures, queue = page.get_by_role("region", name="Figures"), page.get_by_role("table", name="Waiting campaigns")
+    expect(figures.get_by_text("campaigns that wait for it: 1")).to_have_count(1)
+    expect(figures.get_by_text("campaigns that wait for it: 0")).to_have_count(1)
+    expect(queue.get_by_role("row", name="mine")).to_contain_text("2 of 2 bench are in use")
+    workers = page.get_by_role("table", name="Workers", exact=True)
+    expect(workers.get_by_role("row", name="worker-9")).to_contain_text(re.compile("15 min, 100 %"))
+    done = workers.get_by_role("img", name=re.compile("worker-1: [1-9][0-9]* stored runs"))
+    expect(done).to_be_visible()
+    expect(done.locator("title").last).to_contain_text(re.compile("busy, (first|second|frugal)"))
+    assert barriers_everywhere(page) == []
+    page.get_by_label("Minutes shown").select_option("60 minutes")
+    page.wait_for_url(re.compile("minutes=60"))
+    expect(workers.get_by_role("row", name="worker-9")).to_contain_text(re.compile("60 min, 100 %"))
+    page.unroute_all(behavior="ignoreErrors")
+
+
 def iso(moment: float) -> str:
     return datetime.fromtimestamp(moment, UTC).isoformat()
 

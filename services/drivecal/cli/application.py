@@ -68,7 +68,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "parameters": ("problem", "Print the parameters of calibration files as sections of problem.yaml."),
     "problem": ("problem", "Your own problems: a simulation, its parameters, measures and scores."),
     "results": ("imported", "Results of vehicles, test benches and other tools, compared with simulations."),
-    "workers": ("serve", "Show the workers with their activity and speed."),
+    "workers": (
+        "serve",
+        "Show the workers with their activity and speed, and their share of busy time in the last 15 minutes.",
+    ),
     "db": ("db", "The database. These commands open it themselves and need no server."),
 }
 """Module below `cli.commands` and summary of each command, in the order of the help: a command imports its own module only."""

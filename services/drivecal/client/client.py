@@ -479,9 +479,9 @@ class Client(Transport):
         """Returns the scenarios of all catalogues of the server."""
         return self._get(ScenarioPage, "scenarios")
 
-    def workers(self) -> WorkerPage:
-        """Returns the workers."""
-        return self._get(WorkerPage, "workers")
+    def workers(self, minutes: int = 0) -> WorkerPage:
+        """Returns the workers, and what they did in the last `minutes`, at most 60."""
+        return self._get(WorkerPage, "workers", minutes=minutes or None)
 
     def campaigns(
         self, state: str | None = None, limit: int | None = None, cursor: str | None = None, *, tags: Sequence[str] = ()

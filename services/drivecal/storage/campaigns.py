@@ -39,6 +39,7 @@ from drivecal.domain.errors import NotFoundError
 from drivecal.domain.events import EventKind
 from drivecal.storage import admission, events, leases
 from drivecal.storage.engine.bulk import insert as insert_into
+from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.records import decode_cursor, encode_cursor, identified, record
 from drivecal.storage.engine.tables import campaign_stages, campaigns
 from drivecal.storage.engine.types import STAGES, now
@@ -307,6 +308,12 @@ def listed(
         (before,) = decode_cursor(cursor, int)
         query = query.where(campaigns.c.sequence < before)
     return query
+
+
+def named(connection: Connection, sequences: Collection[int]) -> dict[int, tuple[str, str]]:
+    """Returns ids and names of campaigns, by number."""
+    query = select(campaigns.c.sequence, campaigns.c.id, campaigns.c.name)
+    return {row.sequence: (row.id, row.name) for row in rows_among(connection, query, campaigns.c.sequence, sorted(sequences))}
 
 
 def active(connection: Connection) -> list[CampaignHeading]:

@@ -190,12 +190,35 @@ class WaitingAnswer(Answer):
     reason: str
 
 
+class WorkerTime(Answer):
+    """A worker's stored runs in equal parts of a window, the oldest first: `busy` seconds of each part, and the id of the campaign that
+    took most of it, null if it was idle. Runs without a result, and runs that repeat a stored one, are not stored."""
+
+    worker: str
+    runs: int
+    busy: list[float]
+    campaigns: list[str | None]
+
+
+class WorkerWindow(Answer):
+    """The time from `since` to `until` in parts of `part_seconds`. Runs before `complete_since` were too many to read. `names` has the
+    campaigns' names by id."""
+
+    since: datetime
+    until: datetime
+    part_seconds: float
+    complete_since: datetime
+    workers: list[WorkerTime]
+    names: dict[str, str]
+
+
 class WorkerPage(Page[WorkerAnswer]):
     """The workers, and when the dispatcher that drives them was last heard of (null: never). `fresh` is false if it has been silent for
-    too long to believe what it said; `degraded` says what is wrong."""
+    too long to believe what it said; `degraded` says what is wrong. `window` covers the asked minutes; null without any."""
 
     resources: list[ResourceAnswer] = Field(default_factory=list)
     waiting: list[WaitingAnswer] = Field(default_factory=list)
+    window: WorkerWindow | None = None
     dispatcher_seen_at: datetime | None = None
     fresh: bool = False
     degraded: str | None = None

@@ -48,7 +48,8 @@ class Watched(Client):
         for state in ("queued", "running", "running", "succeeded"):
             yield Campaign(id="1" * 32, name="mine", state=state)
 
-    def workers(self) -> WorkerPage:
+    def workers(self, minutes: int = 0) -> WorkerPage:
+        del minutes
         states = self.replies.pop(0)
         if states is None:
             raise UnavailableError("silent")

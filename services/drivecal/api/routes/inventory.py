@@ -1,12 +1,13 @@
 """Inventory: scenarios, parameter spaces, references, workers."""
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.live.dispatcher_health import judge
+from drivecal.api.live.worker_time import MOST_RUNS, running, window
 from drivecal.bundles.archives import files_of
 from drivecal.bundles.highway import TaskScenario
 from drivecal.bundles.installed import installed
@@ -43,6 +44,7 @@ from drivecal.storage import bundles, campaigns, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import setups
+from drivecal.storage.references.runs import newest_work
 from drivecal.storage.references.setups import SetupCount
 
 router = APIRouter(tags=["inventory"])
@@ -110,20 +112,27 @@ def references(database: DatabaseDependency) -> ReferencePage:
 
 
 @router.get("/workers")
-def workers(database: DatabaseDependency) -> WorkerPage:
-    """The workers with their activity, as the dispatcher last reported them."""
+def workers(database: DatabaseDependency, minutes: Annotated[int, Query(ge=0, le=60)] = 0) -> WorkerPage:
+    """The workers with their activity, as the dispatcher last reported them, and what they did in the last `minutes`, from the stored
+    runs."""
     with database.read() as connection:
         dispatcher = processes.read(connection, processes.DISPATCHER)
         waiting = campaigns.waits(connection)
-    judgement = judge(dispatcher, now())
+        work = newest_work(connection, MOST_RUNS) if minutes else []
+        named = campaigns.named(connection, {run.campaign_sequence for run in work})
+    until = now()
+    judgement = judge(dispatcher, until)
     reported = {} if dispatcher is None else dispatcher.detail
+    items = [WorkerAnswer.model_validate(worker) for worker in reported.get("workers", [])]
+    work = [*(running(items, until) if dispatcher and not judgement.silent else ()), *work]
     return WorkerPage(
-        items=[WorkerAnswer.model_validate(worker) for worker in reported.get("workers", [])],
+        items=items,
         resources=[ResourceAnswer.model_validate(use) for use in reported.get("resources", [])],
         waiting=[WaitingAnswer(id=number, name=name, reason=reason) for number, name, _, reason in waiting],
         dispatcher_seen_at=None if dispatcher is None else dispatcher.heartbeat_at,
         fresh=not judgement.silent,
         degraded="; ".join(judgement.problems) or None,
+        window=window(work, until, minutes, named) if minutes else None,
     )
 
 

@@ -11,7 +11,7 @@ import typer
 
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, exit_code, tell
 from drivecal.cli.views.output import duration, print_answer, print_columns
-from drivecal.cli.views.sections import fixed
+from drivecal.cli.views.sections import fixed, percent
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.configuration.tokens import TokenFile, check_exposure
 from drivecal.contracts.inventory import WorkerAnswer, WorkerPage
@@ -102,16 +102,23 @@ def _serve(settings: Settings, host: str, port: int, *, as_json: bool) -> int:
 
 @app.command()
 def workers(url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """Show the workers with their activity and speed."""
+    """Show the workers with their activity and speed, and their share of busy time in the last 15 minutes."""
     with connect(url) as client:
-        print_answer(client.workers(), as_json, _print)
+        print_answer(client.workers(minutes=15), as_json, _print)
 
 
 def _print(page: WorkerPage) -> None:
     now = datetime.now(UTC)
-    header = ["worker", "node", "state", "cells", "cells/s", "simulates"]
+    done, seconds = page.window, timedelta(seconds=1)
+    known = (done.until - done.complete_since) / seconds if done else 0.0
+    busy = {time.worker: sum(time.busy) / known for time in done.workers} if done and known else {}
+    header = ["worker", "node", "state", "cells", "cells/s", "busy, 15 min", "simulates"]
     rows = [
-        [item.id, item.node, item.state, item.cells, fixed(item.cells_per_second, 1), doing(item, now)] for item in page.items
+        [
+            *(item.id, item.node, item.state, item.cells, fixed(item.cells_per_second, 1)),
+            *(percent(busy.get(item.id, 0.0), 0), doing(item, now)),
+        ]
+        for item in page.items
     ]
     print_columns(header, rows)
     for line in remarks(page, now):

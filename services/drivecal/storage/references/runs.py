@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from itertools import repeat
 from statistics import fmean
 from typing import Any
@@ -12,6 +13,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.bulk import execute_rows, insert, numbers, rows_among
+from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import parameter_sets, ratings, runs, setups
 from drivecal.storage.engine.types import finite, now
 from drivecal.storage.references.metrics import Stored
@@ -66,6 +68,22 @@ def occupying() -> ColumnElement[float]:
     """Time (ms) for which a run occupied its worker: CPU time, or wall-clock time if its simulator waited."""
     wall = func.coalesce(runs.c.wall_milliseconds, runs.c.milliseconds)
     return case((wall > runs.c.milliseconds, wall), else_=runs.c.milliseconds)
+
+
+@dataclass(frozen=True, slots=True)
+class Worked:
+    """A run at a worker: the time at which its result was stored, and the seconds for which it occupied the worker."""
+
+    worker: str
+    campaign_sequence: int
+    created_at: datetime
+    seconds: float
+
+
+def newest_work(connection: Connection, most: int) -> list[Worked]:
+    """Returns the newest runs, the newest first."""
+    columns = runs.c.worker, runs.c.campaign_sequence, runs.c.created_at, (occupying() / 1000).label("seconds")
+    return [record(Worked, row) for row in connection.execute(select(*columns).order_by(runs.c.id.desc()).limit(most))]
 
 
 def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[StoredRun]:
