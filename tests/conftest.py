@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy import Pool, event
 from tests.support import effort
 from tests.support.databases import leave_it_to_the_system
-from tests.support.misbehaviour import FOLDER
+from tests.support.misbehaviour import ARCHIVES, FOLDER
 from tests.support.postgres import create_database, running_postgres
 from tests.support.tree import PROJECT
 from xdist.remote import Producer
@@ -125,7 +125,7 @@ def ray_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RayBackend
     """A local Ray with two workers on which the plug-in of `tests.support` is installed: one per process is all Ray allows."""
     environment = dict(os.environ)
     os.environ.update(HOME=str(tmp_path_factory.mktemp("home")), PYTHONPATH=str(FOLDER))
-    backend = RayBackend(RayOptions(workers=2, deadline_seconds=10.0), trial())
+    backend = RayBackend(RayOptions(workers=2, deadline_seconds=10.0, archive=ARCHIVES.__getitem__), trial())
     while len(backend.slots()) < 2:
         backend.wait(1.0)
     yield backend
@@ -139,7 +139,7 @@ def processes_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Proc
     """Two workers as processes of this machine on which the plug-in of `tests.support` is installed."""
     before = {name: os.environ.get(name) for name in ("HOME", "PYTHONPATH")}
     os.environ.update(HOME=str(tmp_path_factory.mktemp("home")), PYTHONPATH=str(FOLDER))
-    backend = ProcessBackend(WorkerLimits(workers=2, deadline_seconds=10.0), trial())
+    backend = ProcessBackend(WorkerLimits(workers=2, deadline_seconds=10.0, archive=ARCHIVES.__getitem__), trial())
     while len(backend.slots()) < 2:
         backend.wait(1.0)
     yield backend

@@ -12,6 +12,8 @@ from tests.support.tree import loaded
 from drivecal.contracts.work import Cell, SetupRequest
 
 FOLDER = Path(__file__).parent / "plugins"
+ARCHIVES: dict[str, bytes] = {}
+"""Problem bundles that the real backends of the tests know, by digest."""
 
 
 @cache

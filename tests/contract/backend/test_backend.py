@@ -1,15 +1,20 @@
 """Promises of every backend to the work pool."""
 
+import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
-from tests.support.misbehaviour import misbehaving_cells, misbehaving_setup
+from tests.support.misbehaviour import ARCHIVES, misbehaving_cells, misbehaving_setup
 
-from drivecal.contracts.work import Batch
+from drivecal.bundles import archives
+from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import LONGEST_QUEUED, Backend, Finished, Lost
+from drivecal.execution.pool import WorkPool
+from drivecal.execution.scheduling.in_flight import Completed, Work
 
 WELL, CRASH, HANG, ERROR, MEMORY = Behaviour
 PLENTY = 10.0
@@ -106,6 +111,52 @@ def test_exceptions_and_lack_of_memory_in_a_cell_cost_neither_worker_nor_neighbo
     assert [result.breakdown for result in event.result.results] == [None, "error", None, "memory", None]
     assert "ValueError: as asked for" in (event.result.results[1].detail or "")
     assert [worker.id for worker in backend.workers()] == before
+
+
+BUSY = {
+    "command": """[ -e {free} ] || {{ echo no licence >&2; exit 75; }}; echo '{{"measures": {{"y": 1}}}}' > "$1" """,
+    "process": """import json, os, sys
+print('{{"ready": true}}', flush=True)
+for line in sys.stdin:
+    request = json.loads(line)
+    if "id" in request:
+        answer = {{"measures": {{"y": 1.0}}}} if os.path.exists("{free}") else {{"busy": "no licence"}}
+        print(json.dumps(answer | {{"id": request["id"]}}), flush=True)
+""",
+}
+COMMANDS = {"command": ["sh", "./sim", "{results}"], "process": [sys.executable, "-S", "./sim"]}
+
+
+@pytest.mark.slow("ray")
+@pytest.mark.parametrize("kind", BUSY)
+@pytest.mark.parametrize("real", ["processes", "ray"])
+def test_a_cell_waits_for_a_busy_simulator_and_loses_no_attempt(
+    real: str, kind: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    backend = request.getfixturevalue(f"{real}_backend")
+    wait_for_idle(backend)
+    folder, free = tmp_path / "bundle", tmp_path / "free"
+    folder.mkdir()
+    (folder / "problem.yaml").write_text("problem: busy\n")
+    (folder / "sim").write_text(BUSY[kind].format(free=free))
+    archive = archives.pack(folder)
+    bundle = archives.content_digest(archive)
+    ARCHIVES[bundle] = archive
+    section = {"kind": kind, "command": COMMANDS[kind], "timeout": 60.0, "memory_mb": 1000}
+    setup = SetupRequest(bundle, "busy", "city", {}, section, ("x",), (), ("y",), (), (), "f", units={"x": "1"})
+    pool = WorkPool(backend)
+    pool.submit(Work(setup, tuple(Cell(number, {"x": float(number)}) for number in range(1, 5))), tag="a")
+    completed: list[Completed] = []
+    for _ in range(600):
+        completed += pool.poll(0.5)
+        if (reason := pool.waits("a")) is not None and not free.exists():
+            assert "no licence" in reason
+            assert not completed
+            free.touch()
+        if len(completed) == 4:
+            break
+    assert free.exists(), "the reason was never said"
+    assert [(each.result.breakdown, each.attempts) for each in completed] == [(None, 1)] * 4
 
 
 @pytest.mark.slow("ray")

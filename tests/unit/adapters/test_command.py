@@ -10,7 +10,7 @@ from drivecal.adapters.kinds import simulator
 from drivecal.adapters.scratch import GRANTED
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins.simulators import VERSIONS
+from drivecal.plugins.simulators import VERSIONS, BusyError
 
 COMMAND = ["./run.sh", "{parameters}", "{scenario}", "--out={results}"]
 SCRIPT = """#!/bin/sh
@@ -39,6 +39,14 @@ def test_a_command_reads_files_and_writes_one(tmp_path: Path, monkeypatch: pytes
         assert session.evaluate({"x": 4}).measures == {"y": 8.0}
         assert session.evaluate({"x": 5, "mode": "eco"}).measures == {"y": 10.0}
     assert out.read_text() == '{"x": 4}{"k": 3}{"x": 5, "mode": "eco"}{"k": 3}'
+
+
+def test_exit_code_75_means_busy_with_the_messages_as_its_reason(tmp_path: Path) -> None:
+    write(tmp_path, 'if [ "$x" = 1 ]; then echo no licence >&2; exit 75; fi')
+    with opened("command", tmp_path, command=COMMAND) as session:
+        with pytest.raises(BusyError, match="no licence"):
+            session.evaluate({"x": 1})
+        assert session.evaluate({"x": 2}).measures == {"y": 4.0}
 
 
 def test_a_command_gets_its_seed_as_a_word_and_as_a_variable(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from drivecal.adapters.scratch import GRANTED, environment
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import simulators
-from drivecal.plugins.simulators import Declared, NoMeasuresError
+from drivecal.plugins.simulators import BusyError, Declared, NoMeasuresError
 
 FAULTS = {
     "crash": ("os.abort()", Breakdown.CRASH, "SIGABRT"),
@@ -58,6 +58,15 @@ def test_a_fault_costs_its_run_only(tmp_path: Path, name: str) -> None:
         for _ in range(2):
             assert detail in lost(session, {"x": 1.0}, breakdown)
             assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_a_process_is_busy_for_a_run_or_at_its_start_with_its_reason(tmp_path: Path) -> None:
+    with served(tmp_path, 'if x == 1.0:\n    answer(id=request["id"], busy="no licence"); continue') as session:
+        with pytest.raises(BusyError, match="no licence"):
+            session.evaluate({"x": 1.0})
+        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+    with pytest.raises(BusyError, match="both in use"), served(tmp_path, start="answer(busy='both in use'); return") as session:
+        session.evaluate({"x": 2.0})
 
 
 def test_a_hang_costs_its_run_only(tmp_path: Path) -> None:
