@@ -35,7 +35,6 @@ def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None) -
         stored,
         state=state_of(stored),
         degraded=degraded(stored, silent),
-        waiting=None if stored.state.ended else stored.waiting,
         stages={stage: CellCounts(**cells) for stage, cells in stored.stages.items()},
         seconds=seconds_of(stored, now),
         scale=stored_scale(stored.resolution),

@@ -468,7 +468,7 @@ def end(connection: Connection, sequence: int, state: CampaignState, error: str 
     statement = (
         _of(sequence)
         .where(campaigns.c.state.in_(open_states))
-        .values(state=state, error=error, ended_at=now(), requested_action=None, degraded=None)
+        .values(state=state, error=error, ended_at=now(), requested_action=None, degraded=None, waiting=None)
     )
     ended = connection.execute(statement).rowcount == 1
     if ended:

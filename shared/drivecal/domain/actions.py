@@ -29,7 +29,8 @@ def change(
         case "cancel" if not cancelling:
             if state is CampaignState.RUNNING:
                 return EventKind.CANCELLING, {"requested_action": "cancel"}
-            return EventKind.CANCELLED, {"state": CampaignState.CANCELLED, "ended_at": now, "requested_action": None}
+            ended = {"state": CampaignState.CANCELLED, "ended_at": now, "requested_action": None, "waiting": None}
+            return EventKind.CANCELLED, ended
         case "pause" if state is CampaignState.QUEUED:
             return EventKind.PAUSED, {"state": CampaignState.PAUSED}
         case "pause" if state is CampaignState.RUNNING and asked != "pause":

@@ -100,7 +100,10 @@ def test_progress_is_written_and_read_back_whole(database: Database) -> None:
 
 def test_a_campaign_that_rests_or_has_ended_waits_for_nothing_any_more(database: Database) -> None:
     with database.transaction() as connection:
-        paused, ended = campaign(connection), campaign(connection)
+        paused, ended, cancelled = (campaign(connection) for _ in range(3))
+        campaigns.explain(connection, {each.sequence: "place 2 of 2" for each in (ended, cancelled)})
+        assert campaigns.get(connection, ended.id).waiting is not None
+        assert campaigns.request_action(connection, cancelled.id, "cancel").waiting is None
         for item in (paused, ended):
             campaigns.start(connection, item.sequence)
         campaigns.degrade(connection, [paused.sequence, ended.sequence], "no workers")
@@ -108,6 +111,7 @@ def test_a_campaign_that_rests_or_has_ended_waits_for_nothing_any_more(database:
         assert campaigns.pause(connection, paused.sequence)
         assert campaigns.end(connection, ended.sequence, SUCCEEDED)
         assert [campaigns.get(connection, entry.id).degraded for entry in (paused, ended)] == [None, None]
+        assert campaigns.get(connection, ended.id).waiting is None
 
 
 def test_a_state_changes_only_from_what_was_expected(database: Database) -> None:
