@@ -18,6 +18,7 @@ from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import DEFAULT_PROBLEM, EvaluationSpecification
 from drivecal.contracts.work import Batch, BatchResult, Cell
 from drivecal.domain.errors import UnavailableError
+from drivecal.plugins.simulators import BusyError
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.worker import Worker
 
@@ -94,7 +95,8 @@ def evaluate(
     first. Its simulator runs in a child process, as on a worker. `vehicle` is a model's name or the `vehicle` section of a campaign
     file. The first call on the motorway compiles, which takes some seconds.
 
-    Raises InvalidInputError with everything that is wrong with the arguments, and UnavailableError if this installation cannot simulate.
+    Raises InvalidInputError with everything that is wrong with the arguments, UnavailableError if this installation cannot simulate, and
+    its subclass BusyError (`drivecal.plugins.simulators`) if the simulator is busy.
     """
     bundle = None if problem is None else _stored(Path(problem))
     document = {
@@ -139,11 +141,13 @@ def _simulated(scenario: str, bench: Bench, cell: Cell) -> SimulatedCell:
 
 
 def _answer(batch: Batch) -> BatchResult:
-    """Returns the results of a batch. Raises UnavailableError if this installation cannot run it."""
+    """Returns the results of a batch. Raises UnavailableError if this installation cannot run it, BusyError if the simulator is busy."""
     with _SIMULATION:
         answer = _worker().run(batch)
     if answer.refusal is not None:
         raise UnavailableError(answer.refusal)
+    if answer.busy is not None:
+        raise BusyError(answer.busy)
     return answer
 
 

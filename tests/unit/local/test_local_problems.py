@@ -10,7 +10,9 @@ import yaml
 from drivecal.adapters.pipes import Pipes
 from drivecal.bundles.archives import pack
 from drivecal.bundles.checks import checked
+from drivecal.local import evaluate
 from drivecal.local.problems import CheckedScenario, run_problem
+from drivecal.plugins.simulators import BusyError
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "problems" / "python-function"
 SCORES: dict[str, Any] = {
@@ -68,6 +70,16 @@ def test_a_simulator_that_removes_its_folder_is_named_by_the_check(tmp_path: Pat
 def test_a_simulator_that_does_not_start_again_is_named_by_the_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Pipes, "is_fresh", lambda _: False)  # each run has a new child
     assert "no licence" in (check(tmp_path, ONCE).error or "")
+
+
+def test_an_evaluation_names_why_its_simulator_is_busy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DRIVECAL_BUNDLE_CACHE", str(tmp_path / "cache"))
+    folder = tmp_path / "problem"
+    folder.mkdir()
+    (folder / "problem.yaml").write_text(yaml.safe_dump(DOCUMENT))
+    (folder / "sim.py").write_text("""input(), print('{"busy": "no licence"}', flush=True), input()""")
+    with pytest.raises(BusyError, match="no licence"):
+        evaluate({"x": 0.5}, problem=folder)
 
 
 def test_no_shown_score_is_worse_than_that_of_a_failed_run() -> None:
