@@ -1,16 +1,14 @@
 """Comparisons through database and dispatcher, with formulas in the place of the simulation."""
 
-import random
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 from sqlalchemy import update
-from tests.support.comparisons import TWO_OPTIMIZERS, finish_comparison, have_ended, read_comparison, runs_of, submit_comparison
+from tests.support.comparisons import TWO_OPTIMIZERS, finish_comparison, read_comparison, runs_of, submit_comparison
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
-from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, nothing_matters, post_map, run, submit
+from tests.support.runs import EXPERT_SPACE, everything, get, nothing_matters, post_map, run, submit
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
@@ -107,21 +105,6 @@ def test_what_was_stored_before_changes_no_count(compared: Compared, database: D
     finish_comparison(database, again, backend)
     assert backend.sent == []
     assert [everything(database, campaign) for campaign in runs_of(database, again)] == swarms
-
-
-@pytest.mark.slow
-def test_a_killed_comparison_ends_bit_for_bit_alike(compared: Compared, tmp_path: Path) -> None:
-    draw = random.Random(1)
-    opened = migrated(f"sqlite:///{tmp_path / 'killed'}.db")
-    tag = submit_comparison(opened)
-    kills = 0
-    while not have_ended(opened, tag):
-        working, kills = dispatcher(opened, ComputedBackend(draw.randrange(99))), kills + 1
-        for _ in range(draw.randrange(1, 4)):
-            working.step()
-    assert kills > 2
-    assert findings(opened, tag) == findings(compared[0], compared[1])
-    opened.dispose()
 
 
 @pytest.mark.slow

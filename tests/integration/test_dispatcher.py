@@ -1,6 +1,5 @@
 """Whole campaigns through database and dispatcher, with a formula in the place of the simulation."""
 
-import random
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +7,6 @@ import pytest
 from sqlalchemy import select
 from tests.support.computed import IGNORED, ComputedBackend, computed
 from tests.support.databases import migrated
-from tests.support.effort import tries
 from tests.support.runs import dispatcher, everything, post_map, request, submit
 
 from drivecal.contracts.specification import EvaluationSpecification
@@ -73,33 +71,6 @@ def test_the_order_in_which_workers_answer_changes_nothing(tmp_path: Path, audit
         opened.dispose()
     assert result[0] == result[1] == result[2]
     assert result[0][2].reused > 0
-
-
-@pytest.mark.slow("1")
-@pytest.mark.parametrize("seed", range(tries(2, 4)))
-def test_a_campaign_that_was_killed_again_and_again_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
-    calm, killed = (migrated(f"sqlite:///{tmp_path / name}.db") for name in ("calm", "killed"))
-    draw = random.Random(seed)
-    result = []
-    for database in (calm, killed):
-        campaign = submit(
-            database,
-            stored_map=post_map(database, TRUE_MAP),
-            reduction={"audit": 0.2},
-            baseline=dict.fromkeys((f"P{i}" for i in range(1, 12)), 0.5),
-        )
-        kills = 0
-        while not _get(database, campaign).state.ended:
-            working = dispatcher(database, ComputedBackend(draw.randrange(99)))  # the one before is gone, with all it knew
-            for _ in range(draw.randrange(1, 6) if database is killed else 3_000):
-                working.step()
-                if _get(database, campaign).state.ended:
-                    break
-            kills += 1
-        assert kills > (5 if database is killed else 0)
-        result.append((everything(database, campaign), _get(database, campaign).baseline))
-        database.dispose()
-    assert result[0] == result[1]
 
 
 def test_a_rerun_with_other_weights_and_the_same_seed_is_answered_mostly_from_the_table(database: Database) -> None:
