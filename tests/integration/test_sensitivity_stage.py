@@ -1,14 +1,9 @@
 """The sensitivity stage through database and dispatcher, with a formula of known influence in the place of the simulation."""
 
-import random
-from pathlib import Path
 from typing import Any
 
-import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.databases import migrated
-from tests.support.effort import tries
-from tests.support.runs import WITH_ANALYSIS, dispatcher, without_starts
+from tests.support.runs import WITH_ANALYSIS, dispatcher
 
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.contracts.specification import CampaignSpecification
@@ -85,32 +80,6 @@ def test_the_runs_of_the_analysis_are_references_from_the_first_population_on(da
     stages = {row.id: row.stage for row in rows.values()}
     first = [row for row in rows.values() if row.stage is StageName.CALIBRATION and row.iteration == 0]
     assert any(row.outcome is Outcome.REUSED and stages[row.reference or 0] is StageName.SENSITIVITY for row in first)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(tries(1, 3)))
-def test_a_campaign_killed_in_its_analysis_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
-    draw = random.Random(seed)
-    result = []
-    for name in ("calm", "killed"):
-        opened = migrated(f"sqlite:///{tmp_path / name}.db")
-        campaign = _submit(opened)
-        while not _get(opened, campaign).state.ended:
-            working = dispatcher(opened, ComputedBackend(draw.randrange(99), answer=_answer))
-            for _ in range(draw.randrange(1, 12) if name == "killed" else 9_999):
-                working.step()
-                if _get(opened, campaign).state.ended:
-                    break
-        ended = _get(opened, campaign)
-        with opened.read() as connection:
-            cells = [
-                (row.stage, row.iteration, row.individual, row.scenario, row.outcome, row.score, row.audited, row.agrees)
-                for row in results.stream(connection, campaign.sequence)
-            ]
-        counts = [without_starts(each) for each in (ended.cells, ended.counts(StageName.SENSITIVITY))]
-        result.append((cells, counts, ended.best, _map(opened, ended)))
-        opened.dispose()
-    assert result[0] == result[1]
 
 
 def test_an_analysis_of_its_own_ends_with_a_map_that_a_later_campaign_names(database: Database) -> None:

@@ -1,15 +1,26 @@
 """The robustness and the validation stage through database and dispatcher, with formulas in the place of the simulation."""
 
-import random
 from pathlib import Path
 from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.databases import migrated
+from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
 from tests.support.problems import MANIFEST
-from tests.support.runs import SMALL, dispatcher, get, influenced, nothing_matters, post_map, run, submit, without_starts
+from tests.support.runs import (
+    SMALL,
+    WITH_ANALYSIS,
+    everything,
+    get,
+    influenced,
+    nothing_matters,
+    post_map,
+    rows_of,
+    run,
+    submit,
+    without_starts,
+)
 
 from drivecal.bundles.checks import checked
 from drivecal.bundles.installed import Bundle
@@ -23,8 +34,11 @@ from drivecal.domain.evaluations import Outcome
 from drivecal.storage import results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.references import influence_maps
 
 ROBUST: dict[str, Any] = {"delta": 0.05, "steps": 6, "samples": 8, "solutions": 5}
+STUDIES = (StageName.ROBUSTNESS, StageName.VALIDATION)
+STRIDE = tries(240, 30)
 NOMINAL_MASS, MASS_RANGE = 2060.0, 1400.0
 
 
@@ -135,31 +149,22 @@ def test_a_vehicle_without_a_result_ends_the_growing_of_boxes(database: Database
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(tries(1, 2)))
-def test_a_campaign_killed_in_its_studies_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
-    draw, result = random.Random(seed), []
-    for name in ("calm", "killed"):
-        opened = migrated(f"sqlite:///{tmp_path / name}.db")
-        stored_map = post_map(opened, nothing_matters())
-        campaign = submit(opened, stored_map=stored_map, robustness=ROBUST, validation={"samples": 10, "references": 3})
-        while not get(opened, campaign).state.ended:
-            working = dispatcher(opened, ComputedBackend(draw.randrange(99), driven=heavy))
-            for _ in range(draw.randrange(1, 10) if name == "killed" else 9_999):
-                working.step()
-                if get(opened, campaign).state.ended:
-                    break
-        ended = get(opened, campaign)
+def test_a_dispatcher_killed_at_any_moment_of_analysis_and_studies_changes_nothing(tmp_path: Path) -> None:
+    def begin(database: Database) -> StoredCampaign:
+        return submit(database, **WITH_ANALYSIS, robustness=ROBUST, validation={"samples": 10, "references": 3})
+
+    def find(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
+        ended = get(database, campaign)
         assert ended.error is None
-        with opened.read() as connection:
-            cells = [
-                (row.stage, row.iteration, row.individual, row.scenario, row.outcome, row.score)
-                for row in results.stream(connection, campaign.sequence)
-            ]
-        both = [study(opened, ended, stage) for stage in (StageName.ROBUSTNESS, StageName.VALIDATION)]
-        counts = (ended.cells, ended.counts(StageName.ROBUSTNESS), ended.counts(StageName.VALIDATION))
-        result.append((cells, [without_starts(each) for each in counts], ended.best, both))
-        opened.dispose()
-    assert result[0] == result[1]
+        with database.read() as connection:
+            influences = influence_maps.get(connection, ended.influence_map_id or "none").scenarios
+        own = [(row.stage, row.iteration, row.individual) for row in rows_of(database, campaign)]
+        counts = [without_starts(ended.counts(stage)) for stage in (StageName.SENSITIVITY, *STUDIES)]
+        return everything(database, campaign), own, counts, influences, [study(database, ended, stage) for stage in STUDIES]
+
+    ends = ends_in_spite_of_deaths(tmp_path, begin, lambda moment: ComputedBackend(moment, answer=influenced), find, STRIDE)
+    assert len(ends) > tries(3, 10)
+    assert all(end == ends[0] for end in ends)
 
 
 def test_validation_counts_variants_that_differ_where_the_map_says_that_they_cannot(database: Database) -> None:
