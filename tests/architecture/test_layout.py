@@ -2,6 +2,8 @@
 
 import ast
 import importlib
+import re
+import subprocess
 from collections import Counter
 from functools import cache
 from graphlib import TopologicalSorter
@@ -61,14 +63,19 @@ def test_a_folder_of_modules_is_a_package() -> None:
     assert [shown(folder) for folder in FOLDERS if not (folder / "__init__.py").is_file()] == []
 
 
+def test_readmes_name_files_and_folders_that_exist() -> None:
+    """A path as it ends, without the suffix where a README leaves it out."""
+    files = subprocess.run(["git", "ls-files"], cwd=PROJECT, capture_output=True, text=True, check=True).stdout.splitlines()
+    tree = "".join(f"/{file}\n" for file in files)
+    for readme in (PROJECT / file for file in files if file.endswith("README.md")):
+        prose = re.sub(r"^```.*?^```", "", readme.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+        assert [name for name in re.findall(r"`(\w[\w.-]*/[\w./-]+)`", prose) if f"/{name}" not in tree] == [], readme
+
+
 def test_a_module_can_be_read_in_one_sitting() -> None:
-    lengths = {shown(path): len(path.read_text(encoding="utf-8").splitlines()) for path in modules()}
+    files = (*modules(), *(PROJECT / "tests").rglob("*.py"))
+    lengths = {shown(path): len(path.read_text(encoding="utf-8").splitlines()) for path in files}
     assert {name: length for name, length in lengths.items() if length > LONGEST} == {}
-
-
-def test_a_module_of_tests_can_be_read_in_one_sitting() -> None:
-    lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in (PROJECT / "tests").rglob("*.py")}
-    assert [shown(path) for path, count in lines.items() if count > LONGEST] == []
 
 
 def test_whatever_is_public_is_documented() -> None:
