@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from sqlalchemy import Connection
 from tests.support.runs import get, submit
 from tests.support.serve import until
 
-from drivecal.dispatch.heartbeat import STUCK_AFTER_SECONDS, Heartbeat, Leadership
+from drivecal.dispatch.heartbeat import COMPUTING_SHARE, HUNG_AFTER_SECONDS, STUCK_AFTER_SECONDS, Heartbeat, Leadership
 from drivecal.domain.errors import DatabaseError, SupersededError, UnavailableError
 from drivecal.execution.backend import WorkerInfo
 from drivecal.execution.measures import MEASURES
@@ -72,6 +73,24 @@ def test_it_beats_while_the_main_thread_is_busy_and_says_since_when(database: Da
     heartbeat.beat()
     assert "stuck_since" not in reported(database).detail
     assert reported(database).detail["degraded"] is None
+
+
+def test_a_main_thread_that_waits_for_a_computing_thread_does_not_hang(database: Database) -> None:
+    now = [0.0]
+    heartbeat = heartbeat_of(database, clock=lambda: now[0])
+
+    def compute() -> None:
+        began = time.thread_time()
+        while time.thread_time() < began + 20.0 * COMPUTING_SHARE:
+            pass
+
+    assert not heartbeat._is_hung()
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(compute).result()
+    hung = []
+    for now[0] in (10.0, HUNG_AFTER_SECONDS + 5.0, HUNG_AFTER_SECONDS + 15.0):
+        hung.append(heartbeat._is_hung())
+    assert hung == [False, False, True]
 
 
 class _Unreachable:

@@ -60,6 +60,8 @@ STUCK_AFTER_SECONDS = 12.0
 """Time limit of a main-thread step before it is reported; resuming a campaign on a large reference table may take long."""
 HUNG_AFTER_SECONDS = 180.0
 """The same for a main thread that does not compute, before this process ends: another one resumes its campaigns."""
+COMPUTING_SHARE = 0.05
+"""Share of a core from which on the main thread is taken to wait for threads that compute, e.g. train a prediction."""
 GRACE_SECONDS = 10.0
 """Time for the main thread to end the process after the heartbeat has stopped."""
 
@@ -110,7 +112,8 @@ class Heartbeat:
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
         self._clock_of_main = time.pthread_getcpuclockid(threading.get_ident())
-        self._computed, self._computed_at = 0.0, clock()
+        self._computed = self._computed_by_all = 0.0
+        self._looked_at = self._computed_at = clock()
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -173,11 +176,13 @@ class Heartbeat:
             self._stopped.wait(max(0.1, begun + EVERY_SECONDS - time.monotonic()))
 
     def _is_hung(self) -> bool:
-        """Returns whether the main thread has neither reported nor computed for long."""
-        computed = time.clock_gettime(self._clock_of_main)
-        if computed > self._computed + 0.01:
-            self._computed, self._computed_at = computed, self._clock()
-        return self._clock() - max(self._report.heard, self._computed_at) > HUNG_AFTER_SECONDS
+        """Returns whether the main thread has neither reported nor computed for long, nor waited for threads that compute."""
+        moment, computed = self._clock(), time.clock_gettime(self._clock_of_main)
+        by_all = time.process_time() - time.thread_time()  # without this thread, which always has something to do
+        if computed > self._computed + 0.01 or by_all > self._computed_by_all + COMPUTING_SHARE * (moment - self._looked_at):
+            self._computed, self._computed_at = computed, moment
+        self._computed_by_all, self._looked_at = by_all, moment
+        return moment - max(self._report.heard, self._computed_at) > HUNG_AFTER_SECONDS
 
     def _note_reachable(self, error: UnavailableError | None) -> None:
         if error is not None and self._reachable:
