@@ -161,6 +161,19 @@ def test_cells_that_need_more_than_exists_wait_with_the_reason() -> None:
     assert "carmaker=2" in (one.waits("a") or "")
 
 
+def test_resources_are_not_kept_for_cells_that_the_worker_refuses() -> None:
+    one = scheduler({"carmaker": 1})
+    one.add(Work(licensed("S1", keeps=True), cells(2)), "refused", 0)
+    for worker in (W, V):
+        one.finished(send(one, worker).batch_id, BatchResult(worker, (), 0.1, refusal="it has version 2"))
+    one.add(Work(licensed("S2", keeps=True), cells(100, 101)), "other", 0)
+    for _ in range(3):
+        sent = send(one)
+        assert sent.batch.setup.scenario == "S2"
+        assert not sent.batch.closes
+        one.finished(sent.batch_id, answers(sent))
+
+
 def test_a_busy_simulator_takes_no_attempt_and_holds_no_other_work_up() -> None:
     backend = FakeBackend(2, {"S1": 0.1, "S2": 0.1}, busy_until={"S1": 20.0})
     pool = WorkPool(backend, clock=lambda: backend.now)
