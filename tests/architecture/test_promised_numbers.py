@@ -10,7 +10,7 @@ from drivecal.execution.pool import PATIENCE_WITH_REFUSALS
 from drivecal.execution.scheduling.batching import BatchPolicy, batch_size
 from drivecal.execution.scheduling.in_flight import WITNESSES
 from drivecal.execution.scheduling.reservation import LONG_SECONDS, SMALL_SECONDS
-from drivecal.execution.scheduling.scheduler import ATTEMPTS
+from drivecal.execution.scheduling.scheduler import ATTEMPTS, MOST_LOSSES
 from drivecal.storage.admission import MOST_MAPS
 from drivecal.storage.engine.database import PROMPT
 
@@ -22,6 +22,7 @@ def test_numbers_in_promises_are_those_of_the_code() -> None:
     for text, promised, actual in (
         ("up to 20 (`reduction.confirm`", 20, ReductionSpecification().confirm),
         ("memory three times", 3, ATTEMPTS),
+        ("loses ten workers", 10, MOST_LOSSES),
         ("if two workers", 2, WITNESSES),
         ("after half a minute", 30.0, PATIENCE_WITH_REFUSALS),
         ("each of 0.5 s", 0.5, BatchPolicy().target_seconds),

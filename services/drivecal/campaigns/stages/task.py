@@ -128,8 +128,9 @@ def most_cells(runs: int, repeated_share: float) -> int:
 def affordable(
     planned: Sequence[RequestedCell], room: float, seeds: Sequence[int], kept: set[int], *, by_cell: bool
 ) -> list[RequestedCell]:
-    """Returns the first planned cells that fit into the room, without parts of individuals unless the search is `by_cell`; there, cells
-    count unless a stored result answers them: workers simulate rejected lots, too.
+    """Returns the first planned cells that fit into the room, without parts of individuals unless the search is `by_cell`.
+
+    By the cell, every cell counts; else those that no stored result answers at once, for workers simulate rejected lots, too.
 
     Args:
         planned: cells under one of the seeds of a round.

@@ -17,7 +17,7 @@ Bools = npt.NDArray[np.bool_]
 GROWTH = 1.15
 """Hyperparameters are fitted again when its answers have grown by this factor."""
 MOST = 300
-"""Answers that a process learns from; of more, the newest and the nearest to the best ones."""
+"""Answers that a process learns from; of more, the newest, some of all, and those nearest to the newest."""
 MOST_TUNED = 150
 """Answers that hyperparameters are fitted to; of more, every second or third."""
 FEWEST = 3
