@@ -130,7 +130,7 @@ def affordable(
 ) -> list[RequestedCell]:
     """Returns the first planned cells that fit into the room, without parts of individuals unless the search is `by_cell`.
 
-    By the cell, every cell counts; else those that no stored result answers at once, for workers simulate rejected lots, too.
+    By the cell, every cell counts, else every cell without a stored answer: workers simulate rejected lots, too.
 
     Args:
         planned: cells under one of the seeds of a round.

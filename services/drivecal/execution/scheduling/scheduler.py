@@ -342,7 +342,7 @@ class Scheduler:
 
     def _keep_back(self, worker: str, line: Line) -> None:
         for setup in line.setups if self._is_scarce else ():
-            if not self._worker_health.refuses(worker, setup):  # it would be kept here for nobody
+            if not self._worker_health.refuses(worker, setup):  # it would wait here in vain
                 self._resources.keep_back(worker, self._in_flight.setup(setup))
 
     def _may_start(self, worker: str, setup: SetupKey) -> bool:
