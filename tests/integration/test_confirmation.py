@@ -1,15 +1,12 @@
-"""A search with reused scores ends with a simulated best set, also if dispatchers die meanwhile."""
+"""A search with reused scores ends with a simulated best set."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.deaths import ends_in_spite_of_deaths
-from tests.support.effort import tries
-from tests.support.runs import dispatcher, everything, post_map, rows_of, run, step_until, submit
+from tests.support.runs import post_map, rows_of, run, submit
 
 from drivecal.analysis.verdicts import confirmation_verdict
 from drivecal.campaigns.results.explanation import explain
@@ -22,8 +19,6 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import verify
 
 ITERATIONS = 4
-STRIDE = tries(40, 10)
-"""Dispatchers die at every STRIDE-th moment: before, in and after transactions. All moments would take half a minute."""
 MATTERS = {"S1": "P1", "S2": "P3"}
 BLIND_MAP = {
     scenario: {f"P{i}": {"influential": False} for i in range(1, 12) if f"P{i}" != name} for scenario, name in MATTERS.items()
@@ -137,21 +132,3 @@ def test_no_more_sets_are_tried_than_asked_for_and_failing_ones_once(database: D
     assert failing.confirmation is not None
     assert failing.confirmation.failed
     assert [check for check in verify(database) if check.problems] == []
-
-
-@pytest.mark.slow
-def test_a_dispatcher_killed_at_any_moment_of_it_changes_nothing(tmp_path: Path) -> None:
-    def begin(database: Database) -> StoredCampaign:
-        campaign = ask(database, 50, population=10)
-        step_until(database, campaign, ITERATIONS - 1, dispatcher(database, ComputedBackend(answer=spoiled)))
-        return campaign
-
-    def find(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
-        return everything(database, campaign), told(database, campaign, "note"), told(database, campaign, "generation")
-
-    ends = ends_in_spite_of_deaths(tmp_path, begin, lambda moment: ComputedBackend(moment, answer=spoiled), find, STRIDE)
-    assert len(ends) > tries(3, 10)
-    assert all(end == ends[0] for end in ends)
-    assert ends[0][0][0][-1][0] > ITERATIONS, "several sets were tried"
-    assert len(ends[0][1]) == 1
-    assert ends[0][2] == list(range(ITERATIONS))

@@ -3,11 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
 from sqlalchemy import select
 from tests.support.computed import IGNORED, ComputedBackend, computed
 from tests.support.databases import migrated
-from tests.support.runs import dispatcher, everything, post_map, request, submit
+from tests.support.runs import dispatcher, everything, request, submit
 
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -57,20 +56,6 @@ def test_a_campaign_runs_to_its_end_and_every_cell_has_its_answer(database: Data
     assert sum(one.cells.simulated for _, one in figures) == ended.cells.simulated
     best = max(one.best or 0 for _, one in figures)
     assert best == ended.best.objective
-
-
-@pytest.mark.slow("0.3")
-@pytest.mark.parametrize("audit", [0.0, 0.3])
-def test_the_order_in_which_workers_answer_changes_nothing(tmp_path: Path, audit: float) -> None:
-    result = []
-    for seed in range(3):
-        opened = migrated(f"sqlite:///{tmp_path / f'{seed}.db'}")
-        campaign = submit(opened, stored_map=post_map(opened, TRUE_MAP), reduction={"audit": audit})
-        _run(opened, campaign, ComputedBackend(seed))
-        result.append(everything(opened, campaign))
-        opened.dispose()
-    assert result[0] == result[1] == result[2]
-    assert result[0][2].reused > 0
 
 
 def test_a_rerun_with_other_weights_and_the_same_seed_is_answered_mostly_from_the_table(database: Database) -> None:

@@ -1,19 +1,18 @@
-"""Campaigns with several objectives and constraints: searched, resumed, predicted and confirmed by a dispatcher."""
+"""Campaigns with several objectives and constraints: searched, predicted and confirmed by a dispatcher."""
 
 from typing import Any
 
 import numpy as np
 import pytest
 from tests.support.computed import ComputedBackend, rating_of
-from tests.support.runs import dispatcher, everything, get, nothing_matters, post_map, run, submit
+from tests.support.runs import get, nothing_matters, post_map, run, submit
 
 from drivecal.analysis.solutions import Ranking
 from drivecal.api.tables.front import front_table
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import answers_of, front_of
-from drivecal.campaigns.stages import asking
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.campaigns import StageName
 from drivecal.storage import results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -33,8 +32,8 @@ def measured(scenario: str, cell: Cell) -> CellResult:
     return CellResult(cell.id, rating, 0 if failure else round(rating), {JERK: jerk}, failure, 7.0)
 
 
-def backend(seed: int = 0) -> ComputedBackend:
-    return ComputedBackend(seed=seed, answer=measured)
+def backend() -> ComputedBackend:
+    return ComputedBackend(answer=measured)
 
 
 def ranking_of(database: Database, campaign: StoredCampaign) -> Ranking:
@@ -69,33 +68,6 @@ def test_a_score_and_a_measure_are_searched_together(database: Database) -> None
         comfort = float(np.mean([answer.score or 0 for answer in given.values()]))
         jerk = max(20.0 if answer.failure else answer.metrics[JERK] for answer in given.values())
         assert any(each[0] >= comfort - 1e-9 and each[1] <= jerk + 1e-9 for each in front), "a set beyond the front"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("changes", [{}, {"sampler": "tpe", "population": 8, "iterations": 4}])
-def test_a_killed_search_ends_with_the_same_rows(
-    database: Database, changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # Each life takes as many steps on a slow machine: a step waits for the optimizer.
-    monkeypatch.setattr(asking, "PATIENCE_SECONDS", 60.0)
-    spec: dict[str, Any] = {
-        "objectives": TWO,
-        "constraints": [{"measure": JERK, "at_most": 7.0, "failed": 20.0}],
-        "optimizer": NSGA2 | changes,
-        "reduction": {"mode": "off"},
-    }
-    whole = run(database, submit(database, **spec), backend())
-    killed = submit(database, **spec)
-    for seed in range(100):
-        working = dispatcher(database, backend(seed))
-        for _ in range(7):
-            working.step()
-        if get(database, killed).state.ended:
-            break
-    assert get(database, killed).state is CampaignState.SUCCEEDED
-    assert seed > 1
-    assert everything(database, killed) == everything(database, whole)
-    assert vectors(database, killed) == vectors(database, whole)
 
 
 def test_one_score_in_several_scenarios_is_answered_by_references_and_confirmed(database: Database) -> None:

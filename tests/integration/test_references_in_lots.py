@@ -1,17 +1,14 @@
-"""Answers by references in whole campaigns: inspected in lots, as predictions are, also if dispatchers die meanwhile."""
+"""Answers by references in whole campaigns: inspected in lots, as predictions are."""
 
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.deaths import ends_in_spite_of_deaths
-from tests.support.effort import tries
-from tests.support.runs import dispatcher, everything, influenced, post_map, rows_of, run, step_until, submit
+from tests.support.runs import influenced, post_map, rows_of, run, submit
 
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Outcome
@@ -23,8 +20,6 @@ from drivecal.storage.maintenance.consistency import verify
 from drivecal.storage.results import StoredEvaluation
 
 ITERATIONS = 4
-STRIDE = tries(27, 9)
-"""Dispatchers die at every STRIDE-th moment."""
 REST = {f"P{i}": 0.5 for i in range(5, 12)}
 NOWHERE = {"S1": ("P3", "P4"), "S2": ("P1", "P2", "P4")}
 
@@ -148,23 +143,3 @@ def test_a_reference_without_a_result_answers_no_cell_of_its_lot(database: Datab
         if row.outcome is Outcome.REUSED:
             assert by_id[row.reference or 0].outcome is Outcome.SIMULATED
     assert [check for check in verify(database) if check.problems] == []
-
-
-@pytest.mark.slow
-def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples_and_gives_the_same_verdicts(tmp_path: Path) -> None:
-    def begin(database: Database) -> StoredCampaign:
-        campaign = ask(database)
-        step_until(database, campaign, 1, dispatcher(database, ComputedBackend(answer=breaking)))
-        return campaign
-
-    def find(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
-        rows = [
-            (row.iteration, row.individual, row.scenario, row.lot, row.outcome, row.audited)
-            for row in rows_of(database, campaign)
-        ]
-        return everything(database, campaign), lots_of(database, campaign), rows
-
-    ends = ends_in_spite_of_deaths(tmp_path, begin, lambda moment: ComputedBackend(moment, answer=breaking), find, STRIDE)
-    assert len(ends) > tries(2, 5)
-    assert all(end == ends[0] for end in ends)
-    assert {lot.verdict for lot in ends[0][1]} == {LotVerdict.RELEASED, LotVerdict.REJECTED}
