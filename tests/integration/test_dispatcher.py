@@ -3,19 +3,26 @@
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from sqlalchemy import select
 from tests.support.computed import IGNORED, ComputedBackend, computed
 from tests.support.databases import migrated
-from tests.support.runs import dispatcher, everything, request, submit
+from tests.support.problems import store, submit_checked
+from tests.support.runs import SMALL, dispatcher, everything, request, submit
 
+from drivecal.api.responses import campaign_answer
+from drivecal.bundles.installed import installed
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins import registry
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import runs
+from drivecal.storage.engine.types import now
 
 TRUE_MAP = {scenario: {name: {"influential": False}} for scenario, name in IGNORED.items()}
 """Says exactly what the formula ignores."""
@@ -149,6 +156,26 @@ def test_a_campaign_that_cannot_be_resolved_any_more_fails_and_says_why(database
     assert ended.state is CampaignState.FAILED
     assert "uninstalled" in str(ended.error)
     assert _run(database, campaign).state is CampaignState.SUCCEEDED
+
+
+def test_a_queued_planner_problem_has_its_own_scale_and_starts_with_the_versions_of_its_start(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = installed("highway")
+    assert own is not None
+    cost = {"formula": "peak_lateral_jerk_mps3", "direction": "minimise", "range": [0, 100], "failed": 200}
+    store(database, own.manifest.model_dump(mode="json") | {"problem": "mine", "scores": {"cost": cost}})
+    queued = submit_checked(database, SMALL | {"problem": "mine"})
+    answer = campaign_answer(queued, now(), None)
+    assert (answer.scale.name, answer.scale.direction, answer.scale.failed) == ("cost", "minimise", 200)
+    assert resolved_spec(queued).scale == answer.scale
+    monkeypatch.setattr(type(registry.driving_function("frenet")), "version", "another")
+    working = dispatcher(database, ComputedBackend())
+    while not (begun := _get(database, queued)).stages:
+        working.step()
+    assert resolved_spec(begun).setups != resolved_spec(queued).setups
+    monkeypatch.setattr(type(registry.driving_function("frenet")), "version", "a third")
+    assert "another version" in str(_run(database, begun).error)
 
 
 def test_a_baseline_is_evaluated_first_and_shown(database: Database) -> None:

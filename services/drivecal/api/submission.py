@@ -395,8 +395,8 @@ def _likeness(problem: CalibrationProblem, analysed: Any) -> str:
 
 
 def _pinned(connection: Connection, stored: StoredCampaign, problem: CalibrationProblem | EvaluationProblem) -> StoredCampaign:
-    """Stores the resolution of a campaign at once, unless plug-ins run it, which may change until it starts."""
-    if problem.bench.is_driven or stored.resolution is not None:
+    """Stores the resolution of a campaign at once. If plug-ins run it, which may change until it starts, its start stores it again."""
+    if stored.resolution is not None:
         return stored
     campaigns.set_resolution(connection, stored.sequence, problem.resolution())
     return campaigns.by_sequence(connection, stored.sequence)

@@ -100,7 +100,7 @@ def take_up(database: Database, sequence: int, probe: Prober, workers: int = 1) 
             return None
         problem = problem_of(campaign, with_tools(stored_bundles(database), tools))
     known = {} if tools is None else {"tools": tools}
-    _pin(database, campaign, problem.resolution() | known)
+    _pin(database, campaign, problem.resolution() | known, may_change=problem.bench.is_driven)
     if isinstance(problem, CalibrationProblem):
         return StagedCampaign(database, campaign, problem, workers)
     with database.read() as connection:
@@ -109,11 +109,12 @@ def take_up(database: Database, sequence: int, probe: Prober, workers: int = 1) 
     return SingleEvaluation(database, campaign, problem, view)
 
 
-def _pin(database: Database, campaign: StoredCampaign, resolution: Mapping[str, Any]) -> None:
-    """Stores the versions that a campaign starts with, or checks that they are unchanged."""
+def _pin(database: Database, campaign: StoredCampaign, resolution: Mapping[str, Any], *, may_change: bool) -> None:
+    """Stores the versions that a campaign starts with, or checks that they are unchanged. `may_change`: until its first stage begins, they
+    may differ from the versions at its submission."""
     begun = campaign.resolution
-    unknown = begun is not None and "tools" in resolution and "tools" not in begun  # a bundle's is stored when it is submitted
-    if begun is None or (unknown and not campaign.stages):
+    may_change |= begun is not None and "tools" in resolution and "tools" not in begun
+    if begun is None or (may_change and not campaign.stages):
         with database.transaction() as connection:
             campaigns.set_resolution(connection, campaign.sequence, resolution)
         return

@@ -44,10 +44,7 @@ def specification_of(campaign: StoredCampaign) -> CampaignSpecification:
 
 
 def resolved_spec(campaign: StoredCampaign) -> ResolvedSpec:
-    """The specification that a campaign started with; a queued campaign's is resolved today, unless it names a bundle: then it is stored.
-
-    Raises InvalidInputError if it cannot be resolved.
-    """
+    """The specification that a campaign was submitted or started with. Raises InvalidInputError if it cannot be resolved."""
     resolution: Mapping[str, Any] = campaign.resolution or problem_of(campaign).resolution()
     fixed = fixed_from_document(resolution.get("fixed", {}))
     space = ParameterSpace(space_from_document(resolution["space"]), fixed)
