@@ -151,9 +151,8 @@ def test_a_reader_cannot_overtake_a_writer_that_has_not_committed_yet(database: 
     assert [item.data["text"] for item in result] == ["first", "second"]
 
 
+@pytest.mark.parametrize("backend", ["postgresql"], indirect=True)  # SQLite has one writer
 def test_writers_of_different_campaigns_do_not_wait_for_each_other_on_postgresql(database: Database) -> None:
-    if database.url.get_backend_name() != "postgresql":
-        return  # SQLite has one writer
     with database.transaction() as connection:
         one, other = campaign(connection).sequence, campaign(connection).sequence
     with database.transaction() as connection, database.transaction() as beside:
