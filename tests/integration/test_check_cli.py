@@ -118,6 +118,17 @@ def test_a_fresh_check_takes_every_score_and_measure_from_new_runs(checking: Che
     assert broken(checking(chosen, *options, "--fresh")) == [], "the problem does not say that its runs repeat"
 
 
+def test_a_score_named_reference_is_one_of_the_scores(checking: Checking) -> None:
+    cost, ease = MANIFEST["scores"].values()
+    push(checking.api.database, checking.folder / "heater", scores={"cost": cost, "reference": ease})
+    values = {"energy_kwh": 1.0, "discomfort": 9.0}
+    checking.backend.answer = lambda _, cell: CellResult(cell.id, None, None, values, None, 7.0)
+    limits = checking.file("limits.yaml", {"limits": [{"score": "cost", "at_most": 55}, {"score": "reference", "at_least": 1}]})
+    checked = checking(checking.file("set.json", MANIFEST["baseline"]), "--problem", "heater", "--limits", limits, "--json")
+    assert broken(checked) == []
+    assert {each["score"] for each in json.loads(checked.stdout)["scenarios"]} == {55}
+
+
 def broken(checked: Result) -> list[dict[str, Any]]:
     return [each for each in json.loads(checked.stdout)["findings"] if each["broken"]]
 

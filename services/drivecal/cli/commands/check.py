@@ -223,8 +223,7 @@ def _evaluated(
     values = {name: parameters[name] for name in problem.parameters}
     cells, differing = {}, 0
     for number, score in enumerate(scores):
-        evaluator = "reference" if number == 0 else score
-        wanted: dict[str, Any] = {"parameters": values, "problem": problem.digest, "evaluator": evaluator}
+        wanted: dict[str, Any] = {"parameters": values, "problem": problem.digest, "evaluator": score}
         simulates = fresh and (number == 0 or differing > 0)
         evaluation = ended(client, client.evaluate(wanted | ({"fresh": True} if simulates else {})), timeout)
         cells[score] = _cells(evaluation)
