@@ -20,7 +20,7 @@ from drivecal.contracts.specification import CampaignSpecification, EvaluationSp
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, Rating
-from drivecal.highway.manoeuvres import Manoeuvre
+from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Evaluator
 from drivecal.storage import results

@@ -15,9 +15,9 @@ from tests.support.effort import examples
 
 from drivecal.highway.comfort import learned, regressions
 from drivecal.highway.comfort.learned import LEARNED, Learned
+from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.highway.comfort.regressions import Regression, arrays_of, shipped
 from drivecal.highway.comfort.rocket import LENGTH, MIRROR, Rater, channels_of, features_of
-from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.training import comfort
 from drivecal.highway.training.rated_drives import synthetic
 from drivecal.plugins.arrays import DamagedArraysError
@@ -150,7 +150,7 @@ def waves() -> str:
 
 PROGRAM = f"""
 import sys, numpy as np
-from drivecal.highway.manoeuvres import Manoeuvre
+from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.plugins.ports import Series, SeriesEvaluator
 from drivecal.highway.comfort.learned import LEARNED
 {inspect.getsource(waves)}

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from tests.support.effort import examples
 
 from drivecal.highway.comfort import rocket
+from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.highway.comfort.regressions import Regression, shipped
 from drivecal.highway.comfort.rocket import LENGTH
-from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins.ports import Floats
 
 

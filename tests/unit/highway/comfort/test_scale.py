@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivecal.highway.comfort.metrics import comfort_metrics
-from drivecal.highway.comfort.reference import LANE_KEEPING, MOTION, REFERENCE, Criterion, criteria, rate
-from drivecal.highway.manoeuvres import Manoeuvre
+from drivecal.highway.comfort.reference import LANE_KEEPING, MOTION, REFERENCE, Criterion, Manoeuvre, criteria, rate
 from drivecal.plugins import registry
 
 COMFORTABLE = {criterion.metric: criterion.comfortable for criterion in MOTION + LANE_KEEPING}
@@ -89,7 +88,7 @@ def test_the_coordinator_can_rate_without_numba_and_scipy() -> None:
     program = f"""
 import sys
 from drivecal.highway.comfort.reference import REFERENCE
-from drivecal.highway.manoeuvres import Manoeuvre
+from drivecal.highway.comfort.reference import Manoeuvre
 assert REFERENCE.rate(Manoeuvre.LANE_KEEPING, {COMFORTABLE!r}).score == 7
 assert not {{"numba", "scipy"}} & set(sys.modules)
 """

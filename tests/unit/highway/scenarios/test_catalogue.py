@@ -12,7 +12,7 @@ from drivecal.bundles.checks import checked
 from drivecal.bundles.highway_roads import check_roads
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.scenarios import Scenario
-from drivecal.highway.manoeuvres import Manoeuvre
+from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.highway.scenarios.highway import FOLDER, HIGHWAY, RANDOM_FOLDER
 
 SCENARIOS = list(HIGHWAY.scenarios.values())

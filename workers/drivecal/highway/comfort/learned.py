@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from drivecal.domain.evaluations import Rating
+from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.highway.comfort.regressions import arrays_of, shipped
-from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins.arrays import content_digest
 from drivecal.plugins.ports import Evaluator, Series
 

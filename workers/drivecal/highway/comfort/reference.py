@@ -7,12 +7,20 @@ Every criterion is mapped to z = clip((m - comfortable) / (unacceptable - comfor
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 
 from drivecal.domain.evaluations import Rating
-from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins.ports import Evaluator
 
 BEST = 7
+
+
+class Manoeuvre(StrEnum):
+    """Class of a scenario for the evaluators of the motorway (Section IV-A of the paper): its `rated_as`."""
+
+    LANE_CHANGE = "lane_change"
+    LANE_KEEPING = "lane_keeping"
+    SPEED_CHANGE = "speed_change"
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.highway.manoeuvres import Manoeuvre
+from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.plugins.arrays import Array, DamagedArraysError, read_arrays
 from drivecal.plugins.ports import Floats
 

@@ -14,10 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.evaluations import Rating
-from drivecal.highway.comfort.reference import BEST
+from drivecal.highway.comfort.reference import BEST, Manoeuvre
 from drivecal.highway.comfort.regressions import Regression
 from drivecal.highway.compilation import compiled_with
-from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins.ports import Floats, Series
 
 LENGTH = 160

@@ -31,8 +31,8 @@ def train_vehicle() -> None:
 
 def train_comfort() -> None:
     """Trains the learned comfort evaluator."""
+    from drivecal.highway.comfort.reference import Manoeuvre
     from drivecal.highway.comfort.regressions import FILE, write
-    from drivecal.highway.manoeuvres import Manoeuvre
     from drivecal.highway.training import comfort
     from drivecal.highway.training.tables import write_table
 

@@ -11,9 +11,9 @@ from sklearn.linear_model import RidgeCV
 from sklearn.metrics import cohen_kappa_score
 
 from drivecal.highway.comfort import rocket
+from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.highway.comfort.regressions import Regression
 from drivecal.highway.comfort.rocket import LENGTH, UNITS, Rater, features_of
-from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.training.rated_drives import RatedDrive, group_of_profile, group_of_set, simulated, synthetic
 from drivecal.highway.training.tables import table
 from drivecal.plugins.ports import Floats

@@ -9,9 +9,9 @@ from scipy.stats import qmc
 from drivecal.domain.evaluations import Rating
 from drivecal.highway.comfort import reference
 from drivecal.highway.comfort.metrics import comfort_metrics
+from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.highway.comfort.rocket import Integers, channels_of
 from drivecal.highway.drive.tasks import TaskRunner
-from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.training.multibody import smooth
