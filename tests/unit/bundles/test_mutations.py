@@ -1,6 +1,6 @@
-"""Mutations of archives, manifests and formulas that work: each is taken, or refused with a named cause, soon, and inside of its folder.
+"""Mutations of archives that work, with their manifests: each is taken, or refused with a named cause, soon, and inside of its folder.
 
-`DRIVECAL_LONG` in the environment makes it 10,000 of each.
+`DRIVECAL_LONG` in the environment makes it 10,000.
 """
 
 import random
