@@ -234,8 +234,8 @@ def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: 
 
 @pytest.mark.parametrize(
     ("changes", "driven"),
-    [({}, noisy), ({"optimizer": POPULATIONS}, noisy), (RATED, failing)],
-    ids=["cells", "population", "rates"],
+    [({}, noisy), ({"optimizer": POPULATIONS, "replicates": {"aggregate": {"quantile": 0.9}}}, noisy), (RATED, failing)],
+    ids=["cells", "quantiles of a population", "rates"],
 )
 def test_kills_and_the_order_of_answers_change_nothing(
     tmp_path: Path, changes: dict[str, Any], driven: Callable[[Any, Cell], CellResult], monkeypatch: pytest.MonkeyPatch

@@ -5,7 +5,7 @@ common disappears from comparisons. The last seeds are kept back: they choose no
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 
 import numpy as np
@@ -140,12 +140,15 @@ class SetStatistics:
         return float(below.prod(axis=1).mean())
 
 
-def assess(samples: Floats) -> SetStatistics:
+def assess(samples: Floats, level: float | None = None) -> SetStatistics:
     """Returns what runs say about sets.
 
     Args:
         samples: objective of each set under each seed, higher is better, shape (n, n_seeds); NaN without a run. Each set has a run.
+        level: of the quantiles that take the place of means; None for means.
     """
+    if level is not None:
+        return _quantiles(samples, assess(samples), level)
     run = np.isfinite(samples)
     counts = run.sum(axis=1)
     several = counts > 1
@@ -167,6 +170,32 @@ def assess(samples: Floats) -> SetStatistics:
     variances = (prior * noise + (residuals**2).sum(axis=1) * own.sum() / freedom) / (prior + own)
     spreads = (prior * spread + (deviations**2).sum(axis=1)) / (prior + own)
     return SetStatistics(counts, means, variances, np.maximum(spreads, variances), np.minimum(prior + own, freedom), noise**0.5)
+
+
+def _quantiles(samples: Floats, known: SetStatistics, level: float) -> SetStatistics:
+    """Returns quantiles in the place of means: of a set's own runs together with the deviations of all sets, which count as SHRINKAGE runs.
+    Their errors are as of normal runs, the effects of seeds included."""
+    several = known.counts > 1
+    counts = known.counts[several, np.newaxis]
+    deviations = (samples[several] - np.nanmean(samples[several], axis=1, keepdims=True)) * np.sqrt(counts / (counts - 1))
+    deviations = deviations[np.isfinite(deviations)]
+    pooled = np.quantile(deviations, (np.arange(QUANTILES) + 0.5) / QUANTILES) if len(deviations) else deviations
+    quantiles = []
+    for row, mean in zip(samples, known.means.tolist(), strict=True):
+        own = row[np.isfinite(row)]
+        values = np.concatenate([own, mean + pooled])
+        shares = np.concatenate([np.ones(len(own)), np.full(len(pooled), SHRINKAGE / QUANTILES)])
+        order = np.argsort(values, kind="stable")
+        reached = np.cumsum(shares[order])
+        quantiles.append(float(values[order][np.searchsorted(reached, level * reached[-1] - 1e-9)]))
+    spreads = known.spreads * widening(level) ** 2
+    return replace(known, means=np.array(quantiles), variances=spreads, spreads=spreads)
+
+
+def widening(level: float | None) -> float:
+    """Returns the standard error of a quantile in that of the mean, for normal values; 1 for the mean."""
+    usual = NormalDist()
+    return 1.0 if level is None else (level * (1 - level)) ** 0.5 / usual.pdf(usual.inv_cdf(level))
 
 
 def _effects(samples: Floats) -> Floats:
@@ -233,14 +262,18 @@ def to_tell(standing: SetStatistics, leader: int, rival: int, confidence: float)
     return max(1, int(np.ceil(NormalDist().inv_cdf(confidence) ** 2 * both / distance**2)))
 
 
-def mean_interval(values: Sequence[float], confidence: float) -> tuple[float, float] | None:
-    """Returns a two-sided interval of the mean of at least two independent values (Student); None of fewer."""
-    if len(values) < 2:
-        return None
-    from scipy.special import stdtrit
+def interval(values: Sequence[float], level: float | None, confidence: float) -> tuple[float | None, float | None]:
+    """Returns a two-sided interval of at least two independent values: of the mean (Student), or of the quantile of this `level`, exact by
+    order statistics. An end of a quantile is None if there are too few values for it."""
+    from scipy.special import bdtr, stdtrit
 
-    half = float(stdtrit(len(values) - 1, 0.5 + confidence / 2) * np.std(values, ddof=1) / np.sqrt(len(values)))
-    return float(np.mean(values)) - half, float(np.mean(values)) + half
+    if level is None:
+        half = float(stdtrit(len(values) - 1, 0.5 + confidence / 2) * np.std(values, ddof=1) / np.sqrt(len(values)))
+        return float(np.mean(values)) - half, float(np.mean(values)) + half
+    ordered, tail = sorted(values), (1 - confidence) / 2
+    above = bdtr(np.arange(len(ordered), dtype=np.float64), len(ordered), level)  # probability of each to be above the quantile
+    under, over = int((above <= tail).sum()), int((above < 1 - tail).sum())
+    return ordered[under - 1] if under else None, ordered[over] if over < len(ordered) else None
 
 
 def rate_bounds(found: int, runs: int, confidence: float) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from drivecal.analysis import replicates
-from drivecal.analysis.goals import Goals, Judged
+from drivecal.analysis.goals import Aggregate, Goals, Judged
 from drivecal.analysis.replicates import SetStatistics
 from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.evaluations import CellScore
@@ -116,7 +116,7 @@ class Ranking:
         scale's. `goals`: their first objective ranks in the place of the weighted score. `span`: width of the scale's range. `wanted`:
         replicates of a random simulator."""
         self._sign, self._goals, self._wanted = sign, goals, wanted or ReplicatesSpecification()
-        self._choosing = replicates.choosing(self._wanted.most)
+        self._choosing, self._level = replicates.choosing(self._wanted.most), self._wanted.level
         self._runs: dict[int, dict[int, dict[str, CellScore]]] = {}
         """Answers by set, seed and scenario."""
         self._samples: dict[int, dict[int, float]] = {}
@@ -203,12 +203,18 @@ class Ranking:
         return replace(solution, replicates=len(whole), failures=failures)
 
     def _mean(self, number: int, seeds: Sequence[int]) -> EvaluatedSet | None:
-        """Returns the solution of a set by the means over some of its seeds, which become its answers."""
+        """Returns the solution of a set by the means over some of its seeds, which become its answers, and its objective over them."""
         runs = self._runs[number]
         self._answers[number] = {name: over_seeds([runs[seed][name] for seed in seeds]) for name in runs[seeds[0]]}
         solution = self._solution(number, self._answers[number], self._counted(number))
-        objective = fmean(self._samples[number][seed] for seed in seeds)
-        return None if solution is None else replace(solution, objective=objective)
+        if solution is None:
+            return None
+        values, judgement = [self._samples[number][seed] for seed in seeds], solution.judgement
+        quantile = None if self._level is None else Aggregate("quantile", self._level)
+        objective = fmean(values) if quantile is None else quantile(values, [1 / len(values)] * len(values))
+        if judgement is not None and len(judgement.amounts) == 1:
+            judgement = replace(judgement, amounts=(objective,))
+        return replace(solution, objective=objective, judgement=judgement)
 
     def uncertainty(self, best: EvaluatedSet) -> dict[str, Any]:
         """Returns the uncertainty of the best set's objective, how many sets cannot be told from it, and the noise of each scenario."""
@@ -272,9 +278,7 @@ class Ranking:
             each for each in everything if self.keeps(each.parameter_set) or (with_open and self.is_open(each.parameter_set))
         ]
         kept = kept or everything
-        kept.sort(
-            key=lambda each: each.parameter_set
-        )  # sums depend on the order, and a restart learns of the sets in another one
+        kept.sort(key=lambda each: each.parameter_set)  # sums depend on the order, which is another one after a restart
         by_seed = {each.parameter_set: self._chosen_by(each) for each in kept}
         numbers = [number for number, objectives in by_seed.items() if objectives]
         if not numbers:
@@ -283,7 +287,8 @@ class Ranking:
         for place, number in enumerate(numbers):
             for seed, objective in by_seed[number].items():
                 samples[place, seed - 1] = kept[0].sign * objective
-        return numbers, replicates.assess(samples)
+        level = self._level if self._level is None or kept[0].sign > 0 else 1 - self._level
+        return numbers, replicates.assess(samples, level)
 
     def _chosen_by(self, solution: EvaluatedSet) -> dict[int, float]:
         objectives = self._samples.get(solution.parameter_set)
@@ -307,10 +312,10 @@ class Ranking:
             self._solutions[number] = replace(self._solutions[number], **UNCOMPARED)
         for number in numbers:
             fresh = [objective for seed, objective in sorted(self._samples.get(number, {}).items()) if seed > self._choosing]
-            interval = replicates.mean_interval(fresh, confidence)
-            if interval is not None:
-                error = float(np.std(fresh, ddof=1) / len(fresh) ** 0.5)
-                own = replace(self._solutions[number], lower=interval[0], upper=interval[1], standard_error=error)
+            if len(fresh) > 1:
+                error = float(np.std(fresh, ddof=1) / len(fresh) ** 0.5) * replicates.widening(self._level)
+                lower, upper = replicates.interval(fresh, self._level, confidence)
+                own = replace(self._solutions[number], lower=lower, upper=upper, standard_error=error)
                 self._solutions[number] = own
         if not standing.is_known:
             return
@@ -320,12 +325,13 @@ class Ranking:
             solution = self._solutions[number]
             is_reported, half = solution.chosen_by is not None, float(halves[place])
             close = place != leader and ahead[place] > 1 - confidence
+            middle = solution.objective if self._level is None else solution.sign * float(standing.means[place])
             self._solutions[number] = replace(
                 solution,
                 standard_error=solution.standard_error if is_reported else float(standing.standard_errors[place]),
                 # runs that chose the best set say too much of it
-                lower=solution.lower if is_reported or place == leader else solution.objective - half,
-                upper=solution.upper if is_reported or place == leader else solution.objective + half,
+                lower=solution.lower if is_reported or place == leader else middle - half,
+                upper=solution.upper if is_reported or place == leader else middle + half,
                 probability_best=float(probabilities[place]),
                 is_close=bool(close),
                 runs_to_tell=replicates.to_tell(standing, leader, place, confidence) if close else None,

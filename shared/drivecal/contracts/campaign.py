@@ -184,7 +184,8 @@ class Best(Answer):
     standard_error: float | None = None
     """Standard error of the objective; null if the simulator is not random."""
     lower: float | None = None
-    """Lower end of the interval of the objective, at `replicates.confidence`, by runs that did not choose the set; null without any."""
+    """Lower end of the interval of the objective, at `replicates.confidence`, by runs that did not choose the set; null without any, and
+    for a quantile if they are too few."""
     upper: float | None = None
     """Upper end of that interval."""
     probability_best: float | None = None

@@ -246,14 +246,9 @@ class GoalSpecification(Model):
     failed: Number | None = None
     """Worth of a measure of failed runs; null: a set with a failed run has no result here. A score has its own."""
 
-    @property
-    def counts_failures(self) -> bool:
-        """True if it bounds the rate of failed runs, and so names no value."""
-        return False
-
     @model_validator(mode="after")
     def _names_a_value(self) -> Self:
-        if (self.score is None) == (self.measure is None) and not self.counts_failures:
+        if (self.score is None) == (self.measure is None) and not getattr(self, "counts_failures", False):
             raise ValueError(f"it names {'no score or' if self.score is None else 'a score and a'} measure; give one of them")
         if self.score is not None and self.failed is not None:
             raise ValueError("a score has a worth of failed runs already; leave `failed` out")
@@ -262,7 +257,7 @@ class GoalSpecification(Model):
     @property
     def label(self) -> str:
         """Name in results."""
-        return self.name or self.score or self.measure or ""
+        return self.name or self.score or self.measure or "failures"
 
 
 class ObjectiveSpecification(GoalSpecification):
@@ -294,13 +289,8 @@ class ConstraintSpecification(GoalSpecification):
 
     @property
     def counts_failures(self) -> bool:
-        """See `GoalSpecification`."""
+        """True if it bounds the rate of failed runs, and so names no value."""
         return self.rate is not None and self.score is None and self.measure is None
-
-    @property
-    def label(self) -> str:
-        """Name in results."""
-        return super().label or "failures"
 
     @model_validator(mode="after")
     def _has_a_limit(self) -> Self:
@@ -401,11 +391,20 @@ class ReplicatesSpecification(Model):
     """Runs of a set that may be the best."""
     confidence: Annotated[float, Field(ge=0.5, le=0.999)] = 0.95
     """Confidence of intervals, and of the choice of the best set."""
+    aggregate: Literal["mean"] | Quantile = "mean"
+    """Combines the objectives under a set's seeds. A quantile is one of the objective in its own units, whatever the direction."""
+
+    @property
+    def level(self) -> float | None:
+        """Level of the quantile; None for the mean."""
+        return None if self.aggregate == "mean" else self.aggregate.quantile
 
     @model_validator(mode="after")
     def _are_ordered(self) -> Self:
         if self.least > self.most:
             raise ValueError(f"least is {self.least} and most is {self.most}; give at least as many")
+        if self.level in {0.0, 1.0}:
+            raise ValueError("runs do not show the least or the largest objective; give a quantile above 0 and below 1")
         return self
 
 

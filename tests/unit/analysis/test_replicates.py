@@ -1,16 +1,18 @@
 """Which sets get further runs, and what is then known of the best one: small synthetic campaigns with fixed seeds."""
 
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from drivecal.analysis import replicates
 from drivecal.analysis.goals import UNDECIDED, Aggregate, Bound, CellValue, Goals, Objective
-from drivecal.analysis.replicates import SetStatistics, allocate, assess, choosing, mean_interval, rate_bounds, to_tell
-from drivecal.analysis.solutions import Ranking
+from drivecal.analysis.replicates import SetStatistics, allocate, assess, choosing, interval, rate_bounds, to_tell
+from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.stages.replication import next_runs
-from drivecal.contracts.specification import ReplicatesSpecification
+from drivecal.contracts.specification import Quantile, ReplicatesSpecification
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.scales import Direction, Scale
 from drivecal.plugins.ports import Floats
@@ -83,9 +85,10 @@ def test_intervals_of_the_chosen_set_cover_its_mean() -> None:
     for number in range(400):
         campaign = Campaign(1.0, number)
         best = campaign.decide()
-        interval = mean_interval(campaign.fresh(best, 8).tolist(), CONFIDENCE)
-        assert interval is not None
-        covered += interval[0] <= -best <= interval[1]
+        lower, upper = interval(campaign.fresh(best, 8).tolist(), None, CONFIDENCE)
+        assert lower is not None
+        assert upper is not None
+        covered += lower <= -best <= upper
     assert 0.925 <= covered / 400 <= 0.975
 
 
@@ -217,6 +220,34 @@ def test_a_budget_keeps_runs_for_the_choice() -> None:
     assert replicates.kept_back(1000, 6, 20, by_cell=True) == 150
     assert replicates.kept_back(100, 6, 20, by_cell=True) == 50
     assert replicates.kept_back(600, 6, 1, by_cell=True) == 0
+
+
+def test_intervals_of_quantiles_are_exact() -> None:
+    random, usual = np.random.default_rng(1), NormalDist().inv_cdf(0.9)
+    ends = [interval(random.normal(size=40).tolist(), 0.9, CONFIDENCE) for _ in range(400)]
+    covered = sum(lower is not None and upper is not None and lower <= usual <= upper for lower, upper in ends)
+    assert 0.94 <= covered / 400 < 1
+    assert interval([1.0, 2.0, 3.0, 4.0], 0.9, CONFIDENCE) == (2.0, None)
+    assert interval([float(value) for value in range(36)], 0.9, CONFIDENCE)[1] == 35.0
+
+
+def test_a_quantile_prefers_a_set_whose_runs_are_alike() -> None:
+    random = np.random.default_rng(2)
+    runs = {1: 4.8 + random.normal(size=12), 2: 5.0 + 0.1 * random.normal(size=12), 3: np.array([4.9])}
+    ranked: list[list[EvaluatedSet]] = []
+    for wanted in (ReplicatesSpecification(), ReplicatesSpecification(aggregate=Quantile(quantile=0.9))):
+        ranking = Ranking({"S1": 1}, sign=-1, wanted=wanted)
+        for number, scores in runs.items():
+            ranking.add(CellScore(number, "S1", x, x, True, 0, number, seed=seed) for seed, x in enumerate(scores.tolist(), 1))
+        ranked.append(ranking.ranking())
+    assert [[each.parameter_set for each in sets] for sets in ranked] == [[1, 2, 3], [2, 1, 3]]
+    assert ranked[1][0].objective == sorted(runs[2])[10]  # the least value that nine of ten runs do not exceed
+
+
+@pytest.mark.parametrize("quantile", [0.0, 1.0])
+def test_an_extreme_over_seeds_is_refused(quantile: float) -> None:
+    with pytest.raises(ValidationError, match="quantile"):
+        ReplicatesSpecification(aggregate=Quantile(quantile=quantile))
 
 
 RATE = Bound("gap", CellValue(measure="gap", failed=-1.0), {"S1": 1.0}, Aggregate("min"), 1, 0.0, 1.0, rate=0.1, confidence=0.9)

@@ -2,11 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import count
-from math import ceil
 
 from drivecal.analysis.goals import FAILED, SCORE, Aggregate, Bound, CellValue, Goals, Objective
-from drivecal.analysis.replicates import choosing, fewest, rate_bounds
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.specification import (
@@ -45,6 +42,9 @@ def find_goals(
         for place, each in enumerate(specification.constraints)
     ]
     _refuse_equal_names(given, diagnostics)
+    if len(given) > 1 and specification.replicates.level is not None:
+        message = "a front has the means of several objectives over the seeds"
+        diagnostics.add("replicates.aggregate", message, "leave it out, or give one objective")
     if len(diagnostics.problems) > before:
         return None
     goals = Goals(
@@ -53,37 +53,6 @@ def find_goals(
     )
     plain = len(goals.objectives) == 1 and not bounds and goals.objectives[0].is_weighted_mean(weights)
     return None if plain and goals.objectives[0].tolerance == 0 else goals
-
-
-def check_rates(
-    goals: Goals | None, most: int, scenarios: int, simulations: int | None, diagnostics: Diagnostics, *, is_random: bool
-) -> None:
-    """Adds problems for rates of a simulator that is not random, and for rates that the campaign cannot show.
-
-    Args:
-        goals: the campaign's.
-        most: of its `replicates`.
-        scenarios: number of its scenarios.
-        simulations: of its budget; None without a limit.
-        diagnostics: where the problems go.
-        is_random: whether the simulator is.
-    """
-    for place, bound in enumerate(() if goals is None else goals.bounds):
-        if bound.rate is None:
-            continue
-        field, seeds, needed = f"constraints[{place}].rate", choosing(most), ceil(bound.fewest_runs / len(bound.shares))
-        takes = f"a rate of {bound.rate:g} takes {bound.fewest_runs:,} runs without one beyond the limit"
-        if not is_random:
-            message = "the simulator is not random, and each set has one run in a scenario"
-            diagnostics.add(field, message, "leave it out, or give `random: true` in problem.yaml")
-        elif needed > seeds:
-            least = rate_bounds(0, seeds * len(bound.shares), bound.confidence)[1]
-            enough = next(more for more in count(most) if choosing(more) >= needed)
-            message = f"{takes}, and {seeds} of {most} seeds choose a set"
-            diagnostics.add(field, message, f"give replicates.most of at least {enough}, or a rate of at least {least:.4g}")
-        elif simulations is not None and (kept := 2 * fewest(scenarios, most, needed)) > simulations:
-            message = f"{takes}, {needed:,} seeds, and half of the budget at most is kept for them and for the report"
-            diagnostics.add(field, message, f"give budget.simulations of at least {kept:,}, or a higher rate")
 
 
 def check_reuse(

@@ -6,16 +6,18 @@ field and a remedy. `api.submission` then checks the server's limits, and `stage
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
+from math import ceil
 from typing import Any
 
 import numpy as np
 
 from drivecal.analysis.goals import Goals
-from drivecal.analysis.replicates import kept_back
+from drivecal.analysis.replicates import choosing, fewest, kept_back, rate_bounds
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.goals import check_rates, check_reuse, find_goals
+from drivecal.campaigns.resolve.goals import check_reuse, find_goals
 from drivecal.campaigns.resolve.optimizer import Optimization, check_abilities, choose_optimizer, note_search, settled_search
 from drivecal.campaigns.resolve.spaces import (
     fixed_to_document,
@@ -220,14 +222,35 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     specification = specification.model_copy(update=dict(workbench.settled) | settled_search(specification, optimization))
     bench = replace(workbench.make(weights), repeat=specification.reduction.repeat)
     resolvers.check_units(specification, bench.scale, diagnostics)
-    budget = None if optimization is None or optimization.budget is None else optimization.budget.simulations
-    check_rates(goals, specification.replicates.most, len(weights), budget, diagnostics, is_random=bench.is_random)
-    diagnostics.raise_if_any()
     notes += resolvers.note_predictions(specification, bench.scale)
     problem = CalibrationProblem(
         specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints, goals
     )
+    _check_rates(problem, diagnostics)
+    diagnostics.raise_if_any()
     return replace(problem, notes=(*notes, *problem.doubts_about_map()))
+
+
+def _check_rates(problem: CalibrationProblem, diagnostics: Diagnostics) -> None:
+    """Adds problems for rates of a simulator that is not random, and for rates that the replicates or the budget cannot show."""
+    most, budget = problem.specification.replicates.most, None if problem.optimization is None else problem.optimization.budget
+    for place, bound in enumerate(() if problem.goals is None else problem.goals.bounds):
+        if bound.rate is None:
+            continue
+        field, seeds, needed = f"constraints[{place}].rate", choosing(most), ceil(bound.fewest_runs / len(bound.shares))
+        takes = f"a rate of {bound.rate:g} takes {bound.fewest_runs:,} runs without one beyond the limit"
+        kept = 2 * fewest(len(problem.scenarios), most, needed)
+        if not problem.bench.is_random:
+            message = "the simulator is not random, and each set has one run in a scenario"
+            diagnostics.add(field, message, "leave it out, or give `random: true` in problem.yaml")
+        elif needed > seeds:
+            least = rate_bounds(0, seeds * len(bound.shares), bound.confidence)[1]
+            enough = next(more for more in count(most) if choosing(more) >= needed)
+            message = f"{takes}, and {seeds} of {most} seeds choose a set"
+            diagnostics.add(field, message, f"give replicates.most of at least {enough}, or a rate of at least {least:.4g}")
+        elif budget is not None and budget.simulations is not None and budget.simulations < kept:
+            message = f"{takes}, {needed:,} seeds, and half of the budget at most is kept for them and for the report"
+            diagnostics.add(field, message, f"give budget.simulations of at least {kept:,}, or a higher rate")
 
 
 def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSource = installed_bundles) -> EvaluationProblem:

@@ -100,7 +100,10 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("scores", "  ".join(f"{name} {told(score)}" for name, score in best.scores.items())))
         share = "1 parameter set has" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share"
         lines.append(("alternatives", f"{share} the best objective"))
-        lines += [("uncertainty", text) for text in _uncertainty_texts(best)]
+        lines += [
+            ("uncertainty", text)
+            for text in _uncertainty_texts(best, (campaign.spec.get("replicates") or {}).get("aggregate", "mean"))
+        ]
         if campaign.spec.get("objectives"):
             lines.append(("front", f"drivecal front {campaign.id} lists the compromises between the objectives"))
     lines += [("note", note) for note in campaign.notes]
@@ -112,10 +115,12 @@ def print_campaign(campaign: Campaign) -> None:
         typer.echo(f"{name.ljust(width)}  {text}")
 
 
-def _uncertainty_texts(best: Best) -> Iterator[str]:
+def _uncertainty_texts(best: Best, aggregate: str | Mapping[str, float]) -> Iterator[str]:
     """Yields what is known of the best set of a random simulator."""
-    if best.lower is not None and best.upper is not None:
-        yield f"objective {told(best.lower)} to {told(best.upper)} ({best.replicates} seeds); {best.close} sets cannot be told from it"
+    if best.lower is not None or best.upper is not None:
+        what = aggregate if isinstance(aggregate, str) else f"quantile {aggregate['quantile']:g}"
+        ends = " to ".join("unknown" if end is None else told(end) for end in (best.lower, best.upper))
+        yield f"objective {ends} ({what} of {best.replicates} seeds); {best.close} sets cannot be told from it"
     if best.failure_interval is not None:
         lower, upper = best.failure_interval
         yield f"{best.failures} failed runs; {percent(lower, 1)} to {percent(upper, 1)} of its runs fail"
