@@ -27,7 +27,6 @@ from drivecal.api.routes import (
     inventory,
     outside,
     page,
-    page_places,
     page_session,
     stored_results,
     tables,
@@ -109,7 +108,6 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         inventory,
         outside,
         page_session,
-        page_places,
     ):
         app.include_router(noun.router, prefix=ROOT)
     app.include_router(page.router)

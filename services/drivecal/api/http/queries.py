@@ -157,6 +157,14 @@ class PlaceOf(Parameters):
         return self.iteration, self.individual
 
 
+class CellOf(Parameters):
+    """A set of the ranking by `iteration` and `individual`, and a scenario."""
+
+    iteration: Place
+    individual: Place
+    scenario: Annotated[str, StringConstraints(min_length=1, max_length=200)]
+
+
 class SubmissionOf(Parameters):
     """Options of a submission."""
 
@@ -175,6 +183,7 @@ SummaryQuery = Annotated[SummaryOf, Query()]
 FrontQuery = Annotated[FrontOf, Query()]
 ImportanceQuery = Annotated[ImportanceOf, Query()]
 PlaceQuery = Annotated[PlaceOf, Query()]
+CellQuery = Annotated[CellOf, Query()]
 SubmissionQuery = Annotated[SubmissionOf, Query()]
 
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from drivecal.api.dependencies import Accept, DatabaseDependency, computed
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.http.queries import EvaluationsQuery, FrontQuery, SolutionsQuery, SummaryQuery, TableQuery
+from drivecal.api.http.queries import CellQuery, EvaluationsQuery, FrontQuery, SolutionsQuery, SummaryQuery, TableQuery
 from drivecal.api.responses import calibration, evaluation_row
 from drivecal.api.tables import influence
 from drivecal.api.tables.front import front_table, judged_sets, summary, weighted
@@ -20,6 +20,7 @@ from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
 from drivecal.campaigns.results.front import CampaignFront, baseline_of, front_of
 from drivecal.campaigns.results.optima import alternatives
+from drivecal.contracts.evaluation import CellNumber
 from drivecal.contracts.results import FrontSummary
 from drivecal.contracts.tables import (
     Column,
@@ -92,6 +93,15 @@ def _measures(database: Database, campaign: StoredCampaign) -> Sequence[str]:
 def _measured(measures: Sequence[str], stored: Mapping[str, float | None] | None) -> dict[str, Any]:
     """Returns the columns of measures of a row; they are empty for a cell without a run."""
     return {measure_column(name): None if stored is None else stored.get(name) for name in measures}
+
+
+@router.get("/cell")
+def find_cell(campaign_id: str, query: CellQuery, database: DatabaseDependency) -> CellNumber:
+    """The evaluation that ranks the set at a place of the calibration stage."""
+    with database.read() as connection:
+        campaign = campaigns.get(connection, campaign_id)
+        evaluation = results.number_at(connection, campaign.sequence, query.iteration, query.individual, query.scenario)
+    return CellNumber(evaluation=evaluation)
 
 
 @router.get("/solutions", responses=page_or_file(Solution))
