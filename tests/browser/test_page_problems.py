@@ -279,7 +279,7 @@ def test_a_report_is_the_page_and_opens_without_a_server(heater: Heated, opening
     for view, text in (
         ("Overview", "Best score by simulations"),
         ("Ranking", "Weigh the scenarios"),
-        ("Influence", "winter"),
+        ("What matters", "winter"),
         ("Savings", "Balance"),
         ("Trust", "Are the scores right?"),
     ):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 from tests.browser.conftest import AWAY, TABS, Opening, away_and_back, barriers_everywhere, unfold
 from tests.support.comparisons import finish_comparison, submit_comparison
 from tests.support.computed import ComputedBackend
@@ -74,7 +74,7 @@ PARTS = pytest.mark.parametrize("part", [1, 3], ids=["all", "some"])
 def test_every_view_can_be_used_by_everybody(shown: Shown, opening: Opening, part: int) -> None:
     page = opening(f"{shown.api.url}/#/nowhere", expected=("409",))
     broken: dict[str, Any] = {}
-    charts = [f"{shown.at('evaluations')}?chart={kind}" for kind in ("scatter", "map", "importance")]
+    charts = [f"{shown.at('evaluations')}?chart={kind}" for kind in ("scatter", "map")]
     for address in [*views(shown), *charts][::part]:
         page.goto(address)
         expect(page.locator("main h1")).to_be_visible()
@@ -151,6 +151,48 @@ def test_a_scatter_keeps_ranges_that_the_table_and_the_export_follow(shown: Show
     page.get_by_role("button", name="Heat map").click()
     expect(page.get_by_role("table", name=re.compile("^score over P"))).to_be_visible()
     assert rows_shown(page) == some
+
+
+def test_what_matters_is_told_once_with_the_reason_of_a_disagreement(shown: Shown, opening: Opening) -> None:
+    changes = {"reduction": {"mode": "off"}, "optimizer": {"kind": "random", "population": 60, "iterations": 2, "seed": 2}}
+    campaign = run(
+        shown.api.database, submit(shown.api.database, **WITH_ANALYSIS | changes), ComputedBackend(answer=influenced)
+    )
+    page = opening(f"{shown.api.url}/#/campaigns/{campaign.id}/ranking")
+    page.get_by_role("link", name="Which parameters matter", exact=True).click()
+    said = shown.api.http.get(f"/api/v1/campaigns/{campaign.id}/importance").json()
+    rows = page.get_by_role("table", name="What matters: objective", exact=True).get_by_role("row")
+    expect(rows).to_have_count(1 + len(said["items"]))
+    for place, item in enumerate(said["items"], start=1):
+        expect(rows.nth(place)).to_contain_text(re.compile(rf"^{item['parameter']}{told(item['importance'])}"))
+    first, second = (item["parameter"] for item in said["items"][:2])
+    expect(page.get_by_role("img", name=re.compile(f"^{second}.* over {first}.* points$"))).to_be_visible()
+    assert barriers_everywhere(page) == []
+    page.route(re.compile("/influence"), lambda route: opposite(route, said["items"][0]["parameter"]))
+    page.reload()
+    expect(rows.nth(1)).to_contain_text("nowhere")
+    reason = page.get_by_text(re.compile(f"^{first}, only in the search: the map"))
+    expect(reason).to_be_visible()
+    page.get_by_label("What matters for").select_option("S1")
+    expect(page.get_by_role("heading", name="What matters: S1")).to_be_visible()
+    rows = page.get_by_role("table", name="What matters: S1", exact=True).get_by_role("row")
+    expect(rows.nth(1)).to_contain_text(re.compile("P1|P2"))
+    rows.nth(1).get_by_role("link").press("Enter")
+    expect(page.get_by_role("img", name=re.compile("objective over P[12]"))).to_be_visible()
+    page.unroute_all(behavior="ignoreErrors")
+
+
+def told(share: float) -> str:
+    """A share as the page writes it, if it is not small."""
+    return f"{round(share, 3):g}" if share > 0.01 else ""
+
+
+def opposite(route: Route, parameter: str) -> None:
+    """Answers with a map that calls a parameter non-influential."""
+    sent = route.fetch()
+    table = sent.json()
+    items = [row | {"influential": row["parameter"] != parameter and row["influential"]} for row in table["items"]]
+    route.fulfill(response=sent, json=table | {"items": items})
 
 
 def test_a_study_leads_with_what_it_examines_and_what_it_found(shown: Shown, opening: Opening) -> None:

@@ -16,3 +16,22 @@ export function nearest(rows: Uint32Array, px: (row: number) => number, py: (row
   });
   return at;
 }
+
+/** A Gaussian of this width fits evenly spread points, in shares of an axis (Scott's rule). */
+const SPREAD = 0.29;
+/** The least sum of weights of a field: below it no point is near. */
+const LEAST = 0.3;
+
+/** Means of the values of points nearby, in the fields of a square grid, line by line; null far from any point. `across` and `up` are shares of the axes. */
+export function smoothed(across: readonly number[], up: readonly number[], values: readonly number[], size: number): (number | null)[] {
+  const width = 2 * (SPREAD * Math.max(1, values.length) ** (-1 / 6)) ** 2;
+  return Array.from({ length: size * size }, (_, place) => {
+    const [x, y] = [((place % size) + 0.5) / size, (Math.floor(place / size) + 0.5) / size];
+    let [sum, weights] = [0, 0];
+    values.forEach((value, point) => {
+      const weight = Math.exp(-(((across[point] ?? 0) - x) ** 2 + ((up[point] ?? 0) - y) ** 2) / width);
+      [sum, weights] = [sum + weight * value, weights + weight];
+    });
+    return weights < LEAST ? null : sum / weights;
+  });
+}
