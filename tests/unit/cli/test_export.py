@@ -3,7 +3,11 @@
 import io
 import os
 
+import pytest
+from typer.testing import CliRunner
+
 from drivecal.cli.commands.results import _print
+from drivecal.cli.main import app
 
 NAME = "a\x1b]0;owned\x07\x9b31m\u202egnp.exe\u00e9,1\r\n"
 ENCODED = NAME.encode()
@@ -23,3 +27,24 @@ def test_a_pipe_gets_the_file_as_it_is() -> None:
     _print(iter([ENCODED]), stream)
     stream.seek(0)
     assert stream.buffer.read() == ENCODED
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        ["--table", "evaluations"],
+        ["--format", "csv"],
+        ["--row", "1"],
+        ["--names", "names.yaml"],
+        ["--where", "score>=1"],
+        ["--weights", "S1=2"],
+        ["--score", "ease"],
+        ["--measures"],
+        ["--json"],
+    ],
+)
+def test_options_that_mlflow_would_ignore_are_refused_by_name(option: list[str]) -> None:
+    given = ["export", "id", "--to", "mlflow", "-o", "runs", "--url", "http://127.0.0.1:9"]
+    refused = CliRunner().invoke(app, [*given, *option])
+    assert refused.exit_code == 2
+    assert option[0] in refused.output

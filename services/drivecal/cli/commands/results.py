@@ -88,6 +88,7 @@ def front(
 
 @app.command()
 def export(
+    context: typer.Context,
     identifier: CampaignArgument,
     table: Annotated[TableName, typer.Option(help=f"One of {', '.join(get_args(TableName))}.")] = "evaluations",
     form: Annotated[
@@ -130,6 +131,7 @@ def export(
     """Write a whole table of a campaign to a file, or its best set as a calibration file (dcm, cdfx, or csv
     with --row)."""
     if to == "mlflow":
+        _refuse_beside_mlflow(context)
         folder = Path("mlruns" if output == "-" else output)
         with connect(url) as client:
             number = write_runs(client, client.full_id(identifier), folder)
@@ -160,6 +162,14 @@ def export(
             for piece in pieces:
                 size += stream.write(piece)
     tell(f"{output}: {size:,} bytes")
+
+
+def _refuse_beside_mlflow(context: typer.Context) -> None:
+    """Raises BadParameter for options that choose rows or a format: MLflow gets the campaign and its best sets."""
+    sources = {each.opts[0]: context.get_parameter_source(each.name or "") for each in context.command.params}
+    given = [name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
+    if ignored := [name for name in given if name.startswith("-") and name not in {"--to", "--output", "--url"}]:
+        raise typer.BadParameter(f"--to mlflow has no {', '.join(ignored)}: leave it out")
 
 
 def _format_of(output: str) -> Format:
