@@ -1,7 +1,8 @@
 """`drivecal check`: is a set still good?"""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Self
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -10,8 +11,9 @@ import typer
 from pydantic import Field, model_validator
 
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, code_of_state, connect, tell
-from drivecal.cli.commands.evaluate import ended
+from drivecal.cli.commands.evaluate import SECONDS_BETWEEN_QUESTIONS, ended
 from drivecal.cli.views.output import print_columns, print_json
+from drivecal.cli.views.progress import pauses
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
@@ -138,11 +140,12 @@ def check(
         _refuse_unknown(wanted, known, has_baseline=baseline is not None)
         first = next(iter(known.scores))
         scores = list(dict.fromkeys([first, *(limit.score for limit in wanted if limit.score is not None)]))
+        wait = partial(ended, client, timeout=timeout, asking=pauses(SECONDS_BETWEEN_QUESTIONS, timeout))
         compared: dict[str, dict[str, EvaluatedCell]] = {}
         differing = 0
         if baseline is not None:
-            compared, differing = _evaluated(client, _set(client, baseline, names)[0], known, scores, timeout, fresh=fresh)
-        cells, more = _evaluated(client, parameters, known, scores, timeout, fresh=fresh)
+            compared, differing = _evaluated(client, _set(client, baseline, names)[0], known, scores, wait, fresh=fresh)
+        cells, more = _evaluated(client, parameters, known, scores, wait, fresh=fresh)
     checked = CheckedSet(cells, compared, known, differing + more)
     findings = list(checked.findings(wanted))
     if junit is not None:
@@ -207,7 +210,7 @@ def _evaluated(
     parameters: Parameters,
     problem: ProblemAnswer,
     scores: Sequence[str],
-    timeout: float | None,
+    wait: Callable[[Evaluation], Evaluation],
     *,
     fresh: bool = False,
 ) -> tuple[dict[str, dict[str, EvaluatedCell]], int]:
@@ -225,7 +228,7 @@ def _evaluated(
     for number, score in enumerate(scores):
         wanted: dict[str, Any] = {"parameters": values, "problem": problem.digest, "evaluator": score}
         simulates = fresh and (number == 0 or differing > 0)
-        evaluation = ended(client, client.evaluate(wanted | ({"fresh": True} if simulates else {})), timeout)
+        evaluation = wait(client.evaluate(wanted | ({"fresh": True} if simulates else {})))
         cells[score] = _cells(evaluation)
         differing += evaluation.unrepeatable
     return cells, differing

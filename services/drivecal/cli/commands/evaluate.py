@@ -1,5 +1,6 @@
 """`drivecal evaluate`: drives one parameter set."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -65,18 +66,19 @@ def evaluate(
     with connect(url) as client:
         queued = client.evaluate(specification)
         tell(f"evaluation {queued.id} is queued; `drivecal show {queued.id}` prints it as well")
-        evaluation = ended(client, queued, timeout)
+        asking = pauses(SECONDS_BETWEEN_QUESTIONS, timeout)
+        evaluation = ended(client, queued, timeout, asking)
         if trace is not None:
-            time_series.save(trace_of(client, evaluation.id, timeout), trace)
+            time_series.save(trace_of(client, evaluation.id, timeout, asking), trace)
             tell(f"time series: {trace}")
     print_answer(evaluation, as_json, print_evaluation)
     raise typer.Exit(code_of_state(evaluation.state))
 
 
-def ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Evaluation:
-    """Returns an evaluation when it has ended. Raises WaitTimedOutError after `timeout` seconds."""
+def ended(client: Client, evaluation: Evaluation, timeout: float | None, asking: Iterator[None]) -> Evaluation:
+    """Returns an evaluation when it has ended. Raises WaitTimedOutError when `asking`, the `pauses` of a command, end after `timeout`
+    seconds."""
     goes_on = f"evaluation {evaluation.id} goes on; `drivecal show {evaluation.id}` prints it, `drivecal cancel {evaluation.id}` ends it"
-    asking = pauses(SECONDS_BETWEEN_QUESTIONS, timeout)
     with attached(goes_on, timeout):
         while not CampaignState(evaluation.state).ended:
             next(asking)
@@ -84,12 +86,8 @@ def ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Eval
     return evaluation
 
 
-def trace_of(client: Client, evaluation: str, timeout: float | None = None) -> TraceAnswer | SeriesAnswer:
-    """Returns the time series of an evaluation, for which the server simulates it again.
-
-    Raises WaitTimedOutError after `timeout` seconds.
-    """
-    asking = pauses(SECONDS_BETWEEN_QUESTIONS, timeout)
+def trace_of(client: Client, evaluation: str, timeout: float | None, asking: Iterator[None]) -> TraceAnswer | SeriesAnswer:
+    """Returns the time series of an evaluation, for which the server simulates it again. Raises as `ended`."""
     with attached(f"the time series of evaluation {evaluation} are still being made; ask again", timeout):
         while (trace := client.trace(evaluation)) is None:
             next(asking)
