@@ -49,7 +49,10 @@ def check_names(connection: HTTPConnection) -> None:
         known = {field.alias for field in fields}
         problems = [Problem(shown(name), "there is no such field", "leave it out") for name in names if name not in known]
     lists = {
-        field.alias or name for model in models for name, field in model.model_fields.items() if _is_list(field.annotation)
+        field.alias or name
+        for model in models
+        for name, field in model.model_fields.items()
+        if get_origin(field.annotation) is list
     }
     problems += [
         Problem(shown(name), "it is given more than once", "give it once")
@@ -62,10 +65,6 @@ def check_names(connection: HTTPConnection) -> None:
 
 def _is_model(annotation: object) -> TypeGuard[type[BaseModel]]:
     return isinstance(annotation, type) and issubclass(annotation, BaseModel)
-
-
-def _is_list(annotation: object) -> bool:
-    return get_origin(annotation) is list
 
 
 class PageOf(Parameters):

@@ -13,7 +13,7 @@ from drivecal.cli.views.progress import attached, pauses
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments, settings
 from drivecal.contracts.evaluation import Evaluation, SeriesAnswer, TraceAnswer
-from drivecal.contracts.explanation import Difference, Explanation, Prediction
+from drivecal.contracts.explanation import Difference, Explanation
 from drivecal.contracts.specification import DEFAULT_PROBLEM
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import NotFoundError
@@ -133,7 +133,8 @@ def print_explanation(explanation: Explanation) -> None:
         at = f"{reference.stage}, iteration {reference.iteration + 1}, individual {reference.individual}"
         typer.echo(f"\nstored set: evaluation {reference.evaluation} of campaign {reference.campaign} ({at}), {score}")
     if explanation.prediction is not None:
-        _print_prediction(explanation.prediction)
+        prediction = explanation.prediction
+        typer.echo(f"\nprediction: score {told(prediction.score)}, confidence {prediction.confidence:.1%}")
     if explanation.differences:
         typer.echo("")
         header = ["parameter", "this cell", "stored set", "influential", "this lies", "that lies", "in the way"]
@@ -143,10 +144,6 @@ def print_explanation(explanation: Explanation) -> None:
         typer.echo(f"\ndistance {explanation.distance:.4f} of the parameters' ranges")
     if explanation.stored is not None:
         typer.echo(f"searched {explanation.stored:,} stored results of the same setup")
-
-
-def _print_prediction(prediction: Prediction) -> None:
-    typer.echo(f"\nprediction: score {told(prediction.score)}, confidence {prediction.confidence:.1%}")
 
 
 def _line(difference: Difference) -> list[object]:

@@ -14,7 +14,7 @@ from rich.table import Column
 from drivecal.cli.application import ExitCode, WaitTimedOutError, tell
 from drivecal.cli.views.output import by_outcome, duration
 from drivecal.client.client import Client
-from drivecal.contracts.campaign import Campaign, CellCounts
+from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.events import CampaignEvent
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError
@@ -177,13 +177,9 @@ def stage_text(campaign: Campaign) -> str:
     return f"{campaign.stage} {campaign.iteration + 1}/{iterations}"
 
 
-def current_cells(campaign: Campaign) -> CellCounts:
-    """Returns the cells of the stage at which a campaign is."""
-    return campaign.stages.get(campaign.stage or "", campaign.cells)
-
-
 def _detail(campaign: Campaign) -> str:
-    parts = [f"{name} {count:,}" for name, count in by_outcome(current_cells(campaign)).items() if count]
+    cells = campaign.stages.get(campaign.stage or "", campaign.cells)
+    parts = [f"{name} {count:,}" for name, count in by_outcome(cells).items() if count]
     if campaign.best:
         parts.append(f"best {campaign.best.objective:.3f}")
     if campaign.progress.eta_seconds is not None and campaign.state == "running":

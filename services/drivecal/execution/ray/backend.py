@@ -145,7 +145,8 @@ class RayBackend(SupervisedBackend):
         before, self._nodes = self._nodes, self._cluster.nodes
         there = {node.id for node in self._nodes}
         events = [event for worker in self._gone(there) for event in self._dismiss(worker)]
-        for node in missing(self._nodes, self._homes(), self._limits.workers, self._version):
+        homes = [worker.home.id for worker in self._workers if worker.home is not None]
+        for node in missing(self._nodes, homes, self._limits.workers, self._version):
             self._hire(node)
         for node in sorted(set(before) - set(self._nodes)):
             if node.cpus:
@@ -157,9 +158,6 @@ class RayBackend(SupervisedBackend):
             if not fits(node, self._version):
                 log.warning("node %s gets no work: this coordinator has drivecal %s", node.name, self._version)
         return events
-
-    def _homes(self) -> list[str]:
-        return [worker.home.id for worker in self._workers if worker.home is not None]
 
     def _gone(self, there: Collection[str]) -> list[WorkerProcess]:
         return [worker for worker in self._workers if worker.home is not None and worker.home.id not in there]

@@ -79,13 +79,9 @@ def execute_rows(connection: Connection, statement: AnyInsert | Update, rows: Se
         if name not in rows[0]:  # of the statement itself
             places.append((name, None, constants[name] if convert is None else convert(constants[name])))
         else:
-            places.append((name, convert or _as_it_is, None))
+            places.append((name, convert or (lambda value: value), None))
     values = [tuple(constant if convert is None else convert(row[name]) for name, convert, constant in places) for row in rows]
     return connection.exec_driver_sql(compiled.string, values).rowcount
-
-
-def _as_it_is(value: Any) -> Any:
-    return value
 
 
 def numbers(connection: Connection, column: Column[Any], count: int) -> Sequence[int]:
