@@ -237,11 +237,11 @@ def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: 
     [({}, noisy), ({"optimizer": POPULATIONS, "replicates": {"aggregate": {"quantile": 0.9}}}, noisy), (RATED, failing)],
     ids=["cells", "quantiles of a population", "rates"],
 )
-def test_kills_and_the_order_of_answers_change_nothing(
+def test_kills_workers_and_the_order_of_answers_change_nothing(
     tmp_path: Path, changes: dict[str, Any], driven: Callable[[Any, Cell], CellResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     results = []
-    for deaths in (0, 3):
+    for deaths, workers in ((0, 1), (3, 2), (1, 8)):
         left = [deaths]
         ask = Replication.ask
 
@@ -257,9 +257,9 @@ def test_kills_and_the_order_of_answers_change_nothing(
             patched.setattr(Replication, "ask", die)
             while not get(database, campaign).state.ended:
                 with suppress(Killed):
-                    finish(database, campaign, dispatcher(database, ComputedBackend(deaths, driven=driven)))
+                    finish(database, campaign, dispatcher(database, ComputedBackend(deaths, driven=driven, count=workers)))
         assert left == [0]
         seeds = [(row.iteration, row.individual, row.scenario, row.seed) for row in rows_of(database, campaign)]
         results.append((seeds, everything(database, campaign)))
         database.dispose()
-    assert results[0] == results[1]
+    assert results[0] == results[1] == results[2]

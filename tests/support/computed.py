@@ -39,6 +39,8 @@ class ComputedBackend:
     answer: Callable[[str, Cell], CellResult] = computed
     driven: Callable[[Any, Cell], CellResult] | None = None
     """In its place where the answer depends on the vehicle."""
+    count: int = 1
+    """Number of workers, which have eight places in all if there is one, and one each if there are several."""
     sent: list[tuple[str, tuple[float, ...]]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -65,14 +67,19 @@ class ComputedBackend:
         return self.driven(setup, cell) if self.driven else self.answer(setup.scenario, cell)
 
     def slots(self) -> list[Slot]:
-        return [Slot(self._name, idle=True)] * max(0, 8 - len(self._outstanding))
+        names = [self._name] * 8 if self.count == 1 else self._names
+        return [Slot(name, idle=True) for name in names[len(self._outstanding) :]]
 
     def workers(self) -> list[WorkerInfo]:
-        return [WorkerInfo(self._name, "here", None, "idle", len(self.sent))]
+        return [WorkerInfo(name, "here", None, "idle", len(self.sent)) for name in self._names]
 
     def replace(self, worker: str, fault: str | None) -> None:
         del worker, fault
         self._incarnation += 1
+
+    @property
+    def _names(self) -> list[str]:
+        return [self._name, *(f"worker-{number}-more" for number in range(2, self.count + 1))]
 
     @property
     def _name(self) -> str:
