@@ -18,6 +18,7 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
 from drivecal.campaigns.resolve.workbench import stored_bundles, with_tools
 from drivecal.campaigns.stages.campaign import SingleEvaluation, StagedCampaign
+from drivecal.cluster import tracing
 from drivecal.configuration import logs
 from drivecal.contracts.work import SetupRequest
 from drivecal.dispatch.heartbeat import Waits
@@ -435,6 +436,11 @@ class Dispatcher:
         with self._database.transaction() as connection:
             campaigns.end(connection, active.campaign.sequence, state, error)
         log.info("the campaign %s%s", state, f": {error}" if error else "")
+        if (context := tracing.root(active.campaign.id)) is not None:
+            with self._database.read() as connection:
+                stored = campaigns.by_sequence(connection, active.campaign.sequence)
+            begun = round((stored.started_at or stored.created_at).timestamp() * 1e9)
+            tracing.record("campaign", context, begun, campaign=stored.id, campaign_name=stored.name, state=state.value)
         self._active.pop(active.campaign.sequence, None)
 
     def _forget_jobs(self) -> None:

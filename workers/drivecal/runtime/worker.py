@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from drivecal.cluster import tracing
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -68,6 +69,7 @@ class Worker:
 
         Raises UnavailableError naming the reason if the trial fails.
         """
+        tracing.configure("worker")
         prepare_cache()
         result = self.run(trial)
         for reason in (result.refusal, *(cell.detail for cell in result.results)):
@@ -97,8 +99,17 @@ class Worker:
                 self._bundles.close(batch.setup)
             elif not batch.cells and not batch.setup.is_driven:
                 tools = self._bundles.probe(batch.setup)
+            begin = time.time_ns()
             for result in self._run_all(batch):  # what an exception ends keeps its results
-                results.append(result)  # noqa: PERF402  # not promised of `extend`
+                results.append(result)
+                if batch.trace is not None:
+                    known = {
+                        "campaign": tracing.campaign_of(batch.trace),
+                        "scenario": batch.setup.scenario,
+                        "worker": self._name,
+                    }
+                    tracing.record("run", tracing.child(batch.trace), begin, batch.trace, **known, breakdown=result.breakdown)
+                    begin = time.time_ns()
         except OtherToolsError as error:
             refusal, tools = describe(error), error.answer
         except BusyError as error:

@@ -16,6 +16,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+from drivecal.cluster import tracing
 from drivecal.contracts.work import Batch, BatchResult, CellResult, SetupKey, SetupRequest
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.affinity import SetupAffinity
@@ -432,7 +433,9 @@ class Scheduler:
         cost = self._costs.seconds_per_cell(first.key)
         expected = None if cost is None else cost * len(sent.leaders)
         self._charge(sent, self._policy.target_seconds if expected is None else expected)
-        batch = Batch(first.setup, tuple(leader.cell for leader in sent.leaders))
+        campaign = tracing.root(sent.line.tag)
+        trace = None if campaign is None else tracing.child(campaign)
+        batch = Batch(first.setup, tuple(leader.cell for leader in sent.leaders), trace=trace)
         breakdowns = {leader.cell.id: leader.simulation.breakdowns for leader in sent.leaders}
         return Dispatch(sent.worker, batch_id, batch, expected, sent.alone, breakdowns)
 
