@@ -1,11 +1,10 @@
 """Tests of what an ended campaign found stays readable, whatever is installed by then."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from tests.support.answered_campaigns import analyse, carry_out, carry_out_evaluation
-from tests.support.server import RunningApi, serving
+from tests.support.server import RunningApi
 
 from drivecal.plugins import registry
 from drivecal.storage.engine.records import encode_cursor
@@ -18,12 +17,6 @@ SMALL: dict[str, Any] = {
     "sensitivity": {"intervals": 5, "samples": 4, "threshold": 0.02},
     "optimizer": {"population": 10, "iterations": 3},
 }
-
-
-@pytest.fixture
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('ended') / 'drivecal.db'}") as running:
-        yield running
 
 
 def posted(api: RunningApi, path: str, document: dict[str, Any]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -26,13 +26,6 @@ from drivecal.storage.engine.database import Database
 
 WITH_SIX: dict[str, Any] = {"catalogue": ["S1", "S2", "S3"], "reduction": {"mode": "exact"}}
 BY_CELL: dict[str, Any] = {"optimizer": {"kind": "cell_search"}} | WITH_SIX
-
-
-@pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    opened = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
-    yield opened
-    opened.dispose()
 
 
 @pytest.fixture(autouse=True)

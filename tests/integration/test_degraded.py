@@ -1,11 +1,7 @@
 """Campaigns on workers that are good for nothing: the dispatcher on a real database, the workers in memory."""
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
-import pytest
-from tests.support.databases import migrated
 from tests.support.fake_backend import FakeBackend
 from tests.support.problems import store, submit_checked
 from tests.support.runs import finish, get
@@ -21,13 +17,6 @@ from drivecal.storage.engine.database import Database
 
 REASON = "coordinator and worker differ: simulator is libsumo 1.28 at the coordinator and libsumo 1.20 at the worker"
 SPECIFICATION = {"sensitivity": None, "optimizer": {"kind": "genetic", "population": 12, "iterations": 2, "seed": 3}}
-
-
-@pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    opened = migrated(f"sqlite:///{tmp_path}/drivecal.db")
-    yield opened
-    opened.dispose()
 
 
 def _submit(database: Database) -> StoredCampaign:

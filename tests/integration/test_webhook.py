@@ -7,11 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from http.server import BaseHTTPRequestHandler, HTTPServer
-from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.support.databases import migrated
 from tests.support.fake_backend import FakeBackend
 from tests.support.problems import store
 from tests.support.runs import dispatcher, get, step_until, submit
@@ -32,13 +30,6 @@ from drivecal.storage import campaigns, events, processes
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-
-
-@pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    opened = migrated(f"sqlite:///{tmp_path}/drivecal.db")
-    yield opened
-    opened.dispose()
 
 
 @contextmanager

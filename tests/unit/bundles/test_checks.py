@@ -3,6 +3,7 @@
 import contextlib
 import copy
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.changes import with_change
 from tests.support.effort import examples
 
 from drivecal.bundles.checks import checked
@@ -75,18 +77,7 @@ def test_a_misspelt_section_is_not_missing_too(section: str, slip: str) -> None:
     assert faults(given) == {slip}
 
 
-def changed(path: str, value: Any) -> dict[str, Any]:
-    """A valid manifest with one value changed, or removed if it is None."""
-    given = document()
-    *parents, last = path.split("/")
-    inner: Any = given
-    for part in parents:
-        inner = inner[int(part) if isinstance(inner, list) else part]
-    if value is None:
-        del inner[last]
-    else:
-        inner[int(last) if isinstance(inner, list) else last] = value
-    return given
+changed = partial(with_change, VALID)
 
 
 @pytest.mark.parametrize("simulator", [VALID["simulator"], COMMAND, PYTHON, PYTHON | {"wheels": "wheels"}, FMU])

@@ -1,10 +1,12 @@
 """Manifests of kind `highway`: the simulator section, scenarios, and what they may declare of answers."""
 
 import copy
+from functools import partial
 from typing import Any
 
 import pytest
 import yaml
+from tests.support.changes import with_change
 from tests.unit.bundles.test_checks import VALID as PROCESS_VALID
 from tests.unit.bundles.test_checks import faults
 
@@ -58,18 +60,7 @@ FMU = {
 PROCESS = {"kind": "process", "command": ["./acc"], "signals": ["gap", "speed"], "output": ["curvature"]}
 
 
-def changed(path: str, value: Any) -> dict[str, Any]:
-    """The valid manifest with one value changed, or removed if it is None."""
-    given = copy.deepcopy(VALID)
-    *parents, last = path.split("/")
-    inner: Any = given
-    for part in parents:
-        inner = inner[int(part) if isinstance(inner, list) else part]
-    if value is None:
-        del inner[last]
-    else:
-        inner[int(last) if isinstance(inner, list) else last] = value
-    return given
+changed = partial(with_change, VALID)
 
 
 @pytest.mark.parametrize("controller", [VALID["simulator"]["controller"], FMU, PROCESS])

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
+from tests.support.changes import with_change
 from tests.support.networks import crossing, entrance
 from tests.support.opendrive_files import exit_ramp, two_way
 
@@ -55,13 +56,7 @@ def networks() -> dict[str, BundleFile]:
 
 
 def changed(path: str, value: Any) -> dict[str, Any]:
-    document = copy.deepcopy(MANIFEST)
-    *parents, last = path.split(".")
-    place: Any = document["scenarios"]["merge"]
-    for name in parents:
-        place = place[int(name)] if isinstance(place, list) else place[name]
-    place[int(last) if isinstance(place, list) else last] = value
-    return document
+    return with_change(MANIFEST, f"scenarios/merge/{path.replace('.', '/')}", value)
 
 
 def fields(document: dict[str, Any], files: dict[str, BundleFile] | None = None) -> list[str]:
