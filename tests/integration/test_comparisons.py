@@ -24,12 +24,6 @@ from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import verify
 
-
-def findings(database: Database, tag: str) -> list[tuple[Any, ...]]:
-    """All that the campaigns of a comparison found."""
-    return [(campaign.name, everything(database, campaign)) for campaign in runs_of(database, tag)]
-
-
 Compared = tuple[Database, str, ComputedBackend]
 
 

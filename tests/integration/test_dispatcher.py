@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from sqlalchemy import select
-from tests.support.computed import IGNORED, ComputedBackend, computed
+from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.problems import store, submit_checked
 from tests.support.runs import SMALL, dispatcher, everything, request, submit
@@ -23,9 +23,6 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import runs
 from drivecal.storage.engine.types import now
-
-TRUE_MAP = {scenario: {name: {"influential": False}} for scenario, name in IGNORED.items()}
-"""Says exactly what the formula ignores."""
 
 
 def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:

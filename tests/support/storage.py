@@ -14,7 +14,6 @@ from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.setups import Setup
 from drivecal.storage import campaigns, evaluations
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import AnsweredCell
 from drivecal.storage.references import parameter_sets, runs, setups
 from drivecal.storage.references.runs import NewRun
@@ -24,13 +23,6 @@ PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload(["pytest", "tests.support.runs", "drivecal.storage.maintenance.backup"])
 EVALUATOR = "reference 1"
 SETUP = Setup("S1", {"simulator": {"kind": "highway"}, "adapter": "1", "scenario": "S1", "data": {}, "files": "0"})
-
-
-def migrate(url: str) -> None:
-    """Creates or upgrades the database."""
-    database = Database.open(url)
-    database.upgrade()
-    database.dispose()
 
 
 def setup_id(connection: Connection, scenario: str = "S1") -> int:

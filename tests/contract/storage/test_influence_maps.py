@@ -2,11 +2,6 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
-SCENARIOS = {
-    "S2": {"P9": {"influential": False, "lower": None, "upper": None}},
-    "S1": {"P1": {"influential": True, "lower": "0.5"}},
-}
-
 
 def test_maps_are_listed_newest_first(database: Database) -> None:
     with database.transaction() as connection:

@@ -27,10 +27,6 @@ def analysed(score: Score, threshold: Threshold, scale: Scale, *, sequential: bo
     return analysis.result()["S1"]
 
 
-def influences(found: ScenarioInfluence) -> dict[str, object]:
-    return {name: parameter.influence for name, parameter in found.parameters.items()}
-
-
 def test_scores_far_beyond_the_comfort_scale_are_analysed() -> None:
     def cost(points: Indices) -> Floats:
         unit = points / (SPACE.n_values - 1)

@@ -7,7 +7,6 @@ import pytest
 import yaml
 from tests.support.networks import entrance
 from tests.support.scenario_files import (
-    BOX,
     CARS,
     EGO,
     FILES,
@@ -243,9 +242,6 @@ def test_an_end_that_not_only_a_time_decides_needs_a_duration() -> None:
     assert of_file(content, duration=8.0).scenario.duration == 8.0
 
 
-PEDESTRIAN = (
-    f'<Pedestrian name="p" mass="1" pedestrianCategory="pedestrian">{BOX.format(centre=0, length=0.5, width=0.5)}</Pedestrian>'
-)
 ACTIVE = '<ControllerAction><ActivateControllerAction lateral="true" longitudinal="true"/></ControllerAction>'
 ROUTING = b"<PrivateAction><RoutingAction/></PrivateAction>"
 GROUPS = b"<StartTrigger><ConditionGroup/><ConditionGroup/></StartTrigger>"
