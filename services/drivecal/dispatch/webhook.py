@@ -1,7 +1,7 @@
 """Posts to `DRIVECAL_WEBHOOK` that a campaign ended, stalled, or is degraded.
 
-A thread reads the stored events, so nothing waits for the listener. An event is marked as posted after the listener took it: after a
-crash between the two it is posted again, with the same number.
+A thread reads the stored events, so nothing waits for the listener. An event is marked as posted after the listener took it, or after
+the last attempt: after a crash before that it is posted again, with the same number.
 """
 
 import http.client

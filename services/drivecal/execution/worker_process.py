@@ -64,7 +64,7 @@ class WorkerProcess:
 
     def pause(self, times: int) -> None:
         """Starts again later the more often it went wrong: at once after no time, then after 1, 2, 4 ... seconds."""
-        self.start_again_at = time.monotonic() + (min(LONGEST_PAUSE, 2.0 ** (times - 1)) if times else 0.0)
+        self.start_again_at = time.monotonic() + (min(LONGEST_PAUSE, 2.0 ** min(times - 1, 10)) if times else 0.0)
 
     @property
     def place(self) -> str:

@@ -51,7 +51,7 @@ class Pauses:
         """Returns the seconds to wait after a process that lived for `lived` seconds and ended with an exit code."""
         self.deaths = 1 if lived >= HEALTHY_AFTER_SECONDS else self.deaths + 1
         longest = LONGEST_AFTER_KILL if code in KILLED else LONGEST_PAUSE_SECONDS
-        return min(longest, FIRST_PAUSE_SECONDS * 2.0 ** (self.deaths - 1))
+        return min(longest, FIRST_PAUSE_SECONDS * 2.0 ** min(self.deaths - 1, 10))  # a larger power overflows in the end
 
 
 class _Child:

@@ -161,6 +161,13 @@ def test_a_token_that_no_header_can_carry_is_refused(token: str) -> None:
         load_settings(token=token)
 
 
+def test_a_wrong_database_url_is_refused_without_its_password() -> None:
+    with pytest.raises(InvalidInputError) as error:
+        load_settings(database_url="postgresql://me:hunter2@db/drivecal\n")
+    assert [problem.field for problem in error.value.problems] == ["database_url"]
+    assert "hunter2" not in str(error.value)
+
+
 def test_the_password_of_the_database_may_lie_in_a_file_and_stays_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -83,6 +83,7 @@ def test_pauses_double_up_to_a_limit_and_begin_again_after_good_health() -> None
     assert pauses.next(61.0, 1) == 0.5
     assert pauses.next(1.0, 1) == 1.0
     assert [pauses.next(1.0, 128 + signal.SIGKILL) for _ in range(4)] == [2.0, 4.0, 4.0, 4.0], "killed: not its own fault"
+    assert {pauses.next(1.0, 1) for _ in range(2000)} == {30.0}
 
 
 def test_sigterm_ends_children_and_grandchildren(server: Server) -> None:

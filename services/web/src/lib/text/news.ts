@@ -10,7 +10,7 @@ import { calibrates } from "./studies";
 const DAY_MILLISECONDS = 86_400_000;
 const AWAY_MILLISECONDS = 3_600_000;
 /** Settings that decide what an objective means: only campaigns with equal ones are compared. */
-const DECIDING = ["problem", "catalogue", "driving_function", "vehicle", "evaluator", "weights", "objectives", "constraints"];
+const DECIDING = ["problem", "catalogue", "driving_function", "vehicle", "evaluator", "weights", "objectives", "constraints", "replicates"];
 
 export interface Visit {
   since: number;
