@@ -1,11 +1,15 @@
 """A day of eight users on two real backends: licences are never exceeded while processes are killed; the licensed tool asserts it.
 
-Three users need a command with two licences, two a program that holds one for as long as it runs, three none.
+Three users need a command with two licences, two a program that holds one for as long as it runs, three none. Two of them have optimizers
+of their own, which propose sets over HTTP. A nightly check of a set runs meanwhile.
 """
 
+import json
 import random
 import shutil
+import subprocess
 import sys
+import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -14,13 +18,15 @@ from typing import Any
 import psutil
 import pytest
 import yaml
-from tests.support.serve import Server, serving
+from tests.support.serve import Server, environment, serving
 
 from drivecal.client import Client
 
 TOOL = Path(__file__).parents[1] / "support" / "licensed" / "tool.py"
 LICENCES = {"carmaker": 2, "vtd": 1}
 SECONDS, CELLS = 0.1, 50
+OUTSIDE = ("cleo", "hans")
+"""Users whose optimizers propose sets over HTTP."""
 USERS = {"command": ("anna", "bert", "cleo"), "program": ("dora", "emil"), "free": ("fred", "gina", "hans")}
 WORKERS = 4
 KILLED_EVERY = 2.5
@@ -74,6 +80,33 @@ def dispatchers(server: Server) -> list[psutil.Process]:
     return listed
 
 
+def feed(url: str, campaign: str, answered: dict[str, list[float]]) -> None:
+    """Is an outside optimizer: proposes half of its sets, and when these are answered the others. Keeps every answer by key."""
+    with Client(url) as client:
+        proposed = after = 0
+        while len(answered) < CELLS:
+            if len(answered) == proposed:
+                sets = [
+                    {"key": f"k{place}", "parameters": {"x": place / CELLS}} for place in range(proposed, proposed + CELLS // 2)
+                ]
+                client.propose(campaign, sets)
+                proposed += len(sets)
+            page = client.answers(campaign, after=after, wait=5)
+            for cell in page.items:
+                assert cell.score is not None
+                answered.setdefault(cell.key, []).append(cell.score)
+            after = page.last
+        client.act(campaign, "finish")
+
+
+def nightly_check(server: Server, folder: Path) -> subprocess.Popen[str]:
+    (folder / "released.json").write_text('{"x": 0.123}')
+    (folder / "limits.yaml").write_text("limits:\n  - {score: best, at_most: 0.2}\n")
+    words = ["check", "released.json", "--problem", "free", "--limits", "limits.yaml", "--url", server.url, "--json"]
+    command = [sys.executable, "-m", "drivecal.cli", *words]
+    return subprocess.Popen(command, cwd=folder, env=environment(folder), stdout=subprocess.PIPE, text=True)
+
+
 @pytest.mark.faults
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("backend", ["processes", "ray"])
@@ -96,12 +129,19 @@ def test_licences_are_never_exceeded_and_nothing_is_lost_on_a_day_of_kills(backe
                         "problem": name,
                         "sensitivity": None,
                         "reduction": {"mode": "off"},
-                        "optimizer": {"kind": "random", "population": CELLS, "iterations": 1, "seed": seed},
+                        "optimizer": {"kind": "external"}
+                        if user in OUTSIDE
+                        else {"kind": "random", "population": CELLS, "iterations": 1, "seed": seed},
                     }
                 ).id
                 for name, users in USERS.items()
                 for seed, user in enumerate(users, start=1)
             }
+            answered: dict[str, dict[str, list[float]]] = {user: {} for user in OUTSIDE}
+            feeders = [threading.Thread(target=feed, args=(server.url, running[user], answered[user])) for user in OUTSIDE]
+            for feeder in feeders:
+                feeder.start()
+            night = nightly_check(server, tmp_path)
             next_kill, kills, waits, shares = time.monotonic() + KILLED_EVERY, 0, set[str](), dict[str, int]()
             while True:
                 now = {user: client.campaign(identifier) for user, identifier in running.items()}
@@ -118,6 +158,12 @@ def test_licences_are_never_exceeded_and_nothing_is_lost_on_a_day_of_kills(backe
                             chance.choice(targets).kill()
                     next_kill = time.monotonic() + KILLED_EVERY
                 time.sleep(0.2)
+            for feeder in feeders:
+                feeder.join()
+            checked, _ = night.communicate()
+            assert (night.returncode, json.loads(checked)["passed"]) == (0, True)
+            for user in OUTSIDE:
+                assert sorted(map(len, answered[user].values())) == [1] * CELLS, "each answer came once"
             assert {(campaign.state, campaign.cells.failed) for campaign in now.values()} == {("succeeded", 0)}
             tables = {user: client.evaluations(identifier, measures="true").to_pandas() for user, identifier in running.items()}
             assert {user: len(table) for user, table in tables.items()} == {user: now[user].cells.requested for user in tables}
