@@ -21,6 +21,7 @@ from tests.support.tree import PROJECT
 from typer.testing import CliRunner, Result
 
 from drivecal.cli.main import app
+from drivecal.client import Client
 from drivecal.contracts.work import Cell, CellResult
 
 BASELINE = {f"P{number}": 0.5 for number in range(1, 12)}
@@ -127,6 +128,27 @@ def test_a_score_named_reference_is_one_of_the_scores(checking: Checking) -> Non
     checked = checking(checking.file("set.json", MANIFEST["baseline"]), "--problem", "heater", "--limits", limits, "--json")
     assert broken(checked) == []
     assert {each["score"] for each in json.loads(checked.stdout)["scenarios"]} == {55}
+
+
+def searched(checking: Checking, **changes: Any) -> str:
+    document = {"optimizer": {"kind": "random", "population": 6, "iterations": 1, "seed": 1}, "reduction": {"mode": "off"}}
+    with Client(checking.api.url) as client:
+        return client.wait(client.submit(document | changes).id).id
+
+
+def test_a_set_of_a_campaign_is_checked_in_the_vehicle_of_the_campaign(checking: Checking) -> None:
+    campaign = searched(checking, catalogue=["S1"], vehicle={"parameters": {"mass": 2500}})
+    before = len(checking.backend.sent)
+    assert checking(f"{campaign}#1", "--baseline", f"{campaign}#2").exit_code == 0
+    assert [scenario for scenario, _ in checking.backend.sent[before:]].count("S1") == 0, "its runs are stored"
+    assert len(checking.backend.sent) == before + 10
+
+
+def test_a_set_of_a_campaign_is_checked_by_the_score_of_the_campaign(checking: Checking) -> None:
+    push(checking.api.database, checking.folder / "heater")
+    checking.backend.answer = lambda _, cell: CellResult(cell.id, None, None, {"energy_kwh": 1.0, "discomfort": 3.0}, None, 7.0)
+    checked = checking(f"{searched(checking, problem='heater', evaluator='ease')}#1", "--json")
+    assert {each["score"] for each in json.loads(checked.stdout)["scenarios"]} == {7}
 
 
 def broken(checked: Result) -> list[dict[str, Any]]:

@@ -1,6 +1,6 @@
 """`drivecal check`: is a set still good?"""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -71,7 +71,8 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class CheckedSet:
-    """A set: its cells and the baseline's cells by score and scenario, and its limits. The problem's first score comes first."""
+    """A set: its cells and the baseline's cells by score and scenario, and its limits. The campaign's score comes first, or the
+    problem's first one."""
 
     cells: Mapping[str, Mapping[str, EvaluatedCell]]
     baseline: Mapping[str, Mapping[str, EvaluatedCell]]
@@ -135,17 +136,20 @@ def check(
     """Check whether a set keeps its limits in every scenario; exit status 1 if not. Only what changed is simulated."""
     wanted = [] if limits is None else validated(LimitsFile, dict(read_document(limits))).limits
     with connect(url) as client:
-        parameters, own = _set(client, chosen, names)
-        known = client.problem(problem or own or DEFAULT_PROBLEM)
+        parameters, spec = _set(client, chosen, names)
+        known = client.problem(problem or spec.get("problem", DEFAULT_PROBLEM))
         _refuse_unknown(wanted, known, has_baseline=baseline is not None)
-        first = next(iter(known.scores))
-        scores = list(dict.fromkeys([first, *(limit.score for limit in wanted if limit.score is not None)]))
+        evaluators = _evaluators(known, spec.get("evaluator"), wanted)
+        settings = {"problem": known.digest} | {name: spec[name] for name in ("vehicle", "driving_function") if name in spec}
+        own = parameters if spec and problem is None else known.parameters  # a driving function has its own
         wait = partial(ended, client, timeout=timeout, asking=pauses(SECONDS_BETWEEN_QUESTIONS, timeout))
         compared: dict[str, dict[str, EvaluatedCell]] = {}
         differing = 0
         if baseline is not None:
-            compared, differing = _evaluated(client, _set(client, baseline, names)[0], known, scores, wait, fresh=fresh)
-        cells, more = _evaluated(client, parameters, known, scores, wait, fresh=fresh)
+            values = _values(_set(client, baseline, names)[0], own)
+            compared, differing = _evaluated(client, settings | {"parameters": values}, evaluators, wait, fresh=fresh)
+        document = settings | {"parameters": _values(parameters, own)}
+        cells, more = _evaluated(client, document, evaluators, wait, fresh=fresh)
     checked = CheckedSet(cells, compared, known, differing + more)
     findings = list(checked.findings(wanted))
     if junit is not None:
@@ -164,18 +168,18 @@ def check(
     raise typer.Exit(ExitCode.FAILED if broken else ExitCode.OK)
 
 
-def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, str | None]:
-    """Returns the values of a set, and its problem if it is a campaign's."""
+def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, Mapping[str, Any]]:
+    """Returns the values of a set, and the specification of its campaign, empty for a file."""
     identifier, mark, rank = given.rpartition("#")
     if mark and rank.isdecimal() and int(rank) > 0:
         campaign = client.campaign(client.full_id(identifier))
         ranked = client.solutions(campaign.id, limit=int(rank)).items
         if len(ranked) < int(rank):
             raise NotFoundError("set", given, f"the campaign has {len(ranked)} ranked sets")
-        return ranked[int(rank) - 1].parameters, campaign.spec["problem"]
+        return ranked[int(rank) - 1].parameters, campaign.spec
     if Path(given).suffix.lower() not in CALIBRATION_FILES:
         document = dict(read_document(given))
-        return document.get("parameters", document), None
+        return document.get("parameters", document), {}
     from drivecal.calibration_data import files
 
     with file_faults(Path(given), "read", "give another file"):
@@ -183,7 +187,7 @@ def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, str
     labels = {} if names is None else files.labels_of(dict(read_document(names)))
     by_label = {label: name for name, label in labels.items()}
     listed = files.read(content, given).characteristics
-    return {by_label.get(each.name, each.name): each.value for each in listed if each.value is not None}, None
+    return {by_label.get(each.name, each.name): each.value for each in listed if each.value is not None}, {}
 
 
 def _refuse_unknown(limits: Sequence[SetLimit], problem: ProblemAnswer, *, has_baseline: bool) -> None:
@@ -205,30 +209,45 @@ def _refuse_unknown(limits: Sequence[SetLimit], problem: ProblemAnswer, *, has_b
         raise InvalidInputError(*faults)
 
 
+def _evaluators(problem: ProblemAnswer, chosen: str | None, limits: Sequence[SetLimit]) -> dict[str, str]:
+    """Returns the evaluators of the scores to check by score. `chosen` by a campaign, which comes first: a score, an installed evaluator of
+    the first score that has one, or `reference` for the first score; None for a file."""
+    first = next(iter(problem.scores))
+    if chosen in problem.scores:
+        first = chosen
+    elif chosen in {None, "reference"}:
+        chosen = first
+    else:
+        first = next((name for name, entry in problem.scores.items() if entry["evaluator"] is not None), first)
+    return {first: chosen} | {limit.score: limit.score for limit in limits if limit.score not in {None, first}}
+
+
+def _values(parameters: Parameters, names: Collection[str]) -> Parameters:
+    """Returns the values of the named parameters; `parameters` may hold others as well. Raises InvalidInputError if one is missing."""
+    missing = [name for name in names if name not in parameters]
+    if missing:
+        remedy = "give one value per parameter; --names has the labels of a calibration file"
+        raise InvalidInputError(*(Problem(f"parameters.{name}", "the value is missing", remedy) for name in missing))
+    return {name: parameters[name] for name in names}
+
+
 def _evaluated(
     client: Client,
-    parameters: Parameters,
-    problem: ProblemAnswer,
-    scores: Sequence[str],
+    document: Mapping[str, Any],
+    evaluators: Mapping[str, str],
     wait: Callable[[Evaluation], Evaluation],
     *,
     fresh: bool = False,
 ) -> tuple[dict[str, dict[str, EvaluatedCell]], int]:
     """Returns the cells of a set by score and scenario, and the number of new runs that differ from stored ones.
 
-    With `fresh`, further scores rate the stored runs if the new ones are equal, and else new runs of their own. `parameters` may hold
-    values of other problems as well.
+    With `fresh`, further scores rate the stored runs if the new ones are equal, and else new runs of their own.
     """
-    missing = [name for name in problem.parameters if name not in parameters]
-    if missing:
-        remedy = "give one value per parameter; --names has the labels of a calibration file"
-        raise InvalidInputError(*(Problem(f"parameters.{name}", "the value is missing", remedy) for name in missing))
-    values = {name: parameters[name] for name in problem.parameters}
-    cells, differing = {}, 0
-    for number, score in enumerate(scores):
-        wanted: dict[str, Any] = {"parameters": values, "problem": problem.digest, "evaluator": score}
-        simulates = fresh and (number == 0 or differing > 0)
-        evaluation = wait(client.evaluate(wanted | ({"fresh": True} if simulates else {})))
+    cells: dict[str, dict[str, EvaluatedCell]] = {}
+    differing = 0
+    for score, evaluator in evaluators.items():
+        simulates = fresh and (not cells or differing > 0)
+        evaluation = wait(client.evaluate({**document, "evaluator": evaluator, "fresh": simulates}))
         cells[score] = _cells(evaluation)
         differing += evaluation.unrepeatable
     return cells, differing
