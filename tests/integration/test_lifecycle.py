@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ from tests.support.runs import finish, get, request, rows_of
 
 from drivecal.campaigns.resolve.maps import resolve_map, store_posted_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.stages import calibration
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
@@ -23,6 +25,7 @@ from drivecal.execution.pool import StoredLeases, WorkPool
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 
 SPECIFICATION: dict[str, Any] = {
     "sensitivity": None,
@@ -179,3 +182,18 @@ def test_simulations_that_do_not_repeat_themselves_are_told(database: Database) 
     repeated = [row for row in rows_of(database, ended) if not row.seed]
     assert ended.cells.unrepeatable == len(repeated) < ended.cells.simulated, "runs under further seeds repeat no run"
     assert any(str(ended.cells.unrepeatable) in re.findall(r"\d+", note) for note in ended.notes)
+
+
+def test_a_pause_takes_no_minutes_of_a_budget(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    campaign, dispatcher = _submit(database, budget={"minutes": 60}), _dispatcher(database, ComputedBackend())
+    while not get(database, campaign).cells.simulated:
+        dispatcher.step()
+    request(database, campaign, "pause")
+    while get(database, campaign).state is not CampaignState.PAUSED:
+        dispatcher.step()
+    later = now() + timedelta(hours=10)
+    monkeypatch.setattr(calibration, "now", lambda: later)
+    request(database, campaign, "resume")
+    search = finish(database, campaign, dispatcher).search
+    assert search is not None
+    assert search.ended_by == "iterations"

@@ -39,16 +39,16 @@ def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None) -
         seconds=seconds_of(stored, now),
         scale=stored_scale(stored.resolution),
         objective=_first_objective(stored),
-        **_search(stored, now),
+        **_search(stored),
         links=_links(stored),
     )
 
 
-def _search(stored: StoredCampaign, now: datetime) -> dict[str, Any]:
+def _search(stored: StoredCampaign) -> dict[str, Any]:
     """Returns what is known of a campaign's search and its budget."""
     search, end = stored.search, stored.state.value if stored.state.ended else None
     ended_by = None if search is None else search.ended_by
-    minutes = 0.0 if search is None else search.minutes(stored.ended_at or now)
+    minutes = 0.0 if search is None else search.spent_minutes or 0.0
     return {
         "budget": stored.spec.get("budget"),
         "spent": Spent(simulations=stored.cells.runs, minutes=minutes),

@@ -1,7 +1,7 @@
 """Answers about campaigns."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from datetime import datetime
+from datetime import datetime, timedelta
 from html import escape
 from typing import Any, Generic, Literal, Self, TypeVar, get_args
 
@@ -263,17 +263,23 @@ class SearchState(Answer):
     last_look: list[int] | None = None
     """Ids of dismissed sets to simulate after the search; null before its end."""
     spent_minutes: float | None = None
-    """Minutes of the whole search; null before its end."""
+    """Minutes of the search up to its last stored result, or its end, without those while it was paused or no server ran."""
     reuse_seconds: float = 0.0
     """CPU time of the dispatcher for look-ups, keys and lots."""
 
     def minutes(self, now: datetime) -> float:
-        """Returns the minutes since the search began, or that it took."""
+        """Returns the minutes of the search so far, or up to its end."""
         return (now - self.began_at).total_seconds() / 60 if self.spent_minutes is None else self.spent_minutes
+
+    def resumed(self, now: datetime) -> Self:
+        """Returns the stored search as it goes on: the time since its last stored result does not count."""
+        if self.ended_by is not None or self.spent_minutes is None:
+            return self
+        return self.model_copy(update={"began_at": now - timedelta(minutes=self.spent_minutes), "spent_minutes": None})
 
 
 class Spent(Answer):
-    """The used part of a budget; minutes of the wall clock."""
+    """The used part of a budget; minutes of the wall clock up to the last result."""
 
     simulations: int = 0
     minutes: float = 0.0

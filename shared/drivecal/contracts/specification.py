@@ -157,7 +157,7 @@ class BudgetSpecification(Model):
     simulations: Annotated[int, Field(ge=1, le=LARGEST_BUDGET)] | None = None
     """Runs that the simulator starts for the search, retries, checks and repeats included."""
     minutes: Annotated[float, Field(gt=0, le=1e6)] | None = None
-    """Wall-clock time since the search began."""
+    """Wall-clock time of the search, without the time while it is paused or no server runs."""
     stagnation: Annotated[int, Field(ge=1, le=LARGEST_BUDGET)] | None = None
     """Simulations without a better set."""
 

@@ -95,7 +95,8 @@ class Calibration(Stage):
         if campaign.search is not None:
             view.reuse_time.seconds += campaign.search.reuse_seconds
         self._repeatable_no_more = campaign.cells.unrepeatable > 0
-        self._search = campaign.search or SearchState(room=room_for(view.workers), began_at=now())
+        begun, room = campaign.search, room_for(view.workers)
+        self._search = SearchState(room=room, began_at=now()) if begun is None else begun.resumed(now())
         self._asker: Asker | None = None
         self._computation: Computation | None = None
         """The search's running computation; None if the next round needs none."""
@@ -578,7 +579,8 @@ class Calibration(Stage):
                 f"{repaired.proposed:,} proposals broke constraints and became {repaired.distinct:,} new sets: the search hardly moves;"
                 " choose another optimizer, or loosen the constraints"
             )
-        is_over, mode = self._search.ended_by is not None, self._policy().mode
+        is_over = self._search.ended_by is not None
+        reuse = 0.0 if self._policy().mode == "off" else self._view.reuse_time.seconds
         if is_over and self._search.predictions_off is not None:
             notes.append(self._search.predictions_off)
         if self._best is not None and self._best.violation > 0 and is_over:
@@ -587,7 +589,7 @@ class Calibration(Stage):
         return replace(
             super()._snapshot(connection),
             iteration=self._next - 1 if self._next else None,
-            search=self._search.model_copy(update={"reuse_seconds": 0.0 if mode == "off" else self._view.reuse_time.seconds}),
+            search=self._search.model_copy(update={"reuse_seconds": reuse, "spent_minutes": self._search.minutes(now())}),
             progress=self._progress(counts.requested, counts.requested + counts.pending),
             error_rate=self._error_rate,
             released=self._released,
