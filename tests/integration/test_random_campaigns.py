@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -10,9 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import Killed
+from tests.support.documentation import DOCS, blocks
 from tests.support.problems import store, submit_checked
 from tests.support.runs import dispatcher, everything, finish, get, rows_of
 
@@ -188,6 +191,25 @@ def test_a_rate_that_a_campaign_cannot_show_is_refused(database: Database, chang
     with pytest.raises(InvalidInputError) as refused:
         submit_checked(database, SPEC | RATED | changes)
     assert [each.field for each in refused.value.problems] == [field]
+
+
+def test_a_rate_that_no_number_of_seeds_shows_is_refused_with_one_that_the_most_seeds_show(database: Database) -> None:
+    spec = SPEC | RATED | {"budget": {"simulations": 50_000}}
+    with pytest.raises(InvalidInputError) as refused:
+        submit_checked(database, spec | {"constraints": [{"rate": 1e-9}]})
+    (problem,) = refused.value.problems
+    least, most = map(float, re.findall(r"[\d.]+e?-?\d+", problem.remedy))
+    assert most == 10_000
+    advised = spec | {"replicates": {"most": int(most)}}
+    submit_checked(database, advised | {"constraints": [{"rate": least}]})
+    with pytest.raises(InvalidInputError):
+        submit_checked(database, advised | {"constraints": [{"rate": 0.998 * least}]})
+
+
+def test_the_example_of_rates_can_be_shown_in_one_scenario(database: Database) -> None:
+    example = next(block.text for block in blocks(DOCS / "pages" / "how-to" / "rates.md"))
+    given = yaml.safe_load(example.replace("closest_m", "y"))
+    submit_checked(database, SPEC | RATED | {"weights": {"road": 0}, "budget": {"simulations": 2000}} | given)
 
 
 def test_runs_are_repeated_by_seed(database: Database) -> None:

@@ -283,7 +283,7 @@ class ConstraintSpecification(GoalSpecification):
     """Combines the values of all scenarios into one; null: the constraint holds in each."""
     at_least: Number | None = None
     at_most: Number | None = None
-    rate: Annotated[float, Field(gt=0, lt=1)] | None = None
+    rate: Annotated[float, Field(ge=1e-9, lt=1)] | None = None
     """Largest share of the runs, over seeds and scenarios, that may be beyond the limit, shown at `replicates.confidence`. A failed run
     is beyond it unless `failed` is not."""
 

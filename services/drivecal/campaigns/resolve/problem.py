@@ -6,7 +6,6 @@ field and a remedy. `api.submission` then checks the server's limits, and `stage
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
 from math import ceil
 from typing import Any
 
@@ -29,7 +28,12 @@ from drivecal.campaigns.resolve.spaces import (
 )
 from drivecal.campaigns.resolve.workbench import BundleSource, find_workbench, installed_bundles
 from drivecal.contracts.campaign import ExpectedRuns
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, SensitivitySpecification
+from drivecal.contracts.specification import (
+    LARGEST_REPLICATES,
+    CampaignSpecification,
+    EvaluationSpecification,
+    SensitivitySpecification,
+)
 from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
@@ -244,10 +248,15 @@ def _check_rates(problem: CalibrationProblem, diagnostics: Diagnostics) -> None:
             message = "the simulator is not random, and each set has one run in a scenario"
             diagnostics.add(field, message, "leave it out, or give `random: true` in problem.yaml")
         elif needed > seeds:
-            least = rate_bounds(0, seeds * len(bound.shares), bound.confidence)[1]
-            enough = next(more for more in count(most) if choosing(more) >= needed)
-            message = f"{takes}, and {seeds} of {most} seeds choose a set"
-            diagnostics.add(field, message, f"give replicates.most of at least {enough}, or a rate of at least {least:.4g}")
+            enough = next((more for more in range(most, LARGEST_REPLICATES + 1) if choosing(more) >= needed), None)
+            shown = (seeds if enough else choosing(LARGEST_REPLICATES)) * len(bound.shares)
+            least = f"a rate of at least {1.0005 * rate_bounds(0, shown, bound.confidence)[1]:.4g}"  # never rounded down
+            remedy = (
+                f"replicates.most of at least {enough}, or {least}"
+                if enough
+                else f"{least} and replicates.most: {LARGEST_REPLICATES}"
+            )
+            diagnostics.add(field, f"{takes}, and {seeds} of {most} seeds choose a set", f"give {remedy}")
         elif budget is not None and budget.simulations is not None and budget.simulations < kept:
             message = f"{takes}, {needed:,} seeds, and half of the budget at most is kept for them and for the report"
             diagnostics.add(field, message, f"give budget.simulations of at least {kept:,}, or a higher rate")
