@@ -3,6 +3,7 @@
 import asyncio
 import threading
 from collections.abc import AsyncIterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -85,15 +86,12 @@ def test_a_body_that_turns_out_too_large_is_read_no_further() -> None:
 
 def test_there_are_no_more_places_than_there_are() -> None:
     places = Places(2, "chairs are taken", retry_seconds=7)
-    first, _ = places.take(), places.take()
-    with pytest.raises(OverloadError) as caught:
-        places.take()
-    assert caught.value.retry_seconds == 7
-    first.give_back()
-    first.give_back()
-    places.take()
-    with pytest.raises(OverloadError):
-        places.take()
+    with places.take():
+        with places.take(), pytest.raises(OverloadError) as caught, places.take():
+            pass
+        assert caught.value.retry_seconds == 7
+        with places.take(), pytest.raises(OverloadError), places.take():
+            pass
 
 
 def test_a_place_is_given_back_whatever_happens() -> None:
@@ -108,7 +106,8 @@ def test_threads_take_no_place_twice() -> None:
 
     def sit() -> None:
         for _ in range(2000):
-            places.take().give_back()
+            with places.take():
+                pass
 
     threads = [threading.Thread(target=sit) for _ in range(8)]
     for thread in threads:
@@ -202,12 +201,12 @@ def test_each_answer_that_is_computed_for_long_needs_a_place(tmp_path: Path) -> 
     answers += ["importance", "results", "calibration-file?format=dcm"]
     with TestClient(app, base_url="http://localhost:8000") as client:
         assert [client.get(f"{campaign}/{answer}").status_code for answer in answers] == [404] * len(answers)
-        places = [app.state.limits.computed.take() for _ in range(COMPUTED)]
-        for answer in answers:
-            refused = client.get(f"{campaign}/{answer}")
-            assert (answer, refused.status_code, int(refused.headers["retry-after"]) > 0) == (answer, 429, True)
-        assert client.get("/readyz").json()["ready"] is False, "there is no dispatcher, and that is said"
-        assert client.get("/api/v1/campaigns").status_code == 200
-        for place in places:
-            place.give_back()
+        with ExitStack() as places:
+            for _ in range(COMPUTED):
+                places.enter_context(app.state.limits.computed.take())
+            for answer in answers:
+                refused = client.get(f"{campaign}/{answer}")
+                assert (answer, refused.status_code, int(refused.headers["retry-after"]) > 0) == (answer, 429, True)
+            assert client.get("/readyz").json()["ready"] is False, "there is no dispatcher, and that is said"
+            assert client.get("/api/v1/campaigns").status_code == 200
         assert client.get(f"{campaign}/solutions").status_code == 404

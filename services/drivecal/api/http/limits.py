@@ -4,11 +4,9 @@ A proxy in front of the server limits clients that are slow; uvicorn closes idle
 requests.
 """
 
-from __future__ import annotations
-
 import threading
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -83,24 +81,15 @@ class Places:
         self._lock = threading.Lock()
         self.taken = 0
 
-    def take(self) -> Place:
-        """Takes a place; the caller returns it. Raises OverloadError if all are taken."""
+    @contextmanager
+    def take(self) -> Iterator[None]:
+        """Takes a place for a block. Raises OverloadError if all are taken."""
         with self._lock:
             if self.taken >= self._most:
                 raise OverloadError(f"{self._most:,} {self._noun} already; try again later", self._retry_seconds)
             self.taken += 1
-        place = Place()
-        place.callback(self._give_back)
-        return place
-
-    def _give_back(self) -> None:
-        with self._lock:
-            self.taken -= 1
-
-
-class Place(ExitStack):
-    """A place in `Places`; giving it back twice changes nothing."""
-
-    def give_back(self) -> None:
-        """Frees the place for another request."""
-        self.close()
+        try:
+            yield
+        finally:
+            with self._lock:
+                self.taken -= 1
