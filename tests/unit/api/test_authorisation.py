@@ -11,7 +11,7 @@ from starlette.responses import Response
 from starlette.types import Message, Receive, Scope, Send
 
 from drivecal.api.http import sessions
-from drivecal.api.http.authorisation import ANYBODY, Authorisation, Tokens, is_loopback_host
+from drivecal.api.http.authorisation import ANYBODY, Authorisation, is_loopback_host
 from drivecal.api.routes import page_session
 from drivecal.configuration.tokens import TokenFile, parse
 
@@ -31,7 +31,7 @@ class Fixed(TokenFile):
 
 
 def ask(
-    tokens: Tokens | None,
+    tokens: TokenFile | None,
     method: str = "GET",
     path: str = "/api/v1/campaigns",
     headers: Sequence[Header] = (),

@@ -7,8 +7,6 @@ rebinding) by the Host header, posts of other pages by the Origin header, images
 by Sec-Fetch-Site. No answer ever carries a CORS header.
 """
 
-from typing import Protocol
-
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -18,7 +16,7 @@ from drivecal.api.http.problems import problem_response
 from drivecal.api.responses import ROOT
 from drivecal.configuration import logs
 from drivecal.configuration.pushing import FILE, HEADER, Pushing, signed_digest
-from drivecal.configuration.tokens import Token, is_this_machine
+from drivecal.configuration.tokens import Token, TokenFile, is_this_machine
 
 OPEN = {"/healthz", "/readyz"}
 """Paths for supervisors and load balancers, which have no token and learn only whether the service works."""
@@ -38,18 +36,11 @@ ANYBODY = Token("anybody", may_write=True, digest=b"", is_admin=True)
 CHALLENGE = 'Bearer realm="drivecal"'
 
 
-class Tokens(sessions.Names, Protocol):
-    """A collection of tokens."""
-
-    def find(self, presented: bytes) -> Token | None:
-        """Returns the token with this secret, None without one."""
-
-
 class Authorisation:
     """ASGI middleware. `request.state.token`: the presented token, ANYBODY without tokens, or None on open routes without one.
     `request.state.is_admitted()`: whether it still is valid; a long connection asks before it sends."""
 
-    def __init__(self, app: ASGIApp, tokens: Tokens | None) -> None:
+    def __init__(self, app: ASGIApp, tokens: TokenFile | None) -> None:
         self.app = app
         self.tokens = tokens
 
@@ -67,7 +58,7 @@ class Authorisation:
         else:
             await self.app(scope, receive, send)
 
-    def _admit_by_token(self, request: Request, tokens: Tokens) -> tuple[int, str, dict[str, str]] | None:
+    def _admit_by_token(self, request: Request, tokens: TokenFile) -> tuple[int, str, dict[str, str]] | None:
         """Returns status, sentence and headers of a refusal; None if the request may go on."""
         given = request.headers.getlist("authorization")
         request.state.token = token = _holder(request, tokens)
@@ -178,7 +169,7 @@ def _insufficient(token: Token) -> tuple[int, str, dict[str, str]]:
     return 403, detail, {"WWW-Authenticate": insufficient}
 
 
-def _holder(request: Request, tokens: Tokens) -> Token | None:
+def _holder(request: Request, tokens: TokenFile) -> Token | None:
     """Returns the presented token, or without an Authorization header that of the session."""
     given = request.headers.getlist("authorization")
     if not given:

@@ -9,25 +9,17 @@ import hmac
 import time
 from hashlib import sha256
 from http.cookies import CookieError, SimpleCookie
-from typing import Protocol
 
 from starlette.datastructures import Headers
 
 from drivecal.api.responses import ROOT
-from drivecal.configuration.tokens import Token
+from drivecal.configuration.tokens import Token, TokenFile
 
 SECONDS = 12 * 3600
 """Duration of a session: a day's work."""
 PATH = f"{ROOT}/session"
 """Path at which sessions begin and end."""
 _LONGEST = 300
-
-
-class Names(Protocol):
-    """A collection of tokens by name."""
-
-    def named(self, name: str) -> Token | None:
-        """Returns the token of this name, None without one."""
 
 
 def cookie_name(host: str) -> str:
@@ -42,14 +34,14 @@ def begin(token: Token, moment: float | None = None) -> str:
     return f"{end}-{_signature(token, end)}-{token.name}"
 
 
-def holder(value: str, names: Names) -> Token | None:
+def holder(value: str, tokens: TokenFile) -> Token | None:
     """Returns the token of the session in a cookie's value; None if the session is unknown or over."""
     if len(value) > _LONGEST or value.count("-") < 2:
         return None
     end, signature, name = value.split("-", 2)
     if not (end.isascii() and end.isdecimal()) or int(end) <= time.time():
         return None
-    token = names.named(name)
+    token = tokens.named(name)
     if token is None or not hmac.compare_digest(signature.encode(), _signature(token, int(end)).encode()):
         return None
     return token
