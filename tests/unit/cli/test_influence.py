@@ -12,4 +12,4 @@ def test_the_table_names_what_decided_each_row(capsys: pytest.CaptureFixture[str
     )
     print_influence([row], None)
     header, line = capsys.readouterr().out.splitlines()[2:4]
-    assert (header.split()[-2:], line.split()[-2:]) == (["decided", "by"], ["global", "analysis"])
+    assert (header.split()[-2:], line.split()[-2:]) == (["decided", "by"], ["0.200", "global"])

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from drivecal.cli.application import JsonOption, UrlOption, app, connect
-from drivecal.cli.views.output import dumped, print_answer, print_columns, print_json, print_page, when
+from drivecal.cli.views.output import print_answer, print_columns, print_json, print_page, when
 from drivecal.cli.views.sections import fixed
 from drivecal.client.client import Client
 from drivecal.client.documents import opened_document
@@ -17,16 +17,6 @@ from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.sensitivity.agreement import Agreement, Pair, agreement
 from drivecal.sensitivity.thresholds import caveats
-
-DECIDED_BY = {
-    "intervals": "intervals",
-    "confirmation": "whole range",
-    "global": "global analysis",
-    "unknown": "no result",
-    "posted": "posted map",
-    "space": "searched range",
-}
-"""Names of what decided about a row."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +46,7 @@ def influence(
     if second is not None:
         _compare(first, second, as_json)
     elif as_json:
-        print_json(dumped(first.rows))
+        print_json(first.rows)
     else:
         typer.echo(first.title)
         print_influence(first.rows, first.basis)
@@ -101,7 +91,7 @@ def _line(row: InfluenceRow, measured: bool, decided: bool) -> list[object]:
     line: list[object] = [row.parameter, answer, row.lower, row.upper, row.unit]
     if measured:
         line += [fixed(value, 3) for value in (row.mu, row.sigma, row.mu_star, _largest(row))]
-    return [*line, DECIDED_BY.get(row.decided_by or "", "")] if decided else line
+    return [*line, row.decided_by] if decided else line
 
 
 def _largest(row: InfluenceRow) -> float | None:
