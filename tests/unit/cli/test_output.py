@@ -13,10 +13,9 @@ from typer.testing import CliRunner
 
 from drivecal.cli.commands.campaigns import counted, kind_text
 from drivecal.cli.main import app
-from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, print_solutions, saved, when
+from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, saved, when
 from drivecal.cli.views.progress import Bar, Lines
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
-from drivecal.contracts.tables import Solution
 from drivecal.domain.scales import objective_text
 
 CELLS = CellCounts(proposed=100, carried_over=40, requested=60, repeated=6, reused=9, simulated=44, failed=1, audited=2)
@@ -100,15 +99,6 @@ def test_without_a_terminal_a_line_appears_now_and_then(capsys: pytest.CaptureFi
         "calibration 1/10  5/10 cells  simulated 44  repeated 6  reused 9  failed 1",
         "calibration 3/10  5/10 cells  simulated 44  repeated 6  reused 9  failed 1",
         "succeeded",
-    ]
-
-
-def test_a_ranking_with_references_prints_the_command_that_simulates_such_a_set(capsys: pytest.CaptureFixture[str]) -> None:
-    one = Solution(rank=1, objective=5, rating=5, parameters={"P1": 0.5}, scores={"S1": 5, "S2": 5}, iteration=0, individual=0)
-    print_solutions([one, one.model_copy(update={"rank": 2, "reused": ["S2"]})], {"vehicle": {"model": "hybrid"}})
-    assert capsys.readouterr().out.splitlines()[-2:] == [
-        "this simulates the set of rank 2:",
-        "drivecal evaluate P1=0.5 --vehicle hybrid",
     ]
 
 

@@ -73,12 +73,3 @@ def test_a_validation_has_sample_sizes_and_error_rates() -> None:
     )  # fmt: skip
     (row,) = rows_of(sections.validation_tables([known], COMFORT))
     assert row == ["S1", "2", "3", "3", "40", "20", "5", "100", "10", "6", "6.00%", "0.00%", "50.00%"]
-
-
-def test_a_set_is_driven_again_as_its_campaign_did() -> None:
-    vehicle = {"model": "hybrid", "parameters": {"mass": 1800.5}}
-    spec = {"catalogue": ["S1"], "vehicle": vehicle, "evaluator": "learned", "driving_function": "frenet"}
-    command = sections.evaluation_command({"P1": 1}, spec, ["S1"])
-    assert (
-        command == "drivecal evaluate P1=1 --evaluator learned --vehicle hybrid --vehicle-parameters mass=1800.5 --scenario S1"
-    )

@@ -6,7 +6,6 @@ import typer
 
 from drivecal.cli.application import CampaignArgument, ExitCode, JsonOption, UrlOption, app, code_of_state, connect, tell
 from drivecal.cli.views.output import (
-    dumped,
     duration,
     print_answer,
     print_campaign,
@@ -214,7 +213,7 @@ def _act(identifier: str | None, tag: str | None, action: Action, url: str | Non
             changed = [client.act(place, action) for place in open_ones]
             tell(f"asked {len(changed)} of {len(chosen)} campaigns to {action}; the others have ended")
             if as_json:
-                print_json(dumped(changed))
+                print_json(changed)
             return
         _print_whole(client, client.act(chosen[0], action), as_json)
 

@@ -51,7 +51,7 @@ def list_(
     with connect(url) as client:
         rows = client.imported(problem, source)
     if as_json:
-        print_json([row.model_dump(mode="json") for row in rows])
+        print_json(rows)
     else:
         header = ["source", "date", "scenario", "parameters", "name", "value", "simulated", "difference", "unit"]
         shown = ([getattr(row, name) for name in header] for row in rows)

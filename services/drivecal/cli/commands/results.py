@@ -16,7 +16,7 @@ from drivecal.calibration_data.files import CalibrationFormat, labels_of
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.commands.problem import NamesOption
 from drivecal.cli.views.fronts import front_blocks
-from drivecal.cli.views.output import dumped, print_blocks, print_json, print_solutions
+from drivecal.cli.views.output import print_answer, print_blocks, print_json, print_solutions
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
 from drivecal.client.mlflow import write_runs
@@ -51,13 +51,8 @@ def solutions(
     if weights is not None:
         assignments(weights.split(","), "--weights")
     with connect(url) as client:
-        campaign_id = client.full_id(identifier)
-        page = client.solutions(campaign_id, weights, limit, score)
-        spec = client.campaign(campaign_id).spec
-    if as_json:
-        print_json(page)
-    else:
-        print_solutions(page.items, spec)
+        page = client.solutions(identifier, weights, limit, score)
+    print_answer(page, as_json, lambda page: print_solutions(page.items))
 
 
 @app.command()
@@ -81,7 +76,7 @@ def front(
         rows = client.front(campaign_id, weights)
         summary = client.front_summary(campaign_id, weights)
     if as_json:
-        print_json({"summary": summary.model_dump(mode="json"), "items": dumped(rows)})
+        print_json({"summary": summary, "items": rows})
     else:
         print_blocks(front_blocks(rows, summary, limit))
 

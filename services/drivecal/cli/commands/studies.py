@@ -9,7 +9,7 @@ import typer
 
 from drivecal.analysis.robustness import vehicles_text
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, tell
-from drivecal.cli.views.output import dumped, parameters_text, print_blocks, print_columns, print_json
+from drivecal.cli.views.output import parameters_text, print_blocks, print_columns, print_json
 from drivecal.cli.views.progress import follow
 from drivecal.cli.views.sections import fixed, objective_number, validation_tables
 from drivecal.client.client import Client
@@ -119,7 +119,7 @@ def validate(
             maker = make(client, campaign, "validation", stages)
         rows = client.validation(maker.id)
     if as_json:
-        print_json(dumped(rows))
+        print_json(rows)
     else:
         print_validation(rows, campaign.scale)
 
@@ -172,7 +172,7 @@ def robustness(
             maker = _in_another_vehicle(client, campaign, maker, vehicle, again=again)
         rows = client.robustness(maker.id)
     if as_json:
-        print_json(dumped(rows))
+        print_json(rows)
     else:
         print_robustness(rows, maker.spec["robustness"])
 

@@ -3,10 +3,11 @@
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import typer
 from pydantic import BaseModel
+from pydantic_core import to_jsonable_python
 
 from drivecal.cli.application import tell
 from drivecal.cli.views.sections import (
@@ -16,7 +17,6 @@ from drivecal.cli.views.sections import (
     account_blocks,
     audits_table,
     broken_text,
-    evaluation_command,
     failures_table,
     lots_table,
     percent,
@@ -36,15 +36,9 @@ from drivecal.domain.scales import objective_text, told
 Shown = TypeVar("Shown", bound=BaseModel)
 
 
-def dumped(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:
-    """Returns rows of a table, JSON-ready."""
-    return [row.model_dump(mode="json") for row in rows]
-
-
-def print_json(answer: BaseModel | Mapping[str, Any] | Sequence[Any]) -> None:
-    """Prints an answer as JSON."""
-    document = answer.model_dump(mode="json") if isinstance(answer, BaseModel) else answer
-    typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+def print_json(answer: object) -> None:
+    """Prints an answer, of models or plain data, as JSON."""
+    typer.echo(json.dumps(to_jsonable_python(answer), indent=2, ensure_ascii=False))
 
 
 def print_answer(answer: Shown, as_json: bool, show: Callable[[Shown], None]) -> None:
@@ -139,16 +133,9 @@ def _search_text(campaign: Campaign) -> str:
     return text if campaign.ended_by is None else f"{text}; ended by: {campaign.ended_by}"
 
 
-def print_solutions(solutions: Sequence[Solution], spec: Mapping[str, Any]) -> None:
-    """Prints a ranking of the sets of the campaign with this specification."""
-    if not solutions:
-        typer.echo("no parameter set has a result in every scenario yet")
-        return
-    print_blocks(solutions_table(solutions))
-    reused = next((solution for solution in solutions if solution.reused), None)
-    if reused is not None:
-        command = evaluation_command(reused.parameters, spec, reused.scores)
-        typer.echo(f"this simulates the set of rank {reused.rank}:\n{command}")
+def print_solutions(solutions: Sequence[Solution]) -> None:
+    """Prints a ranking."""
+    print_blocks(solutions_table(solutions) or ["no parameter set has a result in every scenario yet"])
 
 
 def print_blocks(blocks: Iterable[Block]) -> None:

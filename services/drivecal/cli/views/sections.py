@@ -1,16 +1,13 @@
 """Parts of the terminal's answers about a campaign's results: tables and lines. Pure."""
 
-import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Baseline, Best, ErrorRate, Released
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.results import ResultTrust
-from drivecal.contracts.specification import EvaluationSpecification, VehicleSpecification
 from drivecal.contracts.tables import FrontRow, Solution, ValidationRow
 from drivecal.domain.scales import Scale, objective_text, told
 
@@ -167,35 +164,6 @@ def solutions_table(solutions: Sequence[Solution]) -> list[Block]:
         caption += ". *: the score is that of a reference, this very set was not simulated there"
     header = ["rank", "objective", "rating", *broken, *first.constraints, *first.scores, *first.parameters]
     return [Table(header, rows, caption)]
-
-
-def evaluation_command(parameters: Mapping[str, float | str], spec: Mapping[str, Any], scenarios: Collection[str]) -> str:
-    """Returns the command that drives a parameter set as a campaign did. It has an option for each setting that differs from the command's
-    default.
-
-    Args:
-        parameters: the set.
-        spec: of the campaign.
-        scenarios: of the campaign.
-    """
-    usual = EvaluationSpecification.model_fields
-    given = ((name, spec.get(name)) for name in ("problem", "catalogue", "driving_function", "evaluator"))
-    words = [shlex.quote(f"{name}={value_text(value, None)}") for name, value in parameters.items()]
-    words += [
-        f"--{name.replace('_', '-')} {value}"
-        for name, value in given
-        if isinstance(value, str) and value != usual[name].default
-    ]
-    own: Mapping[str, Any] = spec.get("vehicle") or {}
-    nominal = VehicleSpecification().model
-    model = own.get("model", nominal)
-    if model != nominal:
-        words.append(f"--vehicle {model}")
-    if own.get("parameters"):
-        words.append(f"--vehicle-parameters {','.join(f'{name}={value:.10g}' for name, value in own['parameters'].items())}")
-    if len(scenarios) == 1:
-        words.append(f"--scenario {next(iter(scenarios))}")
-    return " ".join(["drivecal evaluate", *words])
 
 
 def validation_tables(rows: Sequence[ValidationRow], scale: Scale) -> list[Block]:
