@@ -208,6 +208,17 @@ def test_a_search_that_stands_still_explores() -> None:
     assert merit.best_first(np.column_stack([below, -6.0 + 5.0 * draws]))[0] == 4, "improvements count first"
 
 
+def test_a_rare_large_gain_counts_where_small_gains_do_not() -> None:
+    aim = mean_of(COST, 1)
+    merit = Merit(aim, Standing.of(aim, np.array([[[2.0]]])), np.ones(1))
+    small, rare = np.full(64, -1.9), np.full(64, -6.0)
+    rare[0] = -0.5
+    draws = np.stack([small, rare], axis=1)
+    assert merit.best_first(draws).tolist() == [0, 1]
+    merit.least_gain = 0.2
+    assert merit.best_first(draws).tolist() == [1, 0]
+
+
 def test_it_beats_random_search() -> None:
     task = task_of(mean_of(COST, 4), 120)
     ours = [Played(task, cost, 1).play(begun(task, seed)).best() for seed in range(3)]

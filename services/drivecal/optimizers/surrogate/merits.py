@@ -50,6 +50,8 @@ class Merit:
         self._aim, self._direction = aim, direction
         self.noise = 0.0
         """Deviation of the merit of a single answer in each scenario."""
+        self.least_gain = 0.0
+        """Gain from which on a set counts as an improvement."""
         kept = standing.objectives[standing.violations <= 0]
         reference = kept if len(kept) else standing.objectives
         none = np.zeros(aim.objectives)
@@ -58,7 +60,8 @@ class Merit:
         self._span = np.where(self._ideal > lowest, self._ideal - lowest, 1.0)
         known = self._scalar(standing.objectives)
         self._floor = float(known.min()) if len(known) else 0.0
-        self._unit = float(np.ptp(known)) if len(known) and np.ptp(known) > 0 else 1.0
+        self.unit = float(np.ptp(known)) if len(known) and np.ptp(known) > 0 else 1.0
+        """Range of the merits of the complete sets."""
         self._worst = float(standing.violations.max(initial=0.0)) or 1.0
         self.best = float(self._with_violations(known, standing.violations).max()) if len(known) else -np.inf
         """Merit of the best complete set."""
@@ -77,7 +80,7 @@ class Merit:
         return result
 
     def _with_violations(self, merits: Floats, violations: Floats) -> Floats:
-        return np.where(violations > 0, self._floor - self._unit * (1.0 + violations / self._worst), merits)
+        return np.where(violations > 0, self._floor - self.unit * (1.0 + violations / self._worst), merits)
 
     def improvements(self, merits: Floats) -> Floats:
         """Returns expected improvements by draws, shape (n_draws, n); without a complete set the mean merits. Of samples, less is learned
@@ -85,7 +88,7 @@ class Merit:
         finite = np.where(np.isfinite(merits), merits, -1e300)
         if np.isneginf(self.best):
             return np.asarray(finite.mean(axis=0))
-        result: Floats = np.maximum(finite - self.best, 0.0).mean(axis=0)
+        result: Floats = np.maximum(finite - self.best - self.least_gain, 0.0).mean(axis=0)
         if self.noise > 0:
             result = result * (1.0 - self.noise / np.hypot(self.noise, finite.std(axis=0)))
         return result

@@ -39,6 +39,9 @@ REFINEMENTS, REFINED, REFINING = 2, 8, 150
 """How often the most promising candidates have children, how many of them, and how many children."""
 TOGETHER = 8
 """Most sets that are chosen from the same candidates: all but the first by a draw each."""
+STANDING_STILL, NOTABLE = 20, 0.01
+"""Sets without a notable gain, a share of what the complete sets range over, after which every other set must promise one: small gains
+near the best set would otherwise hide for long that a distant region is better."""
 TURNS = 3
 """Steps of asking a set when many cells are under way; with one cell at a time there is a step for each scenario."""
 GROUPS = 4
@@ -285,6 +288,7 @@ class SurrogateSearch:
         largest expected improvement for its cost, each further one is the best of a draw."""
         number = len(self._answers.sets)
         generator, merit = self._generator(PROPOSAL, number), self._merit(number)
+        merit.least_gain = self._least_gain(number, merit)
         rows = self._new(
             np.concatenate([self._task.sample(SPREAD, generator), self._children(self._parents(), NEAR, generator)])
         )
@@ -311,6 +315,16 @@ class SurrogateSearch:
                 chance = merit.beaten_by(merits[:, chosen])
                 sets.append(self._answers.begin(tuple(rows[chosen].tolist()), promise=chance))
         return sets
+
+    def _least_gain(self, number: int, merit: Merit) -> float:
+        """Returns what the next set must promise: a notable gain if the search stands still and the set's number is even, else anything."""
+        complete = self._answers.complete
+        if number % 2 or self._aim.objectives > 1 or not complete:
+            return 0.0
+        notable = NOTABLE * merit.unit
+        as_good = merit(self._values(complete)) >= merit.best - notable
+        first = min(begun.number for begun, is_as_good in zip(complete, as_good, strict=True) if is_as_good)
+        return notable if number - first >= STANDING_STILL else 0.0
 
     def _merits_of(self, rows: Indices, merit: Merit, number: int) -> Floats:
         """Returns merits of draws, shape (DRAWS, n)."""
