@@ -23,15 +23,18 @@ export function replays({ simulator }: Pick<ProblemAnswer, "simulator">): boolea
   return simulator["kind"] === ON_ROADS;
 }
 
+/** The time series of drivecal's own planner that are drawn. */
+function reportedBy({ time_s, ego }: Trace): Reported {
+  const { longitudinal_acceleration_mps2 = [], lateral_acceleration_mps2 = [], longitudinal_jerk_mps3 = [], lateral_jerk_mps3 = [], speed_mps = [], d_m = [] } = ego;
+  return { time_s, longitudinal_acceleration_mps2, lateral_acceleration_mps2, longitudinal_jerk_mps3, lateral_jerk_mps3, speed_mps, "offset from the rightmost lane's centre_m": d_m };
+}
+
 type Named<T> = { [K in keyof T as string extends K ? never : K]: T[K] };
 type Row = Omit<Named<EvaluationDetail>, "outcome"> & { outcome: Outcome | null };
 
 export class Run {
   row = $state.raw<Row | null>(null);
   problem = $state.raw<ProblemAnswer | null>(null);
-  /** Of drivecal's own planner. */
-  trace = $state.raw<Trace | null>(null);
-  /** Of a simulator of the user's own. */
   reported = $state.raw<Reported | null>(null);
   drive = $state.raw<Drive | null>(null);
   waiting = $state("");
@@ -47,7 +50,7 @@ export class Run {
     this.problem ??= await problemOf(campaign.problem, signal);
     if (Object.keys(this.problem.series).length === 0 && !replays(this.problem)) {
       this.untraced = "The problem declares no time series: its results are the measures.";
-    } else if (this.trace === null && this.reported === null) {
+    } else if (this.reported === null) {
       this.waiting = SIMULATING;
       try {
         const scene = isDriven(this.problem) ? await get<Scene>(`/scenarios/${encodeURIComponent(scenario)}?${new URLSearchParams({ problem: campaign.problem })}`, signal) : null;
@@ -71,7 +74,7 @@ export class Run {
         return;
       }
       if ("time_s" in body) {
-        [this.trace, this.drive] = [body, scene && driveOf(body, scene)];
+        [this.reported, this.drive] = [reportedBy(body), scene && driveOf(body, scene)];
         return;
       }
       this.waiting = body.degraded ?? (body.state === "queued" ? "Waiting for a worker that simulates it once more …" : SIMULATING);

@@ -9,12 +9,7 @@ export function gain(best: number | null | undefined, baseline: number | null | 
 /** What a gain means: nothing as long as it is within the tolerance. */
 export type Change = "better" | "worse" | "equal" | "within";
 
-export const CHANGE: Readonly<Record<Change, { sign: string; words: string }>> = {
-  better: { sign: "▲", words: "better" },
-  worse: { sign: "▼", words: "worse" },
-  equal: { sign: "=", words: "equal" },
-  within: { sign: "≈", words: "within the tolerance" },
-};
+export const SIGNS: Readonly<Record<Change, string>> = { better: "▲", worse: "▼", equal: "=", within: "≈" };
 
 /** Differences by rounding alone are none. */
 const ROUNDING = 1e-9;
