@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { byMeasure, courseOf, haveLikeObjectives, haveLikeScores, overOf, overlay, type Over } from "./overlay";
+import { byMeasure, courseOf, haveLikeObjectives, haveLikeScores, overOf, overlay, placesOf, type Over } from "./overlay";
 import type { Campaign, Generation } from "../server/types";
 
 const generation = (iteration: number, best: number, requested: number, reused: number): Generation => ({ iteration, best, requested, reused, repeated: 0, predicted: 0 }) as Generation;
@@ -9,8 +9,14 @@ const searches = [
 ];
 
 test("a search is drawn over iterations, one with a budget over the simulations so far", () => {
-  expect(["iteration", "simulations"].map((over) => overlay(searches, over as Over).map((line) => line.x))).toEqual([[[1, 2], [1]], [[10, 14], [20]]]);
+  expect(["iteration", "simulations"].map((over) => searches.map(({ generations }) => placesOf(generations, over as Over)))).toEqual([[[1, 2], [1]], [[10, 14], [20]]]);
   expect([overOf([{ budget: null }]), overOf([{ budget: null }, { budget: { simulations: 60 } }])]).toEqual(["iteration", "simulations"]);
+});
+
+test("lines of equal values lie beside each other, each group in its colour", () => {
+  const [first, second, third] = overlay([0, 0, 1].map((place, at) => ({ name: `${at}`, group: `${place}`, place, values: [1], x: [1] })));
+  expect([first?.shift, second?.shift, third?.shift].map((shift) => Math.sign(shift ?? 0))).toEqual([-1, 0, 1]);
+  expect([first?.colour === second?.colour, second?.colour === third?.colour]).toEqual([true, false]);
 });
 
 test("a search has a best score from its first complete set on, and ends with the set that was confirmed", () => {

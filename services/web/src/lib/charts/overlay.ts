@@ -61,17 +61,18 @@ export function courseOf({ best, cells }: Pick<Campaign, "best" | "cells">, gene
   return best === null ? course : [...course, { best: best.objective, mean: null, at: cells.simulated + cells.failed }];
 }
 
-/** The best objective of each search. `place`: which colour and dash it has. */
-export function overlay(searches: readonly { name: string; place: number; generations: readonly Generation[] }[], over: Over): Series[] {
-  return searches.map(({ name, place, generations }) => {
+/** Pixels between the outermost of lines that would lie on each other. */
+const SPREAD = 10;
+
+/** The course of each search as a line. `place`: which colour and dash its group has. */
+export function overlay(searches: readonly { name: string; group: string; place: number; values: readonly (number | null)[]; x: readonly number[] }[]): Series[] {
+  return searches.map(({ place, ...line }, at) => {
     const dash = DASHES[place % DASHES.length];
     return {
-      name,
-      values: generations.map((generation) => generation.best),
-      x: placesOf(generations, over),
+      ...line,
       colour: SERIES[place % SERIES.length] ?? "",
       steps: true,
-      group: name,
+      shift: searches.length > 1 ? SPREAD * ((at + 0.5) / searches.length - 0.5) : 0,
       ...(dash === undefined ? {} : { dash }),
     };
   });
