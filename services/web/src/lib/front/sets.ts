@@ -9,9 +9,6 @@ type Value = number | string | boolean | null | undefined;
 /** The names of the columns that hold what a front is searched for. */
 export const objectiveColumn = (name: string): string => `objective_${name}`;
 
-/** The names of the columns that hold what constraints bound. */
-export const constraintColumn = (name: string): string => `constraint_${name}`;
-
 /** Sets as a table with the columns of its files, and `further` ones. */
 export function tableOf(rows: readonly FrontRow[], parameters: readonly { name: string; column: string }[], further: Readonly<Record<string, readonly Value[]>> = {}): Table {
   const first = rows[0];
@@ -25,7 +22,7 @@ export function tableOf(rows: readonly FrontRow[], parameters: readonly { name: 
   spread(objectiveColumn, (row) => row.objectives);
   add("violation", (row) => row.violation);
   add("undecided", (row) => row.undecided);
-  spread(constraintColumn, (row) => row.constraints);
+  spread((key) => `constraint_${key}`, (row) => row.constraints);
   add("knee", (row) => row.knee);
   add("best_in", (row) => row.best_in.join(" ") || null);
   add("wins", (row) => row.wins);

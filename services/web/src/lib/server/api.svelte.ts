@@ -122,12 +122,12 @@ export function newKey(): string {
   return Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
-/** All items of a list that comes in pages; `asked`: further parts of the query. */
-export async function all<T>(path: string, asked = ""): Promise<T[]> {
+/** All items of a list that comes in pages. */
+export async function all<T>(path: string): Promise<T[]> {
   const items: T[] = [];
   let cursor: string | null = null;
   do {
-    const query = new URLSearchParams([...new URLSearchParams(asked), ["limit", "1000"], ...(cursor === null ? [] : [["cursor", cursor]])]);
+    const query = new URLSearchParams({ limit: "1000", ...(cursor === null ? {} : { cursor }) });
     const page: { items: T[]; next_cursor: string | null } = await get(`${path}?${query}`);
     items.push(...page.items);
     cursor = page.next_cursor;
