@@ -2,7 +2,7 @@
 
 import { get } from "./api.svelte";
 import { go } from "../route.svelte";
-import type { Best, CellNumber, EvaluationDetail, PageSolution } from "./types";
+import type { Best, Campaign, CellNumber, EvaluationDetail, FrontRow, PageSolution } from "./types";
 
 /** One of two sets that a view compares. */
 export interface SetSide {
@@ -50,10 +50,23 @@ export async function bestCell(campaign: string, best: Best, scenario: string): 
 }
 
 /** The number of the baseline's evaluation in a scenario, the first of the search; null if another set is there. */
-export async function baselineCell(campaign: string, parameters: Values, scenario: string): Promise<number | null> {
+async function baselineCell(campaign: string, parameters: Values, scenario: string): Promise<number | null> {
   const cell = await cellAt(campaign, 0, 0, scenario);
   const { parameters: given } = await get<Pick<EvaluationDetail, "parameters">>(`/evaluations/${cell}`);
   return same(parameters, given) ? cell : null;
+}
+
+/** The baseline of a campaign, if it has one, as a set that a view compares. */
+export function baselineSide({ id, baseline }: Pick<Campaign, "id" | "baseline">): SetSide | null {
+  return baseline && { ...baseline, title: "Baseline", column: "baseline", cell: (scenario) => baselineCell(id, baseline.parameters, scenario) };
+}
+
+/** A set of a front or a ranking as a view compares it. */
+export function sideOf(campaign: string, set: FrontRow | PageSolution["items"][number]): SetSide {
+  const { rank, iteration, individual, parameters, scores } = set;
+  const answers = "answers" in set ? set.answers : Object.fromEntries(set.reused.map((scenario) => [scenario, "reused"]));
+  const cell = async (scenario: string): Promise<number | null> => (iteration === null || individual === null ? null : cellAt(campaign, iteration, individual, scenario));
+  return { title: `Set ${rank}`, column: `set ${rank}`, parameters, scores, answers, cell };
 }
 
 /** Opens the evaluation of a set in a scenario, or the ranking if there is none. */
