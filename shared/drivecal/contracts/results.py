@@ -62,6 +62,9 @@ class ParameterImportance(Answer):
     upper: float
 
 
+WEAK, CLEAR = 0.5, 0.05
+
+
 class ImportanceAnswer(Answer):
     """The importance of parameters among the sets of a search. `r2`: how well the forest predicts held-out sets, 1 exactly, 0 no better
     than their mean. Both are null, and `items` empty, if there are too few sets or their values are all the same."""
@@ -73,6 +76,10 @@ class ImportanceAnswer(Answer):
     """Sets with values of their own; copies of references and predictions do not count."""
     held_out: int | None = None
     r2: float | None = None
+    weak: float = WEAK
+    """`r2` below which importances mean little."""
+    clear: float = CLEAR
+    """Importance from which on a parameter matters among the sets of a search."""
     notes: list[str] = Field(default_factory=list)
     """A weak fit, and parameters on which importance and influence map disagree."""
     items: list[ParameterImportance] = Field(default_factory=list)

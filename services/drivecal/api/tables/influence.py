@@ -12,7 +12,7 @@ from drivecal.api.tables.ranking import ranking
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.campaigns.resolve.spaces import space_from_document
-from drivecal.contracts.results import ImportanceAnswer, ParameterImportance
+from drivecal.contracts.results import CLEAR, WEAK, ImportanceAnswer, ParameterImportance
 from drivecal.contracts.tables import DecidedBy, InfluenceRow
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import Influence
@@ -128,10 +128,6 @@ def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedS
         notes=_notes(database, campaign, resolved, scenario, items, result.r2),
         items=items,
     )
-
-
-WEAK, CLEAR = 0.5, 0.05
-"""R² below which importances mean little, and importance from which on a parameter matters among the sets of a search."""
 
 
 def _notes(
