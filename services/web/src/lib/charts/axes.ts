@@ -1,22 +1,12 @@
 /** Axes and colours of parallel coordinates, for parameters of every kind and scores of every scale. */
 
 import { extent, type Table } from "../server/columns";
-import type { Scale } from "../server/types";
+import type { Scale, SearchedParameter } from "../server/types";
 import { unitText } from "../text/format";
 import type { Axis } from "./polylines";
 
-/** A parameter as a campaign's setup describes it; bounds of a choice are positions in `choices`. */
-export interface Ranged {
-  name: string;
-  /** Its column in tables. */
-  column: string;
-  unit: string;
-  lower: number;
-  upper: number;
-  kind?: string;
-  choices?: readonly string[];
-  description?: string;
-}
+/** A parameter as a campaign's setup describes it; bounds of a choice are positions in `choices`, `column` names it in tables. */
+export type Ranged = Pick<SearchedParameter, "name" | "column" | "unit" | "lower" | "upper"> & Partial<Pick<SearchedParameter, "kind" | "choices" | "description">>;
 
 /** A column whose lines are coloured, from its worst value to its best. */
 export interface Colouring {

@@ -1,19 +1,18 @@
 /** A drive from above, whatever reports it: a trace of the built-in motorway with its scenario, or the replay of a simulator on a road network. */
 
-import type { ReplayAnswer, RoadSurface } from "../server/types";
+import type { ReplayAnswer, RoadAnswer, RoadSurface, VehicleAnswer } from "../server/types";
 import type { Trace } from "./geometry";
 
+type Sized = Pick<VehicleAnswer, "length_m" | "width_m">;
+
 export interface Scene {
-  road: { length_m: number; lanes: number; lane_width_m: number; reference_line: number[][]; boundaries: number[][][] };
-  ego: { length_m: number; width_m: number };
-  traffic: { id: string; length_m: number; width_m: number }[];
-  duration: number;
+  road: Pick<RoadAnswer, "reference_line" | "boundaries">;
+  ego: Sized;
+  traffic: (Sized & Pick<VehicleAnswer, "id">)[];
 }
 
-export interface Vehicle {
+export interface Vehicle extends Sized {
   name: string;
-  length_m: number;
-  width_m: number;
   /** The times of its places; it is not there before and after them. */
   time_s: readonly number[];
   /** `x_m`, `y_m` and `heading_rad`. */

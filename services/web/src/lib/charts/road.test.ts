@@ -6,10 +6,9 @@ import { colours, seen, type Path, type Shape } from "./road";
 
 const along = Array.from({ length: 60 }, (_, index) => index * 5);
 const SCENE: Scene = {
-  road: { length_m: 295, lanes: 2, lane_width_m: 4, reference_line: along.map((x) => [x, x, 0, 0, 0]), boundaries: [-2, 2, 6].map((y) => along.map((x) => [x, y])) },
+  road: { reference_line: along.map((x) => [x, x, 0, 0, 0]), boundaries: [-2, 2, 6].map((y) => along.map((x) => [x, y])) },
   ego: { length_m: 5, width_m: 2 },
   traffic: [{ id: "a<b", length_m: 10, width_m: 2 }],
-  duration: 2,
 };
 const moving = (from: number) => ({ x_m: [from, from + 30, from + 60], y_m: [0, 0, 0], heading_rad: [0, 0, 0] });
 const TRACE: Trace = {

@@ -10,7 +10,7 @@ const OPTIMIZERS: OptimizerAnswer[] = [
 ];
 const MIXED: Shape = {
   name: "m", digest: "d", description: "", simulator: "", driving: null, varied: false, constraints: ["a <= b"], baseline: null, scenarios: [], scores: [], goals: { scores: [], measures: [] },
-  parameters: [{ name: "a", kind: "choice", unit: "1", meaning: "", lower: 0, upper: 1, step: null, choices: ["x", "y"] }],
+  parameters: [{ name: "a", kind: "choice", unit: "1", description: "", lower: 0, upper: 1, step: null, choices: ["x", "y"] }],
 };
 
 test("only optimizers that can search the problem are offered", () => {

@@ -2,7 +2,7 @@ import { expect, test } from "vitest";
 import type { Shape, ShapeParameter } from "../server/shape";
 import { parameterRows, pastedSet, scenarioRows, withBaselineOf, withProblem, withRange, withScenario, withWeight, type Wanted } from "./space";
 
-const parameter = (name: string, changes: Partial<ShapeParameter>): ShapeParameter => ({ name, kind: "continuous", unit: "1", meaning: "", lower: 0, upper: 2, step: null, choices: [], ...changes });
+const parameter = (name: string, changes: Partial<ShapeParameter>): ShapeParameter => ({ name, kind: "continuous", unit: "1", description: "", lower: 0, upper: 2, step: null, choices: [], ...changes });
 const SHAPE: Shape = {
   name: "heater", digest: "d", description: "", simulator: "command", driving: null, varied: false, constraints: [],
   parameters: [

@@ -12,6 +12,6 @@ test("a problem of drivecal's own planner has the parameters of the chosen space
   expect(shape.scenarios).toEqual([{ id: "S1", title: "A road" }]);
   expect(withPlugins(shape, spaces, scenarios, {})).toEqual(shape);
   const chosen = withPlugins(shape, spaces, scenarios, { parameters: "coarse", catalogue: "mine" });
-  expect(chosen.parameters).toMatchObject([{ name: "P1", meaning: "Horizon", step: 0.1 }]);
+  expect(chosen.parameters).toMatchObject([{ name: "P1", description: "Horizon", step: 0.1 }]);
   expect(chosen.scenarios).toEqual([{ id: "M1", title: "Free road" }]);
 });

@@ -1,25 +1,13 @@
 /** A problem as forms and tables need it, whether it is installed or was pushed. */
 
 import { get } from "./api.svelte";
-import type { ParameterSpacePage, ProblemAnswer, ScenarioPage } from "./types";
+import type { ParameterAnswer, ParameterSpacePage, ProblemAnswer, ScenarioPage } from "./types";
 
 /** Of a campaign that names none. */
 export const DEFAULT_PROBLEM = "highway";
 
-export type Kind = "grid" | "continuous" | "integer" | "choice";
-
-export interface ShapeParameter {
-  name: string;
-  kind: Kind;
-  unit: string;
-  meaning: string;
-  /** Of a choice: positions. */
-  lower: number;
-  upper: number;
-  /** Of a grid. */
-  step: number | null;
-  choices: readonly string[];
-}
+/** Bounds of a choice are positions; only a grid has a step. */
+export type ShapeParameter = Pick<ParameterAnswer, "name" | "kind" | "unit" | "description" | "lower" | "upper" | "step" | "choices">;
 
 export interface ShapeScore {
   name: string;
@@ -76,7 +64,7 @@ function declared(name: string, entry: Readonly<Record<string, unknown>>): Shape
     name,
     kind: choices.length > 0 ? "choice" : entry["integer"] === true ? "integer" : step === null ? "continuous" : "grid",
     unit: String(entry["unit"] ?? "1"),
-    meaning: String(entry["description"] ?? ""),
+    description: String(entry["description"] ?? ""),
     lower: choices.length > 0 ? 0 : Number(entry["lower"]),
     upper: choices.length > 0 ? choices.length - 1 : Number(entry["upper"]),
     step,
@@ -93,7 +81,7 @@ export function withPlugins(shape: Shape, spaces: ParameterSpacePage, scenarios:
   const listed = scenarios.items.filter((entry) => entry.catalogue === wanted["catalogue"] && entry.catalogue !== DEFAULT_PROBLEM);
   return {
     ...shape,
-    parameters: space?.parameters.map((entry) => ({ name: entry.name, kind: entry.kind as Kind, unit: entry.unit, meaning: entry.description, lower: entry.lower, upper: entry.upper, step: entry.kind === "grid" ? entry.step : null, choices: entry.choices })) ?? shape.parameters,
+    parameters: space?.parameters.map((entry) => ({ ...entry, step: entry.kind === "grid" ? entry.step : null })) ?? shape.parameters,
     scenarios: listed.length > 0 ? listed.map((entry) => ({ id: entry.id, title: entry.title })) : shape.scenarios,
   };
 }
