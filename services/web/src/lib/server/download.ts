@@ -10,12 +10,6 @@ export function download(name: string, content: Blob): void {
   setTimeout(() => URL.revokeObjectURL(anchor.href), 10_000);
 }
 
-export function downloadCanvas(name: string, canvas: HTMLCanvasElement | null): void {
-  canvas?.toBlob((blob) => {
-    if (blob) download(name, blob);
-  });
-}
-
 /** What a drawing lies on, and is written with, outside of the page. */
 export function paper(): { ground: string; ink: string } {
   return isDark() ? { ground: "#1c2026", ink: "#e8ebef" } : { ground: "#ffffff", ink: "#1b2129" };
@@ -56,7 +50,7 @@ export function downloadPng(name: string, drawing: SVGSVGElement, layers: Iterab
     pen.fillRect(0, 0, canvas.width, canvas.height);
     for (const layer of [...layers, image]) pen.drawImage(layer, 0, 0, canvas.width, canvas.height);
     URL.revokeObjectURL(address);
-    downloadCanvas(name, canvas);
+    canvas.toBlob((blob) => blob && download(name, blob));
   };
   image.src = address;
 }

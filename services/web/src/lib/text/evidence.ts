@@ -2,12 +2,6 @@
 
 import type { ResultVerdict } from "../server/types";
 
-export interface Evidence {
-  view: string;
-  query: Record<string, string>;
-  title: string;
-}
-
 /** By parts of codes, the first that fits. `at`: a section of the overview. */
 const PLACES: readonly (readonly [RegExp, string, Record<string, string>, string])[] = [
   [/^front/, "front", {}, "front"],
@@ -19,7 +13,7 @@ const PLACES: readonly (readonly [RegExp, string, Record<string, string>, string
 ];
 const COURSE = [/./, "overview", { at: "course" }, "course"] as const;
 
-export function evidenceOf({ code }: Pick<ResultVerdict, "code">): Evidence {
+export function evidenceOf({ code }: Pick<ResultVerdict, "code">): { view: string; query: Record<string, string>; title: string } {
   const [, view, query, title] = PLACES.find(([codes]) => codes.test(code)) ?? COURSE;
   return { view, query, title };
 }

@@ -12,14 +12,8 @@ const AWAY_MILLISECONDS = 3_600_000;
 /** Settings that decide what an objective means: only campaigns with equal ones are compared. */
 const DECIDING = ["problem", "catalogue", "driving_function", "vehicle", "evaluator", "weights", "objectives", "constraints", "replicates"];
 
-export interface Visit {
-  since: number;
-  /** Whether it is the end of an earlier visit in this browser, and not the last 24 hours. */
-  known: boolean;
-}
-
-/** The visit that goes on, or begins because the start page was out of sight for an hour; `kept` is what the last call returned to keep. */
-export function visitAt(kept: string | null, now: number): Visit & { keep: string } {
+/** The visit that goes on, or begins because the start page was out of sight for an hour; `kept` is what the last call returned to keep. `known`: it is the end of an earlier visit in this browser, and not the last 24 hours. */
+export function visitAt(kept: string | null, now: number): { since: number; known: boolean; keep: string } {
   const [since = NaN, seen = NaN] = (kept ?? "").split(" ").map((part) => Number.parseInt(part, 10));
   const from = now - seen > AWAY_MILLISECONDS ? seen : since;
   const known = Number.isFinite(from) && from <= now;

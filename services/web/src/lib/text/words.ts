@@ -19,12 +19,7 @@ export const MEANING: Record<Outcome | "pending" | "carried_over", string> = {
 /** The address of a word's meaning; `word` is the anchor of a heading. */
 export const glossary = (word: string): string => `/help/concepts/glossary.html#${word}`;
 
-export const STAGES: Record<string, string> = {
-  sensitivity: "Sensitivity",
-  calibration: "Calibration",
-  robustness: "Robustness",
-  validation: "Validation",
-};
+const STAGES = ["sensitivity", "calibration", "robustness", "validation"];
 
 const ENDED: readonly string[] = ["succeeded", "failed", "cancelled"];
 
@@ -39,7 +34,7 @@ export function cellsOf(campaign: Moving, stage: string | null): Partial<CellCou
 
 /** The stages that have asked for cells, in their order. */
 export function stagesOf(campaign: Moving): string[] {
-  return Object.keys(STAGES).filter((stage) => (cellsOf(campaign, stage).proposed ?? 0) > 0 || campaign.stage === stage);
+  return STAGES.filter((stage) => (cellsOf(campaign, stage).proposed ?? 0) > 0 || campaign.stage === stage);
 }
 
 /** The stage that represents a campaign in one line: the search, else what it does now, else what it did last. */
