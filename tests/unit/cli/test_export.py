@@ -29,22 +29,9 @@ def test_a_pipe_gets_the_file_as_it_is() -> None:
     assert stream.buffer.read() == ENCODED
 
 
-@pytest.mark.parametrize(
-    "option",
-    [
-        ["--table", "evaluations"],
-        ["--format", "csv"],
-        ["--row", "1"],
-        ["--names", "names.yaml"],
-        ["--where", "score>=1"],
-        ["--weights", "S1=2"],
-        ["--score", "ease"],
-        ["--measures"],
-        ["--json"],
-    ],
-)
-def test_options_that_mlflow_would_ignore_are_refused_by_name(option: list[str]) -> None:
+@pytest.mark.parametrize("option", ["--table=front", "--format=csv", "--row=1", "--where=score>=1", "--score=ease", "--json"])
+def test_options_that_mlflow_would_ignore_are_refused_by_name(option: str) -> None:
     given = ["export", "id", "--to", "mlflow", "-o", "runs", "--url", "http://127.0.0.1:9"]
-    refused = CliRunner().invoke(app, [*given, *option])
+    refused = CliRunner().invoke(app, [*given, option])
     assert refused.exit_code == 2
-    assert option[0] in refused.output
+    assert option.partition("=")[0] in refused.output

@@ -55,6 +55,7 @@ DOCUMENT: dict[str, Any] = {
 
 def check(folder: Path, simulator: str) -> CheckedScenario:
     """The check of a problem with this simulator and a second set."""
+    folder.mkdir(exist_ok=True)
     (folder / "problem.yaml").write_text(yaml.safe_dump(DOCUMENT))
     (folder / "sim.py").write_text(simulator)
     [result] = run_problem(checked(DOCUMENT), pack(folder), {"x": 0.5}, {"x": 1.0})
@@ -74,10 +75,7 @@ def test_a_simulator_that_does_not_start_again_is_named_by_the_check(tmp_path: P
 
 def test_an_evaluation_names_why_its_simulator_is_busy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DRIVECAL_BUNDLE_CACHE", str(tmp_path / "cache"))
-    folder = tmp_path / "problem"
-    folder.mkdir()
-    (folder / "problem.yaml").write_text(yaml.safe_dump(DOCUMENT))
-    (folder / "sim.py").write_text("""input(), print('{"busy": "no licence"}', flush=True), input()""")
+    check(folder := tmp_path.joinpath("problem"), """input(), print('{"busy": "no licence"}', flush=True), input()""")
     with pytest.raises(BusyError, match="no licence"):
         evaluate({"x": 0.5}, problem=folder)
 
