@@ -1,9 +1,11 @@
 """A chosen set as a file for calibration tools."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Annotated, TypeVar
 
+from pydantic import Field, StringConstraints
+
+from drivecal.api.http.queries import RankedOf
 from drivecal.api.responses import calibration
 from drivecal.api.results.document import results_of
 from drivecal.api.tables.front import front_table
@@ -19,66 +21,66 @@ from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 
-RankedIn = Literal["solutions", "front"]
 Ranked = TypeVar("Ranked", Solution, FrontRow)
 
 LARGEST_RANK = 10**6
+Rank = Annotated[int, Field(ge=1, le=LARGEST_RANK)]
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """A set by its campaign, its table, by default that of its kind of campaign, and its rank."""
+class CalibrationFileOf(RankedOf):
+    """A set: of rank `set` in the solutions, or of rank `front` on the front; without either the first of the front if the campaign has
+    several objectives, else of the solutions. It is ranked by `weights` and, in the solutions, by another `score`, as in those tables.
+    `label`: a name in the file for a parameter, such as `P1=ACC_tGap_C`; others keep their names."""
 
-    campaign: str
-    table: RankedIn | None
-    rank: int
-    field: str = "set"
+    rank: Annotated[Rank | None, Field(alias="set")] = None
+    front: Rank | None = None
+    format: CalibrationFormat
+    label: Annotated[list[Annotated[str, StringConstraints(max_length=300)]], Field(max_length=2000, default_factory=list)]
 
-
-@dataclass(frozen=True, slots=True)
-class RankedOtherwise:
-    """Weights and score that a set is chosen by, each None for the campaign's own."""
-
-    weights: str | None = None
-    score: str | None = None
+    @property
+    def place(self) -> tuple[str, int]:
+        """The field that names the rank, and the rank."""
+        return ("set", self.rank or 1) if self.front is None else ("front", self.front)
 
 
-def written(database: Database, choice: Choice, form: CalibrationFormat, by: RankedOtherwise, labels: Sequence[str]) -> bytes:
-    """Returns the file of a set. `labels`: names for parameters, `P1=ACC_tGap_C`. Raises
-    NotFoundError for an unknown campaign, InvalidInputError for a set that it does not have and unusable options, and ConflictError for
-    a comparison or a single evaluation."""
+def written(database: Database, campaign: str, query: CalibrationFileOf) -> bytes:
+    """Returns the file of a campaign's set.
+
+    Raises NotFoundError for an unknown campaign, InvalidInputError for a set that it does not have and unusable options, and
+    ConflictError for a single evaluation.
+    """
+    if query.rank is not None and query.front is not None:
+        raise InvalidInputError(Problem("front", "a set is of the solutions or of the front", "give set or front"))
     with database.read() as connection:
-        stored = calibration(campaigns.get(connection, choice.campaign), ", which ranks nothing")
+        stored = calibration(campaigns.get(connection, campaign), ", which ranks nothing")
     resolved = resolved_spec(stored)
     front = front_of(database, stored, resolved)
-    table = choice.table or ("front" if len(front.goals.objectives) > 1 else "solutions")
-    _check(table, by)
-    given = None if by.weights is None else assignments(by.weights.split(","), "weights")
+    on_front = query.front is not None or (query.rank is None and len(front.goals.objectives) > 1)
+    if on_front and query.score is not None:
+        raise InvalidInputError(Problem("score", "a front has no single score", "give set, the rank in the solutions"))
+    given = None if query.weights is None else assignments(query.weights.split(","), "weights")
     chosen: Solution | FrontRow
-    if table == "front":
-        chosen = of_rank(front_table(database, stored, front, by.weights), choice, stored.id, table)
+    if on_front:
+        chosen = _ranked(front_table(database, stored, front, query.weights), query, stored.id, "front")
     else:
-        ranked = ranking(database, stored, resolved, by.weights, by.score)
-        chosen = of_rank(ranked.solutions(choice.rank - 1, choice.rank), choice, stored.id, table)
+        _, rank = query.place
+        ranked = ranking(database, stored, resolved, query.weights, query.score)
+        chosen = _ranked(ranked.solutions(rank - 1, rank), query, stored.id, "solutions")
     known = results_of(database, stored, front, (chosen.iteration, chosen.individual))
-    figures = figures_of(known, chosen, given, by.score)
+    figures = figures_of(known, chosen, given, query.score)
     parameters = known.setup.parameters
-    named = labels_of(_document(labels), [parameter.name for parameter in parameters])
-    return write(form, characteristics_of(chosen.parameters, parameters, named), quality_of(known, chosen, figures))
+    named = labels_of(_document(query.label), [parameter.name for parameter in parameters])
+    return write(query.format, characteristics_of(chosen.parameters, parameters, named), quality_of(known, chosen, figures))
 
 
-def of_rank(listed: Sequence[Ranked], choice: Choice, campaign: str, table: RankedIn) -> Ranked:
-    """Returns the row of the choice's rank. Raises InvalidInputError if there is none."""
+def _ranked(listed: Sequence[Ranked], query: CalibrationFileOf, campaign: str, table: str) -> Ranked:
+    """Returns the row of the wanted rank. Raises InvalidInputError if there is none."""
+    field, rank = query.place
     for row in listed:
-        if row.rank == choice.rank:
+        if row.rank == rank:
             return row
     remedy = f"drivecal {table} {campaign} lists those that it has"
-    raise InvalidInputError(Problem(choice.field, f"campaign {campaign} has no set of rank {choice.rank}", remedy))
-
-
-def _check(table: str, by: RankedOtherwise) -> None:
-    if by.score is not None and table != "solutions":
-        raise InvalidInputError(Problem("score", "a front has no single score", "give set, the rank in the solutions"))
+    raise InvalidInputError(Problem(field, f"campaign {campaign} has no set of rank {rank}", remedy))
 
 
 def _document(labels: Sequence[str]) -> dict[str, str]:

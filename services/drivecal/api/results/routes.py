@@ -3,13 +3,12 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
-from pydantic import Field, StringConstraints
 
 from drivecal.api.dependencies import DatabaseDependency, computed
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.http.queries import ImportanceQuery, Parameters, PlaceQuery, SummaryOf
+from drivecal.api.http.queries import ImportanceQuery, PlaceQuery
 from drivecal.api.responses import calibration
-from drivecal.api.results.calibration_file import LARGEST_RANK, Choice, RankedIn, RankedOtherwise, written
+from drivecal.api.results.calibration_file import CalibrationFileOf, written
 from drivecal.api.results.document import about, results_of, setup_of, study_answer
 from drivecal.api.tables.influence import importance
 from drivecal.calibration_data.files import CalibrationFormat
@@ -17,39 +16,11 @@ from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.contracts.campaign import StudyPage
 from drivecal.contracts.results import CampaignResults, ImportanceAnswer
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.storage import campaigns
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
 
 MEDIA_TYPES: dict[CalibrationFormat, str] = {"dcm": "text/plain", "cdfx": "application/xml", "csv": "text/csv"}
-Rank = Annotated[int, Field(ge=1, le=LARGEST_RANK)]
-
-
-class SetOf(Parameters):
-    """A set: of rank `set` in the solutions, or of rank `front` on the front; without either the first of the front if the campaign has
-    several objectives, else of the solutions."""
-
-    rank: Annotated[Rank | None, Field(alias="set")] = None
-    front: Rank | None = None
-
-    def choice(self, campaign_id: str) -> Choice:
-        """Returns the set. Raises InvalidInputError for two ranks."""
-        if self.rank is not None and self.front is not None:
-            raise InvalidInputError(Problem("front", "a set is of the solutions or of the front", "give set or front"))
-        table: RankedIn | None = "front" if self.front is not None else "solutions" if self.rank is not None else None
-        return Choice(campaign_id, table, self.front or self.rank or 1, "set" if self.front is None else "front")
-
-
-class CalibrationFileOf(SetOf, SummaryOf):
-    """A set, ranked by `weights` and, in the solutions, by another `score`, as in those tables. `label`: a name in the file for a
-    parameter, such as `P1=ACC_tGap_C`; others keep their names."""
-
-    format: CalibrationFormat
-    score: Annotated[str, StringConstraints(max_length=300)] | None = None
-    label: Annotated[list[Annotated[str, StringConstraints(max_length=300)]], Field(max_length=2000, default_factory=list)]
-
-
 CalibrationFileQuery = Annotated[CalibrationFileOf, Query()]
 
 
@@ -100,8 +71,8 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
 def calibration_file(campaign_id: str, query: CalibrationFileQuery, database: DatabaseDependency) -> Response:
     """A chosen set as a DCM, CDFX or CSV file (the latter without quality data): its values, how sure they are, and what is known of
     them."""
-    choice = query.choice(campaign_id)
-    content = written(database, choice, query.format, RankedOtherwise(query.weights, query.score), query.label)
-    name = f"{choice.field}-{choice.rank}-{campaign_id}.{query.format}"
+    content = written(database, campaign_id, query)
+    field, rank = query.place
+    name = f"{field}-{rank}-{campaign_id}.{query.format}"
     headers = {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-cache"}
     return Response(content, headers=headers, media_type=MEDIA_TYPES[query.format])
