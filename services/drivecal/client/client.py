@@ -18,7 +18,7 @@ from drivecal.client.outside import AskTell
 from drivecal.client.report import report_of
 from drivecal.client.transport import Answer, Transport, harmless, named, path_of, raise_for, unreachable
 from drivecal.configuration.settings import load_settings
-from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, Page, StudyPage
+from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
 from drivecal.contracts.comparison import Comparison, ExpectedComparison
 from drivecal.contracts.evaluation import CellNumber, Evaluation, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
@@ -225,8 +225,7 @@ class Client(Transport):
 
     def propose(self, identifier: str, sets: Sequence[Mapping[str, Any]]) -> AcceptedSets:
         """Sends up to 1,000 sets to a campaign with an external optimizer: `{"key": "a1", "parameters": {...}}`. Once per key."""
-        place = ("campaigns", identifier, "sets")
-        return self._answer(self._request("POST", place, document={"sets": list(sets)}), AcceptedSets, place)
+        return self._call(AcceptedSets, "POST", "campaigns", identifier, "sets", document={"sets": list(sets)})
 
     def answers(self, identifier: str, after: int = 0, wait: float = 0.0) -> AnswerPage:
         """Returns the answers of proposed sets after a number, by cell; waits for one if there is none yet.
@@ -242,8 +241,7 @@ class Client(Transport):
 
     def cancel_set(self, identifier: str, key: str) -> CancelledSet:
         """Cancels a proposed set, unless its cells were asked for already."""
-        place = ("campaigns", identifier, "sets", key)
-        return self._answer(self._request("DELETE", place), CancelledSet, place)
+        return self._call(CancelledSet, "DELETE", "campaigns", identifier, "sets", key)
 
     def rerun(self, identifier: str, changes: Document, key: str | None = None) -> Campaign:
         """Queues a new campaign on the references and the influence map of an ended one.
@@ -299,9 +297,12 @@ class Client(Transport):
 
     def rows(self, identifier: str, table: Table, **query: Any) -> Iterator[dict[str, Any]]:
         """Yields every row of a table."""
+        return self._listed(("campaigns", identifier, *table.split("/")), **query)
+
+    def _listed(self, place: Sequence[str], **query: Any) -> Iterator[dict[str, Any]]:
+        """Yields the items of all pages of a list."""
         cursor: str | None = None
         while True:
-            place = ("campaigns", identifier, *table.split("/"))
             response = self._request("GET", place, query={**query, "limit": 1000, "cursor": cursor})
             raise_for(response, *named(place))
             page = json.loads(harmless(response.content))
@@ -353,8 +354,11 @@ class Client(Transport):
         return self._rows_of(identifier, "validation", ValidationRow)
 
     def _rows_of(self, identifier: str, table: Table, model: type[Answer], **query: Any) -> Rows[Answer]:
+        return self._checked_rows(model, ("campaigns", identifier, *table.split("/")), **query)
+
+    def _checked_rows(self, model: type[Answer], place: Sequence[str], **query: Any) -> Rows[Answer]:
         try:
-            return Rows(model, (model.model_validate(row) for row in self.rows(identifier, table, **query)))
+            return Rows(model, (model.model_validate(row) for row in self._listed(place, **query)))
         except ValidationError as error:
             raise self._strange() from error
 
@@ -379,8 +383,7 @@ class Client(Transport):
             sets: Parameter sets, each wanted in all scenarios.
             where: `problem`, `catalogue`, `driving_function`, `vehicle` and `evaluator`, as of an evaluation.
         """
-        place = ("results", "lookup")
-        return self._answer(self._request("POST", place, document={"sets": list(sets), **where}), StoredCells, place)
+        return self._call(StoredCells, "POST", "results", "lookup", document={"sets": list(sets), **where})
 
     def import_results(
         self, rows: Sequence[Mapping[str, Any]], *, problem: str, source: str, date: str, units: Mapping[str, str] | None = None
@@ -400,19 +403,12 @@ class Client(Transport):
 
     def imported(self, problem: str, source: str | None = None) -> list[ImportedRow]:
         """Returns a problem's results from elsewhere, all or from one source, with the stored simulations of the same sets."""
-        rows: list[ImportedRow] = []
-        cursor: str | None = None
-        while True:
-            page = self._get(Page[ImportedRow], "results", problem=problem, source=source, limit=1000, cursor=cursor)
-            rows, cursor = rows + page.items, page.next_cursor
-            if cursor is None:
-                return rows
+        return self._checked_rows(ImportedRow, ("results",), problem=problem, source=source)
 
     def delete_imported(self, problem: str, source: str) -> int:
         """Deletes the results of a source from elsewhere, and returns how many cells that were."""
-        place = ("results",)
-        response = self._request("DELETE", place, query={"problem": problem, "source": source})
-        return self._answer(response, ImportDeleted, place).deleted
+        query = {"problem": problem, "source": source}
+        return self._call(ImportDeleted, "DELETE", "results", query=query).deleted
 
     def evaluation(self, identifier: str) -> Evaluation:
         """Returns a single evaluation by the id that `evaluate` returned."""
@@ -464,8 +460,8 @@ class Client(Transport):
         from drivecal.client.problems import archive_of, push_headers  # what checks problems takes a second to import
 
         archive = archive_of(problem)
-        place, headers = ("problems",), push_headers(archive, signed="Authorization" not in self._http.headers)
-        return self._answer(self._request("POST", place, headers=headers, content=archive), ProblemAnswer, place)
+        headers = push_headers(archive, signed="Authorization" not in self._http.headers)
+        return self._call(ProblemAnswer, "POST", "problems", headers=headers, content=archive)
 
     def problems(self, name: str | None = None, limit: int | None = None, cursor: str | None = None) -> ProblemPage:
         """Returns a page of problems, last pushed first: each name once, or every push of one `name`."""
@@ -499,8 +495,7 @@ class Client(Transport):
     def label(self, identifier: str, **changes: Any) -> Campaign:
         """Changes the labels of a campaign that are given: `name`, `tags` (all of them), `add_tags`, `remove_tags`."""
         document = {label: value for label, value in changes.items() if value is not None}
-        place = ("campaigns", identifier)
-        return self._answer(self._request("PATCH", place, document=document), Campaign, place)
+        return self._call(Campaign, "PATCH", "campaigns", identifier, document=document)
 
     def delete(self, identifier: str) -> None:
         """Deletes an ended campaign; what it simulated stays in the reference table.

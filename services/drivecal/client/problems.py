@@ -92,16 +92,11 @@ def _read_archived(files: Mapping[str, BundleFile]) -> tuple[Manifest, tuple[str
     return _read(manifest_text(files), whole)
 
 
-def _whole(document: Any, files: Mapping[str, BundleFile]) -> Manifest:
+def _whole_with_fmus(document: Any, files: Mapping[str, BundleFile]) -> tuple[Manifest, tuple[str, ...]]:
     manifest = checked(document, executables(files))
     problems = list(script_problems(manifest.simulator, files))
     if problems:
         raise InvalidInputError(*problems)
-    return manifest
-
-
-def _whole_with_fmus(document: Any, files: Mapping[str, BundleFile]) -> tuple[Manifest, tuple[str, ...]]:
-    manifest = _whole(document, files)
     return manifest, check_fmus(manifest, files)
 
 

@@ -190,7 +190,10 @@ class Transport:
         return place
 
     def _get(self, model: type[Answer], *place: str, **query: Any) -> Answer:
-        return self._answer(self._request("GET", place, query=query), model, place)
+        return self._call(model, "GET", *place, query=query)
+
+    def _call(self, model: type[Answer], method: str, *place: str, **content: Any) -> Answer:
+        return self._answer(self._request(method, place, **content), model, place)
 
     def _post(
         self, model: type[Answer], *place: str, document: Document | None = None, key: str | None = None, **query: Any
