@@ -120,6 +120,12 @@ def test_a_set_whose_scores_have_a_red_light_is_preliminary(light: Light, state:
     assert "* reason 2: Better." not in lines
 
 
+def test_an_undecided_set_breaks_no_constraint_by_a_figure() -> None:
+    chosen = Data().ranked(None, None)[0].model_copy(update={"violation": 0.0009, "undecided": True})
+    names = dict(figures_of(Data().results(), chosen, None, None))
+    assert ("violation of constraints" in names, "limits on rates" in names) == (False, True)
+
+
 def test_a_set_has_its_rank_objective_and_scores() -> None:
     own = {"rank": "1", "objective": "3", "score": "discomfort", "score follow": "2", "score brake": "4"}
     assert exported(Data()) == own
