@@ -208,7 +208,8 @@ class Goals:
         names: list[str] = []
         for bound in self.bounds:
             name = _numbered(bound.name, names)
-            names += [name] if bound.rate is None else [name, f"{name}_lower", f"{name}_upper"]
+            wanted = [name] if bound.rate is None else [name, f"{name}_lower", f"{name}_upper"]
+            names += [_numbered(each, names) for each in wanted]
         return names
 
     def named_bounds(self, judgement: Judged | None) -> dict[str, float]:

@@ -1,6 +1,7 @@
 """Which sets get further runs, and what is then known of the best one: small synthetic campaigns with fixed seeds."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import permutations
 from statistics import NormalDist
 
 import numpy as np
@@ -288,6 +289,13 @@ def test_a_rate_is_kept_broken_or_undecided(beyond: int, runs: int, least: float
     assert judged.undecided == (0 < most <= UNDECIDED)
     assert judged.bounded == (beyond / runs, *rate_bounds(beyond, runs, 0.9))
     assert RATE.fewest_runs == 22
+
+
+def test_bounds_of_a_rate_have_names_of_their_own() -> None:
+    cells = {"S1": CellScore(1, "S1", 1.0, 1.0, True, 0, 0, values={RATE.value.key: 1.0})}
+    for bounds in permutations([replace(RATE, name="gap_lower", rate=None), RATE, RATE]):
+        goals = Goals((), bounds)
+        assert len(goals.named_bounds(goals.judge(cells))) == 7
 
 
 def test_bounds_of_rates_are_exact() -> None:
