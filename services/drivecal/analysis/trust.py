@@ -234,7 +234,11 @@ def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:
         yield verdict("front_copied", "amber", copied=front.copied, size=front.size)
     else:
         yield verdict("scores_simulated", "green", subject="the sets of the front")
-    if campaign.baseline is not None and campaign.best.violation < campaign.baseline.violation:
+    if (
+        campaign.baseline is not None
+        and not campaign.baseline.undecided
+        and campaign.best.violation < campaign.baseline.violation
+    ):
         yield verdict("baseline_breaks_more", "green", subject="the sets of the front")
     elif front.dominating:
         yield verdict("front_beats_baseline", "green", dominating=front.dominating, size=front.size)
@@ -265,7 +269,7 @@ def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
     if campaign.best is None or campaign.baseline is None or campaign.baseline.objective is None:
         return
     gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
-    if campaign.best.violation < campaign.baseline.violation:
+    if campaign.best.violation < campaign.baseline.violation and not campaign.baseline.undecided:
         yield verdict("baseline_breaks_more", "green", subject="the best set")
     elif gain <= grain(campaign.best.objective, campaign.baseline.objective):
         yield verdict("not_better", "amber")

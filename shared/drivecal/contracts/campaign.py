@@ -195,12 +195,14 @@ class Best(Answer):
 
 
 class Baseline(Answer):
-    """The user's parameter set for comparison. Null scores are still missing. `violation` is the sum of the violations, as shares."""
+    """The user's parameter set for comparison. Null scores are still missing. `violation` is the sum of the violations, as shares;
+    `undecided` as in `Best`."""
 
     objective: float | None
     parameters: dict[str, float | str]
     scores: dict[str, Score | None]
     violation: float = 0.0
+    undecided: bool = False
 
 
 class Confirmation(Answer):

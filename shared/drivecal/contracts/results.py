@@ -113,10 +113,12 @@ class FrontGrowth(Answer):
 
 
 class FrontBaseline(Answer):
-    """The campaign's baseline among its objectives; `rank`: its place on the front, null if it is dominated. `violation` as in `Best`."""
+    """The campaign's baseline among its objectives; `rank`: its place on the front, null if it is dominated. `violation` and
+    `undecided` as in `Best`."""
 
     objectives: dict[str, float]
     violation: float
+    undecided: bool = False
     constraints: dict[str, float] = Field(default_factory=dict)
     """The constrained amounts, by the names of the constraints."""
     rank: int | None

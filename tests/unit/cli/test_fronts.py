@@ -2,9 +2,9 @@
 
 import pytest
 
-from drivecal.cli.views.fronts import front_blocks, shown_of_front
+from drivecal.cli.views.fronts import front_blocks, front_lines, shown_of_front
 from drivecal.cli.views.output import print_blocks
-from drivecal.contracts.results import FrontObjective, FrontSummary
+from drivecal.contracts.results import FrontBaseline, FrontObjective, FrontSummary
 from drivecal.contracts.tables import FrontRow
 
 SIZE, KNEE = 30, 25
@@ -41,3 +41,9 @@ def test_as_many_sets_are_listed_as_asked_for(capsys: pytest.CaptureFixture[str]
     printed = capsys.readouterr().out
     assert [int(line.split()[0]) for line in printed.splitlines()[-4:]] == [1, 2, KNEE, SIZE]
     assert f"4 of {SIZE}" in printed
+
+
+def test_a_baseline_with_undecided_rates_breaks_nothing_by_a_figure() -> None:
+    undecided = FrontBaseline(objectives={"jerk": 7}, violation=0.0009, undecided=True, rank=None)
+    (line,) = (line for line in front_lines(SUMMARY.model_copy(update={"baseline": undecided})) if line.startswith("baseline"))
+    assert "%" not in line

@@ -199,7 +199,7 @@ def set_at(
         copied=judged.reused,
         violation=judged.violation,
         undecided=judged.is_undecided,
-        baseline_violation=0.0 if baseline is None else baseline.violation,
+        baseline_violation=0.0 if baseline is None or baseline.is_undecided else baseline.violation,
         is_best=is_best,
     )
 

@@ -113,6 +113,7 @@ def _baseline(front: CampaignFront, baseline: EvaluatedSet) -> FrontBaseline | N
     return FrontBaseline(
         objectives=dict(zip(names, baseline.judgement.amounts, strict=True)),
         violation=baseline.violation,
+        undecided=baseline.is_undecided,
         constraints=front.goals.named_bounds(baseline.judgement),
         rank=front.ranks.get(baseline.parameter_set),
     )

@@ -542,12 +542,12 @@ class Calibration(Stage):
             return
         (number,) = parameter_sets.ensure(connection, [baseline])
         solution: EvaluatedSet | None = self._ranking.get(number)
-        none_yet: dict[str, float | None] = dict.fromkeys(self._problem.scenarios)
         self._baseline = Baseline(
             objective=None if solution is None else solution.objective,
             parameters=baseline.floats,
-            scores=none_yet if solution is None else dict(solution.scores),
+            scores=dict.fromkeys(self._problem.scenarios) if solution is None else dict(solution.scores),
             violation=0.0 if solution is None else solution.violation,
+            undecided=solution is not None and solution.is_undecided,
         )
 
     def _figures(self, connection: Connection, number: int, asked: AskedRound, objectives: Floats) -> Figures:

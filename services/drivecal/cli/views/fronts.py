@@ -61,7 +61,7 @@ def front_lines(summary: FrontSummary) -> list[str]:
 def _baseline_line(summary: FrontSummary, baseline: FrontBaseline) -> str:
     units = {objective.name: unit_text(objective.unit) for objective in summary.objectives}
     amounts = ", ".join(f"{name} {amount:.6g}{units[name]}" for name, amount in baseline.objectives.items())
-    broken = f"; it breaks constraints by {baseline.violation:.1%}" if baseline.violation > 0 else ""
+    broken = f"; {broken_text(baseline)}" if baseline.violation > 0 else ""
     place = "sets of the front beat it" if baseline.rank is None else f"on the front, rank {baseline.rank}"
     return f"baseline: {amounts} ({place}){broken}"
 

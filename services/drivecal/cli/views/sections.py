@@ -7,7 +7,7 @@ from typing import Literal
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Baseline, Best, ErrorRate, Released
 from drivecal.contracts.evaluation import FailureCause
-from drivecal.contracts.results import ResultTrust
+from drivecal.contracts.results import FrontBaseline, ResultTrust
 from drivecal.contracts.tables import FrontRow, Solution, ValidationRow
 from drivecal.domain.scales import Scale, objective_text, told
 
@@ -137,10 +137,9 @@ def account_blocks(account: Accounting | None) -> list[Block]:
     return [*blocks, *(f"  {remark}" for remark in account.remarks)]
 
 
-def broken_text(judged: Best | Baseline | Solution | FrontRow) -> str:
+def broken_text(judged: Best | Baseline | FrontBaseline | Solution | FrontRow) -> str:
     """Returns by how much a set breaks constraints on results, or that it is not known."""
-    undecided = not isinstance(judged, Baseline) and judged.undecided
-    return "not known to keep its rates" if undecided else f"breaks constraints by {judged.violation:.1%}"
+    return "not known to keep its rates" if judged.undecided else f"breaks constraints by {judged.violation:.1%}"
 
 
 def solutions_table(solutions: Sequence[Solution]) -> list[Block]:
