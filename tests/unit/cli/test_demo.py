@@ -14,6 +14,7 @@ from drivecal.cli.commands.demo import (
     LOG,
     MARKS,
     OTHER_WEIGHTS,
+    PAPER,
     coordinator,
     fresh_folder,
     url_when_ready,
@@ -28,6 +29,7 @@ from drivecal.storage.engine import locks
 def test_the_campaigns_can_run_within_their_budgets() -> None:
     problem = resolve(validated(CampaignSpecification, dict(CAMPAIGN)))
     assert problem.expected_runs().calibration_at_most == MARKS[-1]
+    assert resolve(validated(CampaignSpecification, dict(PAPER))).expected_runs().calibration_at_most > 10 * MARKS[-1]
     assert set(OTHER_WEIGHTS) < set(problem.scenarios) == {"S1", "S2", "S3", "S4", "S5", "S6"}
 
 

@@ -136,14 +136,30 @@ def _end_of(log: Path) -> str:
     return "\n".join(log.read_text(errors="replace").splitlines()[-15:])
 
 
-MIDDLE = (0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100)
-BASELINE = {f"P{number}": value for number, value in enumerate(MIDDLE, 1)}
+BASELINE: dict[str, float] = {
+    "P1": 0,
+    "P2": 1,
+    "P3": 100,
+    "P4": 1000,
+    "P5": 750,
+    "P6": 0.5,
+    "P7": 100,
+    "P8": 1000,
+    "P9": 5,
+    "P10": 10,
+    "P11": 100,
+}
 """The middle of every range, as a first guess."""
 CAMPAIGN: Mapping[str, Any] = {
     "name": "demo: comfort in six motorway scenarios",
     "baseline": BASELINE,
     "budget": {"simulations": 600},
 }
+PAPER: Mapping[str, Any] = {
+    "optimizer": {"kind": "genetic", "population": 1000, "iterations": 20},
+    "reduction": {"mode": "exact"},
+}
+"""The paper's search, for its cost."""
 RERUN: Mapping[str, Any] = {"simulations": 150}
 """Budget of the second campaign, which begins with what the first has simulated."""
 MARKS = (50, 100, 200, 300, 450, 600)
@@ -181,8 +197,11 @@ def demo(as_json: JsonOption = False) -> None:
 
 
 def _first(client: Client, as_json: bool) -> Campaign:
-    simulations = CAMPAIGN["budget"]["simulations"]
-    tell(f"submitting a campaign with a budget of {simulations} simulations, of a parameter set in one of six scenarios each")
+    paper = client.expected_runs(PAPER)
+    tell(
+        f"submitting a campaign with a budget of {CAMPAIGN['budget']['simulations']} simulations, of a parameter set in one of six"
+        f" scenarios each; the paper's search requests at most {paper.calibration_at_most:,} such cells"
+    )
     campaign = _carried_out(client, client.submit(CAMPAIGN))
     if not as_json:
         _print_best(client, campaign, "The best parameter sets, with the comfort score (0 to 7) in each scenario")
