@@ -110,7 +110,44 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     time = (
         {} if guessed else {"milliseconds": known.milliseconds, "measured": known.measured, "seconds": known.seconds(at_most)}
     )
-    return runs.model_copy(update={"notes": [*warnings, *runs.notes], "workers": known.workers, **time})
+    notes = [*warnings, *runs.notes, *([] if guessed else advice(problem, runs.calibration_at_most, known.milliseconds))]
+    return runs.model_copy(update={"notes": notes, "workers": known.workers, **time})
+
+
+CELL_MILLISECONDS = 20.0
+"""CPU time of `surrogate` for the choice of a cell, with some hundred answers of six scenarios."""
+WORTHWHILE_MILLISECONDS = 200.0
+"""Time of a simulation from which on a careful choice costs less than a tenth of it."""
+MOST_MODELLED = 5_000
+"""Simulations up to which `surrogate` is advised."""
+
+
+def advice(problem: CalibrationProblem, simulations: int, milliseconds: float) -> list[str]:
+    """Returns notes on a better choice of the optimizer, if there is one.
+
+    Args:
+        problem: the campaign.
+        simulations: at most, of its search.
+        milliseconds: time of one simulation.
+    """
+    chosen = problem.optimization
+    if chosen is None:
+        return []
+    if chosen.plugin.name == "surrogate" and milliseconds < CELL_MILLISECONDS:
+        return [
+            (
+                f"a simulation takes {milliseconds:.3g} ms, and the choice of a cell about {CELL_MILLISECONDS:g} ms of a core: with several"
+                " times the simulations `optimizer: {kind: genetic}` may find as good a set in the same time"
+            )
+        ]
+    if chosen.by_cell is None and milliseconds >= WORTHWHILE_MILLISECONDS and simulations <= MOST_MODELLED:
+        return [
+            (
+                f"for {simulations:,} simulations of {milliseconds:.3g} ms, `optimizer: {{kind: surrogate}}` and a budget find better sets"
+                " on most problems (docs: optimizers)"
+            )
+        ]
+    return []
 
 
 def resolved(database: Database, specification: CampaignSpecification) -> CalibrationProblem:
