@@ -121,6 +121,8 @@ class Ranking:
         """Answers by set, seed and scenario."""
         self._samples: dict[int, dict[int, float]] = {}
         """Objectives by set and seed, of sets with several seeds."""
+        self._varies = False
+        """Ratings of a set differ between seeds, so that equal scores, which have steps, do not say that there is no noise."""
         self._is_assessed = True
         self._span = span if goals is None else goals.objectives[0].span
         total = sum(weights.values())
@@ -192,6 +194,7 @@ class Ranking:
             self._answers[number] = next(iter(runs.values()))
             return None
         self._samples[number] = {seed: solution.objective for seed, solution in whole.items()}
+        self._varies |= len({solution.rating for solution in whole.values()}) > 1
         fresh = [seed for seed in whole if seed > self._choosing]
         choosing = [seed for seed in whole if seed <= self._choosing] or fresh
         solution = self._mean(number, choosing)
@@ -288,7 +291,10 @@ class Ranking:
             for seed, objective in by_seed[number].items():
                 samples[place, seed - 1] = kept[0].sign * objective
         level = self._level if self._level is None or kept[0].sign > 0 else 1 - self._level
-        return numbers, replicates.assess(samples, level)
+        known = replicates.assess(samples, level)
+        if self._varies and known.is_known and not known.is_random:
+            known = replace(known, variances=np.full(len(numbers), np.nan), spreads=np.full(len(numbers), np.nan))
+        return numbers, known
 
     def _chosen_by(self, solution: EvaluatedSet) -> dict[int, float]:
         objectives = self._samples.get(solution.parameter_set)

@@ -245,6 +245,20 @@ def test_a_quantile_prefers_a_set_whose_runs_are_alike() -> None:
     assert ranked[1][0].objective == sorted(runs[2])[10]  # the least value that nine of ten runs do not exceed
 
 
+def test_equal_scores_of_ratings_that_differ_do_not_say_that_there_is_no_noise() -> None:
+    ranking, wanted = Ranking({"S1": 1}, wanted=ReplicatesSpecification()), ReplicatesSpecification()
+    for number in range(6):
+        ranking.add(
+            CellScore(number, "S1", 6.0, 6.0 + 0.1 * seed, True, 0, number, seed=seed)
+            for seed in range(1, 3 if number < 5 else 2)
+        )
+    assert next_runs(ranking, wanted, 8, 100)
+    alike = Ranking({"S1": 1}, wanted=wanted)
+    for number in range(6):
+        alike.add(CellScore(number, "S1", 6.0, 6.0, True, 0, number, seed=seed) for seed in range(1, 3))
+    assert next_runs(alike, wanted, 8, 100) == []
+
+
 @pytest.mark.parametrize("quantile", [0.0, 1.0])
 def test_an_extreme_over_seeds_is_refused(quantile: float) -> None:
     with pytest.raises(ValidationError, match="quantile"):
