@@ -82,12 +82,10 @@ def figures_of(
     yield "score", score or known.campaign.scale.name
     if weights is not None:
         yield "weights", ",".join(f"{name}={_number(weight)}" for name, weight in weights.items())
-    if chosen.violation > 0:
-        yield (
-            ("limits on rates", "not known to be kept")
-            if chosen.undecided
-            else ("violation of constraints", _number(chosen.violation))
-        )
+    if chosen.violation > 0 and chosen.undecided:
+        yield "limits on rates", "not known to be kept"
+    elif chosen.violation > 0:
+        yield "violation of constraints", _number(chosen.violation)
     for scenario, amount in chosen.scores.items():
         taken = " (taken from a reference)" if scenario in chosen.reused else ""
         yield f"score {scenario}", f"{_number(amount)}{taken}"

@@ -184,9 +184,6 @@ def test_constraints_come_first() -> None:
     judged = trust(campaign("exact", best=broken, **EXACT))
     assert (judged.light("scores"), judged.verdicts[0].code) == ("red", "no_set_keeps_constraints")
     assert "baseline_breaks_more" in lights(campaign(baseline=before(7.0, violation=0.1)))
-
-
-def test_a_baseline_with_undecided_rates_does_not_break_more() -> None:
     undecided = before(4.0, violation=0.0009, undecided=True)
     assert "better_than_baseline" in (result := lights(campaign(baseline=undecided)))
     assert "baseline_breaks_more" not in result
