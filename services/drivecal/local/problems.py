@@ -3,9 +3,8 @@ deterministic simulator gets in a new process as well."""
 
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -33,17 +32,11 @@ from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.domain.parameters import ParameterSpace
 from drivecal.domain.values import Setting
 from drivecal.plugins.runners import Runner
-from drivecal.plugins.simulators import PROBE_SECONDS, Declared, NoMeasuresError, RunOutcome, SimulatorSession, start_limit
+from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.runners import RefusedError, make_runner
 
 SEED = 20261121
-SECONDS_BETWEEN_SIGNS = 10.0
-"""Longest silence while a simulator is waited for."""
-Tell = Callable[[str], None]
-"""Takes a sentence on what is waited for."""
-
-
 FAULTS = (NoMeasuresError, UnavailableError, OSError)
 
 
@@ -113,27 +106,22 @@ def other_set(manifest: Manifest) -> dict[str, Setting] | None:
 
 
 def run_problem(
-    manifest: Manifest,
-    archive: bytes,
-    parameters: Mapping[str, Setting],
-    other: Mapping[str, Setting] | None = None,
-    tell: Tell = lambda _: None,
+    manifest: Manifest, archive: bytes, parameters: Mapping[str, Setting], other: Mapping[str, Setting] | None = None
 ) -> Iterator[CheckedScenario]:
-    """Yields the result of each scenario. Calls `tell` every 10 s of a run. Raises UnavailableError if this machine cannot run the
-    simulator."""
+    """Yields the result of each scenario. Raises UnavailableError if this machine cannot run the simulator."""
     conditions = {name: entry.nominal for name, entry in manifest.varied.items()}
     further = None if other is None else {**other, **conditions}
     with _unpacked(archive) as folder:
         for scenario in manifest.scenarios:
-            yield _checked(manifest, scenario, folder, {**parameters, **conditions}, further, tell)
+            yield _checked(manifest, scenario, folder, {**parameters, **conditions}, further)
 
 
-def ask_probe(manifest: Manifest, archive: bytes, tell: Tell = lambda _: None) -> str | None:
+def ask_probe(manifest: Manifest, archive: bytes) -> str | None:
     """Returns what this machine reports of tools and inputs outside of the folder, None if none are declared. Raises UnavailableError if
     there is no answer."""
     if not manifest.simulator.asks_workers:
         return None
-    with _unpacked(archive) as folder, _signs("the probe", f"the limit is {PROBE_SECONDS:g} s", tell):
+    with _unpacked(archive) as folder:
         return run_probe(manifest.simulator.model_dump(mode="json"), folder)
 
 
@@ -148,35 +136,9 @@ def _unpacked(archive: bytes) -> Iterator[Path]:
             remove(folder)
 
 
-@contextmanager
-def _signs(what: str, limit: str, tell: Tell) -> Iterator[None]:
-    """Calls `tell` every SECONDS_BETWEEN_SIGNS until the block is left."""
-    began, is_left = time.monotonic(), threading.Event()
-
-    def give() -> None:
-        while not is_left.wait(SECONDS_BETWEEN_SIGNS):
-            tell(f"{what} has taken {time.monotonic() - began:.0f} s so far; {limit}")
-
-    thread = threading.Thread(target=give, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        is_left.set()
-        thread.join()
-
-
 def _checked(
-    manifest: Manifest,
-    scenario: str,
-    folder: Path,
-    parameters: Mapping[str, Setting],
-    other: Mapping[str, Setting] | None,
-    tell: Tell,
+    manifest: Manifest, scenario: str, folder: Path, parameters: Mapping[str, Setting], other: Mapping[str, Setting] | None
 ) -> CheckedScenario:
-    limit = manifest.simulator.timeout
-    source = "`simulator.timeout` in problem.yaml"
-    start = f"the limit is {start_limit(limit):g} s ({source}, or 60 if that is less)"
     section = manifest.simulator.model_dump(mode="json", exclude_none=True)
     units = {**manifest.reported, **manifest.series}
     parameter_units = {name: entry.unit for name, entry in (manifest.parameters | manifest.varied).items()}
@@ -186,17 +148,15 @@ def _checked(
 
     @contextmanager
     def opened() -> Iterator[SimulatorSession]:
-        with _signs(f"{scenario}: the start", start, tell):
-            session = _session(manifest, section, scenario, folder, declared)
+        session = _session(manifest, section, scenario, folder, declared)
         try:
             yield session
         finally:
             session.close()
 
-    def run(number: int, session: SimulatorSession, values: Mapping[str, Setting], *, series: bool) -> tuple[RunOutcome, float]:
+    def run(session: SimulatorSession, values: Mapping[str, Setting], *, series: bool) -> tuple[RunOutcome, float]:
         began = time.perf_counter()
-        with _signs(f"{scenario}: run {number}", f"the limit is {limit:g} s ({source})", tell):
-            outcome = session.evaluate(values, series=series)
+        outcome = session.evaluate(values, series=series)
         return outcome, time.perf_counter() - began
 
     began, started = time.perf_counter(), 0.0
@@ -204,13 +164,13 @@ def _checked(
     try:
         with opened() as session:
             started = time.perf_counter() - began
-            first, first_seconds = run(1, session, parameters, series=bool(manifest.series))
-            second, second_seconds = run(2, session, parameters, series=bool(manifest.series))
+            first, first_seconds = run(session, parameters, series=bool(manifest.series))
+            second, second_seconds = run(session, parameters, series=bool(manifest.series))
             if isinstance(session, ProcessSession):
                 opened_files = frozenset(each for each in session.opened() if not Path(each).is_relative_to(folder.resolve()))
             if other is not None:
                 try:
-                    outcome, _ = run(3, session, other, series=False)
+                    outcome, _ = run(session, other, series=False)
                     elsewhere, bits = OtherRun(**_rated(manifest, scenario, outcome)), _bits(outcome)
                 except FAULTS as error:
                     elsewhere = OtherRun(error=str(error))
@@ -220,7 +180,7 @@ def _checked(
     if other is not None and elsewhere is not None and bits is not None and repeats and _may_keep_state(manifest):
         try:
             with opened() as session:
-                elsewhere = replace(elsewhere, alone=_bits(run(4, session, other, series=False)[0]) == bits)
+                elsewhere = replace(elsewhere, alone=_bits(run(session, other, series=False)[0]) == bits)
         except FAULTS as error:
             elsewhere = replace(elsewhere, alone_error=str(error))
     return CheckedScenario(

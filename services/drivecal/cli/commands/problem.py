@@ -92,10 +92,11 @@ def check(
             undeclared,
         )  # the workers' code, for this command only
 
-        report["tools"] = ask_probe(manifest, archive, tell)
+        report["tools"] = ask_probe(manifest, archive)
         report["parameters"] = parameters = trial_set(manifest)
         report["other_parameters"] = other = other_set(manifest)
-        for result in run_problem(manifest, archive, parameters, other, tell):
+        tell(f"a run may take {manifest.simulator.timeout:g} s (`simulator.timeout` in problem.yaml)")
+        for result in run_problem(manifest, archive, parameters, other):
             if not as_json:
                 tell(f"{result.scenario}: {_sentence(manifest, result)}")
             checked.append(result)
