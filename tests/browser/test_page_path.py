@@ -74,7 +74,7 @@ def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, 
         expect(page.get_by_text("Finished.")).to_be_visible(timeout=180_000)
         assert first not in page.url
 
-        page.get_by_role("link", name="Evaluations").click()
+        page.get_by_role("link", name="Evaluations", exact=True).click()
         with page.expect_download() as table:
             page.get_by_role("link", name="CSV").click()
         assert table.value.path().read_text().startswith("id,stage,iteration,individual,scenario,P1")

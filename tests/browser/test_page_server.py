@@ -70,7 +70,7 @@ def test_a_study_is_started_from_the_page_with_its_settings(tmp_path: Path, open
         assert made["spec"]["optimizer"] is None
         assert made["spec"]["validation"]["references"] == 7
         assert made["spec"]["sensitivity"] == {"map": campaign.influence_map_id or get(api.database, campaign).influence_map_id}
-        page.get_by_role("link", name="Campaigns").click()
+        page.get_by_role("link", name="Campaigns", exact=True).click()
         rows = page.get_by_role("table").get_by_role("row")
         expect(rows.nth(2)).to_contain_text("test (validation)")
         expect(rows.nth(1)).to_contain_text(campaign.id[:8])

@@ -248,7 +248,7 @@ def test_an_evaluated_set_is_checked_again(shown: Shown, opening: Opening) -> No
     page = opening(f"{shown.api.url}/#/evaluations/{row['id']}", expected=("409",))
     page.get_by_role("button", name="This set: next steps").click()
     page.get_by_role("button", name="Check it").click()
-    expect(page.get_by_role("link", name="Evaluations")).to_have_attribute("aria-current", "page")
+    expect(page.get_by_role("link", name="Evaluations", exact=True)).to_have_attribute("aria-current", "page")
     spec = shown.api.http.get(f"/api/v1/campaigns/{page.url.split('/')[-2]}").json()["spec"]
     parameters = {name: row[name] for name in spec["parameters"]}
     assert (spec["parameters"], spec["scenario"], spec["fresh"]) == (parameters, row["scenario"], True)
