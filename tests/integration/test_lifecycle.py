@@ -19,10 +19,11 @@ from drivecal.contracts.specification import CampaignSpecification, EvaluationSp
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
-from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import UnavailableError
+from drivecal.domain.evaluations import Outcome
 from drivecal.execution.pool import StoredLeases, WorkPool
-from drivecal.storage import campaigns
+from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -182,6 +183,15 @@ def test_simulations_that_do_not_repeat_themselves_are_told(database: Database) 
     repeated = [row for row in rows_of(database, ended) if not row.seed]
     assert ended.cells.unrepeatable == len(repeated) < ended.cells.simulated, "runs under further seeds repeat no run"
     assert any(str(ended.cells.unrepeatable) in re.findall(r"\d+", note) for note in ended.notes)
+    with database.read() as connection:
+        cells = results.answers(
+            connection, ended.sequence, StageName.CALIBRATION, valued=lambda metrics, _: {"draw": metrics["draw"] or 0.0}
+        )
+        drawn = {(cell.iteration, cell.individual, cell.scenario): cell.values["draw"] for cell in cells if not cell.seed}
+    own = [row for row in repeated if row.outcome == Outcome.SIMULATED]
+    assert [drawn[row.iteration, row.individual, row.scenario] for row in own] == [row.id for row in own], (
+        "measures of its own run"
+    )
 
 
 def test_a_pause_takes_no_minutes_of_a_budget(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -219,7 +219,7 @@ class Dispatcher:
         most, count = self._running_campaigns, len(self._in_line)
         why = f"{most} campaigns run, the most at a time on this server (DRIVECAL_RUNNING_CAMPAIGNS)"
         if self._busy < most:
-            why = f"{len(self._active):,} campaigns have begun, most of which wait for sets of other programs: finish or cancel some"
+            why = f"{self._begun:,} campaigns have begun, most of which wait for sets of other programs: finish or cancel some"
         order = "higher priorities first, then the order of submission"
         return {
             waiting.sequence: f"{why}; place {place} of {count} in the queue with priority {waiting.priority}: {order}"
@@ -306,7 +306,12 @@ class Dispatcher:
     @property
     def _is_full(self) -> bool:
         """True if no further campaign may run at the same time."""
-        return self._busy >= self._running_campaigns or len(self._active) >= MOST_BEGUN * self._running_campaigns
+        return self._busy >= self._running_campaigns or self._begun >= MOST_BEGUN * self._running_campaigns
+
+    @property
+    def _begun(self) -> int:
+        """Number of active campaigns, without single evaluations."""
+        return sum(each.campaign.kind != "evaluation" for each in self._active.values())
 
     @property
     def _busy(self) -> int:

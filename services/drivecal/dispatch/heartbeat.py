@@ -62,6 +62,8 @@ HUNG_AFTER_SECONDS = 180.0
 """The same for a main thread that does not compute, before this process ends: another one resumes its campaigns."""
 COMPUTING_SHARE = 0.05
 """Share of a core from which on the main thread is taken to wait for threads that compute, e.g. train a prediction."""
+LONGEST_TRAINING_SECONDS = 3600.0
+"""Time without a report after which it is not: other threads may have something to do for ever."""
 GRACE_SECONDS = 10.0
 """Time for the main thread to end the process after the heartbeat has stopped."""
 
@@ -179,7 +181,8 @@ class Heartbeat:
         """Returns whether the main thread has neither reported nor computed for long, nor waited for threads that compute."""
         moment, computed = self._clock(), time.clock_gettime(self._clock_of_main)
         by_all = time.process_time() - time.thread_time()  # without this thread, which always has something to do
-        if computed > self._computed + 0.01 or by_all > self._computed_by_all + COMPUTING_SHARE * (moment - self._looked_at):
+        waits = by_all > self._computed_by_all + COMPUTING_SHARE * (moment - self._looked_at)
+        if computed > self._computed + 0.01 or (waits and moment < self._report.heard + LONGEST_TRAINING_SECONDS):
             self._computed, self._computed_at = computed, moment
         self._computed_by_all, self._looked_at = by_all, moment
         return moment - max(self._report.heard, self._computed_at) > HUNG_AFTER_SECONDS

@@ -189,7 +189,7 @@ def answers(
         score, rating = func.coalesce(own.c.score, score), func.coalesce(own.c.rating, rating)
         believed = copied & own.c.run_id.is_(None)
         run_id = case((copied, own_run.c.id), else_=table.run_id)
-    measured = (_ANSWERING_RUN.c.metrics, _ANSWERING_RUN.c.failure) if valued is not None else ()
+    measured = (_ANSWERING_RUN.c.metrics, _ANSWERING_RUN.c.failure, table.metrics.label("own")) if valued is not None else ()
     if valued is not None:
         source = source.outerjoin(_ANSWERING_RUN, _ANSWERING_RUN.c.id == run_id)
     query = (
@@ -216,7 +216,9 @@ def answers(
     read = metrics.reader(connection)
     for row in connection.execute(query):
         cell = CellScore(*row[:10])
-        yield cell if valued is None or row.metrics is None else replace(cell, values=valued(read(row.metrics), row.failure))
+        if valued is not None and row.metrics is not None:
+            cell = replace(cell, values=valued(read(row.metrics) if row.own is None else row.own, row.failure))
+        yield cell
 
 
 def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapping[str, float], sign: int = 1) -> float | None:

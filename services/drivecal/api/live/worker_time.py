@@ -32,16 +32,19 @@ def window(work: Sequence[Worked], until: datetime, minutes: int, campaigns: Map
         campaigns: ids and names by number.
     """
     since, part = until - timedelta(minutes=minutes), minutes * 60 / PARTS
+    complete_since = max(since, work[-1].created_at) if len(work) >= MOST_RUNS else since
+    begin = (complete_since - since) / timedelta(seconds=1)
     free: dict[str, float] = {}
     runs = Counter[str]()
     seconds: dict[str, list[dict[int, float]]] = defaultdict(lambda: [defaultdict(float) for _ in range(PARTS)])
     for run in work:
         end = min((run.created_at - since) / timedelta(seconds=1), free.get(run.worker, PARTS * part))
         start = free[run.worker] = end - run.seconds
-        if end <= 0:
+        if end <= begin:
             continue
         runs[run.worker] += 1
-        for place in range(max(0, int(start // part)), min(PARTS - 1, int(end // part)) + 1):
+        start = max(start, begin)
+        for place in range(int(start // part), min(PARTS - 1, int(end // part)) + 1):
             seconds[run.worker][place][run.campaign_sequence] += min(end, (place + 1) * part) - max(start, place * part)
     times = [
         WorkerTime(
@@ -56,7 +59,7 @@ def window(work: Sequence[Worked], until: datetime, minutes: int, campaigns: Map
         since=since,
         until=until,
         part_seconds=part,
-        complete_since=max(since, work[-1].created_at) if len(work) >= MOST_RUNS else since,
+        complete_since=complete_since,
         workers=times,
         names=dict(campaigns.values()),
     )

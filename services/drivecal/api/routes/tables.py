@@ -39,10 +39,10 @@ from drivecal.contracts.tables import (
 )
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.parameters import ParameterSpace
-from drivecal.storage import campaigns, generations, results, studies
+from drivecal.storage import campaigns, evaluations, generations, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.references import influence_maps, runs
+from drivecal.storage.references import influence_maps
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
 
@@ -64,17 +64,17 @@ def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDepe
 def list_evaluations(
     campaign_id: str, query: EvaluationsQuery, database: DatabaseDependency, accept: Accept = "*/*"
 ) -> Response:
-    """Requested cells, ordered by stage, iteration, individual and scenario; with `measures` also the measures of the runs that answered
-    them."""
+    """Requested cells, ordered by stage, iteration, individual and scenario; with `measures` also the measures of their runs,
+    or of the runs that answered them."""
     campaign = _campaign(database, campaign_id)
     measures = _measures(database, campaign) if query.measures else ()
 
     def pages(limit: int, cursor: str | None) -> tuple[list[Row], str | None]:
         with database.read() as connection:
             page, following = results.page(connection, campaign.sequence, limit=limit, cursor=cursor)
-            ids = [evaluation.run_id for evaluation in page if evaluation.run_id is not None]
-            stored = runs.metrics(connection, ids) if measures else {}
-        rows = (evaluation_row(evaluation) | _measured(measures, stored.get(evaluation.run_id or 0)) for evaluation in page)
+            cells = {evaluation.id: evaluation.run_id for evaluation in page} if measures else {}
+            stored = evaluations.measured(connection, cells)
+        rows = (evaluation_row(evaluation) | _measured(measures, stored.get(evaluation.id)) for evaluation in page)
         return list(rows), following
 
     def columns() -> list[Column]:

@@ -216,6 +216,7 @@ def answers(connection: Connection, campaign_sequence: int, after: int, limit: i
         parameter_sets.c.parameter_values.label("parameters"),
         cell.id.label("evaluation"),
         *(cell[name] for name in names),
+        cell.metrics.label("own"),
         runs.c.metrics,
     ]
     query = (
@@ -239,5 +240,5 @@ def _answer(row: Row[Any], read: Callable[[metrics.Stored], metrics.Metrics]) ->
         row,
         parameters=ParameterSet.from_json(row.parameters),
         outcome=Outcome(row.outcome),
-        metrics=None if row.metrics is None else dict(read(row.metrics)),
+        metrics=row.own if row.own is not None or row.metrics is None else dict(read(row.metrics)),
     )

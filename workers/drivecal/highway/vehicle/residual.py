@@ -20,7 +20,7 @@ STEERING_HORIZON = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """A network with one hidden layer of tanh units; `equations.residual_inputs` and `.residual_outputs` define its inputs and outputs.
+    """A network with one hidden layer of tanh units; `single_track.residual_inputs` and `.residual_outputs` define its inputs and outputs.
 
     `hidden`: (units, 15), weights of the four lateral inputs, of the same times speed, of the same times longitudinal acceleration, of 1,
     speed and longitudinal acceleration.
