@@ -187,12 +187,8 @@ def _unreadable(text: str, error: yaml.MarkedYAMLError) -> InvalidInputError:
     here, there = (len(other) - len(other.lstrip(" ")) for other in (line, earlier))
     if here == there:
         return _refusal("what begins here does not belong to what is before it", mark, "check the indentation of this line")
-    message = f"this line is indented by {_spaces(here)}, the line before it by {there}"
+    message = f"this line is indented by {here} space{'' if here == 1 else 's'}, the line before it by {there}"
     return _refusal(message, mark, "indent the fields of one object equally")
-
-
-def _spaces(count: int) -> str:
-    return f"{count} space{'' if count == 1 else 's'}"
 
 
 def _lines(root: yaml.Node) -> dict[str, int]:

@@ -124,7 +124,7 @@ class Supervisor:
         before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
         for number, handler in before.items():
             if handler is not signal.SIG_IGN:  # nohup, or a background job
-                signal.signal(number, self._on_signal)
+                signal.signal(number, lambda given, _: self._signals.append(given))
         try:
             for child in self._children:
                 child.start()
@@ -133,9 +133,6 @@ class Supervisor:
             self._stop()
             for number, handler in before.items():
                 signal.signal(number, handler)
-
-    def _on_signal(self, number: int, _frame: object) -> None:
-        self._signals.append(number)
 
     def _watch(self) -> int:
         patience, next_question = time.monotonic() + PATIENCE_SECONDS, 0.0

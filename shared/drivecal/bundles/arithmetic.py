@@ -103,10 +103,6 @@ def _joined(conditions: Sequence[Evaluated], *, conjunction: bool) -> Evaluated:
     return lambda values: joint([condition(values) for condition in conditions])
 
 
-def _array_variable(name: str) -> Evaluated:
-    return lambda values: _cleaned(np.asarray(values[name], dtype=float))
-
-
 def _array_compared(comparison: Comparison, left: Evaluated, right: Evaluated) -> Evaluated:
     def holds(values: Mapping[str, Any]) -> Any:
         number, other = left(values), right(values)
@@ -200,7 +196,7 @@ ARRAY = Arithmetic(
         "clip": lambda value, lower, upper: np.minimum(np.maximum(value, lower), upper),
     },
     comparisons=_COMPARISONS,
-    variable=_array_variable,
+    variable=lambda name: lambda values: _cleaned(np.asarray(values[name], dtype=float)),
     compared=_array_compared,
     joined=_array_joined,
 )

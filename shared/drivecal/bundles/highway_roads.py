@@ -103,7 +103,8 @@ def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[st
                 problems[field] += _located(description, field, _again(description, field, manifest))
     _check_effort(descriptions.values())
     notes: dict[str, list[str]] = {field: [] for field in descriptions}
-    for field, description in _by_road(descriptions):
+    by_road = sorted(descriptions.items(), key=lambda entry: _road(entry[1].scenario))  # each network and route is read once
+    for field, description in by_road:
         problems[field] += _located(description, field, _problems(roads, field, description.scenario))
         if not problems[field]:
             notes[field] += _notes(roads.corridor(description.scenario), field, description.scenario)
@@ -341,11 +342,6 @@ def _scenarios(manifest: Manifest) -> Iterator[tuple[str, Described]]:
         scenario = scenario_of(name, data)
         if isinstance(scenario, HighwayScenario | OpenScenario):
             yield f"scenarios.{name}", scenario
-
-
-def _by_road(descriptions: Mapping[str, Description]) -> list[tuple[str, Description]]:
-    """Returns the scenarios, sorted so that scenarios on the same network and route follow each other."""
-    return sorted(descriptions.items(), key=lambda entry: _road(entry[1].scenario))
 
 
 def files_read(files: Mapping[str, BundleFile], check: Callable[[], None] = lambda: None) -> Files:

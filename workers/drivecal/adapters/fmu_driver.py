@@ -140,7 +140,9 @@ class Fmu:
     @cached_property
     def _description(self) -> FmuDescription:
         """The FMU as the checks of bundles know it."""
-        bases = {unit.name: _powers(unit.baseUnit) for unit in self.model.unitDefinitions if unit.baseUnit is not None}
+        powers = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
+        units = [unit for unit in self.model.unitDefinitions if unit.baseUnit is not None]
+        bases = {unit.name: {name: getattr(unit.baseUnit, name) for name in powers} for unit in units}
         return FmuDescription(variables=[_described_variable(variable, bases) for variable in self.variables.values()])
 
     @cached_property
@@ -189,10 +191,6 @@ class Fmu:
         )
         slave.instantiate()
         return slave
-
-
-def _powers(base: Any) -> dict[str, float]:
-    return {name: getattr(base, name) for name in ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")}
 
 
 def _described_variable(variable: Any, bases: Mapping[str, Mapping[str, float]]) -> FmuVariable:

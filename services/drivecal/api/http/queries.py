@@ -1,6 +1,6 @@
 """The query parameters. Unknown ones are refused, so that a slip of the pen is not silently ignored."""
 
-from typing import Annotated, Literal, TypeGuard, get_origin
+from typing import Annotated, Literal, get_origin
 
 from fastapi import Query
 from fastapi.routing import APIRoute
@@ -41,7 +41,8 @@ def check_names(connection: HTTPConnection) -> None:
     if not connection.query_params or not isinstance(route, APIRoute) or not connection.url.path.startswith(ROOT):
         return
     fields = route.dependant.query_params
-    models = [field.field_info.annotation for field in fields if _is_model(field.field_info.annotation)]
+    kinds = (field.field_info.annotation for field in fields)
+    models = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
     given = [name for name, _ in connection.query_params.multi_items()]
     names = dict.fromkeys(given)
     problems = []
@@ -61,10 +62,6 @@ def check_names(connection: HTTPConnection) -> None:
     ]
     if problems:
         raise InvalidInputError(*problems)
-
-
-def _is_model(annotation: object) -> TypeGuard[type[BaseModel]]:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
 
 
 class PageOf(Parameters):

@@ -150,7 +150,7 @@ class LotPlanner:
         for answer in answers:
             by_scenario[answer.scenario].append(answer)
         for scenario, listed in by_scenario.items():
-            for _, batch in groupby(listed, key=self._batch):
+            for _, batch in groupby(listed, lambda each: batch_of(each.stage, each.iteration, each.individual, self._slice)):
                 self._take(self._learners[scenario], list(batch))
 
     def is_ready(self, sets: float, batches: float) -> bool:
@@ -190,9 +190,6 @@ class LotPlanner:
         newest stored runs."""
         cells, microseconds = self._occupied.get(scenario, (0, 0))
         return microseconds / cells / 1e6 if cells else self._recent_seconds
-
-    def _batch(self, answer: KnownAnswer) -> Batch:
-        return batch_of(answer.stage, answer.iteration, answer.individual, self._slice)
 
     def _take(self, learner: ScenarioLearner, batch: Sequence[KnownAnswer]) -> None:
         scores, ratings = (

@@ -35,7 +35,8 @@ def find_goals(
     if not specification.objectives and not specification.constraints:
         return None
     before = len(diagnostics.problems)
-    given = specification.objectives or [_own_score(known)]
+    own = next(name for name, value in known.scores.items() if value.key == SCORE)
+    given = specification.objectives or [ObjectiveSpecification(score=own)]
     objectives = [_objective(each, f"objectives[{place}]", known, weights, diagnostics) for place, each in enumerate(given)]
     bounds = [
         _bound(each, f"constraints[{place}]", known, weights, diagnostics)
@@ -70,10 +71,6 @@ def check_reuse(
         return reduction, ()
     note = f"cells are answered by equal sets only, as references and predictions have no {named}"
     return reduction.model_copy(update={"mode": "exact"}), (note,)
-
-
-def _own_score(known: KnownValues) -> ObjectiveSpecification:
-    return ObjectiveSpecification(score=next(name for name, value in known.scores.items() if value.key == SCORE))
 
 
 def _objective(

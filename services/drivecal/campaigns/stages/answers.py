@@ -107,16 +107,13 @@ class CellAnswers(SearchAnswers):
         firsts = [cell for cell in asked.cells if (cell[2] - 1) % seeds == 0]
         for cell, (individual, scenario, first) in zip(cells_of(asked, seeds), firsts, strict=True):
             runs = [told[individual, names[scenario], seed] for seed in range(first, first + seeds)]
-            failed = all(self._is_failed(run) for run in runs)
+            failed = all(run.score in {None, self._problem.bench.scale.failed} for run in runs)
             answers.append(CellAnswer(cell, self.aim.of(over_seeds(runs)), failed=failed))
         return (answers,)
 
     def forget(self, number: int) -> None:
         """Drops the answers of a round that is told to no search; the ranking keeps them."""
         self._rounds.pop(number, None)
-
-    def _is_failed(self, answer: CellScore) -> bool:
-        return answer.score is None or answer.score == self._problem.bench.scale.failed
 
 
 class PopulationAnswers(SearchAnswers):
