@@ -84,11 +84,6 @@ def by_stage() -> Label[dict[StageName, dict[str, int]]]:
     return query.correlate(campaigns).scalar_subquery().label("stages")
 
 
-def stage_counts(stages: CountsByStage, stage: StageName) -> CellCounts:
-    """Returns the counts of a stage, zeros if it has not begun."""
-    return CellCounts(**stages.get(stage, {}))
-
-
 def save_counts(connection: Connection, campaign_sequence: int, cells: Mapping[StageName, CellCounts]) -> None:
     """Replaces the counts of some stages of a campaign."""
     rows = [
@@ -165,11 +160,11 @@ class StoredCampaign(CampaignHeading):
     @property
     def cells(self) -> CellCounts:
         """The counts of the calibration, or of a single evaluation."""
-        return CellCounts(**self.stages.get(StageName.CALIBRATION, {}))
+        return self.counts(StageName.CALIBRATION)
 
     def counts(self, stage: StageName) -> CellCounts:
         """The counts of a stage, zeros if it has not begun."""
-        return stage_counts(self.stages, stage)
+        return CellCounts(**self.stages.get(stage, {}))
 
 
 @dataclass(frozen=True, slots=True)

@@ -88,9 +88,6 @@ class Formula:
             reason = f"there is no value of {error.args[0]}"
         raise UndefinedError(self.text, reason, {name: values[name] for name in sorted(self.names) if name in values})
 
-    def __repr__(self) -> str:
-        return f"Formula({self.text!r})"
-
     @property
     def canonical(self) -> str:
         """Text without white space, which changes no value."""
@@ -129,9 +126,6 @@ class Constraint:
         with np.errstate(all="ignore"):
             result = self._array(columns)
         return np.broadcast_to(np.asarray(result, dtype=bool), columns[next(iter(self.names))].shape)
-
-    def __repr__(self) -> str:
-        return f"Constraint({self.text!r})"
 
 
 class _Parser:

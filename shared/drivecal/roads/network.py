@@ -56,7 +56,6 @@ CONVERTED = ".net.xml"
 CONVERTER = 2
 """Version of the conversion: networks of others are made again. 2 keeps limits by place, and knows lanes that have no place."""
 _SOURCE = re.compile(rb"<!-- converted \(version %d\) from an OpenDRIVE file of SHA-256 ([0-9a-f]{64}) -->" % CONVERTER)
-_ANY_SOURCE = re.compile(rb"<!-- converted [^>]*from an OpenDRIVE file of SHA-256 [0-9a-f]{64} -->")
 
 
 def network_file(name: str) -> str:
@@ -68,11 +67,6 @@ def source_of(network: bytes) -> str | None:
     """Returns the digest of the OpenDRIVE file that a network was converted from, None if it was not converted by this drivecal."""
     match = _SOURCE.search(network, 0, 300)
     return None if match is None else match[1].decode()
-
-
-def is_of_another_converter(network: bytes) -> bool:
-    """Returns whether an earlier or later conversion made the network of an OpenDRIVE file, without what this one keeps of it."""
-    return _ANY_SOURCE.search(network, 0, 300) is not None and source_of(network) is None
 
 
 def source_comment(content: bytes) -> bytes:
@@ -172,9 +166,6 @@ def read_network(content: bytes, name: str) -> Network:
 
     Raises InvalidInputError naming file, line, element, cause and remedy.
     """
-    if is_of_another_converter(content):
-        message = f"{name} was made of its OpenDRIVE file by another version of drivecal"
-        raise InvalidInputError(Problem(name, message, f"push the problem again, from a folder without {name}"))
     reader = _Reader(name)
     read_elements(content, name, "net", reader.start, reader.end)
     return reader.finished()

@@ -6,6 +6,7 @@ import pytest
 from sqlalchemy import Connection, event, update
 from tests.support.storage import campaign, new_evaluation, sample_set_ids, setup_id
 
+from drivecal.contracts.campaign import CellCounts
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns, evaluations, leases, processes
@@ -28,9 +29,7 @@ def change(connection: Connection, sequence: int, **values: Any) -> None:
 
 
 def count(connection: Connection, sequence: int, **cells: dict[str, int]) -> None:
-    counted = {
-        StageName(stage): campaigns.stage_counts({StageName(stage): each}, StageName(stage)) for stage, each in cells.items()
-    }
+    counted = {StageName(stage): CellCounts(**each) for stage, each in cells.items()}
     campaigns.save_counts(connection, sequence, counted)
 
 

@@ -3,7 +3,6 @@
 import io
 import time
 from datetime import UTC, datetime, timedelta
-from typing import Any
 
 import pytest
 from rich.console import Console
@@ -11,7 +10,7 @@ from rich.progress import Progress as RichProgress
 from rich.progress import TextColumn
 from typer.testing import CliRunner
 
-from drivecal.cli.commands.campaigns import counted, kind_text
+from drivecal.cli.commands.campaigns import counted
 from drivecal.cli.main import app
 from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, saved, when
 from drivecal.cli.views.progress import Bar, Lines
@@ -123,19 +122,6 @@ def test_a_degraded_state_is_not_said_twice_in_a_row(capsys: pytest.CaptureFixtu
         "queued",
         "queued  degraded: nobody works",
     ]
-
-
-@pytest.mark.parametrize(
-    ("given", "text"),
-    [
-        ({"spec": {"optimizer": {"kind": "genetic"}, "robustness": {"delta": 0.01}}}, "calibration"),
-        ({"spec": {"optimizer": None, "sensitivity": {"samples": 2}}}, "analysis"),
-        ({"spec": {"optimizer": None, "robustness": {"delta": 0.01}, "vehicle": {"model": "hybrid"}}}, "robustness, hybrid"),
-        ({"spec": {}}, "calibration"),
-    ],
-)
-def test_the_list_says_what_a_campaign_does(given: dict[str, Any], text: str) -> None:
-    assert kind_text(Campaign(id="0" * 32, name="mine", state="queued", **given)) == text
 
 
 def test_a_study_is_listed_with_the_cells_of_its_stages() -> None:

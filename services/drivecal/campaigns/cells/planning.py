@@ -113,7 +113,11 @@ def plan_cells(
                 class_keys |= {(scenario, asked): key for asked, key in zip(here, keys, strict=True)}
             if policy.mode != "off" and setup_id in stocked:
                 by_id = {set_ids[parameter_set]: parameter_set for parameter_set in here}
-                known = _exact(connection, view, scenario, setup_id, list(by_id), before)
+                asked, evaluator = list(by_id), view.bench.evaluator_id
+                known = evaluations.own_exact(connection, view.campaign, scenario, setup_id, asked, before)
+                known |= runs.look_up_exact(
+                    connection, setup_id, asked, evaluator, view.watermark
+                )  # earlier campaigns' come first
                 exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
             if policy.reuses and scenario in view.keys and setup_id in stocked:
                 stored = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)), before)
@@ -134,14 +138,6 @@ def plan_cells(
         for cell in wanted
     ]
     return assign(placed, policy, exact, references, released)
-
-
-def _exact(
-    connection: Connection, view: View, scenario: str, setup_id: int, set_ids: Sequence[int], before: int | None
-) -> dict[int, Donor]:
-    """Exact results: earlier campaigns come first in the order of references, then the campaign itself."""
-    own = evaluations.own_exact(connection, view.campaign, scenario, setup_id, set_ids, before)
-    return own | runs.look_up_exact(connection, setup_id, set_ids, view.bench.evaluator_id, view.watermark)
 
 
 def _references(

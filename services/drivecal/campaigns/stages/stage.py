@@ -16,7 +16,7 @@ from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.results.failures import broken_down
-from drivecal.contracts.campaign import Progress
+from drivecal.contracts.campaign import CellCounts, Progress
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
@@ -151,7 +151,7 @@ class Stage(Job):
     def _snapshot(self, connection: Connection) -> Snapshot:
         """The progress to store; subclasses extend it."""
         self._tell_firsts(connection)
-        counts = campaigns.stage_counts({self.name: self._tracker.counts}, self.name)
+        counts = CellCounts(**self._tracker.counts)
         return Snapshot(
             stage=self.name,
             iteration=None if self._round is None else self._round.number,
@@ -277,7 +277,7 @@ class Stage(Job):
         campaigns.save_progress(connection, self._campaign.sequence, self._snapshot(connection))
 
     def _refuse_failures(self) -> None:
-        counts = campaigns.stage_counts({self.name: self._tracker.counts}, self.name)
+        counts = CellCounts(**self._tracker.counts)
         if not self.ends_early or counts.failed < ALL_FAILED or counts.failed != counts.requested:
             return
         with self._database.read() as connection:

@@ -21,7 +21,6 @@ from drivecal.client.client import Action, Client
 from drivecal.client.documents import opened_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedRuns
-from drivecal.contracts.specification import VehicleSpecification
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError, NotFoundError
 
@@ -261,17 +260,6 @@ def _print_expected(expected: ExpectedRuns) -> None:
         typer.echo(f"note: {note}")
 
 
-def kind_text(campaign: Campaign) -> str:
-    """Returns the kind of a campaign: `calibration`, `analysis`, or its study and vehicle."""
-    spec = campaign.spec
-    if campaign.kind != "calibration" or not spec or spec.get("optimizer") is not None:
-        return campaign.kind
-    studies = [study for study in STUDIES if spec.get(study)]
-    vehicle = (spec.get("vehicle") or {}).get("model")
-    driven = [vehicle] if vehicle not in {None, VehicleSpecification().model} else []
-    return ", ".join([" + ".join(studies), *driven]) if studies else "analysis"
-
-
 def counted(campaign: Campaign) -> CellCounts:
     """Returns the cells of the search; without a search the cells of all stages together."""
     if campaign.cells.proposed:
@@ -287,7 +275,7 @@ def _row(campaign: Campaign) -> list[object]:
     return [
         campaign.id,
         campaign.state,
-        kind_text(campaign),
+        campaign.kind,
         when(campaign.created_at),
         cells.requested,
         cells.simulated,

@@ -4,8 +4,7 @@ import os
 import socket
 import sys
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Any, Protocol, Self
+from typing import IO, Any, Self
 
 from sqlalchemy import URL, Connection, create_engine, event, text
 from sqlalchemy.exc import DBAPIError
@@ -22,22 +21,22 @@ KEY = 0x64726331
 _OWNER = "drivecal server: "
 
 
-class ServerLock(Protocol):
-    """The right to be the server of a database, held from `hold` until `release` or the end of the process."""
+class ServerLock:
+    """The right to be the server of a database, held from `hold` until `release`, the end of a block or that of the process."""
 
     def renew(self) -> None:
         """Raises DatabaseError if another server took the lock after the connection to PostgreSQL was lost, and UnavailableError if
-        PostgreSQL does not answer. Call it with every heartbeat.
+        PostgreSQL does not answer. Call it with every heartbeat. A file lock cannot be lost.
         """
 
     def release(self) -> None:
         """Releases the lock."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None: ...
+    def __exit__(self, *_: object) -> None:
+        self.release()
 
 
 def hold(url: str, otherwise: str = "name another database by DRIVECAL_DATABASE_URL", server: int | None = None) -> ServerLock:
@@ -50,16 +49,7 @@ def hold(url: str, otherwise: str = "name another database by DRIVECAL_DATABASE_
     return _PostgresLock(parsed, otherwise, named) if file is None else _FileLock(file, otherwise, named)
 
 
-class _Releasing:
-    def release(self) -> None:
-        raise NotImplementedError
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
-        del kind, error, traceback
-        self.release()
-
-
-class _FileLock(_Releasing):
+class _FileLock(ServerLock):
     """A lock on `<database>.lock`, whose text is the process id of the server. The file stays after the release."""
 
     def __init__(self, database: Path, otherwise: str, server: int) -> None:
@@ -78,12 +68,6 @@ class _FileLock(_Releasing):
         self._file.truncate(0)
         self._file.write(str(server))
         self._file.flush()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def renew(self) -> None:
-        """A file lock cannot be lost."""
 
     def release(self) -> None:
         self._file.close()
@@ -106,7 +90,7 @@ def try_lock(file: IO[Any]) -> bool:
     return True
 
 
-class _PostgresLock(_Releasing):
+class _PostgresLock(ServerLock):
     """An advisory lock of a session of its own, which the server ends when the process is gone."""
 
     def __init__(self, url: URL, otherwise: str, server: int) -> None:
@@ -118,9 +102,6 @@ class _PostgresLock(_Releasing):
         watch = ServerLiveness(self._name)
         event.listen(self._engine, "do_connect", lambda _dialect, _record, given, options: watch.connect(*given, **options))
         self._connection = self._acquire()
-
-    def __enter__(self) -> Self:
-        return self
 
     def renew(self) -> None:
         if not self._alive():

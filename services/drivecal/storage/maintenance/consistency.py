@@ -23,9 +23,10 @@ from sqlalchemy import (
     type_coerce,
 )
 
+from drivecal.contracts.campaign import CellCounts
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import ANSWERED_BY_DONOR, Outcome
-from drivecal.storage.campaigns import by_stage, stage_counts
+from drivecal.storage.campaigns import by_stage
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import (
     campaigns,
@@ -113,7 +114,7 @@ def check_counters(connection: Connection) -> Iterator[str]:
             cells = counted.get((row.sequence, ORDER[stage_of]), {})
             cells["requested"] = sum(cells.get(outcome, 0) for outcome in Outcome)
             cells["proposed"] = sum(cells.get(part, 0) for part in ("carried_over", "pending", "requested"))
-            for part, count in stage_counts(row.stages, stage_of).model_dump().items():
+            for part, count in CellCounts(**row.stages.get(stage_of, {})).model_dump().items():
                 if part not in _NOT_IN_ROWS and count != cells.get(part, 0):
                     yield f"campaign {row.id} counts {count} {part} in its {stage_of}, its rows {cells.get(part, 0)}"
 
