@@ -9,11 +9,14 @@ import httpx
 import psutil
 import psycopg
 import pytest
+from fastapi.testclient import TestClient
 from sqlalchemy import func, select, text
 from tests.support.api_process import api_process
 from tests.support.server import RunningApi, new_database, serving
 
+from drivecal.api.app import create_app
 from drivecal.client.client import Client
+from drivecal.configuration.settings import load_settings
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns
 
@@ -88,6 +91,15 @@ def test_a_commit_whose_answer_is_lost_is_found_by_the_retry(api: RunningApi) ->
     with Client(api.url) as client:
         assert client.submit(SMALL, key=key).id == stored
     assert count(api.database) == 1
+
+
+def test_the_api_of_an_empty_database_stays_and_says_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "empty.db").touch()
+    app = create_app(load_settings(home=tmp_path, database_url=f"sqlite:///{tmp_path}/empty.db"))
+    with TestClient(app, base_url="http://127.0.0.1") as client:
+        answer = client.get("/readyz")
+    assert answer.status_code == 503
+    assert any("`drivecal db upgrade`" in problem for problem in answer.json()["problems"])
 
 
 @pytest.mark.slow

@@ -45,6 +45,7 @@ log = logging.getLogger(__name__)
 def store_installed(database: Database) -> None:
     """Stores the installed problems. A database that cannot be used is told by `/readyz`; campaigns find these problems without it."""
     try:
+        database.check()
         with database.transaction() as connection:
             add_installed(connection)
     except (DatabaseError, UnavailableError) as error:
