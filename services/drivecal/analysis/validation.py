@@ -251,16 +251,11 @@ def mean_interval(shares: Floats) -> tuple[float, float]:
     return _lower_limit(shares), 1.0 - _lower_limit(1.0 - shares)
 
 
-def _mixture() -> tuple[Floats, Floats]:
-    """The stakes and the logarithms of their weights, both of shape (STAKES + 1,)."""
-    angles = np.pi * (2 * np.arange(1, STAKES + 1) - 1) / (4 * STAKES)
-    return np.append(np.sin(angles) ** 2, 1.0), np.log(np.append(np.full(STAKES, 0.5 / STAKES), 0.5))
-
-
 def _lower_limit(shares: Floats) -> float:
     """The smallest mean that the bet on a higher one leaves; its capital falls with the mean."""
     values, counts = np.unique(shares, return_counts=True)
-    stakes, weights = _mixture()
+    angles = np.pi * (2 * np.arange(1, STAKES + 1) - 1) / (4 * STAKES)
+    stakes, weights = np.append(np.sin(angles) ** 2, 1.0), np.log(np.append(np.full(STAKES, 0.5 / STAKES), 0.5))
     enough = np.log(2.0 / (1.0 - CONFIDENCE))
 
     def capital(mean: float) -> float:

@@ -109,21 +109,6 @@ def test_small_and_large_objectives_keep_their_digits(objective: float, text: st
     assert objective_text(objective) == text
 
 
-def test_a_degraded_state_is_not_said_twice_in_a_row(capsys: pytest.CaptureFixture[str]) -> None:
-    clock = iter([0.0, 9.0, 18.0])
-    lines = Lines(lambda: next(clock))
-    away = Campaign(id="0" * 32, name="mine", state="queued", degraded="nobody works")
-    lines.show(away)
-    lines.tell("degraded: nobody works", "nobody works")
-    lines.show(away)
-    lines.show(away)
-    assert capsys.readouterr().err.splitlines() == [
-        "queued  degraded: nobody works",
-        "queued",
-        "queued  degraded: nobody works",
-    ]
-
-
 def test_a_study_is_listed_with_the_cells_of_its_stages() -> None:
     study = Campaign(id="s", name="s", state="succeeded", stages={"robustness": CellCounts(requested=5417, simulated=5400)})
     assert (counted(study).requested, counted(study).simulated) == (5417, 5400)

@@ -23,7 +23,7 @@ class CacheFile(IndexDataCacheFile):  # type: ignore[misc]  # numba ships no typ
     def save(self, key: Any, data: Any) -> None:
         """Stores a function under a key: its signature and the processor. Where it cannot be stored, the next process compiles it again."""
         digest = sha256(repr((self._source_stamp, key)).encode()).hexdigest()[:16]
-        name = self._data_name(digest)
+        name = f"{self._index_name.removesuffix('.nbi')}.{digest}.nbc"
         with suppress(OSError):
             self._save_data(name, data)
             self._save_index(self._load_index() | {key: name})
@@ -35,9 +35,6 @@ class CacheFile(IndexDataCacheFile):  # type: ignore[misc]  # numba ships no typ
         except (AttributeError, ImportError, EOFError, UnpicklingError):
             return {}
         return index
-
-    def _data_name(self, number: str) -> str:
-        return f"{self._index_name.removesuffix('.nbi')}.{number}.nbc"
 
 
 def digest_of(modules: Iterable[ModuleType]) -> str:

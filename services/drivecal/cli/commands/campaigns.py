@@ -167,7 +167,7 @@ def label(
         raise typer.BadParameter("say what changes: --name, --tag or --untag")
     with connect(url) as client:
         changed = client.label(client.full_id(identifier), name=name, add_tags=tags, remove_tags=untag)
-    print_answer(changed, as_json, _print_labels)
+    print_answer(changed, as_json, lambda it: typer.echo(f"campaign {it.id}  {it.name}\ntags     {' '.join(it.tags) or '-'}"))
 
 
 @app.command()
@@ -285,8 +285,3 @@ def _row(campaign: Campaign) -> list[object]:
         " ".join(campaign.tags) or "-",
         campaign.name,
     ]
-
-
-def _print_labels(campaign: Campaign) -> None:
-    typer.echo(f"campaign {campaign.id}  {campaign.name}")
-    typer.echo(f"tags     {' '.join(campaign.tags) or '-'}")

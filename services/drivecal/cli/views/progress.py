@@ -18,7 +18,6 @@ from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.events import CampaignEvent
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError
-from drivecal.domain.events import EventKind
 
 SECONDS_BETWEEN_LINES = 5.0
 SHOWN = frozenset({"queued", "running", "generation", "succeeded", "failed", "cancelled"})
@@ -43,9 +42,8 @@ class Bar:
             detail=escape(_detail(campaign)),
         )
 
-    def tell(self, text: str, degraded: str | None = None) -> None:
+    def tell(self, text: str) -> None:
         """Writes the line above the bar."""
-        del degraded
         self._progress.console.print(text, markup=False, highlight=False)
 
 
@@ -56,8 +54,6 @@ class Lines:
         self._clock = clock
         self._last: tuple[str, str | None] | None = None
         self._at = 0.0
-        self._degraded: str | None = None
-        """Degraded state of the previous line."""
 
     def show(self, campaign: Campaign) -> None:
         """Writes a line if one is due."""
@@ -67,16 +63,11 @@ class Lines:
         self._last, self._at = kind, now
         progress = campaign.progress
         done = f"  {progress.done:,}/{progress.total:,} cells" if progress.total else ""
-        known = campaign.degraded is not None and campaign.degraded == self._degraded
-        shown = campaign.model_copy(update={"degraded": None}) if known else campaign
-        typer.echo(f"{stage_text(campaign)}{done}  {_detail(shown)}".rstrip(), err=True)
-        self._degraded = shown.degraded
+        typer.echo(f"{stage_text(campaign)}{done}  {_detail(campaign)}".rstrip(), err=True)
 
-    def tell(self, text: str, degraded: str | None = None) -> None:
-        """Writes the line, unless it reports a `degraded` state that the previous one reported."""
-        if degraded is None or degraded != self._degraded:
-            typer.echo(text, err=True)
-        self._degraded = degraded
+    def tell(self, text: str) -> None:
+        """Writes the line."""
+        typer.echo(text, err=True)
 
 
 @contextmanager
@@ -146,7 +137,7 @@ def show_until_ended(
         def show_event(event: CampaignEvent) -> None:
             nonlocal said
             if event.text != said and event.kind not in SHOWN:  # stream and dispatcher may both report the same trouble
-                report.tell(event.text, event.data.get("reason") if event.kind == EventKind.DEGRADED else None)
+                report.tell(event.text)
                 said = event.text
 
         for campaign in client.watch(identifier, deadline, show_event, from_beginning=from_beginning):

@@ -1,8 +1,8 @@
 """Lock of a database's only server; it ends with its process, even after a kill."""
 
+import fcntl
 import os
 import socket
-import sys
 from pathlib import Path
 from typing import IO, Any, Self
 
@@ -76,15 +76,7 @@ class _FileLock(ServerLock):
 def try_lock(file: IO[Any]) -> bool:
     """Locks an open file if no other process has it locked. Returns whether it did; closing the file releases it."""
     try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            file.seek(1 << 30)  # a byte behind the text, which others can then still read
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         return False
     return True

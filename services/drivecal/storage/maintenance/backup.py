@@ -288,12 +288,11 @@ def _publish(partial: Path, file: Path) -> None:
     with partial.open("rb+") as written:
         os.fsync(written.fileno())
     partial.replace(file)
-    if os.name == "posix":  # elsewhere folders cannot be opened
-        folder = os.open(file.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+    folder = os.open(file.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
 
 
 def _copy_pages(source: Connection, target: Path, progress: Progress) -> None:

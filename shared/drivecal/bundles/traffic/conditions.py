@@ -127,7 +127,8 @@ class Triggers:
                 raise condition.fault("the rising edge of a condition on several entities is not supported", 'give "none"')
             is_rising = False  # what has begun or is done stays so
         common = {"rising": is_rising, "delay": delay}
-        return [entry | common for entry in entries if not _is_start(entry, delay)]
+        held = delay == 0.0 and kind.element == "ByValueCondition" and all(entry.get("above", 1.0) <= 0.0 for entry in entries)
+        return [] if held else [entry | common for entry in entries]  # the time is above 0 as soon as the scenario runs
 
     def _of_value(self, kind: Element) -> Conditions:
         condition = kind.only("SimulationTimeCondition", "StoryboardElementStateCondition")
@@ -200,8 +201,3 @@ class Triggers:
 def _limit(condition: Element) -> dict[str, float]:
     rule = condition.word("rule", ABOVE + BELOW)
     return {"above" if rule in ABOVE else "below": condition.number("value", -LARGEST, LARGEST)}
-
-
-def _is_start(entry: Mapping[str, Any], delay: float) -> bool:
-    """Returns whether a condition is fulfilled as soon as the scenario runs."""
-    return entry.get("quantity") == "time" and entry.get("above", 1.0) <= 0.0 and delay == 0.0
