@@ -35,6 +35,9 @@ export function wordsText(words: readonly string[]): string {
   return words.map((word) => word.replaceAll("%", "%25").replaceAll(",", "%2C")).join(",");
 }
 
+/** A list with a word more, or without it. */
+export const toggled = (words: readonly string[], word: string): string[] => (words.includes(word) ? words.filter((entry) => entry !== word) : [...words, word]);
+
 /** The ranges in a query: `b.P1=0:2.5`. Either end may be left open. */
 export function brushes(query: Readonly<Record<string, string>>): Record<string, [number, number]> {
   const ranges: Record<string, [number, number]> = {};

@@ -2,14 +2,10 @@
 
 import { brushText, parse, write, type Place } from "./address";
 
-function read(): Place {
-  return parse(location.hash);
-}
-
-let place = $state.raw<Place>(read());
+let place = $state.raw<Place>(parse(location.hash));
 window.addEventListener("hashchange", () => {
   clearTimeout(writing);
-  place = read();
+  place = parse(location.hash);
 });
 
 /** Browsers take some seven changes of the address per second and drop the rest: a slider that is drawn makes sixty. */

@@ -60,20 +60,14 @@ export function driveOf(trace: Trace, scene: Scene): Drive {
 }
 
 export function driveIn(replay: ReplayAnswer): Drive {
-  const { time_s, line, ego } = replay;
-  const places = ({ x_m, y_m, heading_rad }: { x_m: number[]; y_m: number[]; heading_rad: number[] }) => ({ x_m, y_m, heading_rad });
+  const { time_s, line } = replay;
+  const { length_m, width_m, ...ego } = replay.ego;
   return {
     time_s,
     line,
     surface: replay.route,
-    ego: { name: "", length_m: ego.length_m, width_m: ego.width_m, time_s, places: places(ego) },
-    others: replay.others.map((vehicle) => ({
-      name: vehicle.id,
-      length_m: vehicle.length_m,
-      width_m: vehicle.width_m,
-      time_s: time_s.slice(vehicle.first, vehicle.first + vehicle.x_m.length),
-      places: places(vehicle),
-    })),
+    ego: { name: "", length_m, width_m, time_s, places: ego },
+    others: replay.others.map(({ id: name, first, length_m, width_m, ...places }) => ({ name, length_m, width_m, time_s: time_s.slice(first, first + places.x_m.length), places })),
     plans: [],
     speed: ego.speed_mps,
     along: ego.position_m,

@@ -32,15 +32,8 @@ function alike(campaigns: readonly Compared[], part: (campaign: Compared) => unk
 
 /** Searches by what their objectives are: other names, units or directions need another axis. */
 export function byMeasure<T extends { of: Pick<Campaign, "scale" | "objective"> }>(searches: readonly T[]): { measure: Measure; searches: T[] }[] {
-  const groups = new Map<string, { measure: Measure; searches: T[] }>();
-  for (const search of searches) {
-    const measure = measureOf(search.of);
-    const key = JSON.stringify(measure);
-    const group = groups.get(key) ?? { measure, searches: [] };
-    group.searches.push(search);
-    groups.set(key, group);
-  }
-  return [...groups.values()];
+  const groups = Map.groupBy(searches, ({ of }) => JSON.stringify(measureOf(of)));
+  return [...groups].map(([measure, like]) => ({ measure: JSON.parse(measure) as Measure, searches: like }));
 }
 
 /** A search with a budget asks cell by cell: its rounds are no iterations. */
@@ -66,14 +59,11 @@ const SPREAD = 10;
 
 /** The course of each search as a line. `place`: which colour and dash its group has. */
 export function overlay(searches: readonly { name: string; group: string; place: number; values: readonly (number | null)[]; x: readonly number[] }[]): Series[] {
-  return searches.map(({ place, ...line }, at) => {
-    const dash = DASHES[place % DASHES.length];
-    return {
-      ...line,
-      colour: SERIES[place % SERIES.length] ?? "",
-      steps: true,
-      shift: searches.length > 1 ? SPREAD * ((at + 0.5) / searches.length - 0.5) : 0,
-      ...(dash === undefined ? {} : { dash }),
-    };
-  });
+  return searches.map(({ place, ...line }, at) => ({
+    ...line,
+    colour: SERIES[place % SERIES.length] ?? "",
+    dash: DASHES[place % DASHES.length],
+    steps: true,
+    shift: searches.length > 1 ? SPREAD * ((at + 0.5) / searches.length - 0.5) : 0,
+  }));
 }

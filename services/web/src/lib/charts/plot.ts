@@ -7,7 +7,7 @@ export interface Series {
   name: string;
   values: readonly (number | null)[];
   colour: string;
-  dash?: string;
+  dash?: string | undefined;
   /** Its own places, if they differ from the chart's. */
   x?: readonly number[];
   /** Series of one group have one entry in the legend. */

@@ -53,9 +53,6 @@ export function chartsOf(runs: readonly { title: string; colour: string; reporte
     xTitle,
     yTitle: unit,
     x: lines.map(({ x }) => x).reduce((longest, x) => (x.length > longest.length ? x : longest)),
-    series: lines.map((line, at) => {
-      const dash = DASHES[at % DASHES.length];
-      return { ...line, ...(single ? { colour: SERIES[at] ?? "" } : {}), ...(dash === undefined ? {} : { dash }) };
-    }),
+    series: lines.map((line, at) => ({ ...line, ...(single ? { colour: SERIES[at] ?? "" } : {}), dash: DASHES[at % DASHES.length] })),
   }));
 }

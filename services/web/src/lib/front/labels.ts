@@ -10,12 +10,7 @@ export interface Placed extends Label {
   anchor: "start" | "end" | "middle";
 }
 
-export interface Frame {
-  left: number;
-  right: number;
-  top: number;
-  bottom: number;
-}
+type Frame = Pick<DOMRect, "left" | "right" | "top" | "bottom">;
 
 /** Left, top, right, bottom. */
 type Box = [number, number, number, number];

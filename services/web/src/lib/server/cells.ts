@@ -2,6 +2,7 @@
 
 import { get } from "./api.svelte";
 import { go } from "../route.svelte";
+import { cell, type Table } from "./columns";
 import type { Best, Campaign, CellNumber, EvaluationDetail, FrontRow, PageSolution } from "./types";
 
 /** One of two sets that a view compares. */
@@ -22,9 +23,10 @@ export async function cellAt(campaign: string, iteration: number, individual: nu
   return (await get<CellNumber>(`/campaigns/${campaign}/cell?iteration=${iteration}&individual=${individual}&scenario=${encodeURIComponent(scenario)}`)).evaluation;
 }
 
-/** Opens the evaluation, with its replay, at a place of the calibration. */
-export async function openCell(campaign: string, iteration: number, individual: number, scenario: string): Promise<void> {
-  go(["evaluations", String(await cellAt(campaign, iteration, individual, scenario))]);
+/** Opens the evaluation, with its replay, behind a score in a row of a table of sets; `name` is the column of the score. */
+export async function openScore(campaign: string, table: Table, row: number, name: string): Promise<void> {
+  const [iteration, individual] = [cell(table, "iteration", row), cell(table, "individual", row)];
+  go(["evaluations", String(await cellAt(campaign, Number(iteration), Number(individual), name.slice("score_".length)))]);
 }
 
 /** Sets of a page of the ranking. */

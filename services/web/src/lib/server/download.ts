@@ -19,12 +19,9 @@ export function paper(): { ground: string; ink: string } {
 function standalone(drawing: SVGSVGElement, ground = "none"): string {
   const copy = drawing.cloneNode(true) as SVGSVGElement;
   const box = drawing.viewBox.baseVal;
-  copy.setAttribute("xmlns", "http://www.w3.org/2000/svg");
-  copy.setAttribute("width", String(box.width));
-  copy.setAttribute("height", String(box.height));
-  copy.setAttribute("color", paper().ink);
+  const given = { xmlns: "http://www.w3.org/2000/svg", width: String(box.width), height: String(box.height), color: paper().ink, "font-family": "sans-serif" };
+  for (const [name, value] of Object.entries(given)) copy.setAttribute(name, value);
   copy.style.colorScheme = isDark() ? "dark" : "light";
-  copy.setAttribute("font-family", "sans-serif");
   copy.insertAdjacentHTML("afterbegin", `<rect x="${box.x}" y="${box.y}" width="${box.width}" height="${box.height}" fill="${ground}"/>`);
   // No style sheet of the page reaches into the file.
   return new XMLSerializer().serializeToString(copy).replaceAll(/var\((--\w+)\)/g, (_, name: string) => getComputedStyle(drawing).getPropertyValue(name));

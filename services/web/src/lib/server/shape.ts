@@ -41,15 +41,12 @@ export interface Shape {
 }
 
 export function shapeOf(problem: ProblemAnswer): Shape {
+  const { name, digest, description, constraints, baseline } = problem;
   return {
-    name: problem.name,
-    digest: problem.digest,
-    description: problem.description,
+    name, digest, description, constraints, baseline,
     simulator: String(problem.simulator["kind"]),
     driving: isDriven(problem) ? String((problem.simulator["controller"] as Record<string, unknown>)["driving_function"]) : null,
     varied: Object.keys(problem.varied).length > 0,
-    constraints: problem.constraints,
-    baseline: problem.baseline,
     parameters: Object.entries(problem.parameters).map(([name, entry]) => declared(name, entry)),
     scenarios: Object.entries(problem.scenarios).map(([id, data]) => ({ id, title: typeof data["title"] === "string" ? data["title"] : dataText(data) })),
     scores: Object.entries(problem.scores).map(([name, entry]) => ({ name, ...(entry as Omit<ShapeScore, "name">) })),
