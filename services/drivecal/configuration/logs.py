@@ -11,7 +11,6 @@ Context follows `contextvars`: into threads and tasks that are started inside, a
 Passwords in URLs and bearer tokens are masked, control characters escaped, so that no user's text can forge a line.
 """
 
-import json
 import logging
 import os
 import re
@@ -55,7 +54,8 @@ def configure(process: Process, settings: Settings, stream: TextIO | None = None
     target = stream or sys.stderr
     handler = logging.StreamHandler(target)
     colours = _COLOURS if target.isatty() and "NO_COLOR" not in os.environ else {}
-    render: structlog.typing.Processor = _json if settings.log_format == "json" else partial(_text, colours)
+    text, document = partial(_text, colours), structlog.processors.JSONRenderer(default=str)
+    render: structlog.typing.Processor = document if settings.log_format == "json" else text
     shared: list[structlog.typing.Processor] = [structlog.contextvars.merge_contextvars, ExtraAdder()]
     formatting: list[structlog.typing.Processor] = [
         partial(_finish, process),
@@ -118,10 +118,6 @@ def _mask(_logger: object, _method: str, line: _Line) -> _Line:
                 value = pattern.sub(shown, value)
             line[name] = value
     return line
-
-
-def _json(_logger: object, _method: str, line: _Line) -> str:
-    return json.dumps(line, default=str)
 
 
 def _text(colours: Mapping[str, str], _logger: object, _method: str, line: _Line) -> str:

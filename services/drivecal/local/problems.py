@@ -177,7 +177,8 @@ def _checked(
     except FAULTS as error:
         return CheckedScenario(scenario=scenario, error=str(error), start_seconds=started)
     repeats = _bits(first) == _bits(second)
-    if other is not None and elsewhere is not None and bits is not None and repeats and _may_keep_state(manifest):
+    is_asked = manifest.simulator.deterministic and not manifest.simulator.renews  # one process of it does several runs
+    if other is not None and elsewhere is not None and bits is not None and repeats and is_asked:
         try:
             with opened() as session:
                 elsewhere = replace(elsewhere, alone=_bits(run(session, other, series=False)[0]) == bits)
@@ -238,11 +239,6 @@ class _OwnLoop:
 
     def close(self) -> None:
         """Keeps the simulation of the process, which the next session takes over."""
-
-
-def _may_keep_state(manifest: Manifest) -> bool:
-    """Returns whether a simulator claims equal measures of equal inputs while one process of it does several runs."""
-    return manifest.simulator.deterministic and not manifest.simulator.renews
 
 
 def _rated(manifest: Manifest, scenario: str, outcome: RunOutcome) -> dict[str, Any]:

@@ -133,12 +133,6 @@ def shortest_shares(unordered: Unordered | None, shortest: float = SHORTEST) -> 
     return shortest if unordered is None else np.where(unordered, 0.0, shortest)
 
 
-def shortest_steps(lower: Indices, upper: Indices, shortest: float | Floats = SHORTEST) -> Indices:
-    """The shortest step in grid steps, at least one."""
-    steps: Indices = np.maximum(1, np.ceil(shortest * (upper - lower)).astype(np.int64))
-    return steps
-
-
 def auxiliary_points(
     rows: SobolRows, offset: int, base: Indices, lower: Indices, upper: Indices, shortest: float | Floats = SHORTEST
 ) -> Indices:
@@ -150,7 +144,7 @@ def auxiliary_points(
     if np.any(upper <= lower):
         raise ValueError("no step can be made in a box that holds one value of a parameter")
     samples, dimensions = base.shape
-    limits = shortest_steps(lower, upper, shortest)
+    limits: Indices = np.maximum(1, np.ceil(shortest * (upper - lower)).astype(np.int64))  # the shortest step in grid steps
     drawn = rows.upto(samples + SHIFT)[SHIFT : SHIFT + samples, offset : offset + 2 * dimensions]
     points = snapped(drawn[:, :dimensions], lower, upper)
     # values below the base point and above it that are far enough; at least one, the shortest step being half the box at most
@@ -159,14 +153,6 @@ def auxiliary_points(
     place = np.floor(drawn[:, dimensions:] * (below + above)).astype(np.int64)
     again = np.where(place < below, lower + place, upper + 1 - (below + above) + place)
     return np.where(np.abs(points - base) < limits, again, points)
-
-
-def radial_points(
-    rows: SobolRows, lower: Indices, upper: Indices, samples: int, shortest: float | Floats = SHORTEST
-) -> tuple[Indices, Indices]:
-    """Base and auxiliary points in a box, both of shape (samples, d), from `rows` of `COLUMNS` d dimensions."""
-    base = snapped(rows.upto(samples)[:samples, : len(lower)], lower, upper)
-    return base, auxiliary_points(rows, len(lower), base, lower, upper, shortest)
 
 
 def radial_design(
@@ -189,7 +175,8 @@ def add_radial(
     builder: DesignBuilder, rows: SobolRows, lower: Indices, upper: Indices, samples: int, shortest: float | Floats = SHORTEST
 ) -> list[tuple[int, Indices, Indices]]:
     """Adds the runs of a radial design; gives per parameter its column and the rows of its pairs, each of shape (samples,)."""
-    base, auxiliary = radial_points(rows, lower, upper, samples, shortest)
+    base = snapped(rows.upto(samples)[:samples, : len(lower)], lower, upper)
+    auxiliary = auxiliary_points(rows, len(lower), base, lower, upper, shortest)
     first = builder.add_points(base)
     blocks = []
     for column in range(base.shape[1]):
