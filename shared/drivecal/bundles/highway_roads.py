@@ -300,12 +300,7 @@ def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str
             f"the lane {shown(f'{edge.id}_{vehicle.lane}', 90)} is {length:.2f} m long, and has no position {vehicle.s:g} m"
         )
         yield Problem(f"{field}.s", message, f"give 0 to {length:.2f}")
-    yield from _on_own_route(edge, vehicle, field)
-
-
-def _on_own_route(edge: Edge | None, driver: Driver, field: str) -> Iterator[Problem]:
-    """Yields the fault of an edge of the network that is not on the driver's own route."""
-    if edge is not None and driver.route is not None and edge.id not in driver.route:
+    if edge is not None and vehicle.route is not None and edge.id not in vehicle.route:
         yield Problem(f"{field}.edge", f"{shown(edge.id, 80)} is not on its own route", "give an edge of `route`")
 
 

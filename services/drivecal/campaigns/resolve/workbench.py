@@ -156,7 +156,9 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
             section["controller"]["driving_function"] = plugin.name
     else:
         _refuse_driving_settings(wanted, manifest.problem, diagnostics)
-        varied, values = manifest.varied_parameters, _side_conditions(wanted.vehicle, manifest, diagnostics)
+        varied = manifest.varied_parameters  # the vehicle, if there is one, is the problem's own
+        _check_parameters(wanted.vehicle, manifest.problem, {each.name: each for each in varied}, diagnostics)
+        values = {name: entry.nominal for name, entry in manifest.varied.items()} | wanted.vehicle.parameters
         function = _declared(manifest)
     if scored is None or function is None:
         return Workbench({"problem": bundle.digest}, tuple(data), function, varied, values, notes=_notes(bundle))
@@ -241,12 +243,6 @@ def _vehicle(
     varied = manifest.varied_parameters
     _check_parameters(wanted, vehicle.name, known | {each.name: each for each in varied}, diagnostics)
     return varied, nominal | changes | {each.name: each.nominal for each in varied} | wanted.parameters
-
-
-def _side_conditions(wanted: VehicleSpecification, manifest: Manifest, diagnostics: Diagnostics) -> dict[str, float]:
-    """Returns the values of the varied parameters of a problem whose vehicle, if there is one, is its own."""
-    _check_parameters(wanted, manifest.problem, {each.name: each for each in manifest.varied_parameters}, diagnostics)
-    return {name: entry.nominal for name, entry in manifest.varied.items()} | wanted.parameters
 
 
 def _check_parameters(
