@@ -65,11 +65,9 @@ export function planAt<T extends { made_at_s: number }>(plans: readonly T[], mom
 
 /** From the world to a view that looks along the ego's way: `ego` lies at `centre`, ahead is to the right, left is up. */
 export function camera(ego: Pose, scale: number, centre: readonly [number, number], turn: number): (x: number, y: number) => [number, number] {
-  const cos = Math.cos(-turn);
-  const sin = Math.sin(-turn);
+  const [cos, sin] = [Math.cos(-turn), Math.sin(-turn)];
   return (x, y) => {
-    const dx = x - ego.x;
-    const dy = y - ego.y;
+    const [dx, dy] = [x - ego.x, y - ego.y];
     return [centre[0] + scale * (dx * cos - dy * sin), centre[1] - scale * (dx * sin + dy * cos)];
   };
 }

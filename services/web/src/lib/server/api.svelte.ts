@@ -137,14 +137,16 @@ export async function all<T>(path: string): Promise<T[]> {
 
 /** Asks again and again with the tag of the last answer; `undefined` if nothing changed. */
 export class Tagged<T> {
+  /** The last answer. */
+  value: T | null = null;
   private tag: string | null = null;
   constructor(private readonly path: string) {}
 
   async next(): Promise<T | undefined> {
     const answer = await ask(this.path, { cache: "no-store", headers: this.tag === null ? {} : { "If-None-Match": this.tag } });
     if (answer.status === 304) return undefined;
-    const value = (await answer.json()) as T;
+    this.value = (await answer.json()) as T;
     this.tag = answer.headers.get("ETag"); // an answer that broke off is asked for again
-    return value;
+    return this.value;
   }
 }

@@ -147,8 +147,7 @@ export function cell(table: Table, name: string, row: number): number | string |
 export function extent(table: Table, name: string): [number, number] | null {
   const column = table.columns[name];
   if (column?.kind !== "number") return null;
-  let low = Infinity;
-  let high = -Infinity;
+  let [low, high] = [Infinity, -Infinity];
   for (const value of column.values) {
     if (value < low) low = value;
     if (value > high) high = value;

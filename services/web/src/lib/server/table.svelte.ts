@@ -1,7 +1,7 @@
 /** A table of a campaign as the page holds it: whole, and read again when it has grown. */
 
 import { parameterOf, type Ranged } from "../charts/axes";
-import { Refusal, ask } from "./api.svelte";
+import { Refusal, ask, reach } from "./api.svelte";
 import { CsvReader, EMPTY, type Table } from "./columns";
 
 /** Rows of a long table that are shown at once, and the growth until more of it is shown. */
@@ -84,4 +84,15 @@ export class TableState {
     this.ahead?.abort.abort();
     [this.abort, this.ahead, this.again] = [null, null, false];
   }
+}
+
+/** A table that is read when a view opens, and again when anything changes that `path` reads, and when the server is back. */
+export function tableAt(path: () => string, ...known: ConstructorParameters<typeof TableState>): TableState {
+  const table = new TableState(...known);
+  $effect(() => {
+    void reach.returns;
+    void table.load(path());
+  });
+  $effect(() => () => table.stop());
+  return table;
 }
