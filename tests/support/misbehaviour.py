@@ -9,10 +9,11 @@ from tests.support.fake_backend import Behaviour
 from tests.support.setups import driven
 from tests.support.tree import loaded
 
+from drivecal.bundles.installed import installed_problems
 from drivecal.contracts.work import Cell, SetupRequest
 
 FOLDER = Path(__file__).parent / "plugins"
-ARCHIVES: dict[str, bytes] = {}
+ARCHIVES = {problem.digest: problem.archive for problem in installed_problems().values()}
 """Problem bundles that the real backends of the tests know, by digest."""
 
 
