@@ -107,14 +107,17 @@ def number_at(connection: Connection, campaign_sequence: int, iteration: int, in
     """Returns the number of the cell that decides the rank of a set of the calibration stage in a scenario. It prefers simulated cells of
     this set to cells that a reference answered. Raises NotFoundError."""
     table = evaluations.c
-    here = (table.campaign_sequence == campaign_sequence, table.stage == StageName.CALIBRATION, table.scenario == scenario)
+    here = table.campaign_sequence == campaign_sequence, table.stage == StageName.CALIBRATION
     at = select(table.parameter_set_id).where(*here, table.iteration == iteration, table.individual == individual)
-    number = connection.scalar(at)
+    number = connection.scalar(at.limit(1))  # searches by the cell ask a set's scenarios at several places
     if number is None:
         raise NotFoundError("evaluation", f"of individual {individual} in iteration {iteration}, {scenario}")
     worth = case((table.score.is_(None), 2), (_COPIED, 1), else_=0)
-    cells = select(table.id).where(*here, table.parameter_set_id == number).order_by(worth, *_PLACE)
-    return int(connection.execute(cells.limit(1)).scalar_one())
+    cells = select(table.id).where(*here, table.scenario == scenario, table.parameter_set_id == number)
+    cell = connection.scalar(cells.order_by(worth, *_PLACE).limit(1))
+    if cell is None:
+        raise NotFoundError("evaluation", f"of individual {individual} in iteration {iteration}, {scenario}")
+    return int(cell)
 
 
 def number_of_sets(connection: Connection, campaign_sequence: int, stage: StageName, scenario: str) -> int:

@@ -6,6 +6,7 @@ from sqlalchemy.exc import IntegrityError
 from tests.support.storage import campaign, cell, sample_set_ids, sample_sets, setup_id, simulate
 
 from drivecal.domain.campaigns import StageName
+from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.storage import evaluations, results
 from drivecal.storage.engine.database import Database
@@ -154,3 +155,19 @@ def test_copies_of_a_cell_without_a_result_are_simulated_instead(database: Datab
             (copy, SIMULATED, None)
         ]
         assert results.by_id(connection, answered).reference == leader
+
+
+def test_a_place_of_a_set_finds_its_cells_in_scenarios_that_were_asked_at_other_places(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, numbers = campaign(connection).sequence, sample_set_ids(connection, 2)
+        setups = {name: setup_id(connection, name) for name in ("S1", "S2")}
+        asked = [(0, 0, "S2", 0), (0, 1, "S1", 1), (3, 0, "S1", 0)]
+        cells = [
+            cell(individual, setups[scenario], numbers[chosen], iteration=iteration, scenario=scenario)
+            for iteration, individual, scenario, chosen in asked
+        ]
+        ids = evaluations.insert(connection, sequence, cells)
+        assert results.number_at(connection, sequence, 0, 0, "S1") == ids[2]
+        for place in ((0, 1, "S2"), (1, 0, "S1")):
+            with pytest.raises(NotFoundError):
+                results.number_at(connection, sequence, *place)
