@@ -276,9 +276,9 @@ def interval(values: Sequence[float], level: float | None, confidence: float) ->
     return ordered[under - 1] if under else None, ordered[over] if over < len(ordered) else None
 
 
-def rate_bounds(found: int, runs: int, confidence: float) -> tuple[float, float]:
-    """Returns what a rate is at least and at most, each with this confidence, if `found` of `runs` count (Clopper, Pearson 1934)."""
+def rate_bounds(bad: int, runs: int, confidence: float) -> tuple[float, float]:
+    """Returns what a rate is at least and at most, each with this confidence, if `bad` of `runs` count (Clopper, Pearson 1934)."""
     from scipy.special import betaincinv
 
-    least = 0.0 if found == 0 else float(betaincinv(found, runs - found + 1, 1 - confidence))
-    return least, 1.0 if found == runs else float(betaincinv(found + 1, runs - found, confidence))
+    least = 0.0 if bad == 0 else float(betaincinv(bad, runs - bad + 1, 1 - confidence))
+    return least, 1.0 if bad == runs else float(betaincinv(bad + 1, runs - bad, confidence))

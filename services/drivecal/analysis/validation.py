@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from drivecal.analysis.replicates import rate_bounds
 from drivecal.domain.parameters import Indices
 from drivecal.domain.scales import Scale
 from drivecal.plugins.ports import Floats
@@ -242,12 +243,7 @@ def mean_interval(shares: Floats) -> tuple[float, float]:
     if not shares.size:
         return 0.0, 1.0
     if np.minimum(shares, 1.0 - shares).max() <= SMALLEST:
-        from scipy.special import betaincinv  # the limits of Clopper and Pearson (1934)
-
-        hits, tail = round(float(shares.sum())), (1.0 - CONFIDENCE) / 2.0
-        misses = len(shares) - hits
-        lower = float(betaincinv(hits, misses + 1, tail)) if hits else 0.0
-        return lower, float(betaincinv(hits + 1, misses, 1.0 - tail)) if misses else 1.0
+        return rate_bounds(round(float(shares.sum())), len(shares), (1.0 + CONFIDENCE) / 2.0)
     return _lower_limit(shares), 1.0 - _lower_limit(1.0 - shares)
 
 

@@ -219,7 +219,7 @@ class Dispatcher:
         most, count = self._running_campaigns, len(self._in_line)
         why = f"{most} campaigns run, the most at a time on this server (DRIVECAL_RUNNING_CAMPAIGNS)"
         if self._busy < most:
-            why = f"{self._begun:,} campaigns have begun, most of which wait for sets of other programs: finish or cancel some"
+            why = f"{self._begun:,} campaigns have begun, and most wait for sets of other programs: finish or cancel some"
         order = "higher priorities first, then the order of submission"
         return {
             waiting.sequence: f"{why}; place {place} of {count} in the queue with priority {waiting.priority}: {order}"
