@@ -5,12 +5,13 @@ data, so that its results can be read without its problem.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from math import ceil, isclose, log, log1p
 from typing import Any, Literal
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from drivecal.analysis.front import Mask, non_dominated
 from drivecal.analysis.replicates import rate_bounds
@@ -318,15 +319,16 @@ class Goals:
 
     def to_json(self) -> dict[str, Any]:
         """Returns plain data."""
-        return {"objectives": list(map(_document, self.objectives)), "constraints": list(map(_document, self.bounds))}
+        document: dict[str, Any] = _GOALS.dump_python(self, mode="json")
+        return document
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> "Goals":
         """Inverts `to_json`."""
-        return cls(
-            tuple(Objective(**_parts(each)) for each in document["objectives"]),
-            tuple(Bound(**_parts(each)) for each in document["constraints"]),
-        )
+        return _GOALS.validate_python(document)
+
+
+_GOALS = TypeAdapter(Goals)
 
 
 def valued_by(goals: Goals | None) -> Callable[[Mapping[str, float | None], str | None], dict[str, float]] | None:
@@ -340,15 +342,3 @@ def _numbered(name: str, taken: Collection[str]) -> str:
     while free in taken:
         free, number = f"{name} {number}", number + 1
     return free
-
-
-def _document(goal: Goal) -> dict[str, Any]:
-    value = goal.value
-    scale = None if value.scale is None else value.scale.to_json()
-    return asdict(goal) | {"value": asdict(value) | {"scale": scale}, "shares": dict(goal.shares)}
-
-
-def _parts(document: Mapping[str, Any]) -> dict[str, Any]:
-    value, scale = document["value"], document["value"]["scale"]
-    read = CellValue(**(value | {"scale": None if scale is None else Scale.from_json(scale)}))
-    return {**document, "value": read, "aggregate": Aggregate(**document["aggregate"])}

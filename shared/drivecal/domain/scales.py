@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
 from math import ceil
-from typing import Any
 
 from drivecal.domain.rounding import SHARE, grain
 
@@ -104,15 +103,6 @@ class Scale:
         """Returns a difference of scores with its unit, for readers."""
         unit = self.unit.removesuffix("s") if value == 1 and self.unit == COMFORT.unit else self.unit
         return f"{value:g}{unit_text(unit)}"
-
-    def to_json(self) -> dict[str, Any]:
-        """Returns plain data."""
-        return asdict(self) | {"direction": self.direction.value}
-
-    @classmethod
-    def from_json(cls, document: dict[str, Any]) -> Scale:
-        """Inverts `to_json`."""
-        return cls(**(document | {"direction": Direction(document["direction"])}))
 
 
 def unit_text(unit: str | None) -> str:

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from decimal import Decimal
 from typing import Any
 
+from pydantic import TypeAdapter
 from sqlalchemy import Connection
 
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
@@ -223,24 +223,17 @@ def _doubt(error: MapError) -> str:
     )
 
 
-def map_to_document(influence_map: InfluenceMap) -> dict[str, Any]:
+_INFLUENCES = TypeAdapter(Mapping[str, Mapping[str, Influence]])
+
+
+def map_to_document(influence_map: InfluenceMap) -> Any:
     """JSON-ready and exact: bounds as decimal texts."""
-    return {
-        scenario: {
-            name: {
-                "influential": influence.influential,
-                "lower": None if influence.lower is None else text(influence.lower),
-                "upper": None if influence.upper is None else text(influence.upper),
-            }
-            for name, influence in listed.items()
-        }
-        for scenario, listed in influence_map.scenarios.items()
-    }
+    return _INFLUENCES.dump_python(influence_map.scenarios, mode="json")
 
 
 def analysis_to_document(analysis: Mapping[str, ScenarioInfluence]) -> dict[str, Any]:
     """Returns an analysis's result in the form of `map_to_document`, with each parameter's measures added to its bounds."""
-    bounds = map_to_document(
+    bounds: dict[str, Any] = map_to_document(
         InfluenceMap(
             {
                 scenario: {name: parameter.influence for name, parameter in analysis[scenario].parameters.items()}
@@ -284,18 +277,6 @@ def stored_map(stored: StoredInfluenceMap) -> InfluenceMap:
     return InfluenceMap(map_from_document(stored.scenarios).scenarios, ranges, choices)
 
 
-def map_from_document(document: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> InfluenceMap:
+def map_from_document(document: Mapping[str, Any]) -> InfluenceMap:
     """The inverse of `map_to_document`."""
-
-    def bound(value: str | None) -> Decimal | None:
-        return None if value is None else Decimal(value)
-
-    return InfluenceMap(
-        {
-            scenario: {
-                name: Influence(entry["influential"], bound(entry["lower"]), bound(entry["upper"]))
-                for name, entry in listed.items()
-            }
-            for scenario, listed in document.items()
-        }
-    )
+    return InfluenceMap(_INFLUENCES.validate_python(document))

@@ -5,7 +5,7 @@ field and a remedy. `api.submission` then checks the server's limits, and `stage
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import ceil
 from typing import Any
 
@@ -182,7 +182,7 @@ def _resolution(bench: Bench, space: Sequence[Parameter]) -> dict[str, Any]:
     return {
         "setups": {scenario: setup.fingerprint for scenario, setup in bench.setups.items()},
         "evaluator": bench.evaluator_id,
-        "scale": bench.scale.to_json(),
+        "scale": asdict(bench.scale),
         "space": space_to_document(space),
     }
 

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from drivecal.analysis.goals import Goals
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.spaces import fixed_from_document, space_from_document
@@ -13,6 +15,8 @@ from drivecal.contracts.specification import CampaignSpecification, EvaluationSp
 from drivecal.domain.parameters import ParameterSpace
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.storage.campaigns import StoredCampaign
+
+_SCALE = TypeAdapter(Scale)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,4 +65,4 @@ def stored_goals(resolution: Mapping[str, Any] | None) -> Goals | None:
 
 def stored_scale(resolution: Mapping[str, Any] | None) -> Scale:
     """Returns the scale that is stored with a campaign; before it starts, that of the comfort score."""
-    return Scale.from_json(resolution["scale"]) if resolution is not None else COMFORT
+    return _SCALE.validate_python(resolution["scale"]) if resolution is not None else COMFORT

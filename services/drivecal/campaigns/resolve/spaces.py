@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from typing import Any, Protocol
 
+from pydantic import TypeAdapter
+
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.contracts.specification import CampaignSpecification, ParameterSpecification
 from drivecal.domain.constraints import Constraints
@@ -78,36 +80,17 @@ def covers(outer: Parameter, inner: Parameter) -> bool:
     return outer.lower <= inner.lower and inner.upper <= outer.upper
 
 
-def space_to_document(space: Sequence[Parameter]) -> list[dict[str, Any]]:
+_SPACE = TypeAdapter(tuple[Parameter, ...])
+
+
+def space_to_document(space: Sequence[Parameter]) -> Any:
     """JSON-ready and exact: bounds as decimal texts. Descriptions are left to the driving function."""
-    return [
-        {
-            "name": parameter.name,
-            "lower": text(parameter.lower),
-            "upper": text(parameter.upper),
-            "n_values": parameter.n_values,
-            "unit": parameter.unit,
-        }
-        | ({} if parameter.kind == "grid" else {"kind": parameter.kind})
-        | ({"choices": list(parameter.choices)} if parameter.choices else {})
-        for parameter in space
-    ]
+    return _SPACE.dump_python(tuple(space), mode="json", exclude={"__all__": {"description"}}, exclude_defaults=True)
 
 
 def space_from_document(document: Sequence[Mapping[str, Any]]) -> tuple[Parameter, ...]:
-    """The inverse of `space_to_document`. Documents without a kind hold grids."""
-    return tuple(
-        Parameter(
-            entry["name"],
-            Decimal(entry["lower"]),
-            Decimal(entry["upper"]),
-            entry["n_values"],
-            entry["unit"],
-            kind=entry.get("kind", "grid"),
-            choices=tuple(entry.get("choices", ())),
-        )
-        for entry in document
-    )
+    """The inverse of `space_to_document`."""
+    return _SPACE.validate_python(document)
 
 
 def fixed_to_document(fixed: Mapping[str, Value]) -> dict[str, str | dict[str, str]]:
