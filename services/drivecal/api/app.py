@@ -14,6 +14,7 @@ from drivecal.api.http.authorisation import Authorisation
 from drivecal.api.http.limits import BodyLimit
 from drivecal.api.http.requests import RequestRecords
 from drivecal.api.live.streams import EventHub
+from drivecal.api.live.worker_time import RecentWork
 from drivecal.api.metrics import Meters
 from drivecal.api.responses import ROOT
 from drivecal.api.results import routes as results
@@ -66,6 +67,7 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         app.state.database = database
+        app.state.recent_work = RecentWork()
         app.state.meters = meters
         app.state.pushing = pushing
         app.state.tokens = tokens

@@ -192,7 +192,8 @@ class WaitingAnswer(Answer):
 
 class WorkerTime(Answer):
     """A worker's stored runs in equal parts of a window, the oldest first: `busy` seconds of each part, and the id of the campaign that
-    took most of it, null if it was idle. Runs without a result, and runs that repeat a stored one, are not stored."""
+    took most of it: `deleted` if it is gone, null if the worker was idle or still runs it. Repeats of stored runs and runs without a
+    result are not stored."""
 
     worker: str
     runs: int

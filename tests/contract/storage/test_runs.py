@@ -2,9 +2,10 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from sqlalchemy import func, select
+from sqlalchemy import func, select, update
 from tests.support.storage import EVALUATOR, new_run, sample_set_ids, setup_id
 
+from drivecal.api.live.worker_time import RecentWork
 from drivecal.domain.evaluations import Donor, Rating
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
@@ -39,6 +40,18 @@ def test_the_first_result_of_a_cell_stays_and_an_equal_one_agrees(database: Data
         assert stored == StoredRun(stored.id, evaluation_id=7, agrees=True)
         assert runs.insert_results(connection, [late]) == [stored]
         assert connection.scalar(select(func.count()).select_from(tables.runs)) == 1
+
+
+def test_the_work_of_workers_is_read_once(database: Database) -> None:
+    recent = RecentWork()
+    with database.transaction() as connection:
+        *first, last = (new_run(setup_id(connection), number) for number in sample_set_ids(connection, 3))
+        runs.insert_results(connection, first)
+        known = recent.read(connection)
+        connection.execute(update(tables.runs).values(worker="another"))
+        runs.insert_results(connection, [last])
+        newest, *older = recent.read(connection)
+        assert (older, newest.id > known[0].id) == (known, True)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from drivecal.api.live.worker_time import MOST_RUNS, window
+from drivecal.api.live.worker_time import MOST_RUNS, RUNNING, window
 from drivecal.storage.references.runs import Worked
 
 UNTIL = datetime(2026, 11, 26, 12, tzinfo=UTC)
@@ -25,9 +25,9 @@ def test_runs_that_are_stored_together_lie_end_to_end() -> None:
 
 
 def test_a_run_spreads_over_the_parts_that_it_took_and_one_that_runs_has_no_campaign() -> None:
-    (time,) = window([run(0, 30, 0), run(60, 90, 2)], UNTIL, 60, NAMES).workers
-    assert time.busy[-3:] == [30, 60, 30]
-    assert time.campaigns[-3:] == ["b", "b", None]
+    (time,) = window([run(0, 30, RUNNING), run(60, 90, 2), run(180, 60, 3)], UNTIL, 60, NAMES).workers
+    assert time.busy[-4:] == [60, 30, 60, 30]
+    assert time.campaigns[-4:] == ["deleted", "b", "b", None]
 
 
 def test_a_window_says_since_when_it_holds_all_runs() -> None:

@@ -3,11 +3,11 @@
 from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Request
 
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.live.dispatcher_health import judge
-from drivecal.api.live.worker_time import MOST_RUNS, running, window
+from drivecal.api.live.worker_time import RecentWork, running, window
 from drivecal.bundles.archives import files_of
 from drivecal.bundles.highway import TaskScenario
 from drivecal.bundles.installed import installed
@@ -44,7 +44,6 @@ from drivecal.storage import bundles, campaigns, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import setups
-from drivecal.storage.references.runs import newest_work
 from drivecal.storage.references.setups import SetupCount
 
 router = APIRouter(tags=["inventory"])
@@ -112,13 +111,14 @@ def references(database: DatabaseDependency) -> ReferencePage:
 
 
 @router.get("/workers")
-def workers(database: DatabaseDependency, minutes: Annotated[int, Query(ge=0, le=60)] = 0) -> WorkerPage:
+def workers(request: Request, database: DatabaseDependency, minutes: Annotated[int, Query(ge=0, le=60)] = 0) -> WorkerPage:
     """The workers with their activity, as the dispatcher last reported them, and what they did in the last `minutes`, from the stored
     runs."""
+    recent: RecentWork = request.app.state.recent_work
     with database.read() as connection:
         dispatcher = processes.read(connection, processes.DISPATCHER)
         waiting = campaigns.waits(connection)
-        work = newest_work(connection, MOST_RUNS) if minutes else []
+        work = recent.read(connection) if minutes else []
         named = campaigns.named(connection, {run.campaign_sequence for run in work})
     until = now()
     judgement = judge(dispatcher, until)

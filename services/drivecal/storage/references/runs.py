@@ -78,12 +78,14 @@ class Worked:
     campaign_sequence: int
     created_at: datetime
     seconds: float
+    id: int = 0
 
 
-def newest_work(connection: Connection, most: int) -> list[Worked]:
-    """Returns the newest runs, the newest first."""
-    columns = runs.c.worker, runs.c.campaign_sequence, runs.c.created_at, (occupying() / 1000).label("seconds")
-    return [record(Worked, row) for row in connection.execute(select(*columns).order_by(runs.c.id.desc()).limit(most))]
+def newest_work(connection: Connection, most: int, after: int = 0) -> list[Worked]:
+    """Returns the newest runs, the newest first; only those with a larger number than `after`."""
+    columns = runs.c.worker, runs.c.campaign_sequence, runs.c.created_at, (occupying() / 1000).label("seconds"), runs.c.id
+    query = select(*columns).where(runs.c.id > after).order_by(runs.c.id.desc()).limit(most)
+    return [record(Worked, row) for row in connection.execute(query)]
 
 
 def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[StoredRun]:

@@ -1,5 +1,6 @@
 /** The searches of several campaigns on one chart. */
 
+import { grouped } from "../grouped";
 import { SERIES } from "./palette";
 import type { Series } from "./plot";
 import type { Campaign, Generation } from "../server/types";
@@ -32,7 +33,7 @@ function alike(campaigns: readonly Compared[], part: (campaign: Compared) => unk
 
 /** Searches by what their objectives are: other names, units or directions need another axis. */
 export function byMeasure<T extends { of: Pick<Campaign, "scale" | "objective"> }>(searches: readonly T[]): { measure: Measure; searches: T[] }[] {
-  const groups = Map.groupBy(searches, ({ of }) => JSON.stringify(measureOf(of)));
+  const groups = grouped(searches, ({ of }) => JSON.stringify(measureOf(of)));
   return [...groups].map(([measure, like]) => ({ measure: JSON.parse(measure) as Measure, searches: like }));
 }
 

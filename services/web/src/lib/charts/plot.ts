@@ -1,5 +1,6 @@
 /** Where the lines of a chart lie: scales and paths, in pixels from the upper left corner. */
 
+import { grouped } from "../grouped";
 import type { Sheet } from "../server/columns";
 import { nearestTo } from "./geometry";
 
@@ -99,5 +100,5 @@ export function numbersOf(series: readonly Series[], x: readonly number[], xTitl
 
 /** What the legend lists: each group once. */
 export function legend(series: readonly Series[]): Series[] {
-  return [...Map.groupBy(series, (line) => line.group ?? line.name).values()].flatMap(([first]) => first ?? []);
+  return [...grouped(series, (line) => line.group ?? line.name).values()].flatMap(([first]) => first ?? []);
 }

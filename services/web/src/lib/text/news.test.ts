@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 
-import { needsOf, visitAt } from "./news";
+import { betterSince, needsOf, visitAt } from "./news";
 import type { Campaign, ResultTrust } from "../server/types";
 
 const HOUR = 3_600_000;
@@ -14,6 +14,17 @@ test("a set whose rates are undecided is doubtful, and one that breaks constrain
   const kinds = (best: object): string[] => needsOf([ended("a", HOUR, 1, best)], 0, TRUST).map(({ kind }) => kind);
   expect(kinds({ violation: 0.0009, undecided: true })).toEqual(["doubtful"]);
   expect(kinds({ violation: 0.0009 })).toEqual(["nothing feasible"]);
+});
+
+test("a new campaign is better than older ones of its question, else than its baseline", () => {
+  const better = (...known: Campaign[]): unknown[] => betterSince(known, 10 * HOUR).map(({ campaign, before, of, scenario }) => [campaign.id, before, of?.id, scenario]);
+  const [old, fresh] = [ended("old", HOUR, 5), ended("new", 11 * HOUR, 6)];
+  expect(better(fresh, old, ended("worse", 11 * HOUR, 5.5), ended("older", HOUR, 4))).toEqual([["new", 5, "old", "S1"]]);
+  expect(better(ended("new", 11 * HOUR, 5), old)).toEqual([]);
+  expect(better({ ...fresh, spec: { ...fresh.spec, weights: { S1: 2 } } }, old)).toEqual([]);
+  expect(better({ ...fresh, baseline: { objective: 4, scores: { S1: 4 } } } as unknown as Campaign)).toEqual([["new", 4, undefined, "S1"]]);
+  expect(better({ ...fresh, scale: { ...fresh.scale, tolerance: 1 } }, { ...old, scale: { ...old.scale, tolerance: 1 } })).toEqual([]);
+  expect(better(...[fresh, old].map((campaign) => ({ ...campaign, scale: { ...campaign.scale, direction: "minimise" } }) as Campaign))).toEqual([]);
 });
 
 test("a visit goes on until an hour out of sight, and begins at the last sight", () => {
