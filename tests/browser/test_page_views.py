@@ -148,8 +148,8 @@ def test_a_scatter_keeps_ranges_that_the_table_and_the_export_follow(shown: Show
     with page.expect_download() as saved:
         page.get_by_role("link", name="CSV").click()
     assert len(saved.value.path().read_text().splitlines()) == some[0] + 1
-    page.get_by_role("button", name="Heat map").click()
-    expect(page.get_by_role("table", name=re.compile("^score over P"))).to_be_visible()
+    page.get_by_role("button", name="Smoothed").click()
+    expect(page.get_by_role("img", name=re.compile("^P[0-9]+.* over P1"))).to_be_visible()
     assert rows_shown(page) == some
 
 

@@ -19,18 +19,9 @@ const VIRIDIS = ["#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d
 
 /** The colour of a share from 0 (worst) to 1 (best); in the light, the yellow end is left out, for it cannot be seen there. */
 export function shade(share: number, dark: boolean): string {
-  return VIRIDIS[stepOf(share, dark)] ?? VIRIDIS[0];
-}
-
-/** The ink that can be read on the shade of a share. */
-export function inkOn(share: number, dark: boolean): string {
-  return stepOf(share, dark) >= 4 ? "#10151b" : "#ffffff";
-}
-
-function stepOf(share: number, dark: boolean): number {
   const first = dark ? 2 : 0;
   const last = dark ? VIRIDIS.length - 1 : VIRIDIS.length - 2;
-  return Math.round(first + Math.min(1, Math.max(0, share)) * (last - first));
+  return VIRIDIS[Math.round(first + Math.min(1, Math.max(0, share)) * (last - first))] ?? VIRIDIS[0];
 }
 
 /** The shade of a colour for thin lines: the strong blue is too dark on a dark ground. */
