@@ -23,7 +23,7 @@ from drivecal.execution.measures import BOUNDS, DURATIONS, KINDS, Duration, Happ
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.maintenance import statistics
-from drivecal.storage.maintenance.statistics import CampaignKey, CellKey, Statistics, Tally
+from drivecal.storage.maintenance.statistics import CampaignKey, CellKey, Statistics
 from drivecal.storage.processes import StoredProcess
 
 WORKER_STATES = ("starting", "idle", "busy")
@@ -70,14 +70,13 @@ class ServiceCollector(Collector):
 
     def __init__(self, database: Database) -> None:
         self._database = database
-        self._tally = Tally()
 
     def collect(self) -> Iterator[Any]:
         """Yields the metrics; see the table in `docs/pages/reference/metrics.md`."""
         yield InfoMetricFamily("drivecal_build", "The version of drivecal", {"version": version("drivecal")})
         try:
             with self._database.read() as connection:
-                totals, self._tally = statistics.read(connection, self._tally)
+                totals = statistics.read(connection)
         except (DrivecalError, SQLAlchemyError):
             yield GaugeMetricFamily("drivecal_database_up", _UP, 0)
             return

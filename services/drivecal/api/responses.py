@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from drivecal.api.live.dispatcher_health import degraded
 from drivecal.campaigns.resolve.resolved_spec import stored_goals, stored_scale
-from drivecal.contracts.campaign import Campaign, CellCounts, FirstObjective, Repaired, Seconds, Spent
+from drivecal.contracts.campaign import Campaign, FirstObjective, Repaired, Seconds, Spent
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.contracts.tables import PLACE, CampaignTable, EvaluationRow, parameter_column
 from drivecal.domain.campaigns import CampaignState
@@ -35,7 +35,6 @@ def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None) -
         stored,
         state=state_of(stored),
         degraded=degraded(stored, silent),
-        stages={stage: CellCounts(**cells) for stage, cells in stored.stages.items()},
         seconds=seconds_of(stored, now),
         scale=stored_scale(stored.resolution),
         objective=_first_objective(stored),

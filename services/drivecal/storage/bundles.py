@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Select, bindparam, exists, func, select, update
 
 from drivecal.domain.errors import NotFoundError
-from drivecal.storage.engine.records import decode_cursor, encode_cursor, record
+from drivecal.storage.engine.records import page_by, record
 from drivecal.storage.engine.tables import bundles
 from drivecal.storage.engine.types import now
 
@@ -107,13 +107,8 @@ def listing(
     if name is not None and not name.isprintable():
         return [], None
     query: Select[Any] = select(*_HEADING, _latest.label("latest")).where(_latest if name is None else bundles.c.name == name)
-    query = query.order_by(bundles.c.pushed.desc()).limit(limit + 1)
-    if cursor is not None:
-        (before,) = decode_cursor(cursor, int)
-        query = query.where(bundles.c.pushed < before)
-    page = [record(BundleHeading, row) for row in connection.execute(query)]
-    following = encode_cursor(page[limit - 1].pushed) if len(page) > limit else None
-    return page[:limit], following
+    rows, following = page_by(connection, query, bundles.c.pushed, limit, cursor)
+    return [record(BundleHeading, row) for row in rows], following
 
 
 def _only(connection: Connection, condition: ColumnElement[bool], given: str, *, possible: bool) -> StoredBundle:

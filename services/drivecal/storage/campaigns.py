@@ -40,7 +40,7 @@ from drivecal.domain.events import EventKind
 from drivecal.storage import admission, events, leases
 from drivecal.storage.engine.bulk import insert as insert_into
 from drivecal.storage.engine.bulk import rows_among
-from drivecal.storage.engine.records import decode_cursor, encode_cursor, identified, record
+from drivecal.storage.engine.records import identified, page_by, record
 from drivecal.storage.engine.tables import campaign_stages, campaigns
 from drivecal.storage.engine.types import STAGES, now
 from drivecal.storage.references import runs
@@ -86,10 +86,7 @@ def by_stage() -> Label[dict[StageName, dict[str, int]]]:
 
 def save_counts(connection: Connection, campaign_sequence: int, cells: Mapping[StageName, CellCounts]) -> None:
     """Replaces the counts of some stages of a campaign."""
-    rows = [
-        {"campaign_sequence": campaign_sequence, "stage": stage, "cells": each.model_dump(mode="json")}
-        for stage, each in cells.items()
-    ]
+    rows = [{"campaign_sequence": campaign_sequence, "stage": stage, "cells": each} for stage, each in cells.items()]
     if not rows:  # a comparison whose runs have requested nothing yet
         return
     statement = insert_into(connection, campaign_stages)
@@ -169,7 +166,7 @@ class StoredCampaign(CampaignHeading):
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Progress of a running campaign for `save_progress`; fields that are None stay as stored."""
+    """Progress of a running campaign for `save_progress`; fields after `simulating_seconds` that are None stay as stored."""
 
     stage: StageName | None
     iteration: int | None
@@ -182,7 +179,7 @@ class Snapshot:
     search: SearchState | None = None
     confirmation: Confirmation | None = None
     baseline: Baseline | None = None
-    notes: Collection[str] | None = None
+    notes: tuple[str, ...] | None = None
 
 
 _SELECT = select(campaigns, by_stage())
@@ -221,16 +218,17 @@ def insert(
         "owner": owner,
         "spec": dict(spec),
         "rerun_of": rerun_of,
-        "tags": list(tags),
+        "tags": tuple(tags),
         "watermark": 0 if (spec.get("reduction") or {}).get("isolated") else None,
         "influence_map_id": influence_map_id,
         **{f"{stage}_of": (spec.get(stage) or {}).get("of") for stage in ("robustness", "validation")},
         "idempotency_key": idempotency_key,
         "body_digest": body_digest,
         "likeness": likeness,
-        "notes": list(notes),
-        "progress": Progress().model_dump(mode="json"),
+        "notes": tuple(notes),
+        "progress": Progress(),
         "error_rate": {},
+        "released": {},
         "simulating_seconds": 0.0,
         "created_at": now(),
     }
@@ -278,31 +276,21 @@ def page(
     """
     short = case((func.length(cast(campaigns.c.spec, Text)) <= LONGEST_LISTED, campaigns.c.spec)).label("spec")
     columns = [short if column is campaigns.c.spec else column for column in campaigns.c] + [by_stage()]
-    page = [_campaign(row) for row in connection.execute(listed(columns, kind, state, limit + 1, cursor, conditions))]
-    following = encode_cursor(page[limit - 1].sequence) if len(page) > limit else None
-    return page[:limit], following
+    rows, following = page_by(connection, listed(columns, kind, state, conditions), campaigns.c.sequence, limit, cursor)
+    return [_campaign(row) for row in rows], following
 
 
 def listed(
     columns: Iterable[ColumnElement[Any]],
     kind: Kind,
     state: CampaignState | None,
-    limit: int,
-    cursor: str | None,
     conditions: Sequence[ColumnElement[bool]] = (),
 ) -> Select[Any]:
-    """Returns the query of a page: these columns of campaigns, newest first, without deleted ones. Raises InvalidInputError for an invalid
-    cursor."""
+    """Returns the query of these columns of campaigns, without deleted ones."""
     # Spelt as the condition of the index `ix_campaigns_listed`: no backend takes the index for a condition with a parameter.
     wanted = campaigns.c.kind == kind if kind == "evaluation" else campaigns.c.kind != text("'evaluation'")
     query = select(*columns).where(wanted, campaigns.c.deleted_at.is_(None), *conditions)
-    query = query.order_by(campaigns.c.sequence.desc()).limit(limit)
-    if state is not None:
-        query = query.where(campaigns.c.state == state)
-    if cursor is not None:
-        (before,) = decode_cursor(cursor, int)
-        query = query.where(campaigns.c.sequence < before)
-    return query
+    return query if state is None else query.where(campaigns.c.state == state)
 
 
 def named(connection: Connection, sequences: Collection[int]) -> dict[int, tuple[str, str]]:
@@ -382,18 +370,9 @@ def first_watermark(connection: Connection, sequence: int) -> int:
 
 def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> None:
     """Writes the progress of a campaign."""
-    values: dict[str, Any] = {name: getattr(snapshot, name) for name in ("stage", "iteration", "simulating_seconds")}
-    values |= {
-        name: getattr(snapshot, name).model_dump(mode="json")
-        for name in ("progress", "best", "search", "confirmation", "baseline")
-        if getattr(snapshot, name)
-    }
-    for name in ("error_rate", "released"):
-        if getattr(snapshot, name) is not None:
-            values[name] = {scenario: rate.model_dump(mode="json") for scenario, rate in getattr(snapshot, name).items()}
-    if snapshot.notes is not None:
-        values["notes"] = list(snapshot.notes)
-    connection.execute(_of(sequence).values(values))
+    values = {each.name: getattr(snapshot, each.name) for each in fields(Snapshot) if each.name != "cells"}
+    kept = [name for name, value in values.items() if value is None and name not in {"stage", "iteration"}]
+    connection.execute(_of(sequence).values({name: value for name, value in values.items() if name not in kept}))
     save_counts(connection, sequence, snapshot.cells)
 
 
@@ -493,18 +472,4 @@ def _of(sequence: int) -> Update:
 
 
 def _campaign(row: Row[Any]) -> StoredCampaign:
-    return record(
-        StoredCampaign,
-        row,
-        state=CampaignState(row.state),
-        spec=row.spec or {},
-        notes=tuple(row.notes),
-        tags=tuple(row.tags),
-        progress=Progress(**row.progress),
-        confirmation=None if row.confirmation is None else Confirmation(**row.confirmation),
-        released={scenario: Released(**rate) for scenario, rate in (row.released or {}).items()},
-        error_rate={scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
-        best=None if row.best is None else Best(**row.best),
-        search=None if row.search is None else SearchState(**row.search),
-        baseline=None if row.baseline is None else Baseline(**row.baseline),
-    )
+    return record(StoredCampaign, row, state=CampaignState(row.state), spec=row.spec or {})

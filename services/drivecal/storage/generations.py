@@ -1,13 +1,13 @@
 """Generations: the iterations of a campaign's calibration stage."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from sqlalchemy import Connection, Row, func, select, update
+from sqlalchemy import Connection, func, select, update
 
 from drivecal.contracts.campaign import GenerationCounts
-from drivecal.storage.engine.records import decode_cursor, encode_cursor, record
+from drivecal.storage.engine.records import page_by, record
 from drivecal.storage.engine.tables import generations
 from drivecal.storage.engine.types import finite
 
@@ -26,23 +26,7 @@ class Figures:
     @property
     def flat(self) -> dict[str, Any]:
         """The figures by name, counters included."""
-        return self.cells.model_dump() | self._results
-
-    @property
-    def _results(self) -> dict[str, float | None]:
-        return {name: getattr(self, name) for name in _RESULTS}
-
-    def values(self) -> dict[str, Any]:
-        """Returns the values of the columns."""
-        return {"cells": self.cells.model_dump(), **finite(self._results)}
-
-    @classmethod
-    def of(cls, row: Row[Any]) -> "Figures":
-        """Returns the figures of a row."""
-        return cls(GenerationCounts(**row.cells), **{name: getattr(row, name) for name in _RESULTS})
-
-
-_RESULTS = ("best", "rating", "mean", "minimum", "alternatives")
+        return self.cells.model_dump() | {name: value for name, value in asdict(self).items() if name != "cells"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +70,7 @@ def insert(
             changed=list(changed),
             optimizer_state=dict(optimizer_state),
             finished=False,
-            **figures.values(),
+            **finite(asdict(figures)),
         )
     )
 
@@ -123,7 +107,7 @@ def finish(
     connection.execute(
         update(generations)
         .where(generations.c.campaign_sequence == campaign_sequence, generations.c.iteration == iteration)
-        .values(objectives=list(objectives), finished=True, **figures.values())
+        .values(objectives=list(objectives), finished=True, **finite(asdict(figures)))
     )
 
 
@@ -136,7 +120,7 @@ def last(connection: Connection, campaign_sequence: int) -> StoredGeneration | N
         .limit(1)
     )
     row = connection.execute(query).one_or_none()
-    return None if row is None else record(StoredGeneration, row, figures=Figures.of(row))
+    return None if row is None else record(StoredGeneration, row, figures=record(Figures, row))
 
 
 def course(connection: Connection, campaign_sequence: int) -> list[tuple[float | None, float | None, int]]:
@@ -156,15 +140,8 @@ def page(
 
     Raises InvalidInputError.
     """
-    query = (
-        select(generations.c.iteration, generations.c.cells, *(generations.c[name] for name in _RESULTS))
-        .where(generations.c.campaign_sequence == campaign_sequence, generations.c.finished)
-        .order_by(generations.c.iteration)
-        .limit(limit + 1)
+    query = select(generations.c.iteration, *(generations.c[each.name] for each in fields(Figures))).where(
+        generations.c.campaign_sequence == campaign_sequence, generations.c.finished
     )
-    if cursor is not None:
-        (after,) = decode_cursor(cursor, int)
-        query = query.where(generations.c.iteration > after)
-    page = [(row.iteration, Figures.of(row)) for row in connection.execute(query)]
-    following = encode_cursor(page[limit - 1][0]) if len(page) > limit else None
-    return page[:limit], following
+    rows, following = page_by(connection, query, generations.c.iteration, limit, cursor, newest_first=False)
+    return [(row.iteration, record(Figures, row)) for row in rows], following

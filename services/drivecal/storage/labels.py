@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Sequence
-from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Text, cast, func, update
 
@@ -21,28 +20,18 @@ def change(connection: Connection, campaign_id: str, changes: CampaignChanges) -
     Raises NotFoundError, and InvalidInputError for too many tags.
     """
     before = stored_campaigns.get(connection, campaign_id, lock=True)
-    tags: Sequence[str] | None = changes.tags
-    if changes.add_tags or changes.remove_tags:
-        tags = _changed_tags(before.tags, changes.add_tags or (), changes.remove_tags or ())
-    values: dict[str, Any] = {
-        "name": before.name if changes.name is None else changes.name,
-        "tags": list(before.tags) if tags is None else sorted(set(tags)),
+    name = before.name if changes.name is None else changes.name
+    tags = {*(before.tags if changes.tags is None else changes.tags), *(changes.add_tags or ())} - {
+        *(changes.remove_tags or ())
     }
-    if values == {"name": before.name, "tags": list(before.tags)}:
+    if len(tags) > max(MOST_TAGS, len(before.tags)):
+        remedy = f"a campaign has at most {MOST_TAGS}; remove some of {sorted(before.tags)}"
+        raise InvalidInputError(Problem("add_tags", f"the campaign would have {len(tags)} tags", remedy))
+    if (name, tags) == (before.name, {*before.tags}):
         return before
-    here = campaigns.c.sequence == before.sequence
-    connection.execute(update(campaigns).where(here).values(values | {"revision": campaigns.c.revision + 1}))
+    values = {"name": name, "tags": tuple(sorted(tags)), "revision": campaigns.c.revision + 1}
+    connection.execute(update(campaigns).where(campaigns.c.sequence == before.sequence).values(values))
     return stored_campaigns.by_sequence(connection, before.sequence)
-
-
-def _changed_tags(before: Sequence[str], added: Sequence[str], removed: Sequence[str]) -> Sequence[str]:
-    tags = {*before, *added} - set(removed)
-    if len(tags) > max(MOST_TAGS, len(before)):
-        message = f"the campaign would have {len(tags)} tags"
-        raise InvalidInputError(
-            Problem("add_tags", message, f"a campaign has at most {MOST_TAGS}; remove some of {sorted(before)}")
-        )
-    return sorted(tags)
 
 
 def having(tags: Sequence[str]) -> list[ColumnElement[bool]]:

@@ -1,17 +1,18 @@
 """Cheap revision and progress queries. Parses only the documents that it needs."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, bindparam, select
 
+from drivecal.contracts.campaign import Best, Progress
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.storage.campaigns import CountsByStage, Kind, by_stage, listed
 from drivecal.storage.engine.bulk import rows_among
-from drivecal.storage.engine.records import identified, record
+from drivecal.storage.engine.records import identified, page_by, record
 from drivecal.storage.engine.tables import campaigns, processes
 from drivecal.storage.processes import DISPATCHER
 
@@ -31,13 +32,13 @@ class CampaignRevision:
 
 @dataclass(frozen=True, slots=True)
 class ProgressSnapshot(CampaignRevision):
-    """A revision, and the columns that change while a campaign runs; documents as stored."""
+    """A revision, and the columns that change while a campaign runs."""
 
     stage: StageName | None
     iteration: int | None
-    progress: Mapping[str, Any]
+    progress: Progress
     stages: CountsByStage
-    best: Mapping[str, Any] | None
+    best: Best | None
     simulating_seconds: float
     started_at: datetime | None
     ended_at: datetime | None
@@ -73,7 +74,8 @@ def page(
     conditions: Sequence[ColumnElement[bool]] = (),
 ) -> list[CampaignRevision]:
     """Returns the campaigns that `campaigns.page` returns for the same arguments, and one more if there are more."""
-    return [_revision(row) for row in connection.execute(listed(_REVISION, kind, state, limit + 1, cursor, conditions))]
+    rows, _ = page_by(connection, listed(_REVISION, kind, state, conditions), campaigns.c.sequence, limit + 1, cursor)
+    return [_revision(row) for row in rows]
 
 
 def revisions(connection: Connection, sequences: Collection[int]) -> dict[int, int]:

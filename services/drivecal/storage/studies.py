@@ -87,10 +87,10 @@ def errors_of_map(connection: Connection, influence_map_id: str, before: datetim
     ended = campaigns.c.influence_map_id == influence_map_id, campaigns.c.ended_at < before
     audited = select(campaigns.c.id, campaigns.c.error_rate).where(*ended).order_by(campaigns.c.sequence)
     errors = [
-        MapError(row.id, scenario, rate["wrong"], rate["audited"], audited=True)
+        MapError(row.id, scenario, rate.wrong, rate.audited, audited=True)
         for row in connection.execute(audited)
         for scenario, rate in row.error_rate.items()
-        if rate["wrong"]
+        if rate.wrong
     ]
     validated = (
         select(campaigns.c.id, studies.c.document)

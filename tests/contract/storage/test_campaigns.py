@@ -86,7 +86,7 @@ def test_progress_is_written_and_read_back_whole(database: Database) -> None:
         best=Best(objective=5.67, parameters={"P1": 0.5}, scores={"S1": 6}, alternatives=2),
         baseline=Baseline(objective=None, parameters={"P1": 0.25}, scores={"S1": None}),
         simulating_seconds=12.5,
-        notes=["S2 has weight 0"],
+        notes=("S2 has weight 0",),
     )
     with database.transaction() as connection:
         sequence = campaign(connection).sequence

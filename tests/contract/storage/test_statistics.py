@@ -1,9 +1,7 @@
 from collections import Counter
-from datetime import timedelta
 from typing import Any
 
-import pytest
-from sqlalchemy import Connection, event, update
+from sqlalchemy import Connection, update
 from tests.support.storage import campaign, new_evaluation, sample_set_ids, setup_id
 
 from drivecal.contracts.campaign import CellCounts
@@ -14,14 +12,12 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns as table
 from drivecal.storage.engine.types import now
 from drivecal.storage.maintenance import statistics
-from drivecal.storage.maintenance.statistics import CampaignKey, CellKey, Statistics, Tally
-
-OLD = timedelta(hours=1)
+from drivecal.storage.maintenance.statistics import CampaignKey, CellKey, Statistics
 
 
-def look(database: Database, tally: Tally) -> tuple[Statistics, Tally]:
+def look(database: Database) -> Statistics:
     with database.read() as connection:
-        return statistics.read(connection, tally)
+        return statistics.read(connection)
 
 
 def change(connection: Connection, sequence: int, **values: Any) -> None:
@@ -36,20 +32,18 @@ def count(connection: Connection, sequence: int, **cells: dict[str, int]) -> Non
 def ended(connection: Connection, sequence: int, simulated: int) -> None:
     cells = {"simulated": simulated, "requested": simulated, "pending": 7}
     count(connection, sequence, calibration=cells)
-    change(connection, sequence, simulating_seconds=0.5 * simulated, created_at=now() - OLD)
+    change(connection, sequence, simulating_seconds=0.5 * simulated)
     campaigns.end(connection, sequence, CampaignState.SUCCEEDED)
 
 
-def test_sums_are_right_from_the_beginning_and_from_look_to_look(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(statistics, "ROWS_AT_A_TIME", 3)
-    tally = Tally()
+def test_sums_are_over_all_campaigns_and_cells_wait_in_open_ones_only(database: Database) -> None:
     with database.transaction() as connection:
         sequences = [campaign(connection, str(number)).sequence for number in range(8)]
         for simulated, sequence in enumerate(sequences[:5]):
             ended(connection, sequence, simulated)
         count(connection, sequences[5], calibration={"simulated": 3, "pending": 4, "reused": 1}, sensitivity={"pending": 2})
         count(connection, sequences[6], robustness={"repeated": 8}, validation={"failed": 1, "pending": 6})
-    result, tally = look(database, tally)
+    result = look(database)
     assert result.sums.campaigns == {CampaignKey("calibration", "succeeded"): 5, CampaignKey("calibration", "queued"): 3}
     assert result.sums.cells[CellKey("calibration", "simulated")] == 10 + 3
     assert result.sums.cells[CellKey("calibration", "reused")] == 1
@@ -57,51 +51,27 @@ def test_sums_are_right_from_the_beginning_and_from_look_to_look(database: Datab
     assert result.sums.cells[CellKey("validation", "failed")] == 1
     assert result.sums.pending == Counter(calibration=4, sensitivity=2, validation=6)
     assert result.sums.simulating_seconds == 5.0
-    assert tally.settled == sequences[4]
     with database.transaction() as connection:
         for sequence in sequences[5:7]:
             ended(connection, sequence, 100)
-        change(connection, sequences[7], created_at=now() - OLD)
-        late = campaign(connection).sequence
-    for _ in range(3):
-        result, tally = look(database, tally)
-        assert result.sums.cells[CellKey("calibration", "simulated")] == 10 + 200
-        assert result.sums.campaigns[CampaignKey("calibration", "succeeded")] == 7
-        assert (tally.settled, tally.open) == (sequences[7], (sequences[7],))
-    assert result.sums == look(database, Tally())[0].sums
-    with database.transaction() as connection:
-        ended(connection, sequences[7], 1)
-        ended(connection, late, 1)
-    result, tally = look(database, tally)
-    assert result.sums == look(database, Tally())[0].sums
-    assert (tally.settled, tally.open) == (late, ())
-
-
-def test_what_becomes_visible_after_a_later_one_is_counted(database: Database) -> None:
-    """A number is given before the commit: campaign 2 may be seen before campaign 1."""
-    with database.transaction() as connection:
-        row = connection.execute(table.select().where(table.c.sequence == campaign(connection).sequence)).one()._mapping
-        connection.execute(table.insert().values({**row, "sequence": 30, "id": "later"}))
-    before, tally = look(database, Tally())
-    assert before.sums.campaigns.total() == 2
-    with database.transaction() as connection:
-        connection.execute(table.insert().values({**row, "sequence": 20, "id": "earlier"}))
-    after, _ = look(database, tally)
-    assert after.sums.campaigns.total() == 3
+    result = look(database)
+    assert result.sums.cells[CellKey("calibration", "simulated")] == 10 + 200
+    assert result.sums.campaigns[CampaignKey("calibration", "succeeded")] == 7
+    assert result.sums.pending.total() == 0
 
 
 def test_single_evaluations_are_counted_apart(database: Database) -> None:
     with database.transaction() as connection:
         stored = campaigns.insert(connection, name="one", spec={}, kind="evaluation")
         count(connection, stored.sequence, calibration={"repeated": 2, "pending": 1})
-    result, _ = look(database, Tally())
+    result = look(database)
     assert result.sums.campaigns == {CampaignKey("evaluation", "queued"): 1}
     assert result.sums.cells[CellKey("evaluation", "repeated")] == 2
     assert result.sums.pending["evaluation"] == 1
 
 
 def test_leases_of_the_current_term_are_those_at_workers(database: Database) -> None:
-    assert look(database, Tally())[0].leases == 0
+    assert look(database).leases == 0
     with database.transaction() as connection:
         processes.elect(connection, processes.DISPATCHER, 1, now())
         sequence, setup = campaign(connection).sequence, setup_id(connection)
@@ -113,31 +83,9 @@ def test_leases_of_the_current_term_are_those_at_workers(database: Database) -> 
         leases.take(connection, dict.fromkeys(ids[:2], 0), 60.0)
         leases.take(connection, dict.fromkeys(ids[2:], 0), -60.0)  # a slow cell outlasts its lease
         leases.give_back(connection, {ids[0]: 1})
-    result, _ = look(database, Tally())
+    result = look(database)
     assert result.leases == 3
     assert result.dispatcher is not None
     with database.transaction() as connection:
         processes.elect(connection, processes.DISPATCHER, 2, now())
-    assert look(database, Tally())[0].leases == 0
-
-
-@pytest.mark.slow("postgresql")
-def test_a_look_reads_only_what_is_open_or_new(database: Database) -> None:
-    with database.transaction() as connection:
-        sequences = [campaign(connection, str(number)).sequence for number in range(500)]
-        values = {"created_at": now() - OLD}
-        connection.execute(update(table).values(values))
-        connection.execute(update(table).where(table.c.sequence > sequences[9]).values(ended_at=now(), state="succeeded"))
-    _, tally = look(database, Tally())
-    assert len(tally.open) == 10
-    read: list[int] = []
-
-    def count(one: Connection, _: Any, statement: str, parameters: Any, __: Any, ___: bool) -> None:
-        if "FROM campaigns" in statement and not statement.startswith("SELECT count"):
-            read.extend(one.exec_driver_sql(f"SELECT count(*) FROM ({statement}) AS asked", parameters).scalars())
-
-    with database.read() as connection:
-        event.listen(connection, "before_cursor_execute", count)
-        result, _ = statistics.read(connection, tally)
-    assert result.sums.campaigns.total() == 500
-    assert sum(read) == 10
+    assert look(database).leases == 0

@@ -7,7 +7,6 @@ stream; it misses only outdated progress.
 from __future__ import annotations
 
 import asyncio
-import json
 import time
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import suppress
@@ -17,8 +16,7 @@ from typing import Any
 
 from drivecal.api.live.dispatcher_health import degraded, silence
 from drivecal.api.responses import seconds_of, state_of
-from drivecal.contracts.campaign import CellCounts, CellsByStage
-from drivecal.contracts.events import PROGRESS
+from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.events import EventKind, event_text
 from drivecal.storage import events, revision_queries
@@ -102,7 +100,7 @@ class EventHub:
                 if look is not None and snapshot is not None:
                     revision = -1 if has_more else snapshot.revision
                     if not has_more and (look.snapshot is not None or is_changed):
-                        messages.append(Message(None, PROGRESS, json.dumps(progress_document(snapshot, said, moment))))
+                        messages.append(Message(None, PROGRESS, progress_of(snapshot, said, moment).model_dump_json()))
                 if messages or time.monotonic() - told >= KEEPALIVE_SECONDS:
                     told = time.monotonic()
                     yield messages
@@ -140,21 +138,15 @@ def stored(event: StoredEvent, campaign: str) -> Message:
     return _event(event.id, event.kind, campaign, event.created_at, event.data)
 
 
-def progress_document(snapshot: ProgressSnapshot, said: str | None, moment: datetime) -> dict[str, Any]:
+def progress_of(snapshot: ProgressSnapshot, said: str | None, moment: datetime) -> CampaignProgress:
     """Returns the `CampaignProgress` of a running campaign. `said`: why it is degraded."""
-    cells = CellsByStage(stages={stage: CellCounts(**counts) for stage, counts in snapshot.stages.items()})
-    return {
-        "state": state_of(snapshot),
-        "requested_action": snapshot.requested_action,
-        "degraded": said,
-        "waiting": snapshot.waiting,
-        "stage": snapshot.stage,
-        "iteration": snapshot.iteration,
-        "progress": snapshot.progress,
-        **cells.model_dump(),
-        "best_objective": None if snapshot.best is None else snapshot.best["objective"],
-        "seconds": seconds_of(snapshot, moment).model_dump(),
-    }
+    return CampaignProgress.of(
+        snapshot,
+        state=state_of(snapshot),
+        degraded=said,
+        best_objective=None if snapshot.best is None else snapshot.best.objective,
+        seconds=seconds_of(snapshot, moment),
+    )
 
 
 def _unstored(campaign: str, trouble: str | None) -> Message:
@@ -165,12 +157,5 @@ def _unstored(campaign: str, trouble: str | None) -> Message:
 
 
 def _event(number: int | None, kind: str, campaign: str, at: datetime, data: Mapping[str, Any]) -> Message:
-    document = {
-        "id": number,
-        "kind": kind,
-        "campaign": campaign,
-        "at": at.isoformat(),
-        "text": event_text(kind, data),
-        "data": data,
-    }
-    return Message(number, kind, json.dumps(document))
+    event = CampaignEvent(id=number, kind=kind, campaign=campaign, at=at, text=event_text(kind, data), data=dict(data))
+    return Message(number, kind, event.model_dump_json())

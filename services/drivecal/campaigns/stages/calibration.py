@@ -596,5 +596,5 @@ class Calibration(Stage):
             best=self._best,
             confirmation=self._confirmation,
             baseline=self._baseline,
-            notes=notes,
+            notes=tuple(notes),
         )

@@ -142,7 +142,7 @@ class Sensitivity(Stage):
         }
 
     def _snapshot(self, connection: Connection) -> Snapshot:
-        return replace(super()._snapshot(connection), notes=[*self._problem.notes, *self._score_notes()])
+        return replace(super()._snapshot(connection), notes=(*self._problem.notes, *self._score_notes()))
 
 
 def _influential(influence_map: InfluenceMap) -> dict[str, list[str]]:

@@ -6,10 +6,11 @@ import base64
 import binascii
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from sqlalchemy import Connection, Row, Select
+from sqlalchemy import Column, Connection, Row, Select
 
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 
@@ -34,6 +35,24 @@ def identified(connection: Connection, query: Select[Any], kind: str, identifier
 def record(kind: type[Record], row: Row[Any], **parsed: Any) -> Record:
     """Returns a record with the row's columns of the same names, and the fields that were `parsed` already."""
     return kind(**{field.name: getattr(row, field.name) for field in fields(kind) if field.name not in parsed}, **parsed)
+
+
+def page_by(
+    connection: Connection,
+    query: Select[Any],
+    column: Column[int],
+    limit: int,
+    cursor: str | None,
+    *,
+    newest_first: bool = True,
+) -> tuple[Sequence[Row[Any]], str | None]:
+    """Returns at most `limit` rows of a query, sorted by a number that it has as a column, and the cursor of the next page (None on the
+    last). Raises InvalidInputError for a foreign cursor."""
+    if cursor is not None:
+        (last,) = decode_cursor(cursor, int)
+        query = query.where(column < last if newest_first else column > last)
+    rows = connection.execute(query.order_by(column.desc() if newest_first else column).limit(limit + 1)).all()
+    return rows[:limit], encode_cursor(getattr(rows[limit - 1], column.name)) if len(rows) > limit else None
 
 
 def encode_cursor(*position: int | str) -> str:

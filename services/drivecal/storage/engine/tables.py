@@ -15,7 +15,18 @@ from sqlalchemy import (
     text,
 )
 
-from drivecal.storage.engine.types import Document, Identity, Name, Score, StageNumber, UtcDateTime
+from drivecal.contracts.campaign import (
+    Baseline,
+    Best,
+    CellCounts,
+    Confirmation,
+    ErrorRate,
+    GenerationCounts,
+    Progress,
+    Released,
+    SearchState,
+)
+from drivecal.storage.engine.types import Document, DocumentOf, Identity, Name, Score, StageNumber, UtcDateTime
 
 metadata = MetaData(
     naming_convention={
@@ -75,19 +86,19 @@ campaigns = Table(
     Column("waiting", Text),  # why it, or some of its cells, wait, as the dispatcher says
     Column("owner", Name),  # name of the token that submitted it; null on a server without tokens
     Column("error", Text),
-    Column("notes", Document, nullable=False),
-    Column("progress", Document, nullable=False),
-    Column("error_rate", Document, nullable=False),
-    Column("released", Document),
-    Column("best", Document),
-    Column("search", Document),
-    Column("confirmation", Document),
-    Column("baseline", Document),
+    Column("notes", DocumentOf(tuple[str, ...]), nullable=False),
+    Column("progress", DocumentOf(Progress), nullable=False),
+    Column("error_rate", DocumentOf(dict[str, ErrorRate]), nullable=False),
+    Column("released", DocumentOf(dict[str, Released]), nullable=False, server_default="{}"),
+    Column("best", DocumentOf(Best)),
+    Column("search", DocumentOf(SearchState)),
+    Column("confirmation", DocumentOf(Confirmation)),
+    Column("baseline", DocumentOf(Baseline)),
     Column("simulating_seconds", Float, nullable=False),
     Column("created_at", UtcDateTime, nullable=False),
     Column("started_at", UtcDateTime),
     Column("ended_at", UtcDateTime),
-    Column("tags", Document, nullable=False, server_default="[]"),
+    Column("tags", DocumentOf(tuple[str, ...]), nullable=False, server_default="[]"),
     # A deleted campaign's row stays with the cells that made runs of the reference table (`storage.retention.deletion`).
     Column("deleted_at", UtcDateTime),
     Column("finish_at", UtcDateTime),  # when an outside optimizer said that it proposes no more sets
@@ -107,7 +118,7 @@ campaign_stages = Table(
     metadata,
     Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), primary_key=True, autoincrement=False),
     Column("stage", StageNumber, primary_key=True, autoincrement=False),
-    Column("cells", Document, nullable=False),
+    Column("cells", DocumentOf(CellCounts), nullable=False),
 )
 
 generations = Table(
@@ -115,7 +126,7 @@ generations = Table(
     metadata,
     Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), primary_key=True),
     Column("iteration", Integer, primary_key=True),
-    Column("cells", Document, nullable=False),
+    Column("cells", DocumentOf(GenerationCounts), nullable=False),
     Column("alternatives", Integer, nullable=False),
     Column("best", Float),
     Column("rating", Float),

@@ -5,6 +5,7 @@ import math
 from datetime import UTC, datetime
 from typing import Any
 
+from pydantic import TypeAdapter
 from sqlalchemy import JSON, BigInteger, DateTime, Dialect, Double, Integer, SmallInteger, Text
 from sqlalchemy.types import TypeDecorator, TypeEngine
 
@@ -19,6 +20,27 @@ Name = Text().with_variant(Text(collation="C"), "postgresql")
 
 Document = JSON(none_as_null=True)
 """JSON as text, never JSONB, which would forget the order of keys (scenarios, parameters); None is SQL's NULL."""
+
+
+class DocumentOf(TypeDecorator[Any]):
+    """A value that pydantic can write, stored as its JSON; None is SQL's NULL."""
+
+    impl = Document
+    cache_ok = True
+
+    def __init__(self, of: Any) -> None:
+        super().__init__()
+        self.of = of
+        self._adapter: TypeAdapter[Any] = TypeAdapter(of)
+
+    def process_bind_param(self, value: Any, dialect: Dialect) -> Any:
+        del dialect
+        return None if value is None else self._adapter.dump_python(value, mode="json")
+
+    def process_result_value(self, value: Any, dialect: Dialect) -> Any:
+        del dialect
+        return None if value is None else self._adapter.validate_python(value)
+
 
 ORDER = {stage: number for number, stage in enumerate(StageName, 1)}
 """Stored numbers of the stages: the database sorts them in running order."""

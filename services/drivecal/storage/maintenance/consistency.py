@@ -107,7 +107,7 @@ def check_counters(connection: Connection) -> Iterator[str]:
             cells["audited"], cells["sampled"] = audits, samples
     for sequence, cells in connection.execute(select(generations.c.campaign_sequence, generations.c.cells)):
         calibrated = counted.setdefault((sequence, ORDER[StageName.CALIBRATION]), {})
-        calibrated["carried_over"] = calibrated.get("carried_over", 0) + cells["carried_over"]
+        calibrated["carried_over"] = calibrated.get("carried_over", 0) + cells.carried_over
     query = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(_WHOLE).order_by(campaigns.c.sequence)
     for row in connection.execute(query):
         for stage_of in StageName:

@@ -8,7 +8,7 @@ from typing import Any
 
 from sqlalchemy import Connection, bindparam, select
 
-from drivecal.storage.engine.records import decode_cursor, encode_cursor, identified, record
+from drivecal.storage.engine.records import identified, page_by, record
 from drivecal.storage.engine.tables import influence_maps
 from drivecal.storage.engine.types import now
 
@@ -63,10 +63,5 @@ def get(connection: Connection, influence_map_id: str) -> StoredInfluenceMap:
 
 def page(connection: Connection, *, limit: int = 50, cursor: str | None = None) -> tuple[list[StoredInfluenceMap], str | None]:
     """At most `limit` maps, newest first, and the cursor of the next page (None on the last). Raises InvalidInputError."""
-    query = select(influence_maps).order_by(influence_maps.c.sequence.desc()).limit(limit + 1)
-    if cursor is not None:
-        (before,) = decode_cursor(cursor, int)
-        query = query.where(influence_maps.c.sequence < before)
-    page = [record(StoredInfluenceMap, row) for row in connection.execute(query)]
-    following = encode_cursor(page[limit - 1].sequence) if len(page) > limit else None
-    return page[:limit], following
+    rows, following = page_by(connection, select(influence_maps), influence_maps.c.sequence, limit, cursor)
+    return [record(StoredInfluenceMap, row) for row in rows], following

@@ -82,8 +82,8 @@ def remove_cells(database: Database, sequence: int) -> None:
 
 
 def _mark(connection: Connection, sequence: int, identifier: str) -> None:
-    emptied: dict[str, Any] = {"tags": [], "notes": [], "best": None, "confirmation": None, "baseline": None}
-    freed: dict[str, Any] = {"influence_map_id": None, "idempotency_key": None, "error_rate": {}, "released": None}
+    emptied: dict[str, Any] = {"tags": (), "notes": (), "best": None, "confirmation": None, "baseline": None}
+    freed: dict[str, Any] = {"influence_map_id": None, "idempotency_key": None, "error_rate": {}, "released": {}}
     marked = {"deleted_at": now(), "revision": campaigns.c.revision + 1}
     connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(emptied | freed | marked))
     maps = list(connection.scalars(select(influence_maps.c.sequence).where(influence_maps.c.source == identifier)))
