@@ -1,4 +1,4 @@
-"""Operations of expressions on single floats and on arrays, with equal results bit by bit.
+"""Operations of expressions on single floats and on arrays, with equal results bit by bit; comparisons of arrays.
 
 Every result is finite: a float that would not be raises ArithmeticError or ValueError; in an array it is NaN, and stays so.
 """
@@ -10,6 +10,7 @@ import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -30,10 +31,7 @@ class Arithmetic:
     unary: Mapping[type[ast.AST], Callable[[Values], Values]]
     binary: Mapping[type[ast.AST], Callable[[Values, Values], Values]]
     functions: Mapping[str, Callable[..., Values]]
-    comparisons: Mapping[type[ast.AST], Comparison]
     variable: Callable[[str], Evaluated]
-    compared: Callable[[Comparison, Evaluated, Evaluated], Evaluated]
-    joined: Callable[..., Evaluated]
 
 
 def _finite(value: float) -> float:
@@ -87,23 +85,9 @@ def _variable(name: str) -> Evaluated:
     return value
 
 
-def _compared(comparison: Comparison, left: Evaluated, right: Evaluated) -> Evaluated:
-    def holds(values: Mapping[str, Any]) -> bool:
-        try:
-            number, other = left(values), right(values)
-        except (ArithmeticError, ValueError):
-            return False
-        return bool(comparison(number, other, ROUNDING * max(abs(number), abs(other))))
+def compared(comparison: Comparison, left: Evaluated, right: Evaluated) -> Evaluated:
+    """Returns the comparison of two arrays: NaN compares as false."""
 
-    return holds
-
-
-def _joined(conditions: Sequence[Evaluated], *, conjunction: bool) -> Evaluated:
-    joint = all if conjunction else any
-    return lambda values: joint([condition(values) for condition in conditions])
-
-
-def _array_compared(comparison: Comparison, left: Evaluated, right: Evaluated) -> Evaluated:
     def holds(values: Mapping[str, Any]) -> Any:
         number, other = left(values), right(values)
         defined = ~(np.isnan(number) | np.isnan(other))
@@ -112,16 +96,10 @@ def _array_compared(comparison: Comparison, left: Evaluated, right: Evaluated) -
     return holds
 
 
-def _array_joined(conditions: Sequence[Evaluated], *, conjunction: bool) -> Evaluated:
+def joined(conditions: Sequence[Evaluated], *, conjunction: bool) -> Evaluated:
+    """Returns conditions on arrays, all of which hold, or any."""
     joint = np.logical_and if conjunction else np.logical_or
-
-    def holds(values: Mapping[str, Any]) -> Any:
-        result = conditions[0](values)
-        for condition in conditions[1:]:
-            result = joint(result, condition(values))
-        return result
-
-    return holds
+    return lambda values: reduce(joint, [condition(values) for condition in conditions])
 
 
 def _cleaned(values: Values) -> Values:
@@ -145,7 +123,7 @@ def _element_by_element(function: Callable[..., float], n_operands: int) -> Call
     return lambda *operands: np.asarray(applied(*operands), dtype=float)
 
 
-_COMPARISONS: Mapping[type[ast.AST], Comparison] = {
+COMPARISONS: Mapping[type[ast.AST], Comparison] = {
     ast.LtE: lambda left, right, room: left - right <= room,
     ast.Lt: lambda left, right, room: left - right < -room,
     ast.GtE: lambda left, right, room: left - right >= -room,
@@ -172,10 +150,7 @@ SCALAR = Arithmetic(
         "log": _logarithm,
         "clip": lambda value, lower, upper: min(max(value, lower), upper),
     },
-    comparisons=_COMPARISONS,
     variable=_variable,
-    compared=_compared,
-    joined=_joined,
 )
 ARRAY = Arithmetic(
     unary={ast.USub: operator.neg, ast.UAdd: operator.pos},
@@ -187,23 +162,13 @@ ARRAY = Arithmetic(
         ast.Pow: _element_by_element(_power, 2),
     },
     functions={
-        "min": lambda *operands: _folded(np.minimum, operands),
-        "max": lambda *operands: _folded(np.maximum, operands),
+        "min": lambda *operands: reduce(np.minimum, operands),
+        "max": lambda *operands: reduce(np.maximum, operands),
         "abs": np.abs,
         "sqrt": _in_arrays(np.sqrt),
         "exp": _element_by_element(_exponential, 1),
         "log": _element_by_element(_logarithm, 1),
         "clip": lambda value, lower, upper: np.minimum(np.maximum(value, lower), upper),
     },
-    comparisons=_COMPARISONS,
     variable=lambda name: lambda values: _cleaned(np.asarray(values[name], dtype=float)),
-    compared=_array_compared,
-    joined=_array_joined,
 )
-
-
-def _folded(function: Callable[[Values, Values], Values], operands: Sequence[Values]) -> Values:
-    result = operands[0]
-    for operand in operands[1:]:
-        result = function(result, operand)
-    return result

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.bundles.arithmetic import ARRAY, SCALAR, Arithmetic
+from drivecal.bundles.arithmetic import ARRAY, COMPARISONS, SCALAR, Arithmetic, compared, joined
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.constraints import Inequality
@@ -97,7 +97,7 @@ class Formula:
 class Constraint:
     """A condition on parameters. A comparison of something undefined does not hold; numbers within 1e-12 of each other are equal."""
 
-    __slots__ = ("_array", "_scalar", "inequalities", "names", "text")
+    __slots__ = ("_evaluation", "inequalities", "names", "text")
 
     def __init__(self, text: str, known: Mapping[str, Sequence[str]] | None = None, field: str = "constraint") -> None:
         """Parses a constraint over `known` parameters with their choices, empty for numbers; None allows any.
@@ -111,20 +111,20 @@ class Constraint:
             parser.refuse(tree, "the constraint names no parameter", f"known are {', '.join(known or ('none',))}")
         parser.finish()
         self.text, self.names = text, frozenset(parser.names)
-        self._scalar, self._array = _compiled(tree, SCALAR), _compiled(tree, ARRAY)
+        self._evaluation = _condition(tree)
         self.inequalities = tuple(_inequalities(tree))
 
     def holds(self, values: Mapping[str, float | str]) -> bool:
         """Returns whether a parameter set keeps the constraint. `values`: numbers, and choices as their text."""
-        return bool(self._scalar(values))
+        return bool(self({name: np.array([value]) for name, value in values.items()})[0])
 
     def __call__(self, columns: Mapping[str, npt.NDArray[Any]]) -> npt.NDArray[np.bool_]:
-        """Returns whether each row of a population keeps the constraint, shape (n,), exactly as `holds` says of each.
+        """Returns whether each row of a population keeps the constraint, shape (n,).
 
         `columns`: values of shape (n,) by name: floats, and choices as arrays of text.
         """
         with np.errstate(all="ignore"):
-            result = self._array(columns)
+            result = self._evaluation(columns)
         return np.broadcast_to(np.asarray(result, dtype=bool), columns[next(iter(self.names))].shape)
 
 
@@ -192,7 +192,7 @@ class _Parser:
         if isinstance(node, ast.BoolOp):
             for part in node.values:
                 self.check_condition(part)
-        elif isinstance(node, ast.Compare) and all(type(operator) in SCALAR.comparisons for operator in node.ops):
+        elif isinstance(node, ast.Compare) and all(type(operator) in COMPARISONS for operator in node.ops):
             sides = [node.left, *node.comparators]
             if any(isinstance(side, ast.Constant) and isinstance(side.value, str) for side in sides) or any(
                 self.known.get(_name(side) or "") for side in sides
@@ -376,11 +376,6 @@ def _compiled(node: ast.expr, arithmetic: Arithmetic) -> Evaluation:
         case ast.Call(func=function, args=arguments):
             called = arithmetic.functions[_name(function) or ""]
             return _applied(called, [_compiled(argument, arithmetic) for argument in arguments])
-        case ast.BoolOp(op=joint, values=parts):
-            conditions = [_compiled(part, arithmetic) for part in parts]
-            return arithmetic.joined(conditions, conjunction=isinstance(joint, ast.And))
-        case ast.Compare():
-            return _compared(node, arithmetic)
     raise AssertionError(ast.dump(node))
 
 
@@ -394,17 +389,19 @@ def _applied(function: Callable[..., Any], operands: Sequence[Evaluation]) -> Ev
     return lambda values: function(*[operand(values) for operand in operands])
 
 
-def _compared(node: ast.Compare, arithmetic: Arithmetic) -> Evaluation:
+def _condition(node: ast.expr) -> Evaluation:
+    """Returns a closure that evaluates a checked condition on arrays."""
+    if isinstance(node, ast.BoolOp):
+        return joined([_condition(part) for part in node.values], conjunction=isinstance(node.op, ast.And))
+    if not isinstance(node, ast.Compare):
+        raise TypeError(ast.dump(node))
     sides = [node.left, *node.comparators]
     for side, other in (sides[:2], sides[1::-1]):
         if isinstance(other, ast.Constant) and isinstance(other.value, str):
             return _chosen(_name(side) or "", other.value, equal=isinstance(node.ops[0], ast.Eq))
-    operands = [_compiled(side, arithmetic) for side in sides]
-    links = [
-        arithmetic.compared(arithmetic.comparisons[type(operator)], left, right)
-        for operator, left, right in zip(node.ops, operands, operands[1:], strict=False)
-    ]
-    return links[0] if len(links) == 1 else arithmetic.joined(links, conjunction=True)
+    operands = [_compiled(side, ARRAY) for side in sides]
+    links = zip(node.ops, operands, operands[1:], strict=False)
+    return joined([compared(COMPARISONS[type(sign)], left, right) for sign, left, right in links], conjunction=True)
 
 
 def _chosen(name: str, choice: str, *, equal: bool) -> Evaluation:
