@@ -37,7 +37,6 @@ GETS = [
     "/api/v1/evaluations/{}",
     "/api/v1/evaluations/{}/explain",
     "/api/v1/evaluations/{}/trace",
-    "/api/v1/scenarios/{}",
     "/api/v1/influence-maps/{}",
 ]
 many = settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -1,7 +1,6 @@
 """SUMO and the closed loop with a planner made for these tests."""
 
 import hashlib
-import json
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -17,7 +16,7 @@ from tests.support.roads import to_cartesian
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.evaluations import Failure
+from drivecal.domain.evaluations import Failure, RunResult
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import Floats, reference_line
 from drivecal.domain.scenarios import Scenario, TrafficVehicle
@@ -25,7 +24,7 @@ from drivecal.highway import sumo
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive import geometry
 from drivecal.highway.drive.tasks import TaskRunner, road_of
-from drivecal.highway.drive.trace import EGO_COLUMNS
+from drivecal.highway.drive.trace import NEIGHBOUR_COLUMNS
 from drivecal.highway.drive.traffic import Traffic, TrafficError
 from drivecal.highway.scenarios.highway import HIGHWAY, RANDOM_FOLDER
 from drivecal.highway.sumo import EGO
@@ -85,6 +84,15 @@ def runner(scenario: Scenario, vehicle: VehicleModel | None = None) -> TaskRunne
     return TaskRunner(scenario, Gliding(), vehicle or model(), REFERENCE)  # type: ignore[arg-type]  # it has no space to search
 
 
+def traced(scenario: Scenario, parameters: Sequence[float]) -> tuple[RunResult, dict[str, Floats]]:
+    result, answer = runner(scenario).trace(parameters)
+    return result, {name: np.array(values) for name, values in answer.series.items()}
+
+
+def of_neighbour(series: Mapping[str, Floats], name: str) -> Floats:
+    return np.column_stack([series[f"{name}_{column}"] for column in NEIGHBOUR_COLUMNS])
+
+
 def driven(scenario: Scenario, *parameters: float) -> list[bytes]:
     """Everything that happens in a run, bit by bit."""
     seen: list[bytes] = []
@@ -116,16 +124,15 @@ def test_all_vehicles_start_where_the_definition_says_and_stay_on_the_road(scena
 def test_a_drifting_neighbour_is_seen_to_drift() -> None:
     scenario = HIGHWAY.scenarios["S3"]
     drifting = next(vehicle for vehicle in scenario.traffic if vehicle.drift)
-    trace = runner(scenario).trace((scenario.ego.d, 1.0, 0.0))
-    rows = trace.neighbours[drifting.id]
-    offsets = np.interp(trace.times, *np.array(drifting.drift).T)
+    _, series = traced(scenario, (scenario.ego.d, 1.0, 0.0))
+    rows = of_neighbour(series, drifting.id)
+    offsets = np.interp(series["time_s"], *np.array(drifting.drift).T)
     assert rows[:, 1] - drifting.lane * scenario.road.lane_width == pytest.approx(offsets[: len(rows)], abs=1e-6)
 
 
 def test_the_follower_in_the_target_lane_makes_room() -> None:
     follower = next(vehicle.id for vehicle in S1.traffic if vehicle.id == "follower")
-    stays = runner(S1).trace((0.0, 1.0, 0.0)).neighbours[follower]
-    changes = runner(S1).trace(changes_lane(S1)).neighbours[follower]
+    stays, changes = (of_neighbour(traced(S1, to)[1], follower) for to in ((0.0, 1.0, 0.0), changes_lane(S1)))
     assert (changes[:20] == stays[:20]).all(), "nobody can see a lane change before it begins"
     last = min(len(stays), len(changes)) - 1
     assert changes[last, 2] < stays[last, 2] - 0.5
@@ -135,14 +142,15 @@ def test_the_follower_in_the_target_lane_makes_room() -> None:
 def test_other_vehicles_see_their_own_lane_only(scenario: Scenario) -> None:
     """They brake for no lane change that they only wish, as SUMO's model of lane changes makes them."""
     stays = (scenario.task.start_lane * scenario.road.lane_width, 1.0, 0.0)
-    together = runner(scenario).trace(stays)
+    _, together = traced(scenario, stays)
     for lane in {vehicle.lane for vehicle in scenario.traffic} - {scenario.task.start_lane}:
         column = tuple(vehicle for vehicle in scenario.traffic if vehicle.lane == lane)
-        apart = runner(replace(scenario, traffic=column)).trace(stays)
-        moments = min(len(together.times), len(apart.times))
+        _, apart = traced(replace(scenario, traffic=column), stays)
+        moments = min(len(together["time_s"]), len(apart["time_s"]))
         assert moments > 20
         for vehicle in column:
-            assert (together.neighbours[vehicle.id][:moments] == apart.neighbours[vehicle.id][:moments]).all(), vehicle.id
+            seen, alone = (of_neighbour(series, vehicle.id)[:moments] for series in (together, apart))
+            assert (seen == alone).all(), vehicle.id
 
 
 def test_the_same_cell_gives_the_same_bits_after_any_other_cells() -> None:
@@ -164,8 +172,7 @@ def test_random_traffic_follows_its_seed_and_nothing_else() -> None:
         assert driven(scenarios[2][name], *changes_lane(scenario)) != first
         assert driven(scenario, *changes_lane(scenario)) == first
     drifting = next(vehicle for vehicle in scenarios[1]["S3r"].traffic if vehicle.drift)
-    trace = runner(scenarios[1]["S3r"]).trace((S1.ego.d, 1.0, 0.0))
-    assert np.ptp(trace.neighbours[drifting.id][:, 1]) > 0.5
+    assert np.ptp(traced(scenarios[1]["S3r"], (S1.ego.d, 1.0, 0.0))[1][f"{drifting.id}_d_m"]) > 0.5
 
 
 @pytest.mark.slow
@@ -197,11 +204,11 @@ def test_running_into_the_slower_vehicle_is_a_collision_and_ends_the_run() -> No
 
 
 def test_leaving_the_road_ends_the_run_before_sumo_sees_it() -> None:
-    trace = runner(S1).trace((-4.0, 2.0, 0.0))
-    assert trace.result.failure is Failure.OFF_ROAD
-    assert trace.result.rating.score == 0
-    assert trace.frenet[:, 1].min() >= S1.road.right_edge
-    assert len(trace.times) < trace.result.metrics["driven_s"] / S1.step + 0.5
+    result, series = traced(S1, (-4.0, 2.0, 0.0))
+    assert result.failure is Failure.OFF_ROAD
+    assert result.rating.score == 0
+    assert series["d_m"].min() >= S1.road.right_edge
+    assert len(series["time_s"]) < result.metrics["driven_s"] / S1.step + 0.5
 
 
 def test_a_lane_change_in_the_wrong_direction_misses_the_task() -> None:
@@ -250,32 +257,34 @@ def test_an_unstable_vehicle_scores_nothing_and_says_so() -> None:
 def test_tracing_changes_nothing() -> None:
     subject = runner(S1)
     plain = subject.run(changes_lane(S1))
-    assert subject.trace(changes_lane(S1)).result == plain
+    assert subject.trace(changes_lane(S1))[0] == plain
     assert subject.run(changes_lane(S1)) == plain
 
 
 def test_a_trace_holds_what_the_run_was_rated_by() -> None:
-    trace = runner(S1).trace(changes_lane(S1))
-    ego = dict(zip(EGO_COLUMNS, trace.ego.T, strict=True))
-    metrics = trace.result.metrics
+    result, series = traced(S1, changes_lane(S1))
+    metrics = result.metrics
     for axis in ("lateral", "longitudinal"):
-        assert np.abs(ego[f"{axis}_jerk_mps3"]).max() == pytest.approx(metrics[f"peak_{axis}_jerk_mps3"], rel=0.15, abs=0.05)
-        assert np.abs(ego[f"{axis}_acceleration_mps2"]).max() >= 0.9 * metrics[f"peak_{axis}_acceleration_mps2"]
+        assert np.abs(series[f"{axis}_jerk_mps3"]).max() == pytest.approx(metrics[f"peak_{axis}_jerk_mps3"], rel=0.15, abs=0.05)
+        assert np.abs(series[f"{axis}_acceleration_mps2"]).max() >= 0.9 * metrics[f"peak_{axis}_acceleration_mps2"]
     line = reference_line(S1.road)
-    for place, (s, d) in zip(trace.ego, trace.frenet, strict=True):
-        assert to_cartesian(line, s, d)[:2] == pytest.approx(place[:2], abs=1e-6)
-    for rows in trace.neighbours.values():
+    for x, y, s, d in zip(*(series[name] for name in ("x_m", "y_m", "s_m", "d_m")), strict=True):
+        assert to_cartesian(line, s, d)[:2] == pytest.approx((x, y), abs=1e-6)
+    for rows in (of_neighbour(series, vehicle.id) for vehicle in S1.traffic):
         steps = np.hypot(*np.diff(rows[:, 4:6], axis=0).T)
         assert steps == pytest.approx(rows[1:, 2] * S1.step, abs=0.3)
 
 
-def test_a_trace_is_plain_data() -> None:
-    document = json.loads(json.dumps(runner(S1).trace(changes_lane(S1)).to_json(), allow_nan=False))
+def test_a_trace_has_its_road_the_others_and_the_plans() -> None:
+    answer = runner(S1).trace(changes_lane(S1))[1].model_dump(mode="json")
+    series, replay = answer["series"], answer["replay"]
     steps = round(S1.duration / S1.step)
-    assert len(document["time_s"]) == len(document["ego"]["speed_mps"]) == steps
-    assert set(document["neighbours"]) == {vehicle.id for vehicle in S1.traffic}
-    assert len(document["plans"]) == steps / 2
-    assert document["ego"]["d_m"][-1] == pytest.approx(S1.road.lane_width, abs=0.1)
+    assert len(series["time_s"]) == len(series["speed_mps"]) == steps
+    assert {other["id"] for other in replay["others"]} == {vehicle.id for vehicle in S1.traffic}
+    assert len(replay["plans"]) == steps / 2
+    assert len(replay["route"]["lanes"]) == S1.road.lanes
+    assert series["d_m"][-1] == pytest.approx(S1.road.lane_width, abs=0.1)
+    assert replay["ego"]["x_m"][1:] == pytest.approx(series["x_m"], abs=0.01)
 
 
 @pytest.mark.parametrize("content", [b"", b"no xml", b"<net/>", S1.network[: len(S1.network) // 2]])
@@ -337,13 +346,13 @@ def test_without_libsumo_nothing_runs() -> None:
 
 def test_the_limit_of_each_edge_slows_the_traffic() -> None:
     scenario = HIGHWAY.scenarios["S5"]
-    speeds = runner(scenario).trace((0.0, 1.0, 0.0)).neighbours["second"][:, 2]
+    speeds = traced(scenario, (0.0, 1.0, 0.0))[1]["second_s_dot_mps"]
     assert speeds[0] < 23.0
     assert speeds[-1] > 28.0
     network = scenario.network.replace(b'speed="33.3333"', b'speed="23.0000"')
     held = replace(scenario, network=network, road=carriageway(network, scenario.route, "S5.net.xml"))
     assert held.digest != scenario.digest
-    assert runner(held).trace((0.0, 1.0, 0.0)).neighbours["second"][-1, 2] == pytest.approx(23.0, abs=0.1)
+    assert traced(held, (0.0, 1.0, 0.0))[1]["second_s_dot_mps"][-1] == pytest.approx(23.0, abs=0.1)
 
 
 def test_a_road_that_is_not_that_of_the_network_is_refused() -> None:

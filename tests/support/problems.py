@@ -79,6 +79,7 @@ REPLAY: dict[str, Any] = {
         "offset_m": [0.0] * 3,
     },
     "others": [{"id": "leader", "first": 0, "length_m": 5.0, "width_m": 1.8, **PLACES, "x_m": [60.0, 90.0, 120.0]}],
+    "plans": [],
 }
 
 

@@ -8,7 +8,7 @@ from http import HTTPStatus
 from typing import TYPE_CHECKING, Any, Literal
 
 import httpx
-from pydantic import RootModel, ValidationError
+from pydantic import ValidationError
 
 from drivecal.client.documents import Document, completed, ids_on, is_abbreviated, plain, weights_text, with_full_ids
 from drivecal.client.following import READ_SECONDS, EventParser, Following, Sent, ServerSentEvent, Told, displayed
@@ -20,7 +20,7 @@ from drivecal.client.transport import Answer, Transport, harmless, named, path_o
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
 from drivecal.contracts.comparison import Comparison, ExpectedComparison
-from drivecal.contracts.evaluation import CellNumber, Evaluation, SeriesAnswer, TraceAnswer
+from drivecal.contracts.evaluation import CellNumber, Evaluation, SeriesAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import (
@@ -426,8 +426,8 @@ class Client(Transport):
         query = {"iteration": iteration, "individual": individual, "scenario": scenario}
         return self._get(CellNumber, "campaigns", identifier, "cell", **query).evaluation
 
-    def trace(self, evaluation: str) -> TraceAnswer | SeriesAnswer | None:
-        """Returns the time series of an evaluation, None while they are being made. Runs of a bundle have the series of its simulator.
+    def trace(self, evaluation: str) -> SeriesAnswer | None:
+        """Returns the time series of an evaluation, None while they are being made.
 
         `evaluation`: its number, or the id of a single evaluation in one scenario.
         """
@@ -435,8 +435,7 @@ class Client(Transport):
         response = self._request("GET", place)
         if response.status_code == HTTPStatus.ACCEPTED:
             return None
-        either: RootModel[TraceAnswer | SeriesAnswer] = self._answer(response, RootModel[TraceAnswer | SeriesAnswer], place)
-        return either.root
+        return self._answer(response, SeriesAnswer, place)
 
     def post_influence_map(self, specification: Document) -> InfluenceMapAnswer:
         """Stores an influence map."""

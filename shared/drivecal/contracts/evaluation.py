@@ -64,25 +64,6 @@ class PendingTrace(Answer):
     links: dict[str, str] = Field(default_factory=dict)
 
 
-class TraceAnswer(Answer):
-    """A run step by step; lists have a value for each of `time_s`, the times after each step. SI units, in the names.
-
-    `ego`: s_m, d_m (Frenet), x_m, y_m, heading_rad, speed_mps, side_slip_rad, yaw_rate_radps, accelerations (longitudinal and lateral) and
-    their jerks over the last 0.5 s. `neighbours` has by vehicle s_m, d_m, s_dot_mps, d_dot_mps, x_m, y_m, heading_rad. `plans`: each
-    trajectory that the driving function decided for, when it was made (`made_at_s`), rounded to six decimals.
-    """
-
-    scenario: str
-    score: Score
-    rating: float
-    failure: str | None
-    metrics: dict[str, float]
-    time_s: list[float]
-    ego: dict[str, list[float]]
-    neighbours: dict[str, dict[str, list[float]]]
-    plans: list[dict[str, float | list[float]]]
-
-
 class LaneStrip(Answer):
     """The area of a lane: its `right` and its `left` border, with a row of x, y (m) in each for the same places."""
 
@@ -126,11 +107,24 @@ class ReplayEgo(Answer):
     offset_m: list[float]
 
 
+class ReplayPlan(Answer):
+    """A trajectory that a driving function decided for at `made_at_s`, rounded to six decimals; `time_s` counts from there."""
+
+    made_at_s: float
+    time_s: list[float]
+    x_m: list[float]
+    y_m: list[float]
+    heading_rad: list[float]
+    curvature_1pm: list[float]
+    speed_mps: list[float]
+    acceleration_mps2: list[float]
+
+
 class ReplayAnswer(Answer):
     """A drive on the roads of a network, in its coordinates.
 
     `line`: rows of place along the route, x, y (m) and heading (rad); `route`: its lanes where the vehicle drives. `time_s`: equally
-    spaced but for the last one.
+    spaced but for the last one. `plans` are those of a driving function, in the order of time.
     """
 
     time_s: list[float]
@@ -138,11 +132,14 @@ class ReplayAnswer(Answer):
     route: RoadSurface
     ego: ReplayEgo
     others: list[ReplayVehicle]
+    plans: list[ReplayPlan] = Field(default_factory=list)
 
 
 class SeriesAnswer(Answer):
-    """A run of a problem bundle with the time series that its simulator reported; the manifest has their units.
+    """A run with the time series that its simulator reported; the manifest has their units.
 
+    A driving function's run has a value after each step (`time_s`), in SI units, named by the series: the ego vehicle's s and d (Frenet),
+    place, heading, speed, side slip, yaw rate, accelerations and their jerks over the last 0.5 s, and `ID_s_m` and so on of other vehicles.
     `replay` shows a run of a simulator `highway` from above; null for other simulators, and if the drive has no length.
     """
 

@@ -45,43 +45,6 @@ class ScenarioAnswer(Answer):
     vehicles: int
 
 
-class VehicleAnswer(Answer):
-    """A vehicle at the start: the Frenet coordinates of its centre, its speed and its outline; `id` is null for the ego vehicle."""
-
-    id: str | None
-    s_m: float
-    d_m: float
-    speed_mps: float
-    length_m: float
-    width_m: float
-
-
-class RoadAnswer(Answer):
-    """The carriageway. The centre of lane i lies at d = i times `lane_width_m`; that of lane 0, the rightmost, is the `reference_line` of
-    Frenet coordinates. `boundaries` go from right to left; the first and the last are the road's edges."""
-
-    length_m: float
-    lanes: int
-    lane_width_m: float
-    reference_line: list[list[float]]
-    """Rows of s, x, y (m), heading (rad) and curvature (1/m)."""
-    boundaries: list[list[list[float]]]
-    """Rows of x, y (m), by boundary."""
-    limits: list[list[float]]
-    """Rows of s (m) and the speed limit from there on (m/s)."""
-
-
-class ScenarioDetail(ScenarioAnswer):
-    """A scenario with all that one needs to draw it. `speeds`: rows of s (m) and the desired speed from there on (m/s)."""
-
-    road: RoadAnswer
-    ego: VehicleAnswer
-    traffic: list[VehicleAnswer]
-    start_lane: int
-    target_lane: int
-    speeds: list[list[float]]
-
-
 class BrokenPluginAnswer(Answer):
     """An installed plug-in that cannot be used, with the reason; `package` registers it in the entry point `group`."""
 

@@ -5,18 +5,12 @@ simulator, so that a worker chooses the folder of compiled kernels first.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
+from drivecal.contracts.evaluation import SeriesAnswer
 from drivecal.domain.evaluations import RunResult
 from drivecal.domain.scenarios import Scenario
 from drivecal.plugins.ports import DrivingFunction, Evaluator, Named, Vehicle
-
-
-class TimeSeries(Protocol):
-    """Time series of a run."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Returns plain data."""
 
 
 class Runner(Protocol):
@@ -29,8 +23,8 @@ class Runner(Protocol):
     def run(self, parameters: Sequence[float]) -> RunResult:
         """Simulates and rates one parameter set."""
 
-    def trace(self, parameters: Sequence[float]) -> TimeSeries:
-        """Runs the same simulation and returns its time series."""
+    def trace(self, parameters: Sequence[float]) -> tuple[RunResult, SeriesAnswer]:
+        """Runs the same simulation, and returns its time series as well."""
 
 
 class DriveSimulator(Named, Protocol):

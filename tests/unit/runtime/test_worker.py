@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from tests.support.setups import bare, changed, driven
 
+from drivecal.contracts.evaluation import SeriesAnswer
 from drivecal.contracts.work import Batch, Cell, CellResult, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Failure, Rating, RunResult
 from drivecal.plugins import registry
-from drivecal.plugins.runners import TimeSeries
 from drivecal.plugins.setups import simulator
 from drivecal.runtime.worker import LONGEST_DETAIL, MOST_RUNNERS, Worker
 
@@ -34,7 +34,7 @@ class ScriptedRunner:
     parameters: Sequence[str] = ("a", "b")
     runs: int = 0
 
-    def trace(self, parameters: Sequence[float]) -> TimeSeries:
+    def trace(self, parameters: Sequence[float]) -> tuple[RunResult, SeriesAnswer]:
         raise NotImplementedError
 
     def run(self, parameters: Sequence[float]) -> RunResult:
@@ -131,8 +131,8 @@ def test_a_trace_is_the_same_run_with_its_time_series() -> None:
     assert traced.trace is not None
     trace = json.loads(gzip.decompress(traced.trace))
     assert (traced.score, traced.rating, traced.metrics) == (plain.score, plain.rating, plain.metrics)
-    assert (trace["score"], trace["rating"], trace["metrics"]) == (plain.score, plain.rating, plain.metrics)
-    assert len(trace["ego"]["s_m"]) == len(trace["time_s"]) > 100
+    assert trace["measures"] == plain.metrics
+    assert len(trace["series"]["s_m"]) == len(trace["series"]["time_s"]) > 100
     assert len(traced.trace) < 400_000, "what the server says that it keeps of a run"
     [again] = worker.run(Batch(_request(), (Cell(3, MIDDLE, trace=True),))).results
     assert again.trace == traced.trace

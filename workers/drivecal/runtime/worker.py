@@ -7,10 +7,9 @@ import socket
 import time
 import traceback
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from drivecal.cluster import tracing
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
@@ -133,9 +132,7 @@ class Worker:
             self._begins(cell.id)
             values = {**setup.simulator["controller"].get("values", {}), **cell.parameters}
             parameters = [values[name] for name in runner.parameters]
-            if cell.trace:
-                return _traced(cell, runner.trace(parameters).to_json(), start)
-            result = runner.run(parameters)
+            result, series = runner.trace(parameters) if cell.trace else (runner.run(parameters), None)
             rating = _finite("the rating", result.rating.rating)
             metrics = {name: _finite(name, value) for name, value in result.metrics.items()}
             failure = result.failure.value if result.failure else None
@@ -145,6 +142,7 @@ class Worker:
                 score=plain(_finite("the score", result.rating.score)),
                 metrics=metrics,
                 failure=failure,
+                trace=None if series is None else compressed(series.model_dump(mode="json")),
                 milliseconds=milliseconds_since(start),
             )
         except RefusedError:
@@ -183,13 +181,6 @@ def describe(error: BaseException) -> str:
     message = " ".join(message.split())
     text = message[: LONGEST_DETAIL - len(location)] + location
     return "".join(character if character.isprintable() else "?" for character in text)
-
-
-def _traced(cell: Cell, document: Mapping[str, Any], start: int) -> CellResult:
-    """Returns the result of a run with its compressed time series."""
-    content = compressed(document)
-    rating, score, metrics, failure = (document[name] for name in ("rating", "score", "metrics", "failure"))
-    return CellResult(cell.id, rating, score, metrics, failure, milliseconds_since(start), trace=content)
 
 
 def _finite(name: str, value: float) -> float:

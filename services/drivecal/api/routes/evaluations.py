@@ -22,7 +22,6 @@ from drivecal.contracts.evaluation import (
     EvaluationDetail,
     PendingTrace,
     SeriesAnswer,
-    TraceAnswer,
 )
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.specification import EvaluationSpecification
@@ -123,7 +122,7 @@ def _evaluation(connection: Connection, stored: StoredCampaign) -> Evaluation:
 
 
 ANSWERS: dict[int | str, dict[str, object]] = {
-    200: {"model": TraceAnswer | SeriesAnswer, "description": "Of a problem bundle, the series that its simulator reported"},
+    200: {"model": SeriesAnswer, "description": "Its time series"},
     202: {"model": PendingTrace, "description": "it is being made; ask again after `Retry-After` seconds"},
     304: {"description": "it is what `If-None-Match` names"},
 }

@@ -12,7 +12,7 @@ from drivecal.cli.views.output import parameters_text, print_answer, print_colum
 from drivecal.cli.views.progress import attached, pauses
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments, settings
-from drivecal.contracts.evaluation import Evaluation, SeriesAnswer, TraceAnswer
+from drivecal.contracts.evaluation import Evaluation, SeriesAnswer
 from drivecal.contracts.explanation import Difference, Explanation
 from drivecal.contracts.specification import DEFAULT_PROBLEM
 from drivecal.domain.campaigns import CampaignState
@@ -86,7 +86,7 @@ def ended(client: Client, evaluation: Evaluation, timeout: float | None, asking:
     return evaluation
 
 
-def trace_of(client: Client, evaluation: str, timeout: float | None, asking: Iterator[None]) -> TraceAnswer | SeriesAnswer:
+def trace_of(client: Client, evaluation: str, timeout: float | None, asking: Iterator[None]) -> SeriesAnswer:
     """Returns the time series of an evaluation, for which the server simulates it again. Raises as `ended`."""
     with attached(f"the time series of evaluation {evaluation} are still being made; ask again", timeout):
         while (trace := client.trace(evaluation)) is None:

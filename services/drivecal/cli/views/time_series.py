@@ -4,29 +4,19 @@ from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
 
-from drivecal.contracts.evaluation import SeriesAnswer, TraceAnswer
+from drivecal.contracts.evaluation import SeriesAnswer
 from drivecal.contracts.tables import csv_text
 from drivecal.domain.errors import InvalidInputError, Problem, file_faults
 
 SUFFIXES = (".csv", ".parquet", ".json")
 
 
-def columns_of(trace: TraceAnswer | SeriesAnswer) -> dict[str, list[float]]:
-    """Returns columns with a value per step: time, ego vehicle, and neighbours with their names in front; of a bundle all of its series."""
-    if isinstance(trace, SeriesAnswer):
-        return dict(trace.series)
-    columns = {"time_s": trace.time_s, **trace.ego}
-    for vehicle, series in trace.neighbours.items():
-        columns |= {f"{vehicle}_{name}": values for name, values in series.items()}
-    return columns
-
-
-def save(trace: TraceAnswer | SeriesAnswer, file: Path) -> None:
+def save(trace: SeriesAnswer, file: Path) -> None:
     """Writes a table with a row per step (.csv, .parquet), or everything with plans and metrics (.json).
 
     Raises InvalidInputError if the file cannot be written.
     """
-    columns = columns_of(trace)
+    columns = trace.series
     if not columns:
         raise InvalidInputError(Problem("--trace", "the run has no time series", "declare some under `series` in problem.yaml"))
     with file_faults(file, "written", "give another file"):

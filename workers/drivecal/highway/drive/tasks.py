@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from drivecal.bundles.highway import HighwayScenario
+from drivecal.contracts.evaluation import SeriesAnswer
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import FAILED_RATING, Failure, Rating, RunResult
 from drivecal.domain.roads import Floats
@@ -17,7 +18,7 @@ from drivecal.highway.comfort.metrics import comfort_metrics
 from drivecal.highway.drive.control import PlannerControl
 from drivecal.highway.drive.loop import FinishedRun, Loop
 from drivecal.highway.drive.road import HighwayRoad
-from drivecal.highway.drive.trace import Recorder, Trace
+from drivecal.highway.drive.trace import TaskRecorder
 from drivecal.highway.drive.traffic import Traffic
 from drivecal.plugins.ports import DrivingFunction, Evaluator, Series, SeriesEvaluator, VehicleModel
 from drivecal.roads.carriageway import carriageway, corridor_of
@@ -119,9 +120,8 @@ class TaskRunner:
         folder = Path(self._folder.name)
         (folder / NETWORK).write_bytes(scenario.network)
         drifts = {other.id: drift_offsets(other, scenario) for other in scenario.traffic if other.drift}
-        traffic = Traffic(
-            scenario.id, described(scenario), folder / NETWORK, road_of(scenario), scenario.step, folder, drifts=drifts
-        )
+        self._road = road_of(scenario)
+        traffic = Traffic(scenario.id, described(scenario), folder / NETWORK, self._road, scenario.step, folder, drifts=drifts)
         control = PlannerControl(driving_function.create(scenario))
         self._loop = Loop(traffic, vehicle, control, verge=0.0, heading=scenario.ego.heading)
 
@@ -132,11 +132,12 @@ class TaskRunner:
         """
         return self._result(self._loop.run(parameters))
 
-    def trace(self, parameters: Sequence[float]) -> Trace:
+    def trace(self, parameters: Sequence[float]) -> tuple[RunResult, SeriesAnswer]:
         """Runs the same simulation and returns its time series, too."""
-        recorder = Recorder(self._scenario)
+        recorder = TaskRecorder(self._scenario)
         finished = self._loop.run(parameters, watch=recorder)
-        return recorder.trace(finished.record, self._result(finished))
+        result = self._result(finished)
+        return result, recorder.answer(finished.record, result, self._road.corridor)
 
     def _result(self, finished: FinishedRun) -> RunResult:
         motion, dynamics = finished.record.motion, finished.record.dynamics

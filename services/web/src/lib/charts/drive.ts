@@ -1,17 +1,8 @@
-/** A drive from above, whatever reports it: a trace of the built-in motorway with its scenario, or the replay of a simulator on a road network. */
+/** A drive from above: the replay of a run on a road network. */
 
-import type { ReplayAnswer, RoadAnswer, RoadSurface, VehicleAnswer } from "../server/types";
-import type { Trace } from "./geometry";
+import type { ReplayAnswer, ReplayVehicle, RoadSurface } from "../server/types";
 
-type Sized = Pick<VehicleAnswer, "length_m" | "width_m">;
-
-export interface Scene {
-  road: Pick<RoadAnswer, "reference_line" | "boundaries">;
-  ego: Sized;
-  traffic: (Sized & Pick<VehicleAnswer, "id">)[];
-}
-
-export interface Vehicle extends Sized {
+export interface Vehicle extends Pick<ReplayVehicle, "length_m" | "width_m"> {
   name: string;
   /** The times of its places; it is not there before and after them. */
   time_s: readonly number[];
@@ -27,36 +18,11 @@ export interface Drive {
   surface: RoadSurface;
   ego: Vehicle;
   others: readonly Vehicle[];
-  plans: Trace["plans"];
+  plans: ReplayAnswer["plans"];
   /** The ego vehicle's speed (m/s), its place along the road and its offset (m). */
   speed: readonly number[];
   along: readonly number[];
   offset: readonly number[];
-}
-
-/** A car with a known place and nothing else. */
-const USUAL = { length_m: 4.6, width_m: 1.9 };
-
-export function driveOf(trace: Trace, scene: Scene): Drive {
-  const { boundaries, reference_line } = scene.road;
-  return {
-    time_s: trace.time_s,
-    line: reference_line,
-    surface: {
-      lanes: boundaries.slice(1).map((left, index) => ({ right: boundaries[index] ?? [], left })),
-      edges: boundaries.length > 1 ? [boundaries[0] ?? [], boundaries.at(-1) ?? []] : [],
-      markings: boundaries.slice(1, -1),
-    },
-    ego: { name: "", ...scene.ego, time_s: trace.time_s, places: trace.ego },
-    others: Object.entries(trace.neighbours).map(([name, places]) => {
-      const { length_m, width_m } = scene.traffic.find((entry) => entry.id === name) ?? USUAL;
-      return { name, length_m, width_m, time_s: trace.time_s, places };
-    }),
-    plans: trace.plans,
-    speed: trace.ego["speed_mps"] ?? [],
-    along: trace.ego["s_m"] ?? [],
-    offset: trace.ego["d_m"] ?? [],
-  };
 }
 
 export function driveIn(replay: ReplayAnswer): Drive {
@@ -68,7 +34,7 @@ export function driveIn(replay: ReplayAnswer): Drive {
     surface: replay.route,
     ego: { name: "", length_m, width_m, time_s, places: ego },
     others: replay.others.map(({ id: name, first, length_m, width_m, ...places }) => ({ name, length_m, width_m, time_s: time_s.slice(first, first + places.x_m.length), places })),
-    plans: [],
+    plans: replay.plans,
     speed: ego.speed_mps,
     along: ego.position_m,
     offset: ego.offset_m,

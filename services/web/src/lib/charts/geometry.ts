@@ -1,14 +1,10 @@
 /** Where everything is at a moment of a replay. Metres, seconds, radians. */
 
-import type { TraceAnswer } from "../server/types";
-
 export interface Pose {
   x: number;
   y: number;
   heading: number;
 }
-
-export type Trace = Omit<TraceAnswer, "metrics" | "plans"> & { plans: { made_at_s: number; x_m: number[]; y_m: number[] }[] };
 
 /** The index of the last of ascending `times` that is not after `moment`; -1 before the first. */
 export function lastBefore(times: readonly number[], moment: number): number {

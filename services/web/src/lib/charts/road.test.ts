@@ -1,37 +1,7 @@
 import { expect, test } from "vitest";
 import type { ReplayAnswer } from "../server/types";
-import { driveIn, driveOf, type Drive, type Scene } from "./drive";
-import type { Trace } from "./geometry";
+import { driveIn, type Drive } from "./drive";
 import { colours, seen, type Path, type Shape } from "./road";
-
-const along = Array.from({ length: 60 }, (_, index) => index * 5);
-const SCENE: Scene = {
-  road: { reference_line: along.map((x) => [x, x, 0, 0, 0]), boundaries: [-2, 2, 6].map((y) => along.map((x) => [x, y])) },
-  ego: { length_m: 5, width_m: 2 },
-  traffic: [{ id: "a<b", length_m: 10, width_m: 2 }],
-};
-const moving = (from: number) => ({ x_m: [from, from + 30, from + 60], y_m: [0, 0, 0], heading_rad: [0, 0, 0] });
-const TRACE: Trace = {
-  scenario: "S1", score: 7, rating: 6.9, failure: null, time_s: [0, 1, 2], ego: moving(100), neighbours: { "a<b": moving(120), gone: { x_m: [], y_m: [] } },
-  plans: [{ made_at_s: 1, x_m: [130, 160], y_m: [0, 1] }],
-};
-const DRIVE = driveOf(TRACE, SCENE);
-const at = (moment: number): Shape[] => seen(DRIVE, moment, 800, colours(false));
-const strokes = (shapes: Shape[], colour: string): Shape[] => shapes.filter((shape) => "points" in shape && shape.stroke === colour);
-
-test("dashes stay where they are on the road while the view moves", () => {
-  const [first, other] = [at(0), at(0.5)].map((shapes) => shapes.find((shape) => "points" in shape && shape.dash));
-  if (!first || !other || !("points" in first) || !("points" in other)) throw new Error("no dashes");
-  const scale = (first.dash?.[0] ?? 0) / 6;
-  const start = (path: typeof first): number => (path.points[0]?.[0] ?? 0) - (path.dashOffset ?? 0);
-  expect(start(first) - start(other)).toBeCloseTo(15 * scale);
-});
-
-test("a plan is there once it was made, and who is not on the road is not drawn", () => {
-  expect(strokes(at(0.5), "#d55e00").length).toBe(0);
-  expect(strokes(at(1), "#d55e00").length).toBe(1);
-  expect(at(0).filter((entry) => "text" in entry).map((entry) => ("text" in entry ? entry.text : ""))).toEqual(["a<b"]);
-});
 
 /** A road of two lanes of 4 and 2.5 m from (0, 0), whose left lane ends after 200 m; at any place in any direction. */
 function network(origin: readonly [number, number], heading: number): ReplayAnswer {
@@ -54,11 +24,23 @@ function network(origin: readonly [number, number], heading: number): ReplayAnsw
     },
     ego: { length_m: 4.7, width_m: 1.9, speed_mps: [30, 30, 30, 30], position_m: [60, 90, 120, 150], offset_m: [0, 0, 0, 0], ...driven(60, 30, 4) },
     others: [{ id: "late", first: 2, length_m: 12, width_m: 2.5, ...driven(140, 20, 2) }],
+    plans: [{ made_at_s: 1, time_s: [0, 1, 2], ...driven(90, 30, 3), curvature_1pm: [0, 0, 0], speed_mps: [30, 30, 30], acceleration_mps2: [0, 0, 0] }],
   };
 }
 const paths = (shapes: Shape[], has: (path: Path) => boolean): Path[] => shapes.filter((shape): shape is Path => "points" in shape && has(shape));
 const view = (drive: Drive, moment: number): Shape[] => seen(drive, moment, 800, colours(false));
 const SCALE = 800 / 155;
+
+test("dashes stay where they are on the road while the view moves", () => {
+  const [first, other] = [0, 0.5].map((moment) => paths(view(driveIn(network([0, 0], 0)), moment), ({ dash }) => dash !== undefined)[0]);
+  const start = (path: Path | undefined): number => (path?.points[0]?.[0] ?? NaN) - (path?.dashOffset ?? NaN);
+  expect(start(first) - start(other)).toBeCloseTo(15 * SCALE);
+});
+
+test("a plan is there once it was made", () => {
+  const plans = (moment: number): number => paths(view(driveIn(network([0, 0], 0)), moment), ({ stroke }) => stroke === colours(false).plan).length;
+  expect([0.5, 1].map(plans)).toEqual([0, 1]);
+});
 
 test("lanes have their own widths, borders and ends", () => {
   const shapes = view(driveIn(network([0, 0], 0)), 0);

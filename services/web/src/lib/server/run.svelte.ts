@@ -1,8 +1,7 @@
 /** A run as views show it: its result, and its drive or time series. These are not stored with runs: the first reader has the run simulated once more. */
 
 import { Refusal, ask, get, isUnreached, messageOf } from "./api.svelte";
-import { driveIn, driveOf, type Drive, type Scene } from "../charts/drive";
-import type { Trace } from "../charts/geometry";
+import { driveIn, type Drive } from "../charts/drive";
 import type { Reported } from "../charts/series";
 import { isDriven, problemOf } from "./shape";
 import type { EvaluationDetail, PendingTrace, ProblemAnswer, SeriesAnswer } from "./types";
@@ -24,10 +23,7 @@ export function replays({ simulator }: Pick<ProblemAnswer, "simulator">): boolea
 }
 
 /** The time series of drivecal's own planner that are drawn. */
-function reportedBy({ time_s, ego }: Trace): Reported {
-  const { longitudinal_acceleration_mps2 = [], lateral_acceleration_mps2 = [], longitudinal_jerk_mps3 = [], lateral_jerk_mps3 = [], speed_mps = [], d_m = [] } = ego;
-  return { time_s, longitudinal_acceleration_mps2, lateral_acceleration_mps2, longitudinal_jerk_mps3, lateral_jerk_mps3, speed_mps, "offset from the rightmost lane's centre_m": d_m };
-}
+const DRAWN = ["time_s", "longitudinal_acceleration_mps2", "lateral_acceleration_mps2", "longitudinal_jerk_mps3", "lateral_jerk_mps3", "speed_mps", "d_m"];
 
 type Named<T> = { [K in keyof T as string extends K ? never : K]: T[K] };
 type Row = Omit<Named<EvaluationDetail>, "outcome"> & { outcome: Outcome | null };
@@ -46,15 +42,14 @@ export class Run {
   /** Reads what is missing. Throws a Refusal without a result. */
   async load(signal: AbortSignal): Promise<void> {
     this.row ??= await get<Row>(`/evaluations/${this.id}`, signal);
-    const { campaign, scenario } = this.row;
+    const { campaign } = this.row;
     this.problem ??= await problemOf(campaign.problem, signal);
     if (Object.keys(this.problem.series).length === 0 && !replays(this.problem)) {
       this.untraced = "The problem declares no time series: its results are the measures.";
     } else if (this.reported === null) {
       this.waiting = SIMULATING;
       try {
-        const scene = isDriven(this.problem) ? await get<Scene>(`/scenarios/${encodeURIComponent(scenario)}?${new URLSearchParams({ problem: campaign.problem })}`, signal) : null;
-        await this.simulate(scene, signal);
+        await this.simulate(isDriven(this.problem), signal);
         this.waiting = "";
       } catch (error) {
         if (signal.aborted) throw error;
@@ -64,17 +59,14 @@ export class Run {
     }
   }
 
-  private async simulate(scene: Scene | null, signal: AbortSignal): Promise<void> {
+  private async simulate(driven: boolean, signal: AbortSignal): Promise<void> {
     for (;;) {
       const answer = await ask(`/evaluations/${this.id}/trace`, { signal });
-      const body = (await answer.json()) as PendingTrace | SeriesAnswer | Trace;
+      const body = (await answer.json()) as PendingTrace | SeriesAnswer;
       if ("series" in body) {
-        [this.reported, this.drive] = [body.series, body.replay && driveIn(body.replay)];
+        this.reported = driven ? Object.fromEntries(DRAWN.map((name) => [name === "d_m" ? "offset from the rightmost lane's centre_m" : name, body.series[name] ?? []])) : body.series;
+        this.drive = body.replay && driveIn(body.replay);
         if (this.drive === null && Object.keys(body.series).length === 0) this.untraced = "The run ended before it had any time series.";
-        return;
-      }
-      if ("time_s" in body) {
-        [this.reported, this.drive] = [reportedBy(body), scene && driveOf(body, scene)];
         return;
       }
       this.waiting = body.degraded ?? (body.state === "queued" ? "Waiting for a worker that simulates it once more …" : SIMULATING);
