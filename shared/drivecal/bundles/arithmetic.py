@@ -97,7 +97,7 @@ def compared(comparison: Comparison, left: Evaluated, right: Evaluated) -> Evalu
 
 
 def joined(conditions: Sequence[Evaluated], *, conjunction: bool) -> Evaluated:
-    """Returns conditions on arrays, all of which hold, or any."""
+    """Returns the conjunction of conditions on arrays, or else their disjunction."""
     joint = np.logical_and if conjunction else np.logical_or
     return lambda values: reduce(joint, [condition(values) for condition in conditions])
 

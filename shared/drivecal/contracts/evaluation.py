@@ -124,7 +124,7 @@ class ReplayAnswer(Answer):
     """A drive on the roads of a network, in its coordinates.
 
     `line`: rows of place along the route, x, y (m) and heading (rad); `route`: its lanes where the vehicle drives. `time_s`: equally
-    spaced but for the last one. `plans` are those of a driving function, in the order of time.
+    spaced but for the last one. A driving function makes `plans`.
     """
 
     time_s: list[float]
