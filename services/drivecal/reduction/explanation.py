@@ -160,6 +160,9 @@ def _sentence(explanation: Explanation) -> str:
     reference = explanation.reference
     stored = "an evaluation that was deleted" if reference is None else _place(reference, explanation.campaign)
     match explanation.reason:
+        case "repeated" if reference is not None and reference.claimed:
+            names = ", ".join(reference.claimed)
+            return f"Repeated: {stored} is of an earlier version; claims of problem.yaml about {names} make the two sets equal."
         case "repeated":
             return f"Repeated: {stored} has the same parameter set in the same setup."
         case "reused":

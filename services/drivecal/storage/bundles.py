@@ -87,6 +87,12 @@ def named(connection: Connection, name_or_digest: str) -> StoredBundle:
     return find(connection, name_or_digest)
 
 
+def manifests(connection: Connection, name: str) -> list[Mapping[str, Any]]:
+    """Returns the manifests of everything that was pushed under a name, last pushed first."""
+    query = select(bundles.c.manifest).where(bundles.c.name == name).order_by(bundles.c.pushed.desc())
+    return list(connection.scalars(query))
+
+
 def archive(connection: Connection, digest: str) -> bytes:
     """Returns the archive of a bundle. Raises NotFoundError."""
     content = (

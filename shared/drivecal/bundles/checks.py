@@ -52,6 +52,9 @@ _PLACEHOLDERS: Mapping[str, Any] = {
     "problem": "x",
     "description": "",
     "parameters": {"x": {"lower": 0, "upper": 1}},
+    "added": {},
+    "removed": {},
+    "renamed": {},
     "varied": {},
     "constraints": [],
     "baseline": None,
@@ -108,6 +111,7 @@ def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables 
         ({"varied"}, _names("varied", manifest.varied)),
         ({"measures"}, _names("measures", manifest.measures)),
         ({"parameters", "varied"}, _varied(manifest)),
+        ({"parameters", "added", "removed", "renamed"}, _claims(manifest)),
         ({"parameters", "constraints"}, _constraints(manifest)),
         ({"parameters", "baseline"}, _baseline(manifest)),
         ({"parameters", "baseline", "constraints"}, _feasibility(manifest)),
@@ -163,6 +167,26 @@ def _varied(manifest: Manifest) -> Iterator[Problem]:
         elif not entry.lower <= entry.nominal <= entry.upper:
             message = f"{entry.nominal:g} lies outside of {entry.lower:g} to {entry.upper:g}"
             yield Problem(f"{field}.nominal", message, "give a value of the range")
+
+
+def _claims(manifest: Manifest) -> Iterator[Problem]:
+    present = list(manifest.parameters)
+    for name, value in manifest.added.items():
+        if name in manifest.parameters:
+            yield from _value(f"added.{name}", _declared(name, manifest.parameters[name]), value)
+        else:
+            yield Problem(f"added.{name}", "there is no such parameter", nearest(name, present))
+    for name in manifest.removed:
+        if name in manifest.parameters:
+            yield Problem(f"removed.{name}", f"{name} is a parameter still", "leave it out, or remove the parameter")
+    for name, old in manifest.renamed.items():
+        if name not in manifest.parameters:
+            yield Problem(f"renamed.{name}", "there is no such parameter", nearest(name, present))
+        if old in manifest.parameters:
+            yield Problem(f"renamed.{name}", f"{old} is a parameter still", "give the name that the parameter had before")
+        elif list(manifest.renamed.values()).count(old) > 1 or old in manifest.removed or name in manifest.added:
+            message = f"another claim speaks of {name} or {old} as well"
+            yield Problem(f"renamed.{name}", message, "give each parameter one claim")
 
 
 def _declared(name: str, entry: ParameterEntry) -> Parameter | InvalidInputError:

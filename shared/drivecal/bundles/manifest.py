@@ -194,6 +194,10 @@ class ScoreEntry(Model):
         return Scale(name, direction, lower, upper, self.tolerance, self.failed_worth, self.step, self.unit)
 
 
+Claimed = Number | Choice
+"""A value that a claim about earlier runs gives a parameter."""
+
+
 class Manifest(Model):
     """`problem.yaml`. `failures` and `series`: names of failures and units of time series that the simulator may report."""
 
@@ -203,6 +207,12 @@ class Manifest(Model):
     """For readers."""
     parameters: Annotated[dict[Identifier, ParameterEntry], Field(min_length=1, max_length=200)]
     """The searched space."""
+    added: Annotated[dict[Identifier, Claimed], Field(max_length=200, default_factory=dict)]
+    """New parameters: stored runs of the same files without them mean these values."""
+    removed: Annotated[dict[Identifier, Claimed], Field(max_length=200, default_factory=dict)]
+    """Former parameters: runs behave as stored ones with these values."""
+    renamed: Annotated[dict[Identifier, Identifier], Field(max_length=200, default_factory=dict)]
+    """Former names by the new ones; the values mean the same."""
     varied: Annotated[dict[Identifier, VariedEntry], Field(max_length=100, default_factory=dict)]
     """Side conditions that robustness studies vary."""
     constraints: Annotated[tuple[Text, ...], Field(max_length=100, strict=False)] = ()
@@ -243,6 +253,11 @@ class Manifest(Model):
             if name in valid
         }
         return {**document, "scenarios": {**scenarios, **rest}, "scenario_resources": valid}
+
+    @property
+    def claims(self) -> bool:
+        """True if it says what runs of its earlier versions mean."""
+        return bool(self.added or self.removed or self.renamed)
 
     def resources(self, scenario: str) -> dict[str, int]:
         """Returns the number of each resource that a run of a scenario holds, without zeros."""

@@ -46,6 +46,8 @@ class Reference(Answer):
     individual: int
     score: Score | None
     failure: str | None
+    claimed: list[str] = Field(default_factory=list)
+    """Parameters of one set only: `added`, `removed` and `renamed` of problem.yaml say that both behave the same."""
 
 
 class Check(Answer):

@@ -21,9 +21,10 @@ class CampaignState(StrEnum):
 
 
 class StageName(StrEnum):
-    """The stages of a campaign, in running order. Append only: databases store their positions."""
+    """The stages of a campaign: `claims` first, then in this order. Append only: databases store their positions."""
 
     SENSITIVITY = "sensitivity"
     CALIBRATION = "calibration"
     ROBUSTNESS = "robustness"
     VALIDATION = "validation"
+    CLAIMS = "claims"

@@ -8,6 +8,7 @@ from functools import cached_property, partial
 
 from sqlalchemy import Connection
 
+from drivecal.campaigns.cells.earlier import EarlierVersion, answers_of
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, RequestedCell
@@ -49,6 +50,8 @@ class View:
     """The time series of its cells are wanted."""
     workers: int = 1
     """Workers at the beginning."""
+    earlier: tuple[EarlierVersion, ...] = ()
+    """Earlier versions of the problem whose runs answer cells: claims about them are checked."""
     reuse_time: ReuseTime = field(default_factory=ReuseTime)
 
     @cached_property
@@ -125,6 +128,9 @@ def plan_cells(
                 place = view.campaign, iteration, scenario, setup_id
                 known = evaluations.released_before(connection, place, view.bench.evaluator_id, list(by_id))
                 released |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
+        if policy.mode != "off" and view.earlier:
+            open_cells = {(cell.scenario, cell.parameters): None for cell in wanted}.keys() - exact.keys()
+            exact |= answers_of(connection, view.bench, view.earlier, open_cells, view.watermark)
     placed = [
         replace(
             cell,

@@ -21,6 +21,7 @@ from statistics import fmean
 import numpy as np
 from sqlalchemy import Connection
 
+from drivecal.campaigns.cells import earlier
 from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.contracts.campaign import Released
 from drivecal.contracts.specification import ReductionSpecification
@@ -136,9 +137,8 @@ class LotPlanner:
             fingerprints = [setup.fingerprint for setup in self._view.bench.setups.values()]
             self._recent_seconds = (runs.recent_milliseconds(connection, fingerprints) or 0.0) / 1000
             for scenario, learner in self._learners.items():
-                rated = runs.rated(
-                    connection, setups[scenario], self._view.bench.evaluator_id, self._view.watermark, MOST_KNOWN
-                )
+                view = self._view
+                rated = earlier.rated(connection, view.bench, view.earlier, scenario, view.watermark, MOST_KNOWN)
                 known = [run for run in rated if self._features.holds(run.parameters)]
                 if known:
                     scores, ratings = (

@@ -9,7 +9,7 @@ from typing import Any
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.fingerprints import score_id, setup_document
 from drivecal.bundles.installed import Bundle
-from drivecal.bundles.manifest import ScoreEntry
+from drivecal.bundles.manifest import Manifest, ScoreEntry
 from drivecal.bundles.scoring import rate
 from drivecal.contracts.work import SetupRequest
 from drivecal.domain.evaluations import Rating
@@ -48,6 +48,8 @@ class Bench:
     """True if the runs need no child process (`SetupRequest.is_driven`)."""
     repeat: float = 0.0
     """Share of simulated cells that run twice on a simulator that does not claim to be deterministic."""
+    earlier: Manifest | None = None
+    """An earlier version of the manifest, whose parameters the setups name."""
 
     def __post_init__(self) -> None:
         """Raises UnavailableError if a plug-in lacks a shipped file, which reading its version reveals."""
@@ -59,7 +61,7 @@ class Bench:
         return self._setups(self.seed)
 
     def _setups(self, seed: int) -> dict[str, Setup]:
-        manifest, files, tools = self.bundle.manifest, self.bundle.files, self.bundle.tools
+        manifest, files, tools = self.earlier or self.bundle.manifest, self.bundle.files, self.bundle.tools
         settings: dict[str, Any] = {"section": self.section, "varied": self.values, "tools": tools, "seed": seed}
         documents = {
             name: setup_document(manifest, name, files, data=data, **settings) for name, data in self.scenarios.items()

@@ -156,7 +156,7 @@ def _reference(case: _Case, evaluation_id: int | None) -> tuple[Reference | None
     except NotFoundError:
         return None, []
     by_name = dict(zip(donor.parameters.names, donor.parameters.codes, strict=True))
-    values = np.array([by_name[name] for name in case.cell.parameters.names], dtype=np.int64)
+    claimed = sorted(by_name.keys() ^ set(case.cell.parameters.names))
     score = donor.score
     if donor.run_id is not None and donor.campaign_sequence != case.campaign.sequence:
         score = runs.scores(connection=case.connection, run_ids=[donor.run_id], evaluator=case.evaluator).get(
@@ -170,7 +170,11 @@ def _reference(case: _Case, evaluation_id: int | None) -> tuple[Reference | None
         individual=donor.individual,
         score=score,
         failure=donor.failure,
+        claimed=claimed,
     )
+    if claimed:
+        return reference, []
+    values = np.array([by_name[name] for name in case.cell.parameters.names], dtype=np.int64)
     return reference, [_difference(case, donor, difference) for difference in case.comparison.differences(values)]
 
 

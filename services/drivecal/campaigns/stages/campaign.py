@@ -3,12 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from drivecal.campaigns.cells.earlier import earlier_versions
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import note_of, rate_stored_runs
 from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.maps import check_basis, stored_map, warnings_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem
 from drivecal.campaigns.stages.calibration import Calibration
+from drivecal.campaigns.stages.claims import ClaimCheck, checkable
 from drivecal.campaigns.stages.outside import OutsideSearch
 from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
@@ -65,7 +67,8 @@ class SingleEvaluation(Stage):
 
 
 StageKind = (
-    type[Sensitivity]
+    type[ClaimCheck]
+    | type[Sensitivity]
     | type[Calibration]
     | type[OutsideSearch]
     | type[RobustnessStage]
@@ -81,6 +84,7 @@ def _wants_validation(problem: CalibrationProblem, *, of_predictions: bool) -> b
 
 
 STAGES: tuple[tuple[StageKind, Wanted], ...] = (
+    (ClaimCheck, lambda _, problem: problem.bench.bundle.manifest.claims),
     (Sensitivity, lambda campaign, problem: campaign.influence_map_id is None and problem.analysis() is not None),
     (Calibration, lambda _, problem: problem.optimization is not None and not problem.optimization.is_external),
     (OutsideSearch, lambda _, problem: problem.optimization is not None and problem.optimization.is_external),
@@ -123,15 +127,29 @@ class StagedCampaign(Job):
 
     def _begin(self) -> None:
         rate_stored_runs(self._database, self._view)
+        claims = self._take_claims()
         note = note_of(self._database, self._view)
         campaign = self._campaign()
         with self._database.read() as connection:  # what was known of the map when the campaign was submitted
             warnings = warnings_of(connection, self._problem, campaign.influence_map_id, campaign.created_at)
-        notes = [*warnings, *([] if note is None else [note])]
+        notes = [*claims, *warnings, *([] if note is None else [note])]
         if notes:
             self._problem = replace(self._problem, notes=(*self._problem.notes, *notes))
         self._stage = self._next(campaign)
         self._begun = True
+
+    def _take_claims(self) -> list[str]:
+        """Takes the earlier versions whose runs answer cells into the view; returns notes on them."""
+        if self._problem.specification.reduction.mode == "off":
+            return []
+        with self._database.read() as connection:
+            view = replace(self._view, earlier=earlier_versions(connection, self._problem.bench))
+        sampled = checkable(self._database, view, self._problem) if view.earlier else []
+        used = tuple(version for version in view.earlier if any(cell.version is version for cell in sampled))
+        self._view = replace(view, earlier=used)
+        claims = ", ".join(dict.fromkeys(claim for version in used for claim in version.claims))
+        checked = f"a sample of {len(sampled)} was checked by simulation in the stage claims"
+        return [f"stored runs of earlier versions of the problem answer cells by {claims}: {checked}"] if used else []
 
     def _campaign(self) -> StoredCampaign:
         with self._database.read() as connection:

@@ -10,15 +10,16 @@ from sqlalchemy import Connection
 from drivecal.analysis.aims import JudgedGoals, WeightedScore
 from drivecal.analysis.goals import SCORE
 from drivecal.analysis.replicates import choosing
-from drivecal.campaigns.cells.planning import View, ensure_setups
+from drivecal.campaigns.cells import earlier
+from drivecal.campaigns.cells.earlier import place_in
+from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.optimizer import Optimization
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.asking import WINDOW, AskedRound, PopulationAsker
 from drivecal.contracts.campaign import GenerationCounts, SearchState
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import CellScore, RequestedCell
-from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace
+from drivecal.domain.parameters import Indices
 from drivecal.optimizers.population import start_population
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, AskedCell, CellAnswer, SearchTask
@@ -181,15 +182,14 @@ def best_known(aim: Aim, known: Sequence[CellAnswer]) -> list[tuple[int, ...]]:
 
 def _known(database: Database, view: View, problem: CalibrationProblem, aim: WeightedScore | JudgedGoals) -> list[CellAnswer]:
     """Returns the stored answers of sets in the space, in the order of references."""
-    evaluator, answers = view.bench.evaluator_id, []
+    answers = []
     with database.transaction() as connection:
         watermark = campaigns.first_watermark(connection, view.campaign)  # the same again is the same
-        setups = ensure_setups(connection, view.bench)
         for place, scenario in enumerate(problem.scenarios):
-            stored = runs.rated(connection, setups[scenario], evaluator, watermark, MOST_KNOWN)
+            stored = earlier.rated(connection, view.bench, view.earlier, scenario, watermark, MOST_KNOWN)
             measured = {} if problem.goals is None else runs.values_of(connection, [run.evaluation for run in stored])
             for run in stored:
-                indices = _place_in(problem.space, run.parameters)
+                indices = place_in(problem.space, run.parameters)
                 if indices is None:
                     continue
                 values = {SCORE: run.score}
@@ -199,11 +199,3 @@ def _known(database: Database, view: View, problem: CalibrationProblem, aim: Wei
                 failed = run.score == view.bench.scale.failed
                 answers.append(CellAnswer(AskedCell(indices, place), aim.of(cell), failed=failed))
     return answers
-
-
-def _place_in(space: ParameterSpace, parameters: ParameterSet) -> tuple[int, ...] | None:
-    """Returns the grid indices of a set in a space; None if it lies outside."""
-    try:
-        return tuple(space.indices(parameters.values))
-    except InvalidInputError:
-        return None

@@ -80,8 +80,9 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("error", campaign.error))
     labels = {"owner": campaign.owner or "", "tags": " ".join(campaign.tags)}
     lines += [(title, text) for title, text in labels.items() if text]
-    if campaign.sensitivity_cells.requested:
-        lines.append(("analysis", f"{campaign.sensitivity_cells.requested:,} requested = {_sum(campaign.sensitivity_cells)}"))
+    for label, stage in (("claims", "claims"), ("analysis", "sensitivity")):
+        if (cells := campaign.stages.get(stage)) is not None and cells.requested:
+            lines.append((label, f"{cells.requested:,} requested = {_sum(cells)}"))
     if campaign.cells.requested:
         lines.append(("cells", cells_text(campaign.cells)))
     if campaign.budget is not None:

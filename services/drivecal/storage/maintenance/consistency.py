@@ -29,6 +29,7 @@ from drivecal.domain.evaluations import ANSWERED_BY_DONOR, Outcome
 from drivecal.storage.campaigns import by_stage
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import (
+    campaign_stages,
     campaigns,
     evaluations,
     generations,
@@ -147,6 +148,8 @@ def check_answers(connection: Connection) -> Iterator[str]:
     same = and_(
         run.c.setup_id == cell.setup_id, or_(cell.outcome == Outcome.REUSED, run.c.parameter_set_id == cell.parameter_set_id)
     )
+    of_claims = campaign_stages.c.campaign_sequence == cell.campaign_sequence, campaign_stages.c.stage == StageName.CLAIMS
+    same |= (cell.outcome == Outcome.REPEATED) & exists().where(*of_claims)  # answered by an earlier version of the problem
     answered = cell.outcome.in_((Outcome.SIMULATED, *ANSWERED_BY_DONOR))
     broken = answered & (run.c.id.is_(None) | ~same)
     yield from _cells(connection, joined, broken, "have no run of their own cell")

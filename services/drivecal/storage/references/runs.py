@@ -1,6 +1,6 @@
 """The reference table: simulated results, each (setup, parameter set) once, and their ratings by evaluator."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import repeat
@@ -156,6 +156,27 @@ def rated(connection: Connection, setup_id: int, evaluator: str, watermark: int,
     )
     rows = connection.execute(query).all()
     return [RatedRun(number, ParameterSet.from_json(values), score, rating) for number, values, score, rating in reversed(rows)]
+
+
+def in_order_of_keys(
+    connection: Connection, setup_id: int, evaluator: str, watermark: int, names: Collection[str], others: Collection[str]
+) -> Iterator[RatedRun]:
+    """Returns a setup's runs up to `watermark` by the keys of their sets, which is a random order: sets with all `names` and none of the
+    `others`. The connection must stay open meanwhile."""
+    values = parameter_sets.c.parameter_values
+    query = (
+        select(runs.c.evaluation_id, values, ratings.c.score, ratings.c.rating)
+        .select_from(
+            runs.join(parameter_sets).join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
+        )
+        .where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
+        .where(*(values.contains(f'"{name}": ', autoescape=True) for name in names))
+        .where(*(~values.contains(f'"{name}": ', autoescape=True) for name in others))
+        .order_by(parameter_sets.c.key)
+        .execution_options(yield_per=100)
+    )
+    for number, text, score, rating in connection.execute(query):
+        yield RatedRun(number, ParameterSet.from_json(text), score, rating)
 
 
 def values_of(connection: Connection, evaluation_ids: Collection[int]) -> dict[int, tuple[dict[str, float | None], str | None]]:

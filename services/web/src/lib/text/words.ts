@@ -19,7 +19,7 @@ export const MEANING: Record<Outcome | "pending" | "carried_over", string> = {
 /** The address of a word's meaning; `word` is the anchor of a heading. */
 export const glossary = (word: string): string => `/help/concepts/glossary.html#${word}`;
 
-const STAGES = ["sensitivity", "calibration", "robustness", "validation"];
+const STAGES = ["claims", "sensitivity", "calibration", "robustness", "validation"];
 
 const ENDED: readonly string[] = ["succeeded", "failed", "cancelled"];
 
@@ -63,6 +63,7 @@ export function sentence(campaign: Moving & Partial<Pick<Campaign, "spec" | "bud
   if (state === "succeeded") return "Finished.";
   if (state === "cancelled") return "Ended on request; what was finished is kept.";
   if (state === "failed") return "Ended with an error.";
+  if (stage === "claims") return "Checking by simulation what stored runs mean for new parameters.";
   if (stage === "sensitivity") return "Analysing the influence of the parameters.";
   if (stage === "calibration") {
     const [now, most] = [(campaign.iteration ?? 0) + 1, campaign.spec?.optimizer?.iterations];

@@ -1,0 +1,192 @@
+"""Stored runs of earlier versions of a problem, which answer its cells if the manifest says what they mean."""
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import islice
+
+from sqlalchemy import Connection
+
+from drivecal.bundles.manifest import Claimed, Manifest
+from drivecal.campaigns.resolve.bench import Bench
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.evaluations import Donor
+from drivecal.domain.parameters import ParameterSet, ParameterSpace, Value, decimal
+from drivecal.storage import bundles
+from drivecal.storage.references import parameter_sets, runs, setups
+from drivecal.storage.references.runs import RatedRun
+
+SAMPLE = 12
+"""Stored cells of an earlier version that are simulated again, before others answer cells; at least one in each of its scenarios."""
+MOST_SCENARIOS = 20
+
+
+@dataclass(frozen=True)
+class EarlierVersion:
+    """An earlier version of a problem, with the claims that make its runs answers of the present one."""
+
+    manifest: Manifest
+    kept: Mapping[str, str]
+    """Earlier names by the present ones, in the present order."""
+    added: Mapping[str, Value]
+    removed: Mapping[str, Value]
+
+    @property
+    def claims(self) -> tuple[str, ...]:
+        """Fields of the manifest that claim something about it."""
+        renamed = [f"renamed.{new}" for new, old in self.kept.items() if new != old]
+        return (*(f"added.{name}" for name in self.added), *(f"removed.{name}" for name in self.removed), *renamed)
+
+    def before(self, present: ParameterSet) -> ParameterSet | None:
+        """Returns the earlier set whose runs answer a present one; None if the claims speak of other values."""
+        values = present.values
+        if any(values.get(name) != value for name, value in self.added.items()):
+            return None
+        return ParameterSet.of({old: values[new] for new, old in self.kept.items()} | dict(self.removed))
+
+    def after(self, earlier: ParameterSet, names: tuple[str, ...]) -> ParameterSet | None:
+        """Returns the present set, in the order of `names`, that an earlier one answers; None if the claims speak of other sets."""
+        values = earlier.values
+        if values.keys() != {*self.kept.values(), *self.removed}:
+            return None
+        if any(values[name] != value for name, value in self.removed.items()):
+            return None
+        present = {new: values[old] for new, old in self.kept.items()} | dict(self.added)
+        return ParameterSet.of({name: present[name] for name in names})
+
+
+def earlier_version(manifest: Manifest, earlier: Manifest) -> EarlierVersion | None:
+    """Returns an earlier version of a problem with other parameters; None if the claims leave a difference open."""
+    names, before = list(manifest.parameters), set(earlier.parameters)
+    kept = {name: manifest.renamed.get(name, name) for name in names}
+    kept = {name: name if name in before else old for name, old in kept.items() if name in before or old in before}
+    added, removed = set(names) - kept.keys(), before - set(kept.values())
+    if not (added or removed or any(new != old for new, old in kept.items())):
+        return None
+    if len(set(kept.values())) < len(kept) or not (added <= manifest.added.keys() and removed <= manifest.removed.keys()):
+        return None
+    return EarlierVersion(
+        manifest=earlier, kept=kept, added=_exact(manifest.added, added), removed=_exact(manifest.removed, removed)
+    )
+
+
+def _exact(claimed: Mapping[str, Claimed], names: set[str]) -> dict[str, Value]:
+    return {name: value if isinstance(value, str) else decimal(value) for name, value in claimed.items() if name in names}
+
+
+def bench_of(version: EarlierVersion, bench: Bench) -> Bench:
+    """Returns the bench whose setups runs of an earlier version have."""
+    return replace(bench, earlier=version.manifest)
+
+
+def earlier_versions(connection: Connection, bench: Bench) -> tuple[EarlierVersion, ...]:
+    """Returns the pushed versions of a problem whose runs its manifest speaks of, last pushed first."""
+    manifest = bench.bundle.manifest
+    if not manifest.claims:
+        return ()
+    versions: dict[object, EarlierVersion] = {}
+    for document in bundles.manifests(connection, manifest.problem):
+        version = earlier_version(manifest, Manifest.model_validate(document))
+        if version is not None:
+            fingerprints = (setup.fingerprint for setup in bench_of(version, bench).setups.values())
+            versions.setdefault((frozenset(version.manifest.parameters), *fingerprints), version)
+    return tuple(versions.values())
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierCell:
+    """A stored run of an earlier version, and the present set that it answers."""
+
+    version: EarlierVersion
+    scenario: str
+    parameters: ParameterSet
+    run: RatedRun
+
+
+def sample(
+    connection: Connection, bench: Bench, versions: Collection[EarlierVersion], space: ParameterSpace, watermark: int
+) -> list[EarlierCell]:
+    """Returns the stored cells that check claims: the same for every campaign, as far as its space and scenarios hold them."""
+    cells: list[EarlierCell] = []
+    for version in versions:
+        known = _setup_ids(connection, bench_of(version, bench))
+        most = min(len(known), max(1, MOST_SCENARIOS // len(versions)))
+        for scenario, setup_id in known.items():
+            stored = _answering(connection, bench, version, setup_id, space, watermark)
+            here = [EarlierCell(version, scenario, *cell) for cell in islice(stored, max(1, SAMPLE // len(known)))]
+            cells += here
+            most -= bool(here)
+            if not most:
+                break
+    return cells
+
+
+def _answering(
+    connection: Connection, bench: Bench, version: EarlierVersion, setup_id: int, space: ParameterSpace, watermark: int
+) -> Iterator[tuple[ParameterSet, RatedRun]]:
+    """Yields the sets in the space that an earlier version's runs in a setup answer, in a random order that is always the same."""
+    names = {*version.kept.values(), *version.removed}
+    others = {*version.kept, *version.added} - names
+    for run in runs.in_order_of_keys(connection, setup_id, bench.evaluator_id, watermark, names, others):
+        present = version.after(run.parameters, space.names)
+        if present is not None and place_in(space, present) is not None:
+            yield present, run
+
+
+def place_in(space: ParameterSpace, parameters: ParameterSet) -> tuple[int, ...] | None:
+    """Returns the grid indices of a set in a space; None if it lies outside."""
+    try:
+        return tuple(space.indices(parameters.values))
+    except InvalidInputError:
+        return None
+
+
+def answers_of(
+    connection: Connection,
+    bench: Bench,
+    versions: Collection[EarlierVersion],
+    wanted: Collection[tuple[str, ParameterSet]],
+    watermark: int,
+) -> dict[tuple[str, ParameterSet], Donor]:
+    """Returns the stored answers of cells by runs of earlier versions, by scenario and set; the newest version comes first."""
+    answers: dict[tuple[str, ParameterSet], Donor] = {}
+    for version in versions:
+        before = {cell: earlier for cell in wanted if cell not in answers and (earlier := version.before(cell[1])) is not None}
+        ids = parameter_sets.ids(connection, [each.key for each in before.values()])
+        known = _setup_ids(connection, bench_of(version, bench)) if ids else {}
+        for scenario, setup_id in known.items():
+            sets = {ids[each.key]: cell for cell, each in before.items() if cell[0] == scenario and each.key in ids}
+            donors = runs.look_up_exact(connection, setup_id, list(sets), bench.evaluator_id, watermark)
+            answers |= {sets[number]: donor for number, donor in donors.items()}
+    return answers
+
+
+def rated(
+    connection: Connection, bench: Bench, versions: Collection[EarlierVersion], scenario: str, watermark: int, limit: int
+) -> list[RatedRun]:
+    """Returns the last runs of a scenario up to `watermark`, in the order of references, runs of earlier versions first.
+
+    Args:
+        connection: the database.
+        bench: the campaign's bench.
+        versions: earlier versions whose claims are checked.
+        scenario: id of the scenario.
+        watermark: largest number of a run.
+        limit: most runs of each version.
+    """
+    names = tuple(parameter.name for parameter in bench.parameters)
+    own = runs.rated(connection, setups.ensure(connection, [bench.setups[scenario]])[0], bench.evaluator_id, watermark, limit)
+    seen, earlier = {run.parameters for run in own}, list[RatedRun]()
+    for version in versions:
+        known = _setup_ids(connection, bench_of(version, bench))
+        for run in runs.rated(connection, known[scenario], bench.evaluator_id, watermark, limit) if scenario in known else ():
+            present = version.after(run.parameters, names)
+            if present is not None and present not in seen:
+                seen.add(present)
+                earlier.append(replace(run, parameters=present))
+    return [*earlier, *own]
+
+
+def _setup_ids(connection: Connection, bench: Bench) -> dict[str, int]:
+    """Returns the numbers of the stored setups by scenario."""
+    known = setups.ids(connection, [setup.fingerprint for setup in bench.setups.values()])
+    return {name: known[setup.fingerprint] for name, setup in bench.setups.items() if setup.fingerprint in known}

@@ -1,0 +1,117 @@
+"""Stored runs of earlier versions of a problem answer its campaigns if the manifest says what they mean."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
+from tests.support.problems import store, submit_checked
+from tests.support.runs import dispatcher, finish, rows_of
+
+from drivecal.campaigns.results.explanation import explain
+from drivecal.contracts.work import Cell, CellResult, SetupRequest
+from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.maintenance.consistency import CHECKS
+
+BEFORE: dict[str, Any] = {"x": {"lower": 0, "upper": 1, "step": 0.01}, "n": {"lower": 1, "upper": 4, "integer": True}}
+JERK: dict[str, Any] = {"jerk_max": {"lower": 5, "upper": 25, "step": 1}}
+SPEC: dict[str, Any] = {"problem": "acc", "optimizer": {"kind": "random", "population": 10, "seed": 1, "iterations": 4}}
+
+
+def driven(setup: SetupRequest, cell: Cell) -> CellResult:
+    """Without jerk_max it is 20, without n it is 2; `m` is another name of n."""
+    p = {"jerk_max": 20.0, "n": 2.0} | {"n" if name == "m" else name: float(value) for name, value in cell.parameters.items()}
+    cost = (p["x"] - 0.4) ** 2 + 0.1 * p["n"] + abs(p["jerk_max"] - 15) / 100 + 0.1 * (setup.scenario == "road")
+    return CellResult(cell.id, None, None, {"y": cost}, None, 7.0)
+
+
+def push(database: Database, parameters: dict[str, Any], **claims: Any) -> None:
+    simulator = {"kind": "process", "command": ["mysim"], "deterministic": True}
+    scores = {"cost": {"formula": "y", "direction": "minimise", "range": [0, 10]}}
+    scenarios: dict[str, Any] = {"city": {}, "road": {}}
+    manifest = {"problem": "acc", "parameters": parameters, "simulator": simulator, "scenarios": scenarios, "scores": scores}
+    store(database, manifest | {"measures": {"y": "1"}} | claims)
+
+
+def carried_out(database: Database, **changes: Any) -> StoredCampaign:
+    return finish(database, submit_checked(database, SPEC | changes), dispatcher(database, ComputedBackend(driven=driven)))
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Database]:
+    """The problem's earlier version is pushed."""
+    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    push(database, BEFORE)
+    yield database
+    database.dispose()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "claims", "fixed"),
+    [
+        (BEFORE | JERK, {"added": {"jerk_max": 20}}, {"jerk_max": 20}),
+        (BEFORE | {"k": {"lower": 0, "upper": 9, "integer": True}}, {"added": {"k": 3}}, {"k": 3}),
+        ({"x": BEFORE["x"], "m": BEFORE["n"]}, {"renamed": {"m": "n"}}, {}),
+    ],
+    ids=["number", "integer", "renamed"],
+)
+def test_the_same_search_is_answered_by_runs_of_the_earlier_version(
+    database: Database, parameters: dict[str, Any], claims: dict[str, Any], fixed: dict[str, float]
+) -> None:
+    earlier = carried_out(database)
+    push(database, parameters, **claims)
+    ended = carried_out(database, fixed=fixed)
+    assert ended.state is CampaignState.SUCCEEDED, ended.error
+    assert ended.cells.requested == ended.cells.repeated == earlier.cells.requested
+    checked = ended.counts(StageName.CLAIMS)
+    assert 5 <= checked.runs == checked.simulated <= 20
+    assert ended.best is not None
+    assert earlier.best is not None
+    assert ended.best.objective == earlier.best.objective
+    assert carried_out(database, fixed=fixed).counts(StageName.CLAIMS).runs == 0, "the sample is stored by now"
+    rows = [row for row in rows_of(database, ended) if row.stage is StageName.CALIBRATION]
+    with database.read() as connection:
+        explained = [explain(connection, row.id).reference for row in rows]
+        assert [list(check(connection)) for check in CHECKS.values()] == [[] for _ in CHECKS]
+    of_earlier = [reference for reference in explained if reference is not None and reference.campaign == earlier.id]
+    assert len(of_earlier) >= len(rows) - checked.simulated
+    assert all(reference.claimed for reference in of_earlier)
+
+
+def test_runs_with_the_value_of_a_removed_parameter_answer(database: Database) -> None:
+    earlier = carried_out(database, fixed={"n": 2})
+    push(database, {"x": BEFORE["x"]}, removed={"n": 2})
+    ended = carried_out(database)
+    assert ended.cells.requested == ended.cells.repeated == earlier.cells.requested
+
+
+def test_a_search_by_the_cell_begins_with_runs_of_the_earlier_version(database: Database) -> None:
+    earlier = carried_out(database)
+    push(database, BEFORE | JERK, added={"jerk_max": 20})
+    ended = carried_out(database, optimizer={"kind": "surrogate", "seed": 1}, budget={"simulations": 20})
+    first = rows_of(database, ended)
+    assert earlier.best is not None
+    asked = [row for row in first if row.stage is StageName.CALIBRATION and row.outcome is Outcome.REPEATED]
+    assert earlier.best.parameters | {"jerk_max": 20.0} in [row.parameters.floats for row in asked]
+
+
+@pytest.mark.parametrize("value", [19, 20])
+def test_a_wrong_claim_ends_the_campaign_and_is_named(database: Database, value: float) -> None:
+    carried_out(database)
+    push(database, BEFORE | JERK, added={"jerk_max": value})
+    ended = carried_out(database, fixed={"jerk_max": value})
+    assert (ended.state is CampaignState.FAILED) == (value == 19)
+    assert ("added.jerk_max" in (ended.error or "")) == (value == 19)
+    assert ended.cells.requested == (0 if value == 19 else ended.cells.repeated)
+
+
+def test_nothing_is_claimed_without_a_claim_about_each_difference(database: Database) -> None:
+    carried_out(database)
+    push(database, BEFORE | JERK | {"k": {"lower": 0, "upper": 9}}, added={"jerk_max": 20})
+    ended = carried_out(database, fixed={"jerk_max": 20, "k": 3})
+    assert ended.cells.simulated == len({(row.scenario, row.parameters) for row in rows_of(database, ended)})
