@@ -12,6 +12,8 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, WITH_ANALYSIS, dispatcher, get, influenced, run, submit
 from tests.support.server import free_port, serving
 
+from drivecal.bundles.archives import folder_digest
+from drivecal.client.problem_templates import write_problem
 from drivecal.storage import processes
 from drivecal.storage.engine.types import now
 
@@ -144,6 +146,29 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         expect(page.get_by_label("Token")).to_be_visible()
         page.reload()
         expect(page.get_by_label("Token")).to_be_visible()
+        page.close()
+
+
+def test_a_chosen_folder_is_pushed_with_the_token_and_its_findings_are_listed(tmp_path: Path, opening: Opening) -> None:
+    (tmp_path / "tokens").write_text(f"bert author {TOKEN}\n")
+    write_problem("process", "mine", str(tmp_path / "mine"))
+    manifest = tmp_path / "mine" / "problem.yaml"
+    good = manifest.read_text()
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tmp_path / "tokens")) as api:
+        page = opening(f"{api.url}/#/problems", expected=("401", "422"))
+        page.get_by_label("Token").fill(TOKEN)
+        page.get_by_role("button", name="Log in").click()
+        findings, stored = page.get_by_role("table", name="Findings"), page.get_by_text("is stored")
+        for text, shown in ((good.replace("direction: minimise", "direction: down"), findings), (good, stored)):
+            manifest.write_text(text)
+            page.get_by_label("a folder").set_input_files(tmp_path / "mine")
+            page.get_by_label("Your token again").fill(TOKEN)
+            page.get_by_role("button", name="Check and push").click()
+            expect(shown).to_contain_text(re.compile(r"problem.yaml\d+scores.cost.direction|mine is stored"))
+        expect(findings).to_have_count(0)
+        assert barriers(page) == []
+        pushed = api.http.get("/api/v1/problems/mine", headers={"Authorization": f"Bearer {TOKEN}"}).json()
+        assert pushed["digest"] == folder_digest(manifest.parent)
         page.close()
 
 

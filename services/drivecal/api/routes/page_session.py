@@ -11,16 +11,17 @@ router = APIRouter(tags=["page"])
 
 
 class Session(Answer):
-    """The client and its rights; `name` is null without tokens."""
+    """The client and its rights; `name` is null without tokens. `may_push`: with its token, which the page asks for again."""
 
     name: str | None
     may_write: bool
+    may_push: bool
 
 
 @router.get("/session")
 def read_session(request: Request) -> Session:
     """The client's token. 401 if it is unknown."""
-    return _session(request.state.token)
+    return _session(request)
 
 
 @router.post("/session")
@@ -36,7 +37,7 @@ def begin_session(request: Request, response: Response) -> Session:
             samesite="strict",
             secure=request.headers.get("origin", "").startswith("https:"),
         )
-    return _session(token)
+    return _session(request)
 
 
 @router.delete("/session", status_code=204)
@@ -45,5 +46,7 @@ def end_session(request: Request, response: Response) -> None:
     response.delete_cookie(sessions.cookie_name(request.headers.get("host", "")), httponly=True, samesite="strict")
 
 
-def _session(token: Token) -> Session:
-    return Session(name=None if token is ANYBODY else token.name, may_write=token.may_write)
+def _session(request: Request) -> Session:
+    token: Token = request.state.token
+    may_push = token.may_push and request.app.state.pushing.allowed
+    return Session(name=None if token is ANYBODY else token.name, may_write=token.may_write, may_push=may_push)

@@ -91,7 +91,7 @@ export async function ask(path: string, options: RequestInit = {}, root = ROOT):
   heard(true);
   if (answer.ok && path === SESSION) shut = false;
   if (answer.ok || answer.status === 304) return answer;
-  if (answer.status === 401) {
+  if (answer.status === 401 && !new Headers(options.headers).has("Authorization")) {
     shut = true;
     refused();
   }
