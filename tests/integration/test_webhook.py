@@ -5,7 +5,6 @@ import logging
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import timedelta
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
@@ -29,7 +28,6 @@ from drivecal.execution.scheduling.resources import Resources
 from drivecal.storage import campaigns, events, processes
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.types import now
 
 
 @contextmanager
@@ -135,26 +133,6 @@ def test_many_events_at_a_time_and_single_evaluations_hide_no_later_event(databa
         for _ in range(3):
             hook.post()
         assert [each["campaign"]["id"] for each in posted] == ended
-
-
-def test_events_of_hours_without_a_post_are_not_read_again(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
-    with listening() as (url, posted):
-        hook = Webhook(database, url)
-        hook.post()
-        end(database)
-        hook.post()
-        for module in (webhook, events):
-            monkeypatch.setattr(module, "now", lambda: now() + timedelta(hours=2))
-        hook.post()
-        with database.read() as connection:
-            process = processes.read(connection, NAME)
-        assert process is not None
-        assert process.detail["since"] > (now() + timedelta(hours=1)).isoformat()
-        ended = end(database)
-        hook.post()
-        hook.post()
-        assert len(posted) == 2
-        assert posted[-1]["campaign"]["id"] == ended
 
 
 def test_posting_goes_on_after_an_unexpected_fault(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,27 +11,21 @@ import os
 import threading
 import urllib.error
 import urllib.request
-from collections.abc import Mapping, Sequence
-from datetime import datetime, timedelta
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Self
 
 from drivecal.domain.errors import SupersededError, UnavailableError
-from drivecal.domain.events import EventKind
 from drivecal.storage import campaigns, events, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.events import StoredEvent
 
-KINDS = (EventKind.SUCCEEDED, EventKind.FAILED, EventKind.CANCELLED, EventKind.STALLED, EventKind.DEGRADED)
 NAME = "webhook"
-"""Name of the row that says which events were posted."""
+"""Name of the row that says when the first webhook began."""
 EVERY_SECONDS, AFTER_FAULT_SECONDS, TIMEOUT_SECONDS = 1.0, 60.0, 10.0
 PAUSES = (1.0, 5.0, 25.0)
 """Seconds before each further attempt; after the last one the event is given up."""
-OVERLAP, SKIP = timedelta(seconds=60), timedelta(hours=1)
-"""Events may be committed in another order than that of their times, by less than the first. After the second without an event to post,
-the events of that time are not read again."""
 
 log = logging.getLogger(__name__)
 
@@ -74,27 +68,21 @@ class Webhook:
 
     def post(self) -> None:
         """Posts the events that were not posted yet; none that is older than the first call ever."""
-        moment = now()
         with self._database.read() as connection:
-            process = processes.read(connection, NAME)
-            begun = moment if process is None else process.started_at
-            since = begun if process is None else datetime.fromisoformat(process.detail["since"])
-            told = {} if process is None else dict(process.detail["told"])
-            due = [] if process is None else events.of_kinds(connection, KINDS, max(begun, since - OVERLAP), [*map(int, told)])
-        if process is None or (not due and moment - since > SKIP):
-            self._mark(begun, moment, {})
+            process, due = processes.read(connection, NAME), events.unposted(connection)
+        if process is None:
+            with self._database.transaction() as connection:
+                processes.heartbeat(connection, NAME, os.getpid(), now(), {})
+                events.mark_posted(connection)
+            return
         for event in due:
             if not self._deliver(event):
                 return
-            since = max(since, event.created_at)
-            told[str(event.id)] = event.created_at.isoformat()
-            told = {name: at for name, at in told.items() if datetime.fromisoformat(at) > since - OVERLAP}
-            self._mark(begun, since, told)
+            self._mark(event.id)
 
-    def _mark(self, begun: datetime, since: datetime, told: Mapping[str, str]) -> None:
+    def _mark(self, event: int) -> None:
         with self._database.transaction() as connection:
-            detail = {"since": since.isoformat(), "told": dict(told)}
-            processes.heartbeat(connection, NAME, os.getpid(), begun, detail)
+            events.mark_posted(connection, event)
 
     def _deliver(self, event: StoredEvent) -> bool:
         """Returns whether an event was taken or is given up; False if the process ends first."""

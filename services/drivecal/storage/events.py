@@ -5,17 +5,20 @@ order of commits. SQLite has one writer at a time. PostgreSQL draws a number lon
 an event holds the lock of the campaign's row from before the number is drawn until the commit.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, delete, func, insert, select
+from sqlalchemy import Connection, case, delete, func, insert, select, update
 
 from drivecal.domain.events import EventKind
 from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import campaigns, events
 from drivecal.storage.engine.types import now
+
+POSTED = {EventKind.SUCCEEDED, EventKind.FAILED, EventKind.CANCELLED, EventKind.STALLED, EventKind.DEGRADED}
+"""Kinds of the events of campaigns, without single evaluations, that a webhook posts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +38,11 @@ def add(connection: Connection, campaign_sequence: int, kind: EventKind, data: M
         held = select(campaigns.c.sequence).where(campaigns.c.sequence == campaign_sequence)
         connection.execute(held.with_for_update(key_share=True))  # not in the way of rows that only refer to the campaign
     values = {"campaign_sequence": campaign_sequence, "kind": kind, "data": dict(data or {}), "created_at": now()}
+    if kind in POSTED:
+        is_campaign = campaigns.c.kind != "evaluation"
+        values["unposted"] = (
+            select(case((is_campaign, True))).where(campaigns.c.sequence == campaign_sequence).scalar_subquery()
+        )
     connection.execute(insert(events).values(values))
 
 
@@ -44,11 +52,16 @@ def since(connection: Connection, campaign_sequence: int, last_id: int, limit: i
     return [record(StoredEvent, row) for row in connection.execute(query.order_by(events.c.id).limit(limit))]
 
 
-def of_kinds(connection: Connection, kinds: Collection[EventKind], after: datetime, told: Collection[int]) -> list[StoredEvent]:
-    """The first 100 events of these kinds after a time, of all campaigns without single evaluations. `told`: ids to leave out."""
-    query = select(events).join(campaigns).where(events.c.created_at > after, events.c.kind.in_(kinds))
-    query = query.where(events.c.id.not_in(told), campaigns.c.kind != "evaluation").order_by(events.c.created_at, events.c.id)
-    return [record(StoredEvent, row) for row in connection.execute(query.limit(100))]
+def unposted(connection: Connection) -> list[StoredEvent]:
+    """The first thousand events of all campaigns, without single evaluations, that no webhook has posted."""
+    query = select(events).where(events.c.unposted.is_not(None)).order_by(events.c.id).limit(1000)
+    return [record(StoredEvent, row) for row in connection.execute(query)]
+
+
+def mark_posted(connection: Connection, event_id: int | None = None) -> None:
+    """Marks an event as posted, or all of them."""
+    here = events.c.unposted.is_not(None) if event_id is None else events.c.id == event_id
+    connection.execute(update(events).where(here).values(unposted=None))
 
 
 def newest_id(connection: Connection, campaign_sequence: int) -> int:

@@ -392,7 +392,9 @@ events = Table(
     Column("kind", Name, nullable=False),
     Column("data", Document, nullable=False),
     Column("created_at", UtcDateTime, nullable=False),
+    Column("unposted", Boolean),  # true until a webhook has posted it; null if none is to
     Index(None, "campaign_sequence", "id"),
     Index(None, "created_at"),
+    _partial_index("ix_events_unposted", "id", where="unposted IS NOT NULL"),
     sqlite_autoincrement=True,
 )
