@@ -80,9 +80,9 @@ def busy(api: RunningApi) -> Measures:
     """A dispatcher that has done something."""
     measures = Measures()
     for seconds in (0.004, 0.2, 0.2, 90.0):
-        measures.observe("lookup", seconds)
-    measures.count("breakdowns", "crash", 2)
-    measures.count("late_results")
+        measures.lookup.observe(seconds)
+    measures.breakdowns.labels("crash").inc(2)
+    measures.late_results.inc()
     states = ("idle", "busy", "busy", "starting")
     workers = [{"id": f"worker-{n}", "node": "here", "state": state, "cells": 0} for n, state in enumerate(states)]
     use = {"name": "carmaker", "total": 4, "held": 3, "settling": 1}

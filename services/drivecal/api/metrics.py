@@ -4,22 +4,19 @@ If the database does not answer, its metrics are left out and `drivecal_database
 process. Counters of the dispatcher's and the API's own memory begin at 0 with their process, as Prometheus expects.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from importlib.metadata import version
-from itertools import accumulate
 from typing import Any
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, disable_created_metrics
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, InfoMetricFamily
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, Metric, ProcessCollector, disable_created_metrics
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
 from prometheus_client.registry import Collector
-from prometheus_client.utils import floatToGoString
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivecal.api.live.dispatcher_health import judge, silent_seconds
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Outcome
-from drivecal.execution.measures import BOUNDS, DURATIONS, KINDS, Duration, Happening
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.maintenance import statistics
@@ -27,19 +24,6 @@ from drivecal.storage.maintenance.statistics import CampaignKey, CellKey, Statis
 from drivecal.storage.processes import StoredProcess
 
 WORKER_STATES = ("starting", "idle", "busy")
-DURATION_METRICS: dict[Duration, tuple[str, str]] = {
-    "lookup": ("drivecal_lookup_seconds", "Looking up what is stored for the cells of one population or sample"),
-    "evaluation": ("drivecal_evaluation_seconds", "CPU time of one simulated cell"),
-    "batch": ("drivecal_batch_seconds", "Duration of one batch of cells at its worker"),
-    "lease": ("drivecal_lease_transaction_seconds", "Duration of transactions that lease cells"),
-    "record": ("drivecal_record_transaction_seconds", "Duration of transactions that write results down"),
-}
-COUNT_METRICS: dict[Happening, tuple[str, str]] = {
-    "breakdowns": ("drivecal_breakdowns", "Cells that broke down, alone or with their worker, once per attempt"),
-    "retries": ("drivecal_retries", "Cells that were sent again after a breakdown"),
-    "busy_answers": ("drivecal_busy_answers", "Batches that ended early because their simulator was busy; the cells wait"),
-    "late_results": ("drivecal_late_results", "Results that came after their lease was over, and were rejected"),
-}
 
 
 class Meters:
@@ -136,20 +120,8 @@ def _of_dispatcher(dispatcher: StoredProcess | None) -> Iterator[Any]:
         held.add_metric([use["name"]], use["held"])
     yield total
     yield held
-    measures: Mapping[str, Any] = dispatcher.detail.get("measures") or {"seconds": {}, "counts": {}}
-    for duration in DURATIONS:
-        if duration in measures["seconds"]:
-            yield _histogram(*DURATION_METRICS[duration], measures["seconds"][duration])
-    for happening, kinds in KINDS.items():
-        if happening in measures["counts"]:
-            labels = ["kind"] if any(kinds) else []
-            counter = CounterMetricFamily(*COUNT_METRICS[happening], labels=labels)
-            for kind, count in measures["counts"][happening].items():
-                counter.add_metric([kind] if labels else [], count)
-            yield counter
-
-
-def _histogram(name: str, documentation: str, measured: Mapping[str, Any]) -> HistogramMetricFamily:
-    totals = accumulate(measured["buckets"])
-    bounds = [*map(floatToGoString, BOUNDS), "+Inf"]
-    return HistogramMetricFamily(name, documentation, list(zip(bounds, totals, strict=True)), measured["sum"])
+    for name, documentation, kind, samples in dispatcher.detail.get("measures", ()):
+        family = Metric(name, documentation, kind)
+        for ending, labels, value in samples:
+            family.add_sample(name + ending, labels, value)
+        yield family

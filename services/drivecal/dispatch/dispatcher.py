@@ -368,7 +368,7 @@ class Dispatcher:
         if job is None:
             return
         if active.unwritten and (self._clock() >= active.write_at or not self._pool.held(active.tag)):
-            with MEASURES.timed("record"):
+            with MEASURES.record.time():
                 work = job.record(active.unwritten)
             active.unwritten.clear()
             active.moved_at, active.stalled = self._clock(), False

@@ -2,75 +2,64 @@
 
 The dispatcher puts `snapshot` into its heartbeat, and the API exports it. Counters start at zero with the process, as Prometheus
 expects. Like a logger, `MEASURES` exists once per process and decides nothing.
-
-    with MEASURES.timed("lease"):
-        ...
-    MEASURES.observe("batch", result.seconds)
-    MEASURES.count("breakdowns", "crash")
 """
 
-import time
-from bisect import bisect_left
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any, Literal
+from collections.abc import Iterable
+from typing import Any
+
+from prometheus_client import CollectorRegistry, Counter, Histogram
 
 from drivecal.domain.evaluations import Breakdown
 
-Duration = Literal["lookup", "evaluation", "batch", "lease", "record"]
-"""`lookup`: look-up of a round's cells. `evaluation`: CPU time of a cell. `batch`: time of a batch at its worker. `lease`, `record`:
-transactions that lease cells and write results."""
-Happening = Literal["breakdowns", "retries", "late_results", "busy_answers"]
-"""`breakdowns` of cells or workers, by kind. `retries`: cells sent again, by kind. `late_results`: rejected results without a lease.
-`busy_answers`: batches that ended because their simulator was busy."""
 DEPARTED = "departed"
 """Kind of a breakdown that is no fault of a cell: its worker was killed from outside, or left with its node."""
-
-DURATIONS: tuple[Duration, ...] = ("lookup", "evaluation", "batch", "lease", "record")
-KINDS: dict[Happening, tuple[str, ...]] = {
-    "breakdowns": (*Breakdown, DEPARTED),
-    "retries": tuple(Breakdown),
-    "late_results": ("",),
-    "busy_answers": ("",),
-}
-"""Series shown as 0 from the start."""
 BOUNDS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
 """Inclusive upper ends of the buckets, s; a last bucket holds longer durations."""
 
 
 class Measures:
-    """Durations by bucket and happenings by kind. Any thread may take a snapshot."""
+    """Histograms of durations and counters of happenings."""
 
     def __init__(self) -> None:
-        self._buckets: dict[str, list[int]] = {name: [0] * (len(BOUNDS) + 1) for name in DURATIONS}
-        self._sums: dict[str, float] = dict.fromkeys(DURATIONS, 0.0)
-        self._counts: dict[str, dict[str, int]] = {name: dict.fromkeys(kinds, 0) for name, kinds in KINDS.items()}
+        self._registry = CollectorRegistry()
+        self.lookup = self._durations("lookup", "Looking up what is stored for the cells of one population or sample")
+        self.evaluation = self._durations("evaluation", "CPU time of one simulated cell")
+        self.batch = self._durations("batch", "Duration of one batch of cells at its worker")
+        self.lease = self._durations("lease_transaction", "Duration of transactions that lease cells")
+        self.record = self._durations("record_transaction", "Duration of transactions that write results down")
+        told = "Cells that broke down, alone or with their worker, once per attempt"
+        self.breakdowns = self._happenings("breakdowns", told, (*Breakdown, DEPARTED))
+        self.retries = self._happenings("retries", "Cells that were sent again after a breakdown", Breakdown)
+        told = "Batches that ended early because their simulator was busy; the cells wait"
+        self.busy_answers = self._happenings("busy_answers", told)
+        told = "Results that came after their lease was over, and were rejected"
+        self.late_results = self._happenings("late_results", told)
 
-    def observe(self, name: Duration, seconds: float) -> None:
-        """Counts a duration."""
-        self._buckets[name][bisect_left(BOUNDS, seconds)] += 1
-        self._sums[name] += seconds
+    def snapshot(self) -> list[list[Any]]:
+        """Returns a JSON document: name, help, type and samples of each metric; a sample is the end of its name, its labels and its
+        value."""
+        return [
+            [
+                *(family.name, family.documentation, family.type),
+                [
+                    [sample.name.removeprefix(family.name), dict(sample.labels), sample.value]
+                    for sample in family.samples
+                    if not sample.name.endswith("_created")
+                ],
+            ]
+            for family in self._registry.collect()
+        ]
 
-    @contextmanager
-    def timed(self, name: Duration) -> Iterator[None]:
-        """Counts the duration of a block, also if it raises; as a decorator, of each call."""
-        begin = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.observe(name, time.perf_counter() - begin)
+    def _durations(self, name: str, documentation: str) -> Histogram:
+        return Histogram(f"drivecal_{name}_seconds", documentation, buckets=BOUNDS, registry=self._registry)
 
-    def count(self, name: Happening, kind: str = "", times: int = 1) -> None:
-        """Counts happenings."""
-        counts = self._counts[name]
-        counts[kind] = counts.get(kind, 0) + times
-
-    def snapshot(self) -> dict[str, Any]:
-        """Returns a JSON document: `seconds` by name, with counts per bucket and the sum in s; `counts` by name and kind."""
-        return {
-            "seconds": {name: {"buckets": list(self._buckets[name]), "sum": self._sums[name]} for name in DURATIONS},
-            "counts": {name: dict(self._counts[name]) for name in KINDS},
-        }
+    def _happenings(self, name: str, documentation: str, kinds: Iterable[str] = ()) -> Counter:
+        """Returns a counter by kind, whose series begin at 0."""
+        shown = list(kinds)
+        counter = Counter(f"drivecal_{name}", documentation, ["kind"] if shown else [], registry=self._registry)
+        for kind in shown:
+            counter.labels(kind)
+        return counter
 
 
 MEASURES = Measures()

@@ -114,21 +114,21 @@ class Observer:
             result = event.result
             self._activity.finished(dispatch.worker, dispatch.batch_id, len(result.results), result.seconds)
             if result.refusal is None and dispatch.batch.cells:
-                MEASURES.observe("batch", result.seconds)
+                MEASURES.batch.observe(result.seconds)
             if result.busy is not None:
-                MEASURES.count("busy_answers")
+                MEASURES.busy_answers.inc()
             for answer in result.results:
                 if answer.breakdown is None:
-                    MEASURES.observe("evaluation", answer.milliseconds / 1000)
+                    MEASURES.evaluation.observe(answer.milliseconds / 1000)
             for kind in broken.values():
-                MEASURES.count("breakdowns", kind)
+                MEASURES.breakdowns.labels(kind).inc()
         else:
             self._activity.lost(dispatch.worker, dispatch.batch_id)
-            MEASURES.count("breakdowns", DEPARTED if event.departed else event.breakdown)
+            MEASURES.breakdowns.labels(DEPARTED if event.departed else event.breakdown).inc()
         final = {completion.result.id for completion in completed}
         for cell, kind in broken.items():
             if cell not in final:
-                MEASURES.count("retries", kind)
+                MEASURES.retries.labels(kind).inc()
         for failed in completed:
             if failed.result.breakdown is not None:
                 self._tell_failure(failed)

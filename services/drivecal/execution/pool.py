@@ -48,7 +48,7 @@ class StoredLeases:
         self, returned: Counts, wanted: Counts, seconds: float, *, unstarted: Counts, twice: Collection[int]
     ) -> Mapping[int, int]:
         """Updates leases in one transaction. Raises UnavailableError, and SupersededError if another dispatcher was elected."""
-        with MEASURES.timed("lease"), self._database.transaction() as connection:
+        with MEASURES.lease.time(), self._database.transaction() as connection:
             leases.give_back(connection, returned, unstarted)
             return leases.take(connection, wanted, seconds, twice)
 

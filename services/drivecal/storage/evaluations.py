@@ -1,7 +1,7 @@
 """Evaluations: the requested cells of campaigns, from plan to answer."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -27,7 +27,6 @@ from drivecal.domain.evaluations import NOT_SIMULATED, Donor, Outcome, OutcomeCo
 from drivecal.storage import leases
 from drivecal.storage.engine.bulk import execute_rows, numbers, rows_among
 from drivecal.storage.engine.tables import campaigns, evaluations, ratings, runs
-from drivecal.storage.engine.types import finite
 from drivecal.storage.references import metrics
 from drivecal.storage.references.runs import metrics as metrics_of_runs
 from drivecal.storage.references.runs import occupying
@@ -95,16 +94,14 @@ def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> tuple[int
     )
     rows = [{"evaluation": answer.id} | {f"new_{name}": getattr(answer, name) for name in _ANSWER} for answer in answers]
     execute_rows(connection, statement, rows)
-    return leases.end(
-        connection, [answer.id for answer in answers]
-    )  # of an earlier attempt too: another cell's run may be the answer
+    # of an earlier attempt too: another cell's run may be the answer
+    return leases.end(connection, [answer.id for answer in answers])
 
 
-def keep_metrics(connection: Connection, metrics: Mapping[int, Mapping[str, float]]) -> None:
-    """Stores measures of cells, by id, whose own runs differ from the stored runs of the same sets."""
-    rows = [{"evaluation": number, "own": finite(dict(values))} for number, values in metrics.items()]
-    mine = update(evaluations).where(evaluations.c.id == bindparam("evaluation"))
-    execute_rows(connection, mine.values(metrics=bindparam("own")), rows)
+def store(connection: Connection, column: str, values: Mapping[int, Any]) -> None:
+    """Stores a value in a column of each of these evaluations, by id."""
+    statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation")).values({column: bindparam("value")})
+    execute_rows(connection, statement, [{"evaluation": number, "value": value} for number, value in values.items()])
 
 
 def measured(connection: Connection, cells: Mapping[int, int | None]) -> dict[int, dict[str, float | None]]:
@@ -118,20 +115,11 @@ def measured(connection: Connection, cells: Mapping[int, int | None]) -> dict[in
 _ANSWER = tuple(field.name for field in fields(AnsweredCell) if field.name != "id")
 
 
-def simulate_instead(connection: Connection, evaluation_ids: Sequence[int]) -> None:
-    """Plans a simulation for pending copies whose leader has no result."""
+def simulate(connection: Connection, evaluation_ids: Iterable[int], **more: Any) -> None:
+    """Plans a simulation for pending cells, and changes `more` columns of them."""
     statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))
     rows = [{"evaluation": identifier} for identifier in evaluation_ids]
-    if rows:
-        connection.execute(statement.values(plan=Outcome.SIMULATED, reference=None), rows)
-
-
-def draw_sample(connection: Connection, evaluation_ids: Sequence[int]) -> None:
-    """Plans a simulation for the predicted or reused cells that were drawn as the samples of their lots."""
-    statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))
-    rows = [{"evaluation": identifier} for identifier in evaluation_ids]
-    if rows:
-        connection.execute(statement.values(plan=Outcome.SIMULATED, inspected=True), rows)
+    execute_rows(connection, statement.values(plan=Outcome.SIMULATED, **more), rows)
 
 
 def occupied(connection: Connection, campaign_sequence: int, after: int) -> tuple[dict[str, tuple[int, int]], int]:
@@ -145,13 +133,6 @@ def occupied(connection: Connection, campaign_sequence: int, after: int) -> tupl
     )
     rows = connection.execute(query.group_by(cell.scenario)).all()
     return {name: (cells, int(sum_of)) for name, cells, sum_of, _ in rows}, max((row[3] for row in rows), default=after)
-
-
-def set_reference_keys(connection: Connection, keys: Mapping[int, bytes]) -> None:
-    """Stores keys of evaluations, by id, under a map that was unknown when they were requested."""
-    statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation")).values(reference_key=bindparam("key"))
-    if keys:
-        connection.execute(statement, [{"evaluation": evaluation, "key": key} for evaluation, key in keys.items()])
 
 
 def own_references(

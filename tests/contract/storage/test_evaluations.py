@@ -149,8 +149,8 @@ def test_copies_of_a_cell_without_a_result_are_simulated_instead(database: Datab
         leader, copy, answered = evaluations.insert(connection, sequence, cells)
         broken = [AnsweredCell(item, FAILED, None, None, None, failure="hang") for item in (leader, answered)]
         evaluations.answer(connection, broken)
-        evaluations.simulate_instead(connection, [copy, answered])
-        evaluations.simulate_instead(connection, [])
+        evaluations.simulate(connection, [copy, answered], reference=None)
+        evaluations.simulate(connection, [])
         assert [(entry.id, entry.plan, entry.reference) for entry in results.pending(connection, sequence)] == [
             (copy, SIMULATED, None)
         ]

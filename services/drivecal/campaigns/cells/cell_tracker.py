@@ -173,7 +173,7 @@ class CellTracker:
         if share_runs:
             self._share_runs(connection, answers, self._pending.values())
         while rejected := self._settle(connection, answers):
-            evaluations.simulate_instead(connection, [cell.id for cell in rejected])
+            evaluations.simulate(connection, [cell.id for cell in rejected], reference=None)
             answers = []
             if share_runs:
                 self._share_runs(connection, answers, self._pending.values())
@@ -204,13 +204,13 @@ class CellTracker:
                 orphans += self._break_down(cell, completion, answers)
         stored = runs.insert_results(connection, [self._new_run(*simulated) for simulated in finished])
         others = {cell.id: each.result.metrics for (cell, each, _), run in zip(finished, stored, strict=True) if not run.agrees}
-        evaluations.keep_metrics(connection, others)
+        evaluations.store(connection, "metrics", others)
         for (cell, simulation, rating), run in zip(finished, stored, strict=True):
             self._simulated(cell, simulation, rating, run, answers)
             if simulation.result.trace is not None:
                 traces.fill(connection, self._view.campaign, simulation.result.trace)
         orphans += self._settle(connection, answers)
-        evaluations.simulate_instead(connection, [orphan.id for orphan in orphans])
+        evaluations.simulate(connection, [orphan.id for orphan in orphans], reference=None)
         if orphans and not self._exclusive:  # the sample of a lot may hold the very cell
             known: list[AnsweredCell] = []
             self._share_runs(connection, known, orphans)
@@ -245,7 +245,7 @@ class CellTracker:
         }
         late = numbers.keys() - leases.current(connection, numbers)
         if late:
-            MEASURES.count("late_results", times=len(late))
+            MEASURES.late_results.inc(len(late))
             log.warning(
                 "%d results came too late and change nothing: their leases were over, e.g. of cell %d", len(late), min(late)
             )

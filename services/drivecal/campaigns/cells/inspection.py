@@ -68,7 +68,7 @@ class Inspection:
         for lot in self._open.values():
             if len(lot.members) == lot.lot.size:
                 sample = self._draw(connection, lot)
-                evaluations.draw_sample(connection, list(sample))
+                evaluations.simulate(connection, sample, inspected=True)
                 drawn |= sample
         return drawn
 

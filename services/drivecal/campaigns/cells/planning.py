@@ -87,7 +87,7 @@ def sync_reference_keys(database: Database, view: View) -> None:
         reference_keys.sync(database, view.influence_map_sequence, setup_id, evaluator, view.watermark, keys_of)
 
 
-@MEASURES.timed("lookup")
+@MEASURES.lookup.time()
 def plan_cells(
     connection: Connection,
     view: View,

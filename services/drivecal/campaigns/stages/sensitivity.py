@@ -129,9 +129,8 @@ class Sensitivity(Stage):
             for start in range(0, len(listed), KEYS_AT_ONCE):
                 portion = listed[start : start + KEYS_AT_ONCE]
                 made = keys.keys(billionths_matrix([parameters for _, parameters in portion]))
-                evaluations.set_reference_keys(
-                    connection, {number: key for (number, _), key in zip(portion, made, strict=True)}
-                )
+                keyed = {number: key for (number, _), key in zip(portion, made, strict=True)}
+                evaluations.store(connection, "reference_key", keyed)
 
     def _basis(self, analysis: Mapping[str, ScenarioInfluence]) -> dict[str, Any]:
         """The conditions of the map, and the resolution of its measures."""

@@ -11,6 +11,7 @@ from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import campaigns
+from drivecal.storage import evaluations as stored_evaluations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.bulk import execute_rows, rows_among
 from drivecal.storage.engine.records import record
@@ -195,9 +196,7 @@ def number_answers(connection: Connection, campaign_sequence: int, iteration: in
     ids = list(connection.scalars(new.order_by(cell.id)))
     if ids:
         last = connection.scalar(select(func.max(cell.answered)).where(mine, cell.answered.is_not(None))) or 0
-        numbered = update(evaluations).where(cell.id == bindparam("evaluation")).values(answered=bindparam("place"))
-        rows = [{"evaluation": number, "place": place} for place, number in enumerate(ids, last + 1)]
-        execute_rows(connection, numbered, rows)
+        stored_evaluations.store(connection, "answered", {number: place for place, number in enumerate(ids, last + 1)})
 
 
 def answers(connection: Connection, campaign_sequence: int, after: int, limit: int) -> list[OutsideAnswer]:
