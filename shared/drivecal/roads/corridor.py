@@ -151,7 +151,7 @@ def corridor(
     """
     network = replace(limited(network, default_limit), crossed=crossings)
     lanes = lanes_of(network, route)
-    check_limits(network, _driven(lanes))
+    check_limits(network, (lane for _, lane in _on_route(lanes)))
     _check_placed(network, lanes)
     _check_size(lanes, 0, name)
     _check_units(network, lanes)
@@ -271,24 +271,13 @@ def _measured_pieces(chain: Chain, places: _Places) -> Iterator[tuple[Lane, Floa
                 yield inner, places.of(inner, end, ranges[index + 1][0], index + 1)
 
 
-def _driven(lanes: Lanes) -> Iterator[Lane]:
-    """Yields all lanes of a route, also those inside of junctions."""
-    for chain in lanes.chains:
-        yield from chain.lanes
-        for inside in chain.inside:
-            yield from inside
-
-
 def _check_placed(network: Network, lanes: Lanes) -> None:
     """Raises InvalidInputError if a lane of the route is not where the OpenDRIVE file has it."""
-    for chain in lanes.chains:
-        for number, lane in enumerate(chain.lanes):
-            inside = chain.inside[number] if number < len(chain.inside) else ()
-            for driven in (lane, *inside):
-                if driven.unplaced is not None:
-                    where = f"line {driven.line}, the lane {shown(f'{driven.edge}_{driven.index}', 90)}"
-                    message = f"{where} is not at its place in the OpenDRIVE file: {shown(driven.unplaced, 200)}"
-                    raise refusal(chain.first + number, network, message, "give another route, or export the file again")
+    for index, lane in _on_route(lanes):
+        if lane.unplaced is not None:
+            where = f"line {lane.line}, the lane {shown(f'{lane.edge}_{lane.index}', 90)}"
+            message = f"{where} is not at its place in the OpenDRIVE file: {shown(lane.unplaced, 200)}"
+            raise refusal(index, network, message, "give another route, or export the file again")
 
 
 def _check_size(lanes: Lanes, stations: int, name: str) -> None:

@@ -32,21 +32,21 @@ def check_junction(network: Network, links: Sequence[Connection], index: int) ->
     junction = network.junctions.get(network.edges[links[0].begin].end)
     if junction is None:
         name = shown(network.edges[links[0].begin].end, 80)
-        raise _refused(network, index, f"the junction {name} is missing", "build the network again")
+        raise refusal(index, network, f"the junction {name} is missing", "build the network again")
     where = f"line {junction.line}, the junction {shown(junction.id, 80)}"
     for link in links:
         if link.light:
-            raise _refused(network, index, f"{where} has traffic lights", "give a route without crossings")
+            raise refusal(index, network, f"{where} has traffic lights", "give a route without crossings")
         if link.direction == TURN:
-            raise _refused(network, index, f"{where}: the route turns back", "give a route that continues")
+            raise refusal(index, network, f"{where}: the route turns back", "give a route that continues")
         if link.state in STOPS:
-            raise _refused(network, index, f"{where} has {STOPS[link.state]}", "give a route without crossings")
+            raise refusal(index, network, f"{where} has {STOPS[link.state]}", "give a route without crossings")
     crossing = None if network.crossed else next(_crossings(network, junction, links), None)
     if crossing is not None:
         message = (
             f"{where} is a crossing: {crossing} crosses the way from {shown(links[0].begin, 80)} to {shown(links[0].end, 80)}"
         )
-        raise _refused(network, index, message, "give a route along a motorway or a road without crossings")
+        raise refusal(index, network, message, "give a route along a motorway or a road without crossings")
 
 
 def _crossings(network: Network, junction: Junction, links: Sequence[Connection]) -> Iterator[str]:
@@ -69,10 +69,6 @@ def _crossings(network: Network, junction: Junction, links: Sequence[Connection]
                 yield "a pedestrian crossing"
             elif requests[other].begin != link.begin and requests[other].end != link.end and requests[other].direction != TURN:
                 yield f"the way from {shown(requests[other].begin, 80)} to {shown(requests[other].end, 80)}"
-
-
-def _refused(network: Network, index: int, message: str, remedy: str) -> InvalidInputError:
-    return InvalidInputError(Problem(f"route[{index}]", f"{network.name}: {message}", remedy))
 
 
 MOST_EDGES = 2_000
@@ -329,8 +325,6 @@ class Guide:
 
     line: Floats
     ranges: tuple[tuple[float, float], ...]
-    left: tuple[tuple[float, float], ...]
-    """Ranges of s where the line is farther than the tolerance from the guide's lanes, apart from lane changes."""
 
 
 def guide_of(network: Network, lanes: Lanes) -> Guide:
@@ -350,12 +344,12 @@ def guide_of(network: Network, lanes: Lanes) -> Guide:
         raise InvalidInputError(Problem("route", message, f"give one of {SHORTEST:g} to {LONGEST:,.0f} m"))
     nodes = nodes_of(points)
     at = np.clip(np.searchsorted(length, lengths(nodes), side="left"), 0, len(limits) - 1)
-    line, left = _drivable(nodes, limits[at])
+    line = _drivable(nodes, limits[at])
     ends = points[[place for border in borders for place in border]]
     guess = length[[place for border in borders for place in border]]
     s, _ = project(line, ends, guess)
     s = np.where(np.isnan(s), guess, s).reshape(-1, 2)
-    return Guide(line, tuple((float(begin), float(end)) for begin, end in s), left)
+    return Guide(line, tuple((float(begin), float(end)) for begin, end in s))
 
 
 class _Joined:
@@ -413,19 +407,18 @@ def _blended(begin: Lane, end: Lane) -> Floats:
     return np.asarray((1.0 - weight) * first + weight * second)
 
 
-def _drivable(nodes: Floats, limits: Floats) -> tuple[Floats, tuple[tuple[float, float], ...]]:
-    """Returns the line through nodes (n, 2), and the ranges where it leaves them for want of a curve that can be driven.
+def _drivable(nodes: Floats, limits: Floats) -> Floats:
+    """Returns the line through nodes (n, 2), which it leaves for want of a curve that can be driven.
 
     It leaves them only if that helps: around corners that nothing makes fit for the limit, it stays as long as their radius is not below
     `SMALLEST_RADIUS`.
     """
-    s = lengths(nodes)
     drivable = FASTEST_TURN / np.clip(limits, SLOWEST, FASTEST) ** 2
     line, tolerance, hopeless = _widened(nodes, np.full(len(nodes), TOLERANCE), drivable)
     if hopeless.any():
         base = np.where(hopeless, TOLERANCE, tolerance)
-        line, tolerance, _ = _widened(nodes, base, np.maximum(drivable, 1.0 / SMALLEST_RADIUS))
-    return line, _runs(s, tolerance > TOLERANCE)
+        line, _, _ = _widened(nodes, base, np.maximum(drivable, 1.0 / SMALLEST_RADIUS))
+    return line
 
 
 def _widened(nodes: Floats, tolerance: Floats, most: Floats) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:

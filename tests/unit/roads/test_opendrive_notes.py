@@ -71,7 +71,7 @@ def test_a_lane_that_is_not_in_the_file_is_noted_and_no_route_leads_over_it(monk
     with pytest.raises(InvalidInputError) as error:
         corridor(network, ["-5#0", "-5#1", "-5#2"], NAME)
     (problem,) = error.value.problems
-    assert (problem.field, bool(problem.remedy)) == ("route[0]", True)  # the way to the lane is not there, either
+    assert (problem.field, bool(problem.remedy)) == ("route[1]", True)  # the way to the lane is not there, either
     with pytest.raises(InvalidInputError, match="9_-2"):
         corridor(network, ["-5#1"], NAME)
     assert corridor(network, ["5#1", "5#0"], NAME).length > 10.0

@@ -22,8 +22,8 @@ def drive(model: SingleTrackModel, dynamics: np.ndarray, acceleration: float = 0
     """Drives by a `steering` angle or a `curvature`."""
     ((by, value),) = lateral.items()
     kind = {"steering": kernels.STEERING, "curvature": kernels.CURVATURE}[by]
-    stable: bool = kernels.drive(*model.arrays, kind, value, acceleration, NO_PATH, 0.0, len(dynamics), dynamics)
-    return stable
+    status: int = kernels.drive(*model.arrays, kind, value, acceleration, NO_PATH, 0.0, len(dynamics), dynamics)
+    return status == kernels.FOLLOWED
 
 
 def arc(radius: float, speed: float, seconds: float) -> np.ndarray:
@@ -71,7 +71,8 @@ def test_a_path_is_kept_whatever_the_acceleration() -> None:
     model = vehicle()
     path = arc(400.0, 25.0, 12.0)
     for tenth in range(100):
-        assert kernels.drive(*model.arrays, kernels.PATH, 0.0, 0.0, path, 0.1 * tenth, 10, np.zeros((10, 5)))
+        rows = np.zeros((10, 5))
+        assert kernels.drive(*model.arrays, kernels.PATH, 0.0, 0.0, path, 0.1 * tenth, 10, rows) == kernels.FOLLOWED
     x, y = model.pose[:2]
     assert abs(math.hypot(x, y - 400.0) - 400.0) < 0.1
 

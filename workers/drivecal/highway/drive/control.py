@@ -45,7 +45,7 @@ Command = tuple[Floats | None, float, float]
 class Control(Protocol):
     """Drives the ego vehicle.
 
-    `period` is in seconds between two commands. `by` says how it steers, as in `kernels.drive`, or by TRAJECTORY.
+    `period` is in seconds between two commands. `by` says how it steers, as in `kernels.drive`.
     """
 
     period: float

@@ -17,7 +17,7 @@ from drivecal.highway.drive.measures import TICK, Record, distance_at_limit
 from drivecal.highway.drive.traffic import Traffic
 from drivecal.highway.geometry import hit
 from drivecal.highway.vehicle import kernels, single_track
-from drivecal.highway.vehicle.kernels import FOLLOWED, PATH, TOO_SHORT, TRAJECTORY, UNSTABLE, drive, follow
+from drivecal.highway.vehicle.kernels import FOLLOWED, PATH, TOO_SHORT, TRAJECTORY, UNSTABLE, drive
 from drivecal.highway.vehicle.model import SingleTrackModel
 from drivecal.plugins.ports import VehicleModel
 
@@ -28,7 +28,7 @@ PATH_AHEAD = 0.6
 VERGE = 0.5
 """Distance (m) beyond a road's lanes at which a vehicle is off it."""
 OFF_ROAD = 3
-"""Further result of a move, after the results of `kernels.follow`."""
+"""Further result of a move, after the results of `kernels.drive`."""
 
 
 @compiled_with(single_track, kernels, shared, geometry)
@@ -37,13 +37,10 @@ def _move(
     trajectory: Floats, since: float, track: int, dynamics: Floats, index: int, samples: int, motion: Floats,
 ) -> int:  # fmt: skip
     rows = dynamics[index * samples : (index + 1) * samples]
-    if by == TRAJECTORY:
-        status = follow(state, plant, controller, trajectory, since, samples, rows)
-    else:
-        if by == PATH:
-            path_of(line, lanes, track, motion[S], state[3], trajectory)
-        stable = drive(state, plant, controller, by, lateral, acceleration, trajectory, 0.0, samples, rows)
-        status = FOLLOWED if stable else UNSTABLE
+    if by == PATH:
+        path_of(line, lanes, track, motion[S], state[3], trajectory)
+    begun = since if by == TRAJECTORY else 0.0
+    status = drive(state, plant, controller, by, lateral, acceleration, trajectory, begun, samples, rows)
     motion[geometry.STEERING] = state[8]
     on_road = geometry.place(line, lanes, state, motion[S], motion)
     return OFF_ROAD if status == FOLLOWED and not on_road else status

@@ -5,28 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivecal.bundles.highway_catalogue import FAR, LONGEST
+from drivecal.bundles.highway_catalogue import FAR, LONGEST, SERIES
 from drivecal.domain.roads import Floats
 
-COLUMNS = (
-    "time_s",
-    "x_m",
-    "y_m",
-    "heading_rad",
-    "position_m",
-    "offset_m",
-    "lane",
-    "speed_mps",
-    "acceleration_mps2",
-    "lateral_acceleration_mps2",
-    "steering_rad",
-    "limit_mps",
-    "gap_m",
-    "leader_speed_mps",
-    "rear_gap_m",
-    "follower_speed_mps",
-    "lane_width_m",
-)
+COLUMNS = tuple(SERIES)
 """Columns of a record, as `geometry.record` writes them."""
 TICK = 0.01
 """Sample time of `dynamics` (s)."""

@@ -16,9 +16,9 @@ from drivecal.plugins.ports import Floats
 compiled = compiled_with(single_track)
 
 FOLLOWED, UNSTABLE, TOO_SHORT = 0, 1, 2
-"""Results of `follow`."""
+"""Results of `drive`."""
 STEERING, CURVATURE, PATH, TRAJECTORY = 0, 1, 2, 3
-"""Inputs that `drive` steers by: an angle of the front wheels, a curvature, or a path that it keeps; `commands` also by a trajectory."""
+"""Inputs that `drive` steers by: an angle of the front wheels, a curvature, a path that it keeps, or a trajectory."""
 
 LATERAL_STIFFNESS, LATERAL_DAMPING = 1.0, 2.0
 YAW_RATE_GAIN = 0.75
@@ -152,70 +152,47 @@ def _record(state: Floats, dynamics: Floats, row: int) -> None:
 
 
 @compiled
-def follow(
-    state: Floats, plant: Floats, controller: Floats, trajectory: Floats, since: float, steps: int, dynamics: Floats
-) -> int:
-    """Follows `trajectory` from `since` seconds after its start for `steps` steps; returns FOLLOWED, UNSTABLE or TOO_SHORT.
+def drive(
+    state: Floats, plant: Floats, controller: Floats, by: int, lateral: float, acceleration: float, path: Floats, since: float,
+    steps: int, dynamics: Floats,
+) -> int:  # fmt: skip
+    """Drives `steps` steps; returns FOLLOWED, UNSTABLE or TOO_SHORT.
+
+    `by`: STEERING or CURVATURE, i.e. what `lateral` (rad or 1/m) is, PATH or TRAJECTORY. A curvature is reached by the nominal vehicle's
+    steady steering angle and feedback of the yaw rate. `path` is kept, from `since` seconds after its start, only sideways; a trajectory
+    also lengthwise, in the place of the constant command `acceleration` (m/s^2).
 
     Overwrites `state` and writes a row (see `_record`) to `dynamics`, shape (steps, 5), at the end of each step. After an unstable step,
     state and rows keep the last valid values.
     """
-    last = trajectory.shape[0] - 1
-    spacing = trajectory[min(last, 1), 0] - trajectory[0, 0]
+    last = path.shape[0] - 1
+    spacing = path[min(last, 1), 0] - path[0, 0]
     # A negated comparison also rejects a time of NaN.
-    if not (last >= 1 and spacing > 0.0 and since >= 0.0 and since + (steps - 1) * STEP <= last * spacing + 1e-9):
+    if by == TRAJECTORY and not (
+        last >= 1 and spacing > 0.0 and since >= 0.0 and since + (steps - 1) * STEP <= last * spacing + 1e-9
+    ):
         return TOO_SHORT
     before = state.copy()
     row = -1
     directions = (1.0, 0.0, 1.0, 0.0)
     for k in range(steps):
-        time = since + k * STEP
-        due = _row_due(trajectory, time, spacing)
-        if due != row:
-            row = due
-            directions = _directions(trajectory, row)
-        position_error, lateral_error, course_error = _errors(state, trajectory, time, spacing, row, directions)
-        steering = _steering(state, controller, lateral_error, course_error, trajectory, time, spacing)
-        acceleration = _acceleration(state, position_error, course_error, trajectory, time, spacing)
-        if not move(state, before, steering, acceleration, plant):
-            for remaining in range(k, steps):
-                _record(state, dynamics, remaining)
-            return UNSTABLE
-        _record(state, dynamics, k)
-    return FOLLOWED
-
-
-@compiled
-def drive(
-    state: Floats, plant: Floats, controller: Floats, by: int, lateral: float, acceleration: float, path: Floats, since: float,
-    steps: int, dynamics: Floats,
-) -> bool:  # fmt: skip
-    """Drives `steps` steps at a constant command of acceleration (m/s^2); returns whether the vehicle stayed stable.
-
-    `by`: STEERING or CURVATURE, i.e. what `lateral` (rad or 1/m) is, or PATH. A curvature is reached by the nominal vehicle's steady
-    steering angle and feedback of the yaw rate; `path`, like a trajectory of `follow`, is kept as by `follow`, `since` seconds after its
-    start, but only sideways. `state` and `dynamics` as in `follow`.
-    """
-    before = state.copy()
-    spacing = path[1, 0] - path[0, 0]
-    row = -1
-    directions = (1.0, 0.0, 1.0, 0.0)
-    for k in range(steps):
         steering = lateral
-        if by == PATH:
+        if by >= PATH:
             time = since + k * STEP
             due = _row_due(path, time, spacing)
             if due != row:
                 row = due
                 directions = _directions(path, row)
-            _, lateral_error, course_error = _errors(state, path, time, spacing, row, directions)
+            position_error, lateral_error, course_error = _errors(state, path, time, spacing, row, directions)
             steering = _steering(state, controller, lateral_error, course_error, path, time, spacing)
+            if by == TRAJECTORY:
+                acceleration = _acceleration(state, position_error, course_error, path, time, spacing)
         elif by == CURVATURE:
             v = max(state[3], DYNAMIC_ABOVE)
             steering = (controller[0] + controller[1] * v * v) * (lateral + YAW_RATE_GAIN * (lateral - state[5] / v))
         if not move(state, before, steering, acceleration, plant):
             for remaining in range(k, steps):
                 _record(state, dynamics, remaining)
-            return False
+            return UNSTABLE
         _record(state, dynamics, k)
-    return True
+    return FOLLOWED

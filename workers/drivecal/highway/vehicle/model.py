@@ -35,7 +35,7 @@ class SingleTrackModel:
 
     @property
     def arrays(self) -> tuple[Floats, Floats, Floats]:
-        """State, plant and controller, the arguments of `kernels.follow` before the trajectory. The state changes with the vehicle."""
+        """State, plant and controller, the first arguments of `kernels.drive`. The state changes with the vehicle."""
         return self._state, self._plant, self._controller
 
     def follow(self, trajectory: Floats, since: float, duration: float, dynamics: Floats) -> bool:
@@ -47,7 +47,7 @@ class SingleTrackModel:
         steps = round(duration / single_track.STEP)
         if dynamics.shape[0] != steps:
             raise ValueError(f"dynamics has {dynamics.shape[0]} rows; {duration} s need {steps}")
-        status = kernels.follow(self._state, self._plant, self._controller, trajectory, since, steps, dynamics)
+        status = kernels.drive(*self.arrays, kernels.TRAJECTORY, 0.0, 0.0, trajectory, since, steps, dynamics)
         if status == kernels.TOO_SHORT:
             raise ValueError(f"the trajectory does not cover {since} s to {since + duration} s after its start")
         return bool(status == kernels.FOLLOWED)
