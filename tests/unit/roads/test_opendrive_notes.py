@@ -90,4 +90,4 @@ def test_a_way_through_a_junction_that_the_file_does_not_have_is_noted_and_refus
     assert any(note.startswith("junction between -1_") and "10_-7" in note for note in result.notes)
     with pytest.raises(InvalidInputError) as error:
         corridor(read_network(result.network, NAME), ["-1", "-2#0"], NAME)
-    assert [problem.field for problem in error.value.problems] == ["route[0]"]
+    assert [problem.field for problem in error.value.problems] == ["route[1]"]
