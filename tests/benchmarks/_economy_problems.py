@@ -17,9 +17,9 @@ import numpy as np
 import yaml
 
 from drivecal.analysis.aims import WeightedScore
+from drivecal.analysis.scoring import rate
 from drivecal.bundles.checks import checked, choices_of
 from drivecal.bundles.expressions import Constraint, Formula
-from drivecal.bundles.scoring import rate
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import Parameter, ParameterSpace, decimal
 from drivecal.domain.regions import FeasibleRegion
@@ -121,7 +121,7 @@ def _of_folder(folder: Path, runner: Callable[[Path, Mapping[str, Any]], Callabl
                 integer=entry.integer or False,
                 choices=entry.choices,
             )
-            for name, entry in manifest.parameters.items()
+            for name, entry in manifest.scalars.items()
         )
     )
     known = {p.name: names.get(p.name, ()) for p in space.parameters}

@@ -20,6 +20,7 @@ from drivecal.storage.maintenance.consistency import CHECKS
 
 BEFORE: dict[str, Any] = {"x": {"lower": 0, "upper": 1, "step": 0.01}, "n": {"lower": 1, "upper": 4, "integer": True}}
 JERK: dict[str, Any] = {"jerk_max": {"lower": 5, "upper": 25, "step": 1}}
+GAIN: dict[str, Any] = {"gain": {"curve": {"axis": [0, 5, 10]}, "lower": 0, "upper": 3, "step": 0.1}}
 SPEC: dict[str, Any] = {"problem": "acc", "optimizer": {"kind": "random", "population": 10, "seed": 1, "iterations": 4}}
 
 
@@ -56,12 +57,13 @@ def database(tmp_path: Path) -> Iterator[Database]:
     [
         (BEFORE | JERK, {"added": {"jerk_max": 20}}, {"jerk_max": 20}),
         (BEFORE | {"k": {"lower": 0, "upper": 9, "integer": True}}, {"added": {"k": 3}}, {"k": 3}),
+        (BEFORE | GAIN, {"added": {"gain": [1, 1, 1]}}, {"gain": [1, 1, 1]}),
         ({"x": BEFORE["x"], "m": BEFORE["n"]}, {"renamed": {"m": "n"}}, {}),
     ],
-    ids=["number", "integer", "renamed"],
+    ids=["number", "integer", "curve", "renamed"],
 )
 def test_the_same_search_is_answered_by_runs_of_the_earlier_version(
-    database: Database, parameters: dict[str, Any], claims: dict[str, Any], fixed: dict[str, float]
+    database: Database, parameters: dict[str, Any], claims: dict[str, Any], fixed: dict[str, Any]
 ) -> None:
     earlier = carried_out(database)
     push(database, parameters, **claims)

@@ -15,7 +15,7 @@ from tests.support.runs import finish, get, request, rows_of
 from drivecal.campaigns.resolve.maps import resolve_map, store_posted_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages import calibration
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, Given, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
@@ -152,7 +152,7 @@ def test_a_run_outside_the_space_of_a_map_answers_nothing_inside_it(database: Da
         rating = 0.0 if cell.parameters["P9"] > 1 else 6.0
         return CellResult(cell.id, rating, round(rating), {}, None, 7.0)
 
-    middle: dict[str, float | str] = {f"P{i}": 0.5 for i in range(1, 12)}
+    middle: dict[str, Given] = {f"P{i}": 0.5 for i in range(1, 12)}
     single = EvaluationSpecification(parameters=middle | {"P9": 1000.0})
     document = {"scenarios": {"S1": {"P9": {"influential": False}}, "S2": {"P9": {"upper": 0}}}}
     posted = InfluenceMapSpecification.model_validate(document | {"parameters": SPECIFICATION["parameters"]})

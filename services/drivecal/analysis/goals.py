@@ -15,8 +15,8 @@ from pydantic import TypeAdapter
 
 from drivecal.analysis.front import Mask, non_dominated
 from drivecal.analysis.replicates import rate_bounds
+from drivecal.analysis.scoring import LARGEST, rate
 from drivecal.bundles.expressions import Formula
-from drivecal.bundles.scoring import LARGEST, rate
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.rounding import grains, levels, same
 from drivecal.domain.scales import Scale

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from string import Formatter
 from typing import Any, Literal
 
-from drivecal.bundles.scoring import REMEDY
+from drivecal.analysis.scoring import REMEDY
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Confirmation
 from drivecal.contracts.results import Light, Question, ResultAnswer, ResultVerdict

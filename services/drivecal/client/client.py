@@ -36,6 +36,7 @@ from drivecal.contracts.outside.results import StoredCells
 from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet
 from drivecal.contracts.results import CampaignResults, FrontSummary
 from drivecal.contracts.setup import CampaignSetup
+from drivecal.contracts.specification import Given
 from drivecal.contracts.tables import FrontRow, InfluenceRow, JudgedSet, OptimumRow, RobustnessRow, TableName, ValidationRow
 from drivecal.domain.errors import OverloadError
 
@@ -376,7 +377,7 @@ class Client(Transport):
         """Queues the evaluation of one parameter set."""
         return self._post(Evaluation, "evaluations", document=specification, key=key or uuid.uuid4().hex)
 
-    def look_up(self, sets: Sequence[Mapping[str, float | str]], **where: Any) -> StoredCells:
+    def look_up(self, sets: Sequence[Mapping[str, Given]], **where: Any) -> StoredCells:
         """Returns the stored results of up to 10,000 cells; nothing is simulated.
 
         Args:

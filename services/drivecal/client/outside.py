@@ -9,12 +9,13 @@ from typing import Literal, Protocol, Self
 
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.outside.sets import MOST_SETS, AcceptedSets, AnswerPage, CellAnswered
+from drivecal.contracts.specification import Given
 from drivecal.domain.errors import ConflictError, DrivecalError
 
 WAIT_SECONDS = 20.0
 """Time for which a request waits for answers, below the usual time limits of proxies."""
 
-Parameters = Mapping[str, float | str]
+Parameters = Mapping[str, Given]
 
 
 class Feeding(Protocol):

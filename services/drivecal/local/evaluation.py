@@ -15,7 +15,7 @@ from drivecal.campaigns.resolve.workbench import installed_bundles, with_tools
 from drivecal.client.problems import read_bundle
 from drivecal.contracts.campaign import html_table
 from drivecal.contracts.input_errors import validated
-from drivecal.contracts.specification import DEFAULT_PROBLEM, EvaluationSpecification
+from drivecal.contracts.specification import DEFAULT_PROBLEM, EvaluationSpecification, Given
 from drivecal.contracts.work import Batch, BatchResult, Cell
 from drivecal.domain.errors import UnavailableError
 from drivecal.plugins.simulators import BusyError
@@ -48,7 +48,7 @@ class SimulatedCell:
 class LocalEvaluation:
     """The results of one parameter set, by scenario in the order of the catalogue."""
 
-    parameters: Mapping[str, float | str]
+    parameters: Mapping[str, Given]
     cells: Mapping[str, SimulatedCell]
 
     @property
@@ -80,7 +80,7 @@ class LocalEvaluation:
 
 
 def evaluate(
-    parameters: Mapping[str, float | str],
+    parameters: Mapping[str, Given],
     scenarios: str | Sequence[str] | None = None,
     *,
     problem: str | PathLike[str] | None = None,

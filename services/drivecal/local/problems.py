@@ -17,12 +17,13 @@ from drivecal.adapters.files import remove
 from drivecal.adapters.kinds import simulator
 from drivecal.adapters.process import ProcessSession
 from drivecal.adapters.scratch import sessions
+from drivecal.analysis.scoring import cut_text
 from drivecal.bundles.archives import unpack
 from drivecal.bundles.checks import choices_of
 from drivecal.bundles.expressions import Constraint
 from drivecal.bundles.installed import Bundle
 from drivecal.bundles.manifest import Manifest, ParameterEntry
-from drivecal.bundles.scoring import cut_text
+from drivecal.bundles.shapes import with_points
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.workbench import constraints_of, find_workbench, parameters_of
@@ -30,7 +31,7 @@ from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.domain.parameters import ParameterSpace
-from drivecal.domain.values import Setting
+from drivecal.domain.values import Argument, Setting
 from drivecal.plugins.runners import Runner
 from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
 from drivecal.runtime.compilation import prepare_cache
@@ -84,10 +85,10 @@ class CheckedScenario(CheckedRun):
 
 def trial_set(manifest: Manifest) -> dict[str, Setting]:
     """Returns the baseline, or the middle of the space. Raises InvalidInputError if the middle breaks a constraint."""
-    if manifest.baseline is not None:
-        return {name: _typed(entry, manifest.baseline[name]) for name, entry in manifest.parameters.items()}
-    values = {name: _middle(entry) for name, entry in manifest.parameters.items()}
-    for text in manifest.constraints:
+    if manifest.start is not None:
+        return {name: _typed(entry, manifest.start[name]) for name, entry in manifest.scalars.items()}
+    values = {name: _middle(entry) for name, entry in manifest.scalars.items()}
+    for text in manifest.conditions:
         if not Constraint(text, choices_of(manifest)).holds(values):
             raise InvalidInputError(Problem("baseline", f"the middle of the space breaks {text!r}", "give a baseline to try"))
     return values
@@ -102,7 +103,7 @@ def other_set(manifest: Manifest) -> dict[str, Setting] | None:
     except InvalidInputError:
         return None
     values = constraints.space.parameter_set(row.tolist()).floats
-    return {name: _typed(entry, values[name]) for name, entry in manifest.parameters.items()}
+    return {name: _typed(entry, values[name]) for name, entry in manifest.scalars.items()}
 
 
 def run_problem(
@@ -141,7 +142,7 @@ def _checked(
 ) -> CheckedScenario:
     section = manifest.simulator.model_dump(mode="json", exclude_none=True)
     units = {**manifest.reported, **manifest.series}
-    parameter_units = {name: entry.unit for name, entry in (manifest.parameters | manifest.varied).items()}
+    parameter_units = manifest.arguments | {name: entry.unit for name, entry in manifest.varied.items()}
     declared = Declared(
         manifest.problem, tuple(manifest.reported), manifest.failures, tuple(manifest.series), units, parameter_units, True
     )
@@ -156,7 +157,7 @@ def _checked(
 
     def run(session: SimulatorSession, values: Mapping[str, Setting], *, series: bool) -> tuple[RunOutcome, float]:
         began = time.perf_counter()
-        outcome = session.evaluate(values, series=series)
+        outcome = session.evaluate(with_points(values, manifest.shapes, section), series=series)
         return outcome, time.perf_counter() - began
 
     began, started = time.perf_counter(), 0.0
@@ -229,11 +230,11 @@ class _OwnLoop:
     def __init__(self, runner: Runner) -> None:
         self._runner = runner
 
-    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False, seed: int = 1) -> RunOutcome:
+    def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = 1) -> RunOutcome:
         """Drives one parameter set; it has no time series of a manifest's, and its scenario has the seed."""
         del series, seed
         began = time.thread_time()
-        result = self._runner.run([float(parameters[name]) for name in self._runner.parameters])
+        result = self._runner.run([float(parameters[name]) for name in self._runner.parameters])  # type: ignore[arg-type]  # the planner has no curves
         failure = None if result.failure is None else result.failure.value
         return RunOutcome(result.metrics, failure, cpu_seconds=time.thread_time() - began)
 

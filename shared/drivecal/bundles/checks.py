@@ -28,6 +28,7 @@ from drivecal.bundles.manifest import (
     PythonSimulator,
     ScoreEntry,
 )
+from drivecal.bundles.shapes import with_coefficients
 from drivecal.contracts import strict_json
 from drivecal.contracts.input_errors import nearest, validated
 from drivecal.contracts.strict_json import shown
@@ -44,6 +45,8 @@ OWN_FOLDERS = ("HOME", "TMPDIR", "TMP", "TEMP")
 """Variables that name an empty folder for each simulator."""
 _SECRET = re.compile(r"(?!.*_LICENSE).*(PASSWORD|PASSWD|PASSPHRASE|TOKEN|SECRET|CREDENTIAL|APIKEY|_KEY(_|$))", re.IGNORECASE)
 """Names of variables that usually hold secrets. Variables for licences stay allowed."""
+MOST_PARAMETERS = 200
+"""Numbers that a search moves, as many as entries of `parameters`."""
 WITH_FILES = (PythonSimulator, FmuSimulator, PythonController, FmuController)
 """Sections that name a Python file or an FMU."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
@@ -106,7 +109,7 @@ def _cut_formula(problem: Problem) -> Problem:
 
 def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables | None) -> Iterator[Problem]:
     checks = (
-        ({"parameters"}, _parameters(manifest.parameters)),
+        ({"parameters"}, _parameters(manifest)),
         ({"parameters"}, _names("parameters", manifest.parameters)),
         ({"varied"}, _names("varied", manifest.varied)),
         ({"measures"}, _names("measures", manifest.measures)),
@@ -138,12 +141,22 @@ def _problem_name(name: str, taken: Collection[str]) -> Iterator[Problem]:
         yield Problem("problem", f"{shown(name)} looks like a digest", "give another name")
 
 
-def _parameters(entries: Mapping[str, ParameterEntry]) -> Iterator[Problem]:
+def _parameters(manifest: Manifest) -> Iterator[Problem]:
     columns: dict[str, str] = {}
-    for name, entry in entries.items():
+    owner = {coefficient: name for name, shape in manifest.shapes.items() for coefficient in shape.names}
+    for name in owner.keys() & manifest.parameters.keys():
+        yield Problem(f"parameters.{name}", f"{owner[name]} has a coefficient of this name", "give it another name")
+    if len(manifest.scalars) > MOST_PARAMETERS:
+        message = f"with each coefficient there are {len(manifest.scalars)} numbers to search"
+        yield Problem("parameters", message, f"give fewer `coefficients`: at most {MOST_PARAMETERS} in all")
+    for name, entry in manifest.scalars.items():
         parameter = _declared(name, entry)
         if isinstance(parameter, InvalidInputError):
-            yield from (replace(problem, field=f"parameters.{problem.field}") for problem in parameter.problems)
+            shown_name = owner.get(name, name)
+            yield from (
+                replace(problem, field=f"parameters.{shown_name}{problem.field.removeprefix(name)}")
+                for problem in parameter.problems
+            )
         column = parameter_column(name)
         if column in columns:
             message = f"{name} and {columns[column]} would share the column {column} of the tables"
@@ -172,10 +185,14 @@ def _varied(manifest: Manifest) -> Iterator[Problem]:
 def _claims(manifest: Manifest) -> Iterator[Problem]:
     present = list(manifest.parameters)
     for name, value in manifest.added.items():
-        if name in manifest.parameters:
-            yield from _value(f"added.{name}", _declared(name, manifest.parameters[name]), value)
-        else:
+        if name not in manifest.parameters:
             yield Problem(f"added.{name}", "there is no such parameter", nearest(name, present))
+            continue
+        try:
+            for scalar, number in with_coefficients({name: value}, manifest.shapes, "added").items():
+                yield from _value(f"added.{name}", _declared(scalar, manifest.scalars[scalar]), number)
+        except InvalidInputError as error:
+            yield from error.problems
     for name in manifest.removed:
         if name in manifest.parameters:
             yield Problem(f"removed.{name}", f"{name} is a parameter still", "leave it out, or remove the parameter")
@@ -198,12 +215,12 @@ def _declared(name: str, entry: ParameterEntry) -> Parameter | InvalidInputError
 
 def choices_of(manifest: Manifest) -> dict[str, tuple[str, ...]]:
     """Returns the choices of each parameter, empty for numbers, as constraints take them."""
-    return {name: tuple(entry.choices or ()) for name, entry in manifest.parameters.items()}
+    return {name: tuple(entry.choices or ()) for name, entry in manifest.scalars.items()}
 
 
 def _parsed_constraints(manifest: Manifest) -> Iterator[tuple[str, Constraint | InvalidInputError]]:
     known = choices_of(manifest)
-    for index, condition in enumerate(manifest.constraints):
+    for index, condition in enumerate(manifest.conditions):
         field = f"constraints[{index}]"
         try:
             yield field, Constraint(condition, known, field)
@@ -220,13 +237,18 @@ def _constraints(manifest: Manifest) -> Iterator[Problem]:
 def _baseline(manifest: Manifest) -> Iterator[Problem]:
     if manifest.baseline is None:
         return
-    for name, value in manifest.baseline.items():
-        if name not in manifest.parameters:
+    try:
+        start = manifest.start or {}
+    except InvalidInputError as error:
+        yield from error.problems
+        return
+    for name, value in start.items():
+        if name not in manifest.scalars:
             yield Problem(f"baseline.{name}", "there is no such parameter", nearest(name, list(manifest.parameters)))
         else:
-            yield from _value(f"baseline.{name}", _declared(name, manifest.parameters[name]), value)
-    for name in manifest.parameters:
-        if name not in manifest.baseline:
+            yield from _value(f"baseline.{name}", _declared(name, manifest.scalars[name]), value)
+    for name in manifest.scalars:
+        if name not in start:
             yield Problem(f"baseline.{name}", "the value is missing", "give one value per parameter")
 
 
@@ -243,14 +265,14 @@ def _feasibility(manifest: Manifest) -> Iterator[Problem]:
     if manifest.baseline is None or list(_baseline(manifest)):
         return
     for _, constraint in _parsed_constraints(manifest):
-        if isinstance(constraint, Constraint) and not constraint.holds(manifest.baseline):
+        if isinstance(constraint, Constraint) and not constraint.holds(manifest.start or {}):
             yield Problem("baseline", f"it breaks the constraint {shown(constraint.text)}", "change it, or the constraint")
 
 
 def _remainder(manifest: Manifest) -> Iterator[Problem]:
     """Yields the constraints that leave nothing. A baseline that keeps them proves that something is left; without one, sets are tried."""
     parsed = [constraint for _, constraint in _parsed_constraints(manifest)]
-    parameters = [_declared(name, entry) for name, entry in manifest.parameters.items()]
+    parameters = [_declared(name, entry) for name, entry in manifest.scalars.items()]
     known = tuple(parameter for parameter in parameters if isinstance(parameter, Parameter))
     constraints = [constraint for constraint in parsed if isinstance(constraint, Constraint)]
     if manifest.baseline is not None or not parsed or len(known) < len(parameters) or len(constraints) < len(parsed):
@@ -368,7 +390,7 @@ def _code(field: str, section: Any, files: Executables | None) -> Iterator[Probl
 
 def _planner(manifest: Manifest) -> Iterator[Problem]:
     if isinstance(manifest.simulator, HighwaySimulator) and isinstance(manifest.simulator.controller, PlannerController):
-        yield from planner_problems(manifest.simulator.controller, manifest.parameters, manifest.varied)
+        yield from planner_problems(manifest.simulator.controller, manifest.scalars, manifest.varied)
 
 
 def _highway_scenarios(manifest: Manifest, files: Executables | None) -> Iterator[Problem]:

@@ -54,6 +54,8 @@ def setup_document(
     }
     if manifest.integers:
         document["integers"] = list(manifest.integers)
+    if manifest.shapes:
+        document["shapes"] = {name: shape.document for name, shape in manifest.shapes.items()}
     if section["kind"] == "process":
         document["problem"] = manifest.problem
     if varied:

@@ -5,16 +5,19 @@ the whole.
 """
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, StringConstraints, TypeAdapter, ValidationError, model_validator
+from pydantic import Discriminator, Field, StringConstraints, Tag, TypeAdapter, ValidationError, model_validator
 
 from drivecal.bundles.highway import HighwaySimulator, PlannerController
 from drivecal.bundles.highway_catalogue import MEASURES
+from drivecal.bundles.shapes import Shape, ShapeEntry, conditions, takes_elements, with_coefficients
 from drivecal.bundles.simulators import Command, File, Resources, SimulatorEntry, Text, Unit
-from drivecal.contracts.specification import Model
+from drivecal.contracts.specification import Given, Model
 from drivecal.contracts.strict_json import Choice, Identifier, Number
 from drivecal.domain.scales import Direction, Scale
+from drivecal.domain.values import Setting
 from drivecal.domain.vehicles import VehicleParameter
 
 
@@ -35,6 +38,16 @@ class ParameterEntry(Model):
     """For readers; 1 is none."""
     description: Text = ""
     """For readers."""
+
+
+def _is_shape(entry: object) -> str:
+    keys = entry if isinstance(entry, Mapping) else {}
+    return "shape" if isinstance(entry, ShapeEntry) or "curve" in keys or "map" in keys else "scalar"
+
+
+AnyParameter = Annotated[
+    Annotated[ParameterEntry, Tag("scalar")] | Annotated[ShapeEntry, Tag("shape")], Discriminator(_is_shape)
+]
 
 
 class VariedEntry(Model):
@@ -194,10 +207,6 @@ class ScoreEntry(Model):
         return Scale(name, direction, lower, upper, self.tolerance, self.failed_worth, self.step, self.unit)
 
 
-Claimed = Number | Choice
-"""A value that a claim about earlier runs gives a parameter."""
-
-
 class Manifest(Model):
     """`problem.yaml`. `failures` and `series`: names of failures and units of time series that the simulator may report."""
 
@@ -205,11 +214,11 @@ class Manifest(Model):
     """Its name."""
     description: Text = ""
     """For readers."""
-    parameters: Annotated[dict[Identifier, ParameterEntry], Field(min_length=1, max_length=200)]
-    """The searched space."""
-    added: Annotated[dict[Identifier, Claimed], Field(max_length=200, default_factory=dict)]
+    parameters: Annotated[dict[Identifier, AnyParameter], Field(min_length=1, max_length=200)]
+    """The searched space: numbers, choices, curves and maps."""
+    added: Annotated[dict[Identifier, Given], Field(max_length=200, default_factory=dict)]
     """New parameters: stored runs of the same files without them mean these values."""
-    removed: Annotated[dict[Identifier, Claimed], Field(max_length=200, default_factory=dict)]
+    removed: Annotated[dict[Identifier, Given], Field(max_length=200, default_factory=dict)]
     """Former parameters: runs behave as stored ones with these values."""
     renamed: Annotated[dict[Identifier, Identifier], Field(max_length=200, default_factory=dict)]
     """Former names by the new ones; the values mean the same."""
@@ -217,8 +226,8 @@ class Manifest(Model):
     """Side conditions that robustness studies vary."""
     constraints: Annotated[tuple[Text, ...], Field(max_length=100, strict=False)] = ()
     """Comparisons that a parameter set has to keep, such as `a >= 2*b`."""
-    baseline: dict[Identifier, Number | Choice] | None = None
-    """The set that results are compared with."""
+    baseline: dict[Identifier, Given] | None = None
+    """The set that results are compared with; curves and maps become the nearest ones of their coefficients."""
     simulator: AnySimulator
     """The program that runs a parameter set in a scenario."""
     scenarios: Annotated[dict[Identifier, dict[str, Any]], Field(min_length=1, max_length=1000)]
@@ -271,6 +280,46 @@ class Manifest(Model):
             raise ValueError(f"scenarios.{seeded[0]}: each run of a random simulator has a seed of its own; leave `seed` out")
         return self
 
+    @cached_property
+    def shapes(self) -> dict[str, Shape]:
+        """Curves and maps by name."""
+        return {name: Shape.declared(name, each) for name, each in self.parameters.items() if isinstance(each, ShapeEntry)}
+
+    @cached_property
+    def scalars(self) -> dict[str, ParameterEntry]:
+        """Parameters that a search moves: each curve and map is replaced by its coefficients."""
+        scalars: dict[str, ParameterEntry] = {}
+        for name, entry in self.parameters.items():
+            if isinstance(entry, ParameterEntry):
+                scalars[name] = entry
+                continue
+            for coefficient, place in self.shapes[name].described(entry.axis_units):
+                of_all = entry.model_dump(include={"lower", "upper", "step", "unit"})
+                scalars[coefficient] = ParameterEntry(**of_all, description=f"{name} at {place}")
+        return scalars
+
+    @cached_property
+    def conditions(self) -> tuple[str, ...]:
+        """The declared constraints, then the constraints that keep the form of curves and maps."""
+        entries = [(self.shapes[name], each) for name, each in self.parameters.items() if isinstance(each, ShapeEntry)]
+        return (*self.constraints, *(each for shape, entry in entries for each in conditions(shape, entry)))
+
+    @cached_property
+    def start(self) -> dict[str, Setting] | None:
+        """The baseline with the coefficients of curves and maps. Raises InvalidInputError if a list does not fit."""
+        return None if self.baseline is None else with_coefficients(self.baseline, self.shapes, "baseline")
+
+    @property
+    def arguments(self) -> dict[str, str]:
+        """Units of what simulators get, by name: an FMU gets points of curves and maps as `gain[1]`, `torque[1,2]`."""
+        if not takes_elements(self.simulator.model_dump()):
+            return {name: entry.unit for name, entry in self.parameters.items()}
+        return {
+            element: entry.unit
+            for name, entry in self.parameters.items()
+            for element in (self.shapes[name].elements if name in self.shapes else (name,))
+        }
+
     @property
     def is_driven(self) -> bool:
         """True if drivecal's own planner drives scenarios with tasks: such runs need no child process."""
@@ -287,7 +336,7 @@ class Manifest(Model):
     @property
     def integers(self) -> tuple[str, ...]:
         """Names of the integer parameters, sorted. A simulator gets 3 for them, not 3.0."""
-        return tuple(sorted(name for name, entry in self.parameters.items() if entry.integer))
+        return tuple(sorted(name for name, entry in self.scalars.items() if entry.integer))
 
     @property
     def reported(self) -> dict[str, str]:

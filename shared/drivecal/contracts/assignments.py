@@ -3,6 +3,9 @@
 import math
 from collections.abc import Iterable
 
+from pydantic import TypeAdapter, ValidationError
+
+from drivecal.contracts.specification import Given
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
@@ -14,8 +17,8 @@ def value_text(value: float | str, digits: int | None = 6) -> str:
     return repr(float(value)).removesuffix(".0") if digits is None else f"{value:.{digits}g}"
 
 
-def settings(parts: Iterable[str], field: str) -> dict[str, float | str]:
-    """Returns `P1=0.5`, `mode=eco` by name: numbers, and everything else as text. Raises InvalidInputError as `assignments`."""
+def settings(parts: Iterable[str], field: str) -> dict[str, Given]:
+    """Returns `P1=0.5`, `mode=eco`, `gain=[1, 2]` by name: numbers, lists, else text. Raises InvalidInputError as `assignments`."""
     listed = list(parts)
     texts = {}
     for part in listed:
@@ -23,7 +26,16 @@ def settings(parts: Iterable[str], field: str) -> dict[str, float | str]:
         if name and given and _number(given) is None:
             texts[part] = given
     numbers = assignments([f"{part.partition('=')[0]}=0" if part in texts else part for part in listed], field)
-    return numbers | {part.partition("=")[0].strip(): given for part, given in texts.items()}
+    return {**numbers, **{part.partition("=")[0].strip(): _listed(given, field) for part, given in texts.items()}}
+
+
+def _listed(given: str, field: str) -> Given:
+    if not given.startswith("["):
+        return given
+    try:
+        return TypeAdapter[Given](Given).validate_json(given)
+    except ValidationError as error:
+        raise InvalidInputError(Problem(field, f"{shown(given)} is no list of numbers", "write e.g. [1, 2.5]")) from error
 
 
 def assignments(parts: Iterable[str], field: str) -> dict[str, float]:

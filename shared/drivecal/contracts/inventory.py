@@ -211,11 +211,34 @@ class ProblemPage(Page[ProblemHeading]):
     """Problems, last pushed first."""
 
 
+class ShapeAnswer(Answer):
+    """A curve or a map: which parameters are its coefficients, and how they give the values at its support points.
+
+    A value is the sum of the coefficients, each times its weights along all axes, rounded to `lower` plus a multiple of `step`.
+    """
+
+    names: list[str]
+    """Its parameters, of a map in rows along its second axis."""
+    axes: list[list[float]]
+    """Support points along each axis, in `axis_units`."""
+    axis_units: list[str]
+    weights: list[list[list[float]]]
+    """Weights along each axis: a row for each support point, with a weight for each coefficient."""
+    lower: float
+    upper: float
+    step: float | None
+    unit: str
+    description: str
+
+
 class ProblemAnswer(ProblemHeading):
     """A problem: the sections of its `problem.yaml`, checked and with the defaults filled in."""
 
     description: str
     parameters: dict[str, dict[str, Any]]
+    """Parameters that a search moves; curves and maps are replaced by their coefficients."""
+    shapes: dict[str, ShapeAnswer]
+    """Curves and maps."""
     varied: dict[str, dict[str, Any]]
     """Side conditions of runs, which robustness studies vary."""
     constraints: list[str]

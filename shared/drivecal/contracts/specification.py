@@ -40,8 +40,11 @@ def _each_once(value: str | list[str]) -> str | list[str]:
 _Scenarios = Annotated[list[Identifier], Field(min_length=1, max_length=1000, json_schema_extra=UNIQUE)]
 Catalogue = Annotated[Identifier | _Scenarios, AfterValidator(_each_once)]
 """A catalogue of scenarios, or a list of their ids."""
-Values = Annotated[dict[Identifier, Number | Choice], Field(max_length=200)]
-"""A value per parameter: a number, or the text of a choice."""
+Curve = Annotated[list[Number], Field(max_length=1000)]
+Given = Number | Choice | Curve | Annotated[list[Curve], Field(max_length=1000)]
+"""A value from outside: a number, the text of a choice, a list of a curve's values, or lists of a map's values, one for each x."""
+Values = Annotated[dict[Identifier, Given], Field(max_length=200)]
+"""A value per parameter."""
 
 
 class Model(BaseModel):
@@ -476,7 +479,7 @@ class InfluenceMapSpecification(Model):
 class EvaluationSpecification(Model):
     """A parameter set in a scenario, or in all of the catalogue. Notes of the answer name values off the grid, simulated as given."""
 
-    parameters: Annotated[dict[Identifier, Number | Choice], Field(min_length=1, max_length=200)]
+    parameters: Annotated[Values, Field(min_length=1)]
     scenario: Identifier | None = None
     seed: Annotated[int, Field(ge=1, le=2**31 - 1)] | None = None
     """Seed of the run; null: 1 for a random simulator, and none for others."""

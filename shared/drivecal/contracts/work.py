@@ -55,6 +55,8 @@ class SetupRequest:
 
     resources: Mapping[str, int] = field(default_factory=dict)
     """Number of each scarce thing, such as licences, that a run holds."""
+    shapes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Curves and maps by name (`Shape.document`): the simulator gets their values in the place of coefficients."""
     renews: bool = False
     """True if each run has a new process: nothing is held between two runs."""
 

@@ -15,6 +15,10 @@ Value = Decimal | str
 """An exact number, or the text of a choice."""
 Setting = float | str
 """A number, or the text of a choice, as simulators, JSON and tables have it."""
+Points = list[float] | list[list[float]]
+"""Values of a curve at its support points, of a map at [x][y]."""
+Argument = Setting | Points
+"""A parameter's value as a simulator gets it."""
 
 
 def decimal(value: float | str | Decimal) -> Decimal:

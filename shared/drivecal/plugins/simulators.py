@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from drivecal.contracts.evaluation import ReplayAnswer
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.domain.values import Setting
+from drivecal.domain.values import Argument
 
 VERSIONS: Mapping[str, str] = MappingProxyType({"process": "1", "command": "1", "python": "1", "fmu": "1", "highway": "8"})
 """Version of the adapter of each kind that runs in child processes (`drivecal.adapters`). Here, because the coordinator needs it, too."""
@@ -93,7 +93,7 @@ class UnsuitableError(UnavailableError):
 class SimulatorSession(Protocol):
     """A simulator that is ready for runs of one scenario. After a NoMeasuresError it restarts itself and the next run is unaffected."""
 
-    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False, seed: int = SEED) -> RunOutcome:
+    def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = SEED) -> RunOutcome:
         """Runs one parameter set under a seed. `series`: report time series, too.
 
         Raises NoMeasuresError without a result, and UnavailableError if the simulator had to start again and could not.

@@ -8,7 +8,7 @@ from tests.support.values import MIDDLE
 from drivecal.campaigns.resolve.maps import map_from_document, map_to_document, resolve_map
 from drivecal.campaigns.resolve.optimizer import UNLIMITED
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, Given, InfluenceMapSpecification
 from drivecal.domain.errors import InvalidInputError
 
 
@@ -135,7 +135,7 @@ def test_a_single_evaluation_takes_values_between_the_grid_points() -> None:
 
 
 def test_a_single_evaluation_names_what_is_missing_unknown_or_forbidden() -> None:
-    given: dict[str, float | str] = {name: value for name, value in MIDDLE.items() if name != "P4"}
+    given: dict[str, Given] = {name: value for name, value in MIDDLE.items() if name != "P4"}
     given |= {"P2": -1.0, "P12": 3.0}
     with pytest.raises(InvalidInputError) as caught:
         resolve_evaluation(EvaluationSpecification(parameters=given, scenario="S9"))

@@ -78,7 +78,7 @@ def test_a_changed_file_is_another_simulation(tmp_path: Path, monkeypatch: pytes
     folder = tmp_path / "mine"
     write_problem("python", "mine", folder)
     (folder / "model.py").write_text('def evaluate(parameters, scenario):\n    return {"failure": "overrun", "measures": {}}\n')
-    parameters = dict(read_bundle(folder)[0].baseline or {})
+    parameters = dict(read_bundle(folder)[0].start or {})
     assert {cell.failure for cell in local.evaluate(parameters, problem=folder).cells.values()} == {"overrun"}
     (folder / "model.py").write_text("def evaluate(parameters, scenario):\n    raise KeyError('gap')\n")
     cells = local.evaluate(parameters, problem=folder).cells.values()

@@ -84,7 +84,7 @@ def test_no_shown_score_is_worse_than_that_of_a_failed_run() -> None:
     document = yaml.safe_load((EXAMPLE / "problem.yaml").read_text())
     scenario = next(iter(document["scenarios"].items()))
     manifest = checked(document | {"scores": SCORES, "scenarios": dict([scenario])})
-    [result] = run_problem(manifest, pack(EXAMPLE), manifest.baseline or {})
+    [result] = run_problem(manifest, pack(EXAMPLE), manifest.start or {})
     assert result.error is None
     assert result.scores == {"plain": 5.0, "beyond": 10.0, "undefined": 0.0}
     assert set(result.undefined) == {"undefined"}

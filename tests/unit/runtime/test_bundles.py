@@ -23,6 +23,7 @@ from drivecal.contracts.evaluation import ReplayAnswer
 from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
+from drivecal.domain.values import Argument
 from drivecal.plugins import setups
 from drivecal.plugins.simulators import MOST_SESSIONS, Declared, NoMeasuresError, RunOutcome, SimulatorSession
 from drivecal.runtime import bundles
@@ -69,7 +70,7 @@ class ScriptedSession:
     simulator: ScriptedSimulator
     scenario: str
 
-    def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False, seed: int = 1) -> RunOutcome:
+    def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = 1) -> RunOutcome:
         x = parameters["x"]
         assert isinstance(x, float)
         self.simulator.seeds.append(seed)
@@ -248,10 +249,10 @@ def test_a_checked_cell_runs_twice_to_find_noise(tmp_path: Path, archive: bytes,
 
 
 def test_whole_numbers_are_sent_as_such(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
-    sent: list[Mapping[str, float | str]] = []
+    sent: list[Mapping[str, Argument]] = []
 
     class Listening(ScriptedSession):
-        def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False, seed: int = 1) -> RunOutcome:
+        def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = 1) -> RunOutcome:
             sent.append(parameters)
             return super().evaluate(parameters, series=series, seed=seed)
 

@@ -18,6 +18,7 @@ from tests.unit.runtime.test_bundles import READY, ScriptedSession, ScriptedSimu
 from drivecal.adapters.scratch import GRANTED
 from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import UnavailableError
+from drivecal.domain.values import Argument
 from drivecal.plugins.simulators import MOST_SESSIONS, RunOutcome, SimulatorSession, UnsuitableError
 from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
 from drivecal.runtime.cache import BundleCache
@@ -95,7 +96,7 @@ def test_a_simulator_that_no_longer_starts_refuses_the_cells_from_there_on(
     tmp_path: Path, archive: bytes, request_: SetupRequest, kind: type[UnavailableError]
 ) -> None:
     class Upgraded(ScriptedSession):
-        def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False, seed: int = 1) -> RunOutcome:
+        def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = 1) -> RunOutcome:
             if parameters["x"] == 3.0 and len(self.simulator.opened) == 1:
                 raise kind("SUMO has another version")
             return super().evaluate(parameters, series=series, seed=seed)
@@ -123,7 +124,7 @@ def test_a_checked_cell_whose_second_start_is_refused_keeps_its_first_outcome(
     class Once(ScriptedSession):
         runs = 0
 
-        def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False, seed: int = 1) -> RunOutcome:
+        def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = 1) -> RunOutcome:
             self.runs += 1
             if self.runs > 1:
                 raise fault

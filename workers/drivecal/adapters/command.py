@@ -18,7 +18,7 @@ from drivecal.adapters.scratch import Scratch, discard
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.setups import digest
-from drivecal.domain.values import Setting
+from drivecal.domain.values import Argument
 from drivecal.plugins.simulators import PROBE_SECONDS, SEED, Declared, NoMeasuresError, RunOutcome
 
 LONGEST_ANSWER, MOST_DIGESTS = 4000, 40_000
@@ -88,7 +88,7 @@ class CommandSession:
             command = [part.replace(f"{{{name}}}", str(path)) for part in command]
         self._children = Children(Launch.of(command, section), scratch)
 
-    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False, seed: int = SEED) -> RunOutcome:
+    def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = SEED) -> RunOutcome:
         """Runs the command under a seed."""
         self._children.seed = seed
         return self._children.timed(lambda: self._evaluate(parameters, series=series))
@@ -98,7 +98,7 @@ class CommandSession:
         self._children.close()
         self._scratch.remove()
 
-    def _evaluate(self, parameters: Mapping[str, Setting], *, series: bool) -> RunOutcome:
+    def _evaluate(self, parameters: Mapping[str, Argument], *, series: bool) -> RunOutcome:
         self._scratch.renew()
         for path in self._files.values():
             discard(path)

@@ -15,7 +15,7 @@ from drivecal.adapters.pipes import RUN_LIMIT, Pipes
 from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.domain.values import Setting
+from drivecal.domain.values import Argument
 from drivecal.plugins.simulators import SEED, Declared, NoMeasuresError, RunOutcome, UnsuitableError, start_limit
 
 START_LIMIT = (
@@ -89,7 +89,7 @@ class ProcessSession:
         """Returns paths of files that the child has opened, as far as they are seen."""
         return inputs.seen(self._scratch.folder / inputs.NAME, self._children.family)
 
-    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False, seed: int = SEED) -> RunOutcome:
+    def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = SEED) -> RunOutcome:
         """Runs one parameter set under a seed. Raises UnavailableError if a new child reports an error instead of being ready."""
         with self._lock:
             return self._children.timed(lambda: self._evaluate(parameters, series=series, seed=seed))
@@ -119,7 +119,7 @@ class ProcessSession:
             self._children.close()
             self._scratch.remove()
 
-    def _evaluate(self, parameters: Mapping[str, Setting], *, series: bool, seed: int) -> RunOutcome:
+    def _evaluate(self, parameters: Mapping[str, Argument], *, series: bool, seed: int) -> RunOutcome:
         if self._failed_start is not None:
             failed, self._failed_start = self._failed_start, None
             raise failed

@@ -24,8 +24,9 @@ def trial(vehicle_name: str, evaluator_name: str) -> Batch:
         scenario=name,
         data=data,
         simulator=section,
-        parameters=tuple(manifest.parameters),
+        parameters=tuple(manifest.scalars),
         integers=(),
+        shapes={},
         measures=tuple(manifest.measures),
         failures=manifest.failures,
         series=(),
@@ -35,7 +36,7 @@ def trial(vehicle_name: str, evaluator_name: str) -> Batch:
         evaluator=evaluator_name,
         is_driven=True,
     )
-    middle = {name: ((entry.lower or 0.0) + (entry.upper or 0.0)) / 2 for name, entry in manifest.parameters.items()}
+    middle = {name: ((entry.lower or 0.0) + (entry.upper or 0.0)) / 2 for name, entry in manifest.scalars.items()}
     return Batch(request, (Cell(0, middle),))
 
 

@@ -18,6 +18,7 @@ from drivecal.adapters.command import run_probe
 from drivecal.adapters.kinds import simulator
 from drivecal.adapters.process import WATCH_SECONDS, ProcessSession
 from drivecal.bundles.fingerprints import parts_of
+from drivecal.bundles.shapes import Shape, with_points
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -198,8 +199,10 @@ class BundleSessions:
         start = time.thread_time_ns()
         session = self._session(setup)
         began = time.perf_counter()  # a start's time is no run's
-        parameters = {name: cell.parameters[name] for name in setup.parameters} | dict(setup.varied)
-        parameters |= {name: int(parameters[name]) for name in setup.integers}
+        settings = {name: cell.parameters[name] for name in setup.parameters} | dict(setup.varied)
+        settings |= {name: int(settings[name]) for name in setup.integers}
+        shapes = {name: Shape.from_document(name, document) for name, document in setup.shapes.items()}
+        parameters = with_points(settings, shapes, setup.simulator)
         self._starts += 1
         self._begins(cell.id)
         try:

@@ -53,10 +53,14 @@ def propose(campaign_id: str, proposed: ProposedSets, request: Request, database
     with database.transaction() as connection:
         numbers = outside_sets.add(connection, campaign_id, sets)
     made = problem.space.parameter_sets(indices)
+    shapes = problem.bench.bundle.manifest.shapes
     changed = {
         each.key: parameters.floats
         for each, parameters in zip(proposed.sets, made, strict=True)
-        if any(parameters.floats[name] != value for name, value in each.parameters.items())
+        if any(
+            (shapes[name].values(parameters.floats) if name in shapes else parameters.floats[name]) != value
+            for name, value in each.parameters.items()
+        )
     }
     return AcceptedSets(numbers=numbers, weights=dict(problem.weights), changed=changed)
 

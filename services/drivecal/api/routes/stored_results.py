@@ -18,7 +18,7 @@ from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
 from drivecal.campaigns.results.stored import StoredSimulation, given_sets, stored_simulations
 from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedResults, ImportedRow, Source
 from drivecal.contracts.outside.results import MOST_CELLS, ResultLookup, StoredCell, StoredCells
-from drivecal.contracts.specification import EvaluationSpecification, Values
+from drivecal.contracts.specification import EvaluationSpecification, Given
 from drivecal.contracts.strict_json import ProblemName
 from drivecal.contracts.tables import Kind, columns_of
 from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
@@ -45,7 +45,7 @@ def look_up(wanted: ResultLookup, database: DatabaseDependency) -> StoredCells:
     if requested > MOST_CELLS:
         message = f"{len(wanted.sets):,} sets in {len(bench.scenarios):,} scenarios are {requested:,} cells"
         raise InvalidInputError(Problem("sets", message, f"give at most {MOST_CELLS:,}"))
-    sets = given_sets(bench.parameters, wanted.sets, "sets[{}]")
+    sets = given_sets(bench, wanted.sets, "sets[{}]")
     with database.read() as connection:
         simulations = stored_simulations(connection, bench, sets)
     return StoredCells(requested=requested, items=[StoredCell.of(each, set=each.place) for each in simulations])
@@ -57,7 +57,7 @@ def store(given: ImportedResults, database: DatabaseDependency, owner: Owner) ->
     """Stores results from elsewhere. No campaign takes one in place of a simulation. The same again changes nothing."""
     bench = _bench(database, _of_problem(given.problem, given.rows[0].parameters))
     _check(given, bench)
-    sets = given_sets(bench.parameters, [row.parameters for row in given.rows], "rows[{}].parameters")
+    sets = given_sets(bench, [row.parameters for row in given.rows], "rows[{}].parameters")
     rows = [
         ImportedValues(given.source, given.date.isoformat(), owner, row.scenario, own, row.scores, row.measures)
         for row, own in zip(given.rows, sets, strict=True)
@@ -100,8 +100,8 @@ def delete(query: Annotated[SourceOf, Query()], database: DatabaseDependency) ->
         return ImportDeleted(deleted=imported.remove(connection, query.problem, query.source))
 
 
-def _of_problem(problem: str, parameters: Values, evaluator: str = "reference") -> EvaluationSpecification:
-    return EvaluationSpecification(problem=problem, parameters=parameters, evaluator=evaluator)
+def _of_problem(problem: str, parameters: Mapping[str, Given], evaluator: str = "reference") -> EvaluationSpecification:
+    return EvaluationSpecification(problem=problem, parameters=dict(parameters), evaluator=evaluator)
 
 
 def _bench(database: Database, wanted: EvaluationSpecification) -> Bench:
@@ -121,7 +121,7 @@ def _check(given: ImportedResults, bench: Bench) -> None:
         "measures": manifest.reported,
         "scenario": bench.scenarios,
     }
-    units = {name: entry.unit for name, entry in manifest.parameters.items()} | manifest.reported
+    units = {name: entry.unit for name, entry in (manifest.scalars | manifest.parameters).items()} | manifest.reported
     for name, unit in given.units.items():
         own = units.get(name)
         if own is None:

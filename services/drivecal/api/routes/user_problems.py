@@ -15,10 +15,12 @@ from drivecal.api.http.bodies import body_of, check_encoding
 from drivecal.api.http.queries import ProblemsQuery
 from drivecal.api.responses import ROOT, matches
 from drivecal.bundles.archives import content_digest, files_of
+from drivecal.bundles.manifest import Manifest
+from drivecal.bundles.shapes import Shape, ShapeEntry
 from drivecal.client.problems import read_archived
 from drivecal.configuration.memory import give_back
 from drivecal.configuration.pushing import HEADER
-from drivecal.contracts.inventory import ProblemAnswer, ProblemHeading, ProblemPage
+from drivecal.contracts.inventory import ProblemAnswer, ProblemHeading, ProblemPage, ShapeAnswer
 from drivecal.storage import admission, bundles
 from drivecal.storage.bundles import BundleHeading, StoredBundle
 from drivecal.storage.engine.database import Database
@@ -107,7 +109,30 @@ def _store(database: Database, limits: Limits, content: bytes, signed: str | Non
 
 def _answer(stored: StoredBundle) -> ProblemAnswer:
     sections = {name: stored.manifest[name] for name in ProblemAnswer.model_fields if name in stored.manifest}
+    manifest = Manifest.model_validate(stored.manifest)
+    sections |= {
+        "parameters": {name: entry.model_dump(mode="json") for name, entry in manifest.scalars.items()},
+        "shapes": {
+            name: _shape(manifest.shapes[name], each)
+            for name, each in manifest.parameters.items()
+            if isinstance(each, ShapeEntry)
+        },
+        "constraints": list(manifest.conditions),
+        "baseline": manifest.start,
+    }
     return ProblemAnswer.of(stored, links=_links(stored), **sections)
+
+
+def _shape(shape: Shape, entry: ShapeEntry) -> ShapeAnswer:
+    described = entry.model_dump(include={"lower", "upper", "step", "unit", "description"})
+    weights = [each.tolist() for each in shape.weights]
+    return ShapeAnswer(
+        names=list(shape.names),
+        axes=[list(axis) for axis in shape.axes],
+        axis_units=list(entry.axis_units),
+        weights=weights,
+        **described,
+    )
 
 
 def _links(stored: BundleHeading) -> dict[str, str]:

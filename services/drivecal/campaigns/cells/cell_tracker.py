@@ -12,7 +12,7 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from drivecal.bundles.scoring import cut_text
+from drivecal.analysis.scoring import cut_text
 from drivecal.campaigns.cells.inspection import Inspection
 from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.bench import Bench

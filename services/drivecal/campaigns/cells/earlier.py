@@ -6,11 +6,12 @@ from itertools import islice
 
 from sqlalchemy import Connection
 
-from drivecal.bundles.manifest import Claimed, Manifest
+from drivecal.bundles.manifest import Manifest
+from drivecal.bundles.shapes import with_coefficients
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Donor
-from drivecal.domain.parameters import ParameterSet, ParameterSpace, Value, decimal
+from drivecal.domain.parameters import ParameterSet, ParameterSpace, Setting, Value, decimal
 from drivecal.storage import bundles
 from drivecal.storage.references import parameter_sets, runs, setups
 from drivecal.storage.references.runs import RatedRun
@@ -56,20 +57,28 @@ class EarlierVersion:
 
 def earlier_version(manifest: Manifest, earlier: Manifest) -> EarlierVersion | None:
     """Returns an earlier version of a problem with other parameters; None if the claims leave a difference open."""
-    names, before = list(manifest.parameters), set(earlier.parameters)
-    kept = {name: manifest.renamed.get(name, name) for name in names}
+    names, before, renamed = list(manifest.scalars), set(earlier.scalars), dict(manifest.renamed)
+    for name, shape in manifest.shapes.items():
+        old = renamed.pop(name, name)
+        renamed |= {each: old + each.removeprefix(name) for each in shape.names}
+        if old in earlier.shapes and earlier.shapes[old].document != shape.document:
+            return None
+    kept = {name: renamed.get(name, name) for name in names}
     kept = {name: name if name in before else old for name, old in kept.items() if name in before or old in before}
     added, removed = set(names) - kept.keys(), before - set(kept.values())
     if not (added or removed or any(new != old for new, old in kept.items())):
         return None
-    if len(set(kept.values())) < len(kept) or not (added <= manifest.added.keys() and removed <= manifest.removed.keys()):
+    try:
+        new = with_coefficients(manifest.added, manifest.shapes, "added")
+        gone = with_coefficients(manifest.removed, earlier.shapes, "removed")
+    except InvalidInputError:  # another version's curve
         return None
-    return EarlierVersion(
-        manifest=earlier, kept=kept, added=_exact(manifest.added, added), removed=_exact(manifest.removed, removed)
-    )
+    if len(set(kept.values())) < len(kept) or not (added <= new.keys() and removed <= gone.keys()):
+        return None
+    return EarlierVersion(manifest=earlier, kept=kept, added=_exact(new, added), removed=_exact(gone, removed))
 
 
-def _exact(claimed: Mapping[str, Claimed], names: set[str]) -> dict[str, Value]:
+def _exact(claimed: Mapping[str, Setting], names: set[str]) -> dict[str, Value]:
     return {name: value if isinstance(value, str) else decimal(value) for name, value in claimed.items() if name in names}
 
 

@@ -6,11 +6,11 @@ from functools import cached_property
 from math import isfinite, nan
 from typing import Any
 
+from drivecal.analysis.scoring import rate
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.fingerprints import score_id, setup_document
 from drivecal.bundles.installed import Bundle
 from drivecal.bundles.manifest import Manifest, ScoreEntry
-from drivecal.bundles.scoring import rate
 from drivecal.contracts.work import SetupRequest
 from drivecal.domain.evaluations import Rating
 from drivecal.domain.parameters import Parameter
@@ -83,7 +83,7 @@ class Bench:
         """Run requests to workers by scenario."""
         manifest = self.bundle.manifest
         rated = self.is_driven and self.evaluator is not None
-        units = {name: entry.unit for name, entry in manifest.parameters.items()}
+        units = manifest.arguments
         units |= {name: entry.unit for name, entry in manifest.varied.items()}
         unseeded = self._setups(0) if self.seed else {}
         return {
@@ -95,6 +95,7 @@ class Bench:
                 simulator=self.section,
                 parameters=tuple(parameter.name for parameter in self.parameters),
                 integers=manifest.integers,
+                shapes={name: shape.document for name, shape in manifest.shapes.items()},
                 measures=tuple(manifest.reported),
                 failures=manifest.failures,
                 series=tuple(manifest.series),

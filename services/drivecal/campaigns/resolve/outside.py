@@ -1,14 +1,15 @@
 """Grid indices of the sets that an outside optimizer proposes to a campaign."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
 
+from drivecal.bundles.shapes import with_coefficients
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.contracts.outside.sets import ProposedSet
-from drivecal.domain.parameters import Indices, ParameterSpace, Value, decimal
+from drivecal.domain.parameters import Indices, ParameterSpace, Setting, Value, decimal
 from drivecal.optimizers.external import ExternalSettings
 
 
@@ -24,12 +25,15 @@ def indices_of(problem: CalibrationProblem, proposed: Sequence[ProposedSet]) -> 
     rows = np.zeros((len(proposed), len(space.searched)), dtype=np.int64)
     for number, each in enumerate(proposed):
         field = f"sets[{number}].parameters"
-        points = [parameter.nearest(each.parameters.get(parameter.name), clips=repairs) for parameter in space.searched]
+        values = diagnostics.attempt(partial(with_coefficients, each.parameters, problem.bench.bundle.manifest.shapes, field))
+        if values is None:
+            continue
+        points = [parameter.nearest(values.get(parameter.name), clips=repairs) for parameter in space.searched]
         known = [index for index in points if index is not None]
         if len(known) == len(points):
             rows[number] = known
-        if len(known) < max(len(points), len(each.parameters)):  # a faulty value, or a fixed one
-            diagnostics.attempt(partial(space.indices, _rounded(space, each, points), field))
+        if len(known) < max(len(points), len(values)):  # a faulty value, or a fixed one
+            diagnostics.attempt(partial(space.indices, _rounded(space, values, points), field))
         if each.replicates > 1 and not problem.bench.is_random:
             remedy = "leave it out, or say `random: true` in the problem's manifest"
             diagnostics.add(f"sets[{number}].replicates", "the simulator is not random", remedy)
@@ -50,10 +54,8 @@ def indices_of(problem: CalibrationProblem, proposed: Sequence[ProposedSet]) -> 
     return rows
 
 
-def _rounded(space: ParameterSpace, proposed: ProposedSet, nearest: Sequence[int | None]) -> dict[str, Value]:
+def _rounded(space: ParameterSpace, proposed: Mapping[str, Setting], nearest: Sequence[int | None]) -> dict[str, Value]:
     """Returns the values of a set, rounded to their nearest grid points as far as they have some."""
-    values: dict[str, Value] = {
-        name: value if isinstance(value, str) else decimal(value) for name, value in proposed.parameters.items()
-    }
+    values: dict[str, Value] = {name: value if isinstance(value, str) else decimal(value) for name, value in proposed.items()}
     points = zip(space.searched, nearest, strict=True)
     return values | {parameter.name: parameter.named(index) for parameter, index in points if index is not None}

@@ -24,6 +24,7 @@ from drivecal.campaigns.resolve.spaces import (
     given_set,
     notes_off_grid,
     search_space,
+    settled,
     space_to_document,
 )
 from drivecal.campaigns.resolve.workbench import BundleSource, find_workbench, installed_bundles
@@ -194,6 +195,8 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     """
     diagnostics = Diagnostics()
     workbench = find_workbench(specification, bundles, diagnostics)
+    if workbench.function is not None:
+        specification = settled(specification, workbench.function, diagnostics)
     weights, notes = resolvers.normalise_weights(specification.weights, workbench.scenarios, diagnostics)
     optimization = choose_optimizer(specification, len(weights), diagnostics)
     if notes and (specification.objectives or specification.constraints):

@@ -6,8 +6,9 @@ from typing import Any, Protocol
 
 from pydantic import TypeAdapter
 
+from drivecal.bundles.shapes import Shape, with_coefficients
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.contracts.specification import CampaignSpecification, ParameterSpecification
+from drivecal.contracts.specification import CampaignSpecification, Given, ParameterSpecification
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, Setting, Value, billionths, decimal, text
@@ -27,6 +28,39 @@ class Parameterised(Protocol):
     @property
     def limits(self) -> Mapping[str, tuple[float | None, float | None]]:
         """Smallest and largest value that a user's own space may contain, by parameter; None means unlimited."""
+
+    @property
+    def shapes(self) -> Mapping[str, Shape]:
+        """Curves and maps, whose coefficients are parameters."""
+
+
+def settled(specification: CampaignSpecification, function: Parameterised, diagnostics: Diagnostics) -> CampaignSpecification:
+    """Returns a specification with coefficients in the place of curves and maps; adds a problem for each list that does not fit."""
+    shapes = function.shapes
+    changes: dict[str, Any] = {"fixed": _settled(specification.fixed, shapes, "fixed", diagnostics)}
+    if specification.baseline is not None:
+        changes["baseline"] = _settled(specification.baseline, shapes, "baseline", diagnostics)
+    if specification.optimizer is not None:
+        sets = specification.optimizer.start_sets
+        start = [_settled(each, shapes, f"optimizer.start_sets[{place}]", diagnostics) for place, each in enumerate(sets)]
+        changes["optimizer"] = specification.optimizer.model_copy(update={"start_sets": start} if start else {})
+    if specification.robustness is not None:
+        sets = specification.robustness.sets
+        robust = [_settled(each, shapes, f"robustness.sets[{place}]", diagnostics) for place, each in enumerate(sets)]
+        changes["robustness"] = specification.robustness.model_copy(update={"sets": robust} if robust else {})
+    if not isinstance(specification.parameters, str):
+        changes["parameters"] = [
+            listed.model_copy(update={"name": name})
+            for listed in specification.parameters
+            for name in (shapes[listed.name].names if listed.name in shapes else (listed.name,))
+        ]
+    return specification.model_copy(update=changes)
+
+
+def _settled(
+    given: Mapping[str, Given], shapes: Mapping[str, Shape], field: str, diagnostics: Diagnostics
+) -> dict[str, Setting]:
+    return diagnostics.attempt(lambda: with_coefficients(given, shapes, field)) or {}
 
 
 def search_parameters(parameters: str | Sequence[ParameterSpecification], function: Parameterised) -> tuple[Parameter, ...]:
@@ -116,7 +150,7 @@ def search_space(
     names = tuple(defaults)
     for name, given in specification.fixed.items():
         where = f"fixed.{name}"
-        value = _value(given)
+        value = _value(given, where)
         if name not in names:
             diagnostics.add(where, f"{function.name} has no parameter {name!r}", _remedy(names))
         elif name in by_name:
@@ -143,14 +177,15 @@ def search_space(
 
 
 def given_set(
-    given: Mapping[str, Setting] | None, constraints: Constraints | None, field: str, diagnostics: Diagnostics
+    given: Mapping[str, Given] | None, constraints: Constraints | None, field: str, diagnostics: Diagnostics
 ) -> ParameterSet | None:
     """A user's set on the grid that keeps the constraints; None if it is missing or invalid, with its problems in `diagnostics`."""
     if given is None or constraints is None:
         return None
     space = constraints.space
     try:
-        made = space.parameter_set(space.indices({name: _value(value) for name, value in given.items()}, field).tolist())
+        values = {name: _value(value, f"{field}.{name}") for name, value in given.items()}
+        made = space.parameter_set(space.indices(values, field).tolist())
         constraints.check(made, field)
     except InvalidInputError as error:
         diagnostics.problems.extend(error.problems)
@@ -158,10 +193,11 @@ def given_set(
     return made
 
 
-def free_values(given: Mapping[str, Setting], function: Parameterised, diagnostics: Diagnostics) -> dict[str, Value]:
+def free_values(given: Mapping[str, Given], function: Parameterised, diagnostics: Diagnostics) -> dict[str, Value]:
     """Values between grid points for a single evaluation: exact decimals and texts by name, in the driving function's order."""
     defaults = _default_space(function)
     names = tuple(defaults)
+    given = _settled(given, function.shapes, "parameters", diagnostics)
     for name in given:
         if name not in names:
             diagnostics.add(f"parameters.{name}", f"{function.name} has no parameter {name!r}", _remedy(names))
@@ -171,7 +207,7 @@ def free_values(given: Mapping[str, Setting], function: Parameterised, diagnosti
         if name not in given:
             diagnostics.add(where, "the value is missing", "give one value per parameter")
             continue
-        values[name] = _value(given[name])
+        values[name] = _value(given[name], where)
         _check_free(function, defaults[name], values[name], where, diagnostics)
     return values
 
@@ -187,7 +223,9 @@ def notes_off_grid(values: Mapping[str, Value], function: Parameterised) -> tupl
     return tuple(notes)
 
 
-def _value(given: Setting) -> Value:
+def _value(given: Given, field: str) -> Value:
+    if isinstance(given, list):
+        raise InvalidInputError(Problem(field, "a list is no value of a number or choice", "give one value"))
     return given if isinstance(given, str) else decimal(given)
 
 

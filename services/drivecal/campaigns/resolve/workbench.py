@@ -14,6 +14,7 @@ from drivecal.bundles.fingerprints import model_of
 from drivecal.bundles.highway import TaskScenario
 from drivecal.bundles.installed import Bundle, installed
 from drivecal.bundles.manifest import Manifest
+from drivecal.bundles.shapes import Shape
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
@@ -99,6 +100,8 @@ class Function:
     limits: Mapping[str, tuple[float | None, float | None]]
     constraints: Mapping[str, Allows]
     """Constraints by their text."""
+    shapes: Mapping[str, Shape] = field(default_factory=dict)
+    """Curves and maps, whose coefficients are parameters."""
 
 
 @dataclass(frozen=True)
@@ -122,13 +125,13 @@ class Workbench:
 
 def parameters_of(manifest: Manifest) -> tuple[Parameter, ...]:
     """Returns all parameters of a manifest."""
-    return tuple(Parameter.declared(name, **entry.model_dump()) for name, entry in manifest.parameters.items())
+    return tuple(Parameter.declared(name, **entry.model_dump()) for name, entry in manifest.scalars.items())
 
 
 def constraints_of(manifest: Manifest) -> dict[str, Allows]:
     """Returns the constraints of a manifest by their text."""
     known = choices_of(manifest)
-    return {text: Constraint(text, known) for text in manifest.constraints}
+    return {text: Constraint(text, known) for text in manifest.conditions}
 
 
 def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostics) -> Workbench:
@@ -191,7 +194,7 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
         varied,
         values,
         make,
-        baseline=manifest.baseline,
+        baseline=manifest.start,
         notes=_notes(bundle),
         known=KnownValues(scores, manifest.reported),
     )
@@ -208,7 +211,8 @@ def _declared(manifest: Manifest) -> Function:
     """Returns the parameters of a manifest. Its ranges are limits: its author has not claimed that it works beyond them."""
     parameters = parameters_of(manifest)
     limits = {each.name: (float(each.lower), float(each.upper)) for each in parameters if not each.choices}
-    return Function(manifest.problem, {WHOLE: parameters, manifest.problem: parameters}, limits, constraints_of(manifest))
+    spaces = {WHOLE: parameters, manifest.problem: parameters}
+    return Function(manifest.problem, spaces, limits, constraints_of(manifest), manifest.shapes)
 
 
 def _driven(manifest: Manifest, section: Mapping[str, Any], plugin: DrivingFunction) -> Function:

@@ -5,8 +5,8 @@ from collections.abc import Iterable
 
 from sqlalchemy import Connection
 
+from drivecal.analysis.scoring import rate
 from drivecal.bundles.expressions import Formula
-from drivecal.bundles.scoring import rate
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.resolve.workbench import bundles_of
 from drivecal.contracts.evaluation import FailureCause

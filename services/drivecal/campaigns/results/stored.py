@@ -1,15 +1,17 @@
 """Stored simulations of given cells, rated by a bench. Nothing is simulated, and nothing is stored."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from sqlalchemy import Connection
 
+from drivecal.bundles.shapes import with_coefficients
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.contracts.specification import Values
-from drivecal.domain.parameters import Parameter, ParameterSet, decimal
+from drivecal.domain.parameters import ParameterSet, Setting, decimal
 from drivecal.storage.references import parameter_sets, runs, setups
 
 
@@ -27,12 +29,15 @@ class StoredSimulation:
     metrics: dict[str, float | None]
 
 
-def given_sets(parameters: Sequence[Parameter], given: Sequence[Values], field: str) -> list[ParameterSet]:
+def given_sets(bench: Bench, given: Sequence[Values], field: str) -> list[ParameterSet]:
     """Returns parameter sets with a value for each parameter. Raises InvalidInputError with each fault, in `field` with its number."""
-    known = {parameter.name: parameter for parameter in parameters}
+    known = {parameter.name: parameter for parameter in bench.parameters}
     diagnostics = Diagnostics()
-    for number, values in enumerate(given):
+    sets: list[Mapping[str, Setting]] = []
+    for number, listed in enumerate(given):
         here = field.format(number)
+        values = diagnostics.attempt(partial(with_coefficients, listed, bench.bundle.manifest.shapes, here)) or {}
+        sets.append(values)
         for name in values.keys() - known.keys():
             diagnostics.add(f"{here}.{name}", "there is no such parameter", f"one of {', '.join(known)}")
         for name, parameter in known.items():
@@ -43,7 +48,7 @@ def given_sets(parameters: Sequence[Parameter], given: Sequence[Values], field: 
             elif not parameter.choices and isinstance(values[name], str):
                 diagnostics.add(f"{here}.{name}", f"{values[name]!r} is no number", "give a number")
     diagnostics.raise_if_any()
-    ordered = ({name: values[name] for name in known} for values in given)
+    ordered = ({name: values[name] for name in known} for values in sets)
     return [
         ParameterSet.of({name: value if isinstance(value, str) else decimal(value) for name, value in values.items()})
         for values in ordered

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from sqlalchemy import Connection
 
-from drivecal.bundles.scoring import REMEDY
+from drivecal.analysis.scoring import REMEDY
 from drivecal.campaigns.cells.cell_tracker import CellTracker
 from drivecal.campaigns.cells.planning import View, plan_cells
 from drivecal.campaigns.job import Job

@@ -20,7 +20,7 @@ def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str
 
     An FMU that cannot be read is left to the worker's FMPy, which says why, or reads it.
     """
-    parameters = {name: entry.unit for name, entry in manifest.parameters.items()}
+    parameters = manifest.arguments
     parameters |= {name: entry.unit for name, entry in manifest.varied.items()}
     problems: list[Problem] = []
     notes: list[str] = []
@@ -49,7 +49,7 @@ def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str
 
 def _ends(manifest: Manifest) -> Iterator[tuple[str, str, object]]:
     """Yields field, name and value of the ends and steps of all parameters' ranges, or of their choices."""
-    for name, entry in manifest.parameters.items():
+    for name, entry in manifest.scalars.items():
         given = {"lower": entry.lower, "upper": entry.upper, "step": entry.step if not entry.integer else None}
         for key, value in given.items():
             if value is not None:

@@ -3,8 +3,8 @@
 import pytest
 from tests.support.scales import COST
 
+from drivecal.analysis.scoring import Scored, rate
 from drivecal.bundles.expressions import Formula
-from drivecal.bundles.scoring import Scored, rate
 
 FORMULA = Formula("1 / gap")
 
