@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
@@ -252,6 +254,28 @@ def test_a_request_may_wait_for_an_answer(sqlite: RunningApi) -> None:
     assert (empty["items"], empty["last"], empty["is_complete"]) == ([], 0, False)
 
 
+def test_a_set_costs_one_transaction_of_the_api_and_four_of_the_dispatcher(
+    sqlite: RunningApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign, work, written = submitted(sqlite), dispatcher(sqlite.database, ComputedBackend(1)), list[Database]()
+    propose(sqlite, campaign, sets(0, 1))
+    while len(answers(sqlite, campaign)["items"]) < 2:
+        work.step()
+    whole = Database.transaction
+
+    def counted(database: Database) -> AbstractContextManager[Connection]:
+        written.append(database)
+        return whole(database)
+
+    monkeypatch.setattr(Database, "transaction", counted)
+    monkeypatch.setattr(Dispatcher, "_tidy", lambda _: False)
+    propose(sqlite, campaign, sets(1, 1, scenarios=["S1"]))
+    assert len(written) == 1
+    while len(answers(sqlite, campaign)["items"]) < 3:
+        work.step()
+    assert len(written) == 5  # the cells of a round, their lease, their results, the end of the round
+
+
 def test_a_thousand_sets_go_in_one_request(sqlite: RunningApi) -> None:
     space = [{"name": name, "lower": 0, "upper": 1, "step": 0.001} for name in ("P1", "P3")]
     campaign = submitted(sqlite, parameters=space, catalogue=["S1"])
@@ -270,8 +294,8 @@ def begun(database: Database) -> StoredCampaign:
     campaign = submit(database, **SPEC | {"baseline": {"P1": 0.5, "P3": 1.0}})
     with database.transaction() as connection:
         proposed = [OutsideSet(f"k{number}", [number % 17, number % 5]) for number in range(24)]
-        outside_sets.add(connection, campaign.id, [*proposed, OutsideSet("again", [1, 1]), OutsideSet("part", [20, 1], ["S2"])])
-        outside_sets.finish(connection, campaign.id)
+        outside_sets.add(connection, campaign, [*proposed, OutsideSet("again", [1, 1]), OutsideSet("part", [20, 1], ["S2"])])
+        outside_sets.finish(connection, campaign)
     return campaign
 
 

@@ -123,8 +123,8 @@ def test_a_search_by_the_cell_asks_further_seeds_where_they_tell_more(database: 
 def test_an_outside_optimizer_gets_its_replicates_with_their_seeds(database: Database) -> None:
     campaign = submit_checked(database, SPEC | {"optimizer": {"kind": "external"}})
     with database.transaction() as connection:
-        outside_sets.add(connection, campaign.id, [OutsideSet("a", [10], None, 3), OutsideSet("b", [20], ["city"])])
-        outside_sets.finish(connection, campaign.id)
+        outside_sets.add(connection, campaign, [OutsideSet("a", [10], None, 3), OutsideSet("b", [20], ["city"])])
+        outside_sets.finish(connection, campaign)
     finish(database, campaign, dispatcher(database, ComputedBackend(0, driven=noisy)))
     with database.read() as connection:
         answers = outside_sets.answers(connection, campaign.sequence, 0, 100)

@@ -19,6 +19,8 @@ class Job(ABC):
     """True if `work` may return more cells while earlier cells are at workers."""
     awaited: str | None = None
     """Reason why nothing goes on until another program acts; None while it goes on."""
+    write_seconds: float = 0.25
+    """Least interval between transactions with results while cells are at workers: half of the time of small ones is fixed."""
     budget: RunBudget | None = None
     """Runs that the campaign may start, known after the first `work`; None without a limit."""
 

@@ -130,8 +130,6 @@ def _pin(database: Database, campaign: StoredCampaign, resolution: Mapping[str, 
 LOOK_SECONDS = 0.25
 """Interval between checks for new campaigns and requests."""
 TELL_SECONDS = 0.5
-WRITE_SECONDS = 0.25
-"""Least interval between transactions with results of a campaign while it has cells at workers: half of the time of small ones is fixed."""
 POLL_SECONDS = 0.1
 TIDY_SECONDS, BUSY_TIDY_SECONDS = 60.0, 1.0
 """Intervals of tidying, and while there is more to remove than goes in a transaction."""
@@ -203,7 +201,8 @@ class Dispatcher:
             with logs.about(campaign=active.campaign.id, campaign_name=active.campaign.name, stage=active.stage):
                 self._advance(active)
         by_tag = {active.tag: active for active in self._active.values()}
-        for completion in self._pool.poll(POLL_SECONDS):
+        paces = [active.job.write_seconds for active in by_tag.values() if active.job is not None]
+        for completion in self._pool.poll(min([POLL_SECONDS, *paces])):
             if completion.tag in by_tag:
                 by_tag[completion.tag].unwritten.append(completion)
 
@@ -372,7 +371,7 @@ class Dispatcher:
                 work = job.record(active.unwritten)
             active.unwritten.clear()
             active.moved_at, active.stalled = self._clock(), False
-            active.write_at = self._clock() + WRITE_SECONDS
+            active.write_at = self._clock() + job.write_seconds
             self._submit(active, work)
         if active.stopping is not None:
             self._finish_stopping(active)

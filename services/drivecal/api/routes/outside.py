@@ -3,7 +3,7 @@
 import asyncio
 import time
 from functools import lru_cache
-from typing import Annotated
+from typing import Annotated, cast
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
@@ -21,7 +21,6 @@ from drivecal.campaigns.resolve.resolved_spec import problem_of
 from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet, CellAnswered, ProposedSets
-from drivecal.domain.errors import ConflictError
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
@@ -30,15 +29,13 @@ from drivecal.storage.outside.sets import OutsideSet
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
 
-LOOK_SECONDS = 0.2
-"""Interval of checks for new answers while a request waits."""
+LOOK_SECONDS, LONGEST_LOOK = 0.05, 0.5
+"""Interval of checks for new answers while a request waits: a tenth of the time without one, between these."""
 
 
 @router.post("/{campaign_id}/sets", status_code=202)
 def propose(campaign_id: str, proposed: ProposedSets, request: Request, database: DatabaseDependency) -> AcceptedSets:
     """Takes sets of an outside optimizer. They are stored before the answer; sending them again, with the same keys, changes nothing."""
-    with database.transaction() as connection:
-        refuse_others(request, campaign_id, outside_sets.external_campaign(connection, campaign_id).owner)
     problem = _problem(database, campaign_id)
     indices = indices_of(problem, proposed.sets)
     sets = [
@@ -51,7 +48,9 @@ def propose(campaign_id: str, proposed: ProposedSets, request: Request, database
         for each, row in zip(proposed.sets, indices.tolist(), strict=True)
     ]
     with database.transaction() as connection:
-        numbers = outside_sets.add(connection, campaign_id, sets)
+        campaign = outside_sets.external_campaign(connection, campaign_id)
+        refuse_others(request, campaign_id, campaign.owner)
+        numbers = outside_sets.add(connection, campaign, sets)
     made = problem.space.parameter_sets(indices)
     shapes = problem.bench.bundle.manifest.shapes
     changed = {
@@ -67,13 +66,10 @@ def propose(campaign_id: str, proposed: ProposedSets, request: Request, database
 
 @lru_cache(maxsize=64)
 def _problem(database: Database, campaign_id: str) -> CalibrationProblem:
-    """Returns a campaign's problem, which takes longer to resolve than a request may wait. It never changes."""
-    with database.read() as connection:
-        campaign = campaigns.get(connection, campaign_id)
-    problem = problem_of(campaign, stored_bundles(database))
-    if not isinstance(problem, CalibrationProblem):
-        raise ConflictError(f"{campaign_id} is a single evaluation")
-    return problem
+    """Returns the problem of a campaign that others feed. It takes longer to resolve than a request may wait, and never changes."""
+    with database.transaction() as connection:
+        campaign = outside_sets.external_campaign(connection, campaign_id)
+    return cast("CalibrationProblem", problem_of(campaign, stored_bundles(database)))  # no single evaluation
 
 
 class AnswersQuery(Parameters):
@@ -98,12 +94,13 @@ async def answers(
     """Answers of proposed sets, by cell, in the order of their arrival. Returns at once if there are some, or the search has ended."""
     del place  # held until the answer: a request that waits keeps no other from being answered
     hub: EventHub = request.app.state.event_hub
-    until = time.monotonic() + query.wait
+    begin = time.monotonic()
     while True:
+        waited = time.monotonic() - begin
         page = await run_in_threadpool(_answers, database, campaign_id, query.after, query.limit)
-        if page.items or page.is_complete or time.monotonic() >= until or hub.closed:
+        if page.items or page.is_complete or waited >= query.wait or hub.closed:
             return page
-        await asyncio.sleep(LOOK_SECONDS)
+        await asyncio.sleep(min(LONGEST_LOOK, max(LOOK_SECONDS, waited / 10)))
 
 
 def _answers(database: Database, campaign_id: str, after: int, limit: int) -> AnswerPage:
@@ -134,6 +131,7 @@ def cancel_set(campaign_id: str, key: str, request: Request, database: DatabaseD
 def finish(campaign_id: str, request: Request, response: Response, database: DatabaseDependency) -> Campaign:
     """Ends a campaign as soon as the sets that it has are answered. Asking again changes nothing."""
     with database.transaction() as connection:
-        refuse_others(request, campaign_id, campaigns.get(connection, campaign_id, lock=True).owner)
-        stored = outside_sets.finish(connection, campaign_id)
+        campaign = outside_sets.external_campaign(connection, campaign_id)
+        refuse_others(request, campaign_id, campaign.owner)
+        stored = outside_sets.finish(connection, campaign)
     return accepted(response, database, stored)

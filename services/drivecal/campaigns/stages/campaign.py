@@ -118,7 +118,7 @@ class StagedCampaign(Job):
         while self._stage is not None:
             work = self._stage.work()
             self.goes_on, self.asks_ahead, self.budget = self._stage.goes_on, self._stage.asks_ahead, self._stage.budget
-            self.awaited = self._stage.awaited
+            self.awaited, self.write_seconds = self._stage.awaited, self._stage.write_seconds
             if work or not self._stage.finished:
                 return work
             self._stage = self._next(self._campaign())

@@ -17,7 +17,7 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.answers import CellAnswers
 from drivecal.campaigns.stages.asking import WINDOW, AskedRound, Asker
 from drivecal.campaigns.stages.calibration import Calibration
-from drivecal.campaigns.stages.stage import Round
+from drivecal.campaigns.stages.stage import Round, Stage
 from drivecal.contracts.campaign import SearchEnd
 from drivecal.domain.evaluations import Outcome, RequestedCell
 from drivecal.storage.campaigns import StoredCampaign
@@ -25,8 +25,8 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.outside import sets as outside_sets
 from drivecal.storage.outside.sets import OutsideSet
 
-LOOK_SECONDS, LONGEST_LOOK = 0.1, 1.0
-"""Interval (s) of checks for new sets while none wait: a tenth of the time without a set, between these."""
+LOOK_SECONDS, LONGEST_LOOK = 0.05, 1.0
+"""Interval (s) of checks for new sets, and of transactions with results: a tenth of the time without a set, between these."""
 MOST_SETS = 1_000
 """Sets of a round."""
 
@@ -78,11 +78,10 @@ class OutsideSearch(Calibration):
             reason = "finished"
         if reason is not None:
             self._end_search(reason)
-        elif not self._offered:
-            idle = time.monotonic() - self._fed_at
-            self._look_at = time.monotonic() + min(LONGEST_LOOK, max(LOOK_SECONDS, idle / 10))
-        else:
+        elif self._offered:
             self._fed_at = time.monotonic()
+        pause = min(LONGEST_LOOK, max(LOOK_SECONDS, (time.monotonic() - self._fed_at) / 10))
+        self._look_at, self.write_seconds = time.monotonic() + pause, min(Stage.write_seconds, pause)
         self.awaited = outside_sets.AWAITED if reason is None and not self._offered and not self._under_way else None
         return reason is not None or bool(self._offered)
 

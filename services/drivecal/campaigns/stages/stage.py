@@ -5,6 +5,7 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar
 
 from sqlalchemy import Connection
@@ -246,7 +247,9 @@ class Stage(Job):
 
     def _request(self, asked: Round) -> list[Work]:
         """Commits the cells of a round before any is dispatched; resumes them unchanged if an earlier process committed them."""
-        sequence = self._campaign.sequence
+        sequence, has_lots = self._campaign.sequence, False
+        benches = [bench for bench, _ in asked.cells if bench is not self._view.bench]
+        load = partial(self._tracker.load, share_runs=asked.policy.mode != "off", benches=benches)
         first = asked.cells[0][1][0].individual if asked.cells and asked.cells[0][1] else None
         with self._database.transaction() as connection:
             is_new = not results.is_requested(connection, sequence, self.name, asked.number, first)
@@ -260,12 +263,14 @@ class Stage(Job):
                     with view.reuse_time.counted():
                         planned = self._form_lots(connection, asked, planned)
                     self._tracker.request(connection, planned, carried_over=0 if position else asked.carried_over)
+                    has_lots |= any(cell.lot is not None for cell in planned)
                 self._store(connection, asked)
-                self._save(connection)
-        benches = [bench for bench, _ in asked.cells if bench is not self._view.bench]
-        with self._database.transaction() as connection:  # a sample is drawn after its lot is committed
-            work = self._tracker.load(connection, share_runs=asked.policy.mode != "off", benches=benches)
+            work = [] if has_lots else load(connection)
             self._save(connection)
+        if has_lots:
+            with self._database.transaction() as connection:  # a sample is drawn after its lot is committed
+                work = load(connection)
+                self._save(connection)
         return work
 
     def _form_lots(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:  # a hook

@@ -48,8 +48,9 @@ PROMPT = Patience(lock=4, connect=2, statement=30, watched=True, cache=16)
 """Limits for requests, for which a client waits. They read little, and by many connections."""
 QUEUE_SECONDS = 0.003
 """Pause between two looks whether another process has begun to write."""
-QUEUE_KEPT_SECONDS = 0.5
-"""Time for waiting threads of a process to write one after the other, before another process does."""
+QUEUE_KEPT_SECONDS = 0.02, 0.5
+"""Time for waiting threads of a process to write one after the other, before another process does: as long as the process waited itself,
+between these. A process that answers many requests would otherwise keep the dispatcher from writing."""
 QUEUE_LEFT_SECONDS = 10.0
 """Time for which a process writes without the queue after it waited in vain."""
 
@@ -71,7 +72,7 @@ class Turns:
         self._counting = threading.Lock()
         self._waiting = 0
         self._locked: tuple[IO[bytes], float] | None = None
-        """The locked file, and the time of its lock (`time.monotonic`)."""
+        """The locked file, and the time until which this process may keep it (`time.monotonic`)."""
         self._queue_again = 0.0
         """The time of the next attempt to lock the file after a failure (`time.monotonic`)."""
 
@@ -99,17 +100,19 @@ class Turns:
 
         The caller has taken its turn.
         """
-        if self._locked is not None and time.monotonic() > self._locked[1] + QUEUE_KEPT_SECONDS:
+        if self._locked is not None and time.monotonic() > self._locked[1]:
             self._unlock()
             time.sleep(2 * QUEUE_SECONDS)  # others look meanwhile
-        entered = self._locked is None and time.monotonic() >= self._queue_again
+        begun = time.monotonic()
+        entered = self._locked is None and begun >= self._queue_again
         if entered:
             self._enter_queue(deadline)
+        kept = sorted((time.monotonic() - begun, *QUEUE_KEPT_SECONDS))[1]
         try:
             yield max(deadline - time.monotonic(), 0.0)
         finally:
             if entered and self._locked is not None:  # the time of the writer before does not count
-                self._locked = self._locked[0], time.monotonic()
+                self._locked = self._locked[0], time.monotonic() + kept
             if not self._waiting:
                 self._unlock()
 

@@ -72,51 +72,43 @@ def external_campaign(connection: Connection, campaign_id: str) -> StoredCampaig
     return campaign
 
 
-def open_campaign(connection: Connection, campaign_id: str, *, closing: bool = False) -> StoredCampaign:
-    """Returns a campaign that still takes sets, and keeps others from changing it until the transaction ends.
-
-    Args:
-        connection: a transaction.
-        campaign_id: id of the campaign.
-        closing: also returns a campaign that was asked to finish before.
-
-    Raises:
-        NotFoundError: There is no such campaign.
-        ConflictError: It has an optimizer of its own, or has ended or was asked to.
-    """
-    campaign = external_campaign(connection, campaign_id)
+def _refuse_closed(campaign: StoredCampaign) -> None:
+    """Raises ConflictError if a campaign takes no more sets."""
     reason: str | None = campaign.search.ended_by if campaign.search is not None else None
     if campaign.state.ended or campaign.requested_action == "cancel":
         reason = campaign.state if campaign.state.ended else "cancelling"
-    elif reason is None and campaign.finish_at is not None and not closing:
+    elif reason is None and campaign.finish_at is not None:
         reason = "finished"
-    if reason is not None and not (closing and campaign.finish_at is not None):
-        raise ConflictError(f"campaign {campaign_id} takes no more sets ({reason}); submit another campaign")
-    return campaign
+    if reason is not None:
+        raise ConflictError(f"campaign {campaign.id} takes no more sets ({reason}); submit another campaign")
 
 
-def finish(connection: Connection, campaign_id: str) -> StoredCampaign:
-    """Lets a campaign end as soon as its sets are answered; asking again changes nothing. Raises as `open_campaign`."""
-    campaign = open_campaign(connection, campaign_id, closing=True)
+def finish(connection: Connection, campaign: StoredCampaign) -> StoredCampaign:
+    """Lets a campaign of `external_campaign` end as soon as its sets are answered; asking again changes nothing.
+
+    Raises ConflictError if the campaign has ended otherwise.
+    """
     if campaign.finish_at is None:
+        _refuse_closed(campaign)
         mine = update(campaigns_table).where(campaigns_table.c.sequence == campaign.sequence)
         connection.execute(mine.values(finish_at=now(), revision=campaigns_table.c.revision + 1))
     return campaigns.by_sequence(connection, campaign.sequence)
 
 
-def add(connection: Connection, campaign_id: str, proposed: Sequence[OutsideSet]) -> dict[str, int]:
-    """Stores proposed sets, each key once, and returns their numbers by key. Cancelled ones, which no round has asked for, wait again.
+def add(connection: Connection, campaign: StoredCampaign, proposed: Sequence[OutsideSet]) -> dict[str, int]:
+    """Stores sets for a campaign of `external_campaign`, each key once, and returns their numbers by key. Cancelled ones, which no round
+    has asked for, wait again.
 
-    Raises ConflictError if a key belongs to another set; as `open_campaign` if there is a set to store.
+    Raises ConflictError if a key belongs to another set, or if there is a set to store and the campaign takes no more.
     """
-    campaign_sequence, table = external_campaign(connection, campaign_id).sequence, outside_sets.c
+    campaign_sequence, table = campaign.sequence, outside_sets.c
     is_dropped = (table.cancelled & table.iteration.is_(None)).label("is_dropped")
     query = select(table.key, table.number, table.indices, table.scenarios, table.replicates, is_dropped)
     query = query.where(table.campaign_sequence == campaign_sequence)
     known = {row.key: row for row in rows_among(connection, query, table.key, [each.key for each in proposed])}
     dropped = [row.number for row in known.values() if row.is_dropped]
     if dropped or len(known) < len({each.key for each in proposed}):
-        open_campaign(connection, campaign_id)
+        _refuse_closed(campaign)
     for each in proposed:
         stored = known.get(each.key)
         asked = each.indices, each.scenarios, each.replicates
