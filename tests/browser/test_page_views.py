@@ -130,6 +130,27 @@ def test_campaigns_are_searched_sorted_and_ticked_to_be_compared(shown: Shown, o
     expect(page.get_by_role("img", name=re.compile("Best scores of the searches")).locator("path")).to_have_count(2)
 
 
+def test_best_sets_of_campaigns_are_compared_under_one_weighting(shown: Shown, opening: Opening) -> None:
+    database, get = shown.api.database, shown.api.http.get
+    small: dict[str, Any] = {
+        "catalogue": ["S1"],
+        "weights": {},
+        "optimizer": {"kind": "random", "population": 6, "iterations": 2},
+    }
+    less = run(database, submit(database, **small), ComputedBackend(answer=influenced))
+    page = opening(f"{shown.api.url}/#/compare?ids={shown.campaign.id},{less.id}&weights=S1=1,S2=0")
+    results = page.get_by_role("region", name="Results of each")
+    for campaign, weights in ((shown.campaign, "S1=1,S2=0"), (less, "S1=1")):
+        best = get(f"/api/v1/campaigns/{campaign.id}/solutions?weights={weights}").json()["items"][0]
+        expect(results.get_by_role("row", name="weighted score")).to_contain_text(told(best["objective"]))
+    page.get_by_label("Weights").select_option(index=0)
+    expect(results.get_by_role("row", name="weighted score")).to_contain_text("not simulated: S2")
+    rows = results.get_by_role("row").count()
+    page.get_by_label("differences only").uncheck()
+    assert results.get_by_role("row").count() > rows
+    assert barriers_everywhere(page) == []
+
+
 def test_a_scatter_keeps_ranges_that_the_table_and_the_export_follow(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.at('evaluations')}?chart=scatter&x=P1&y=score")
     plot = page.get_by_role("img", name=re.compile("score over P1"))

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { byMeasure, courseOf, haveLikeObjectives, haveLikeScores, overOf, overlay, placesOf, type Over } from "./overlay";
+import { byMeasure, courseOf, haveLikeScores, overOf, overlay, placesOf, type Over } from "./overlay";
 import type { Campaign, Generation } from "../server/types";
 
 const generation = (iteration: number, best: number, requested: number, reused: number): Generation => ({ iteration, best, requested, reused, repeated: 0, predicted: 0 }) as Generation;
@@ -30,13 +30,7 @@ const scale = { name: "ease", unit: "1", direction: "maximise", lower: 0, upper:
 const campaign = (objective: Record<string, unknown> | null, spec: Record<string, unknown> = {}): Campaign => ({ spec: { catalogue: "all", weights: {}, ...spec }, scale, objective }) as unknown as Campaign;
 const [scored, cheap, quick] = [campaign(null), campaign({ name: "energy", unit: "kWh", direction: "minimise" }), campaign({ name: "time", unit: "s", direction: "minimise" })];
 
-test("only like objectives are compared, under the same weights and scenarios", () => {
-  expect(haveLikeObjectives([scored, campaign(null)])).toBe(true);
-  expect(haveLikeObjectives([cheap, campaign(cheap.objective as never, { objectives: null })])).toBe(true);
-  for (const other of [cheap, campaign(null, { weights: { a: 2 } }), campaign(null, { catalogue: ["a"] })]) expect(haveLikeObjectives([scored, other])).toBe(false);
-  expect(haveLikeObjectives([cheap, quick])).toBe(false);
-  const worst = campaign(cheap.objective as never, { objectives: [{ measure: "energy", aggregate: "max" }] });
-  expect(haveLikeObjectives([campaign(cheap.objective as never, { objectives: [{ measure: "energy", aggregate: "mean" }] }), worst])).toBe(false);
+test("only like scores are compared", () => {
   expect([haveLikeScores([scored, cheap]), haveLikeScores([scored, { ...scored, scale: { ...scored.scale, direction: "minimise" } }])]).toEqual([true, false]);
 });
 

@@ -10,25 +10,15 @@ const DASHES = [undefined, "7 3", "2 3", "9 3 2 3", "4 2"];
 /** What the best objectives of a campaign are: its first objective, else its score. */
 export type Measure = Pick<Campaign["scale"], "name" | "unit" | "direction">;
 export type Over = "iteration" | "simulations";
-type Compared = Pick<Campaign, "spec" | "scale" | "objective">;
 
-export function measureOf({ objective, scale }: Pick<Campaign, "scale" | "objective">): Measure {
+function measureOf({ objective, scale }: Pick<Campaign, "scale" | "objective">): Measure {
   const { name, unit, direction } = objective ?? scale;
   return { name, unit, direction };
 }
 
 /** Whether the scores of campaigns, by scenario, are on one scale. */
-export function haveLikeScores(campaigns: readonly Compared[]): boolean {
-  return alike(campaigns, ({ scale }) => scale);
-}
-
-/** Whether the best objectives of campaigns are on one scale. */
-export function haveLikeObjectives(campaigns: readonly Compared[]): boolean {
-  return alike(campaigns, ({ spec, objective, scale }) => [spec.weights, spec["catalogue"], objective ?? scale, (spec["objectives"] as unknown[] | null | undefined)?.[0] ?? null]);
-}
-
-function alike(campaigns: readonly Compared[], part: (campaign: Compared) => unknown): boolean {
-  return new Set(campaigns.map((campaign) => JSON.stringify(part(campaign)))).size < 2;
+export function haveLikeScores(campaigns: readonly Pick<Campaign, "scale">[]): boolean {
+  return new Set(campaigns.map(({ scale }) => JSON.stringify(scale))).size < 2;
 }
 
 /** Searches by what their objectives are: other names, units or directions need another axis. */

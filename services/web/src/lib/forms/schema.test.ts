@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import { Broken } from "./faults";
-import { describe, differences, listText, others, pairsText, writtenList, writtenPairs, type Definitions } from "./schema";
+import { describe, fieldsOf, listText, others, pairsText, writtenList, writtenPairs, type Definitions } from "./schema";
 
 const DEFINITIONS: Definitions = {
   Search: { type: "object", properties: { kind: { enum: ["genetic", "random"] }, seed: { type: "integer", default: 1 } } },
@@ -49,14 +49,15 @@ test("objects are described behind references and choices, and whether they may 
 });
 
 test("two documents are compared leaf by leaf", () => {
-  expect(differences({ a: { b: 1, c: [1, 2] }, d: "x", w: {} }, { a: { b: 2, c: [1, 2] }, e: null })).toEqual([
+  expect(fieldsOf({ a: { b: 1, c: [1, 2] }, d: "x", w: {} }, { a: { b: 2, c: [1, 2] }, e: null })).toEqual([
     { path: "a.b", values: ["1", "2"] },
+    { path: "a.c", values: ["1, 2", "1, 2"] },
     { path: "d", values: ["x", null] },
     { path: "e", values: [null, "null"] },
   ]);
-  expect(differences({ a: 1 }, { a: 1 }, { a: 2 })).toEqual([{ path: "a", values: ["1", "1", "2"] }]);
+  expect(fieldsOf({ a: 1 }, { a: 1 }, { a: 2 })).toEqual([{ path: "a", values: ["1", "1", "2"] }]);
   const goals = [{ score: "comfort", measure: null, weights: {}, failed: null }, { score: "safety", at_most: 2 }];
-  expect(differences({ goals, on: true, sets: [] }, { goals: ["a", "b"], on: false, sets: [1] })).toEqual([
+  expect(fieldsOf({ goals, on: true, sets: [] }, { goals: ["a", "b"], on: false, sets: [1] })).toEqual([
     { path: "goals", values: ["score comfort; score safety, at most 2", "a, b"] },
     { path: "on", values: ["yes", "no"] },
     { path: "sets", values: ["none", "1"] },

@@ -182,9 +182,9 @@ function told(value: unknown): string {
   return chosen.map(([name, inner]) => `${name.replaceAll("_", " ")} ${told(inner)}`).join(", ");
 }
 
-/** The paths at which documents differ, with the value of each; null if one has none. */
-export function differences(...documents: readonly unknown[]): { path: string; values: (string | null)[] }[] {
+/** The paths of documents with the value of each; null if one has none. */
+export function fieldsOf(...documents: readonly unknown[]): { path: string; values: (string | null)[] }[] {
   const known = documents.map((document) => leaves(document));
   const paths = [...new Set(known.flatMap((each) => Object.keys(each)))];
-  return paths.map((path) => ({ path, values: known.map((each) => each[path] ?? null) })).filter(({ values }) => new Set(values).size > 1);
+  return paths.map((path) => ({ path, values: known.map((each) => each[path] ?? null) }));
 }
