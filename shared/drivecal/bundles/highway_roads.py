@@ -6,14 +6,13 @@ in digests like every other file. It names the digest of its source: a network t
 
 import hashlib
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import chain, islice, pairwise
 
 from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.highway import (
     Described,
-    Driver,
     HighwayScenario,
     HighwaySimulator,
     OpenScenario,
@@ -32,7 +31,7 @@ from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.scenarios import FARTHEST
 from drivecal.roads.conversion import converted
 from drivecal.roads.corridor import Corridor, corridor
-from drivecal.roads.network import Edge, Network, network_file, source_of
+from drivecal.roads.network import Network, network_file, source_of
 
 SHORTEST_DRIVE = 0.5
 """Share of the way at start speed that a route must have at least."""
@@ -281,7 +280,8 @@ def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str
     """Yields the faults of a vehicle's place and route; a path has neither."""
     if vehicle.path is not None:
         return
-    yield from _route(network, vehicle, field)
+    for index, message, remedy in islice(network.faults(vehicle.route or ()), 1):  # names of 2,000 roads are compared for each
+        yield Problem(f"{field}.route[{index}]", f"{network.name}: {message}", remedy)
     if vehicle.edge is None:
         try:
             edge_there = road.piece(vehicle.s, vehicle.lane).edge
@@ -293,7 +293,11 @@ def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str
             yield Problem(f"{field}.route", message, "give a route with this edge, or another s")
         return
     edge = network.edges.get(vehicle.edge)
-    yield from _place(network, edge, vehicle.edge, vehicle.lane, field)
+    for _, message, remedy in network.faults([vehicle.edge]):
+        yield Problem(f"{field}.edge", f"{network.name}: {message}", remedy)
+    if edge is not None and edge.function == "" and vehicle.lane >= len(edge.lanes):
+        message = f"the edge {shown(edge.id, 80)} has no lane {vehicle.lane}"
+        yield Problem(f"{field}.lane", message, f"give 0 to {len(edge.lanes) - 1}")
     if edge is not None and vehicle.lane < len(edge.lanes) and vehicle.s > edge.lanes[vehicle.lane].length:
         length = edge.lanes[vehicle.lane].length
         message = (
@@ -302,34 +306,6 @@ def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str
         yield Problem(f"{field}.s", message, f"give 0 to {length:.2f}")
     if edge is not None and vehicle.route is not None and edge.id not in vehicle.route:
         yield Problem(f"{field}.edge", f"{shown(edge.id, 80)} is not on its own route", "give an edge of `route`")
-
-
-def _place(network: Network, edge: Edge | None, name: str, lane: int, field: str) -> Iterator[Problem]:
-    """Yields the faults of an edge and a lane on it."""
-    if edge is None or edge.function != "":
-        yield _unknown(network, name, f"{field}.edge")
-    elif lane >= len(edge.lanes):
-        message = f"the edge {shown(name, 80)} has no lane {lane}"
-        yield Problem(f"{field}.lane", message, f"give 0 to {len(edge.lanes) - 1}")
-
-
-def _route(network: Network, driver: Driver, field: str) -> Iterator[Problem]:
-    """Yields the faults of a vehicle's own route: edges that are not there, or do not follow each other."""
-    route: Sequence[str] = driver.route or ()
-    for index, name in enumerate(route):
-        if name not in network.edges or network.edges[name].function != "":
-            yield _unknown(network, name, f"{field}.route[{index}]")
-        elif index and all(link.end != name for link in network.connections.get(route[index - 1], ())):
-            message = f"no lane leads from {shown(route[index - 1], 80)} to {shown(name, 80)}"
-            reached = dict.fromkeys(link.end for link in network.connections.get(route[index - 1], ()))
-            remedy = f"it leads to {', '.join(shown(edge, 80) for edge in list(reached)[:5]) or 'no edge'}"
-            yield Problem(f"{field}.route[{index}]", message, remedy)
-
-
-def _unknown(network: Network, name: str, field: str) -> Problem:
-    roads = islice((edge.id for edge in network.edges.values() if edge.function == ""), 20)
-    remedy = nearest(name, list(roads))
-    return Problem(field, f"{network.name}: there is no edge {shown(name, 80)}", remedy)
 
 
 def _scenarios(manifest: Manifest) -> Iterator[tuple[str, Described]]:

@@ -7,12 +7,15 @@ SUMO's cars keep one limit per lane, the first.
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
+from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import Floats
@@ -159,6 +162,18 @@ class Network:
             return None
         lanes = self.edges[edge].lanes
         return lanes[int(index)] if int(index) < len(lanes) else None
+
+    def faults(self, route: Sequence[str]) -> Iterator[tuple[int, str, str]]:
+        """Yields place, message and remedy of each edge that is no road here, or to which no lane leads from the edge before it."""
+        for index, name in enumerate(route):
+            reached = {link.end: None for link in self.connections.get(route[index - 1], ())} if index else {name: None}
+            if name not in self.edges or self.edges[name].function != "":
+                roads = list(islice((shown(edge.id, 80) for edge in self.edges.values() if edge.function == ""), 2_000))
+                remedy = nearest(name, get_close_matches(name, roads, n=1) or roads[:20])
+                yield index, f"there is no edge {shown(name, 80)}", remedy
+            elif name not in reached:
+                message = f"no lane leads from {shown(route[index - 1], 80)} to {shown(name, 80)}"
+                yield index, message, f"it leads to {', '.join(shown(edge, 80) for edge in list(reached)[:5]) or 'no edge'}"
 
 
 def read_network(content: bytes, name: str) -> Network:

@@ -6,7 +6,6 @@ lights, stop signs, and ways of others that cross the route's at junctions are r
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 
@@ -152,14 +151,8 @@ def _checked(route: Sequence[str]) -> Sequence[str]:
 def _edge(network: Network, name: str, index: int) -> Edge:
     edge = network.edges.get(name)
     if edge is None:
-        roads = [edge.id for edge in network.edges.values() if edge.function == ""]
-        close = get_close_matches(name, roads[:2_000], n=1)
-        remedy = (
-            f"did you mean {shown(close[0], 80)}?"
-            if close
-            else f"the first are {', '.join(shown(road, 40) for road in roads[:5])}"
-        )
-        raise refusal(index, network, f"there is no edge {shown(name, 80)}", remedy)
+        _, message, remedy = next(network.faults([name]))
+        raise refusal(index, network, message, remedy)
     where = f"line {edge.line}, the edge {shown(name, 80)}"
     if edge.function != "":
         raise refusal(

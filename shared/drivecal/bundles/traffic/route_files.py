@@ -7,7 +7,7 @@ lists below, values in SUMO's own schema, edges and lanes in the network. Vehicl
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import count, islice, pairwise
+from itertools import count, islice
 from math import inf
 from typing import Final
 from xml.etree import ElementTree as ET
@@ -243,25 +243,19 @@ class _Reader:
 
     def _check_places(self, element: Element) -> None:
         """Checks that the network has the edges and the lane of an element, and links from each edge of a route to the next."""
-        edges = self._network.edges
-        for edge in (edge for key in ("edges", "edge", "from", "via", "to") for edge in element.values.get(key, "").split()):
-            if edge not in edges or edges[edge].function != "":
-                roads = [name for name in edges if not name.startswith(":")]
-                raise element.fault(f"the network has no edge {shown(edge, 80)}", nearest(edge, roads))
+        route = element.values.get("edges", "").split()
+        alone = (edge for key in ("edge", "from", "via", "to") for edge in element.values.get(key, "").split())
+        for edges in (route, *([edge] for edge in alone)):
+            for _, message, remedy in self._network.faults(edges):
+                raise element.fault(message, remedy)
         if "lane" in element.values and self._network.lane(lane := element.text("lane")) is None:
             raise element.fault(f"the network has no lane {shown(lane, 80)}", "give EDGE_INDEX, e.g. e1_0")
         if element.element == "stop" and (
             _seconds(element, "duration", "0") < 0 or {"lane", "edge"}.isdisjoint(element.values)
         ):
             raise element.fault("a stop needs a place, and no duration below 0", "give lane or edge, and a duration")
-        route = element.values.get("edges", "").split()
         if element.element == "route" and not route:
             raise element.fault("the route has no edges", "give it edges")
-        for before, edge in pairwise(route):
-            reached = {link.end for link in self._network.connections.get(before, ())}
-            if edge not in reached:
-                message = f"no lane leads from {shown(before, 80)} to {shown(edge, 80)}"
-                raise element.fault(message, f"it leads to {', '.join(sorted(reached)[:5]) or 'no edge'}")
 
 
 def _copied(element: Element, read: list[Element]) -> ET.Element:
