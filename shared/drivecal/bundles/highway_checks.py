@@ -149,7 +149,7 @@ def scenarios_problems(step: float, scenarios: Mapping[str, Any]) -> Iterator[Pr
 def files_named(scenarios: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yields the field of each file that a scenario names, and its path."""
     for name, data in scenarios.items():
-        for key in ("network", "routes", "openscenario"):
+        for key in ENDINGS:
             if isinstance(data.get(key), str):
                 yield f"scenarios.{name}.{key}", data[key]
 
@@ -188,22 +188,17 @@ def scenario_problems(
     """
     yield from _files(field, scenario)
     duration, step = scenario.duration, scenario.step if isinstance(scenario, TaskScenario) else step
-    if duration is not None and _is_multiple(step, TICK) and not _is_multiple(duration, step):
-        message = f"{duration:g} s is not a multiple of the simulator's step of {step:g} s"
-        yield Problem(f"{field}.duration", message, f"give e.g. {max(1, round(duration / step)) * step:g}")
-    seen = {"ego"}
+    yield from _steps(f"{field}.duration", duration, step)
+    seen: set[str | None] = {"ego"}
     traffic: Sequence[TrafficEntry | OtherVehicle] = scenario.traffic
-    ids = [(f"traffic[{index}]", entry.id) for index, entry in enumerate(traffic)]
-    for entry, name in ids:
-        if name is not None and name in seen:
-            remedy = "give another id" if name != "ego" else "give another id; ego is the controlled vehicle"
-            yield Problem(f"{field}.{entry}.id", f"the id {name} is taken", remedy)
-        elif name is not None:
-            seen.add(name)
+    for index, entry in enumerate(traffic):
+        if entry.id in seen:
+            remedy = "give another id" if entry.id != "ego" else "give another id; ego is the controlled vehicle"
+            yield Problem(f"{field}.traffic[{index}].id", f"the id {entry.id} is taken", remedy)
+        seen |= {entry.id} - {None}
     if isinstance(scenario, TaskScenario):
         return
-    drivers: list[tuple[str, Driver]] = [(f"traffic[{index}]", entry) for index, entry in enumerate(scenario.traffic)]
-    yield from _drivers(field, drivers)
+    yield from _drivers(field, scenario.traffic)
     yield from _paths(field, scenario)
     is_whole = is_whole or (scenario.routes is None and isinstance(scenario, HighwayScenario))
     yield from actions_problems(field, scenario.traffic, is_whole=is_whole, others=others)
@@ -233,23 +228,16 @@ def _times(field: str, scenario: Described, step: float) -> Iterator[Problem]:
     if scenario.routes is not None and scenario.begin < warm_up:
         message = f"the warm-up of {warm_up:g} s begins before the route file's time 0"
         yield Problem(f"{field}.begin", message, f"give at least {warm_up:g}, or a shorter warm_up")
-    if not warm_up:
-        return
-    if _is_multiple(step, TICK) and not _is_multiple(warm_up, step):
-        message = f"{warm_up:g} s is not a multiple of the simulator's step of {step:g} s"
-        yield Problem(f"{field}.warm_up", message, f"give e.g. {max(1, round(warm_up / step)) * step:g}")
-    if scenario.routes is None:
+    yield from _steps(f"{field}.warm_up", warm_up, step)
+    if warm_up and scenario.routes is None:
         message = "the vehicles of a route file drive in the warm-up, but there are no `routes`"
         yield Problem(f"{field}.warm_up", message, "leave it out, or give `routes`")
 
 
 def _files(field: str, scenario: Declared) -> Iterator[Problem]:
     """Yields the faults of the paths that a scenario names."""
-    named = {"network": scenario.network, "routes": None if isinstance(scenario, TaskScenario) else scenario.routes}
-    if isinstance(scenario, OpenScenario):
-        named["openscenario"] = scenario.openscenario
-    for key, path in named.items():
-        endings, kind = ENDINGS[key]
+    for key, (endings, kind) in ENDINGS.items():
+        path = getattr(scenario, key, None)
         if path is None:
             continue
         if not path.endswith(endings):
@@ -260,21 +248,29 @@ def _files(field: str, scenario: Declared) -> Iterator[Problem]:
             yield Problem(f"{field}.network", message, "rename the file")
 
 
-def _drivers(field: str, drivers: Sequence[tuple[str, Driver]]) -> Iterator[Problem]:
-    for name, driver in drivers:
+def _steps(field: str, duration: float | None, step: float) -> Iterator[Problem]:
+    """Yields a duration that is not a multiple of the simulator's step; a step that is wrong itself is reported alone."""
+    if duration and _is_multiple(step, TICK) and not _is_multiple(duration, step):
+        message = f"{duration:g} s is not a multiple of the simulator's step of {step:g} s"
+        yield Problem(field, message, f"give e.g. {max(1, round(duration / step)) * step:g}")
+
+
+def _drivers(field: str, drivers: Sequence[Driver]) -> Iterator[Problem]:
+    named: dict[str | None, str] = {}
+    for index, driver in enumerate(drivers):
+        named.setdefault(driver.lane_change, f"traffic[{index}]")
         for key, value in driver.parameters.items():
+            place = f"{field}.traffic[{index}].parameters.{key}"
             if key in ABOVE_ZERO and value <= 0.0:
-                yield Problem(f"{field}.{name}.parameters.{key}", f"{value:g} is not above 0", "give a number above 0")
+                yield Problem(place, f"{value:g} is not above 0", "give a number above 0")
             if key == "minGap" and value < 0.0:
-                yield Problem(f"{field}.{name}.parameters.{key}", f"{value:g} is below 0", "give 0 or more")
+                yield Problem(place, f"{value:g} is below 0", "give 0 or more")
             if key not in TYPE_PARAMETERS:
                 message = "SUMO's vehicle types have no such numeric attribute"
-                yield Problem(f"{field}.{name}.parameters.{key}", message, nearest(key, sorted(TYPE_PARAMETERS)))
-    sublane = [name for name, driver in drivers if driver.lane_change == "SL2015"]
-    others = [name for name, driver in drivers if driver.lane_change == "LC2013"]
-    if sublane and others:
-        message = f"SUMO has one kind of lanes: {sublane[0]} has SL2015 and {others[0]} LC2013"
-        yield Problem(f"{field}.{others[0]}.lane_change", message, "give all vehicles one of them, or none")
+                yield Problem(place, message, nearest(key, sorted(TYPE_PARAMETERS)))
+    if "SL2015" in named and "LC2013" in named:
+        message = f"SUMO has one kind of lanes: {named['SL2015']} has SL2015 and {named['LC2013']} LC2013"
+        yield Problem(f"{field}.{named['LC2013']}.lane_change", message, "give all vehicles one of them, or none")
 
 
 def measures_problems(
