@@ -12,7 +12,7 @@ from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 from tests.support.runs import finish, get, request, rows_of
 
-from drivecal.campaigns.resolve.maps import resolve_map, store_posted_map
+from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages import calibration
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, Given, InfluenceMapSpecification
@@ -27,6 +27,7 @@ from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
+from drivecal.storage.references import influence_maps
 
 SPECIFICATION: dict[str, Any] = {
     "sensitivity": None,
@@ -158,7 +159,7 @@ def test_a_run_outside_the_space_of_a_map_answers_nothing_inside_it(database: Da
     posted = InfluenceMapSpecification.model_validate(document | {"parameters": SPECIFICATION["parameters"]})
     with database.transaction() as connection:
         campaigns.insert(connection, name="one", spec=single.model_dump(mode="json"), kind="evaluation")
-        stored = store_posted_map(connection, resolve_map(posted))
+        stored = influence_maps.insert(connection, **resolve_map(posted))
     no_lots = {"mode": "influence", "max_error": 1}  # so few answers would all be in the sample
     dispatcher = _dispatcher(database, ComputedBackend(answer=outside_is_bad))
     for _ in range(60):

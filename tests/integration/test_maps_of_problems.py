@@ -12,7 +12,7 @@ from tests.support.runs import dispatcher
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
-from drivecal.campaigns.resolve.maps import basis_of, resolve_map, store_posted_map
+from drivecal.campaigns.resolve.maps import basis_of, resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
 from drivecal.campaigns.resolve.spaces import space_to_document
@@ -63,7 +63,7 @@ def test_a_campaign_uses_a_map_that_was_posted_for_its_problem_and_no_other(data
         resolve_map(InfluenceMapSpecification.model_validate(each), stored_bundles(database)) for each in (given, motorway)
     )
     with database.transaction() as connection:
-        own, foreign = (store_posted_map(connection, each).id for each in (posted, other))
+        own, foreign = (influence_maps.insert(connection, **each).id for each in (posted, other))
     document = {"problem": "python-function", "optimizer": {"population": 10, "iterations": 2}}
 
     def submitted(map_id: str) -> StoredCampaign:

@@ -8,7 +8,7 @@ from typing import Any
 from tests.support.computed import ComputedBackend
 from tests.support.server import RunningApi
 
-from drivecal.campaigns.resolve.maps import resolve_map, store_posted_map
+from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.contracts.campaign import CellCounts
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -21,6 +21,7 @@ from drivecal.execution.pool import StoredLeases, WorkPool
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.references import influence_maps
 from drivecal.storage.results import StoredEvaluation
 
 EXPERT_SPACE: list[dict[str, Any]] = [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.5} for i in range(1, 12)]
@@ -81,7 +82,7 @@ def post_map(database: Database, scenarios: dict[str, Any]) -> str:
     document = {"scenarios": scenarios, "parameters": EXPERT_SPACE}
     posted = resolve_map(InfluenceMapSpecification.model_validate(document))
     with database.transaction() as connection:
-        return store_posted_map(connection, posted).id
+        return influence_maps.insert(connection, **posted).id
 
 
 def submit(database: Database, *, stored_map: str | None = None, likeness: str | None = None, **changes: Any) -> StoredCampaign:

@@ -49,7 +49,7 @@ def quality_of(known: CampaignResults, chosen: Solution | FrontRow, figures: Ite
         date="" if time is None else time.isoformat(timespec="seconds"),
         project=problem,
         work_product=campaign.name,
-        test_object=", ".join(simulators) or str(campaign.spec.get("driving_function", problem)),
+        test_object=", ".join(simulators) or str(campaign.spec.get("driving_function") or problem),
         campaign=campaign.id,
         data=next((scenario.files for scenario in setup.scenarios if scenario.files), ""),
         figures=(*figures, *_trust(known.trust)),

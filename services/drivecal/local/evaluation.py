@@ -84,10 +84,10 @@ def evaluate(
     scenarios: str | Sequence[str] | None = None,
     *,
     problem: str | PathLike[str] | None = None,
-    catalogue: str = "highway",
-    driving_function: str = "frenet",
-    vehicle: str | Mapping[str, object] = "single_track",
-    evaluator: str = "reference",
+    catalogue: str | None = None,
+    driving_function: str | None = None,
+    vehicle: str | Mapping[str, object] | None = None,
+    evaluator: str | None = None,
 ) -> LocalEvaluation:
     """Simulates a parameter set in the given scenarios, or in all of the catalogue.
 
@@ -104,7 +104,7 @@ def evaluate(
         "problem": DEFAULT_PROBLEM if bundle is None else bundle.manifest.problem,
         "catalogue": catalogue,
         "driving_function": driving_function,
-        "vehicle": {"model": vehicle} if isinstance(vehicle, str) else dict(vehicle),
+        "vehicle": {"model": vehicle} if vehicle is None or isinstance(vehicle, str) else dict(vehicle),
         "evaluator": evaluator,
     }
     source = installed_bundles if bundle is None else lambda _: bundle

@@ -70,7 +70,7 @@ class ParameterSpecification(Model):
 class VehicleSpecification(Model):
     """A vehicle model and the parameters that differ from its nominal values, by name; of another problem, its varied parameters."""
 
-    model: Identifier = "single_track"
+    model: Identifier | None = None
     parameters: Annotated[dict[Identifier, Number], Field(max_length=100)] = {}
 
 
@@ -367,20 +367,20 @@ class ProblemSpecification(Model):
     """Cells of a higher priority go first; campaigns of the same one share the workers."""
     problem: ProblemName = DEFAULT_PROBLEM
     """The built-in problem, or the name or digest of a pushed bundle; a name means its latest push."""
-    catalogue: Catalogue = "highway"
-    """The scenarios: a catalogue, or a list of scenario ids; of a pushed problem all by default."""
-    parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] = "highway"
-    """The searched space: a named one (of a pushed problem its own), or a list."""
+    catalogue: Catalogue | None = None
+    """The scenarios: a catalogue, or a list of scenario ids; null: all of the problem."""
+    parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] | None = None
+    """The searched space: a named one, or a list; null: the problem's own."""
     fixed: Values = {}
     """Values of parameters that are not searched."""
     baseline: Values | None = None
     """The set that results are compared with; null: the problem's own."""
     weights: Annotated[dict[Identifier, Annotated[float, Field(ge=0, le=1e6)]], Field(max_length=1000)] = {}
     """By scenario, in the objective: 1 if left out; 0 leaves a scenario out."""
-    driving_function: Identifier = "frenet"
+    driving_function: Identifier | None = None
     vehicle: VehicleSpecification = VehicleSpecification()
-    evaluator: Identifier = "reference"
-    """Rates runs: `reference` or `learned` on the motorway, a score's name in a problem of yours (`reference`: its first one)."""
+    evaluator: Identifier | None = None
+    """Rates runs: a score's name, or on the motorway `reference` or `learned`; null: the problem's first score."""
     sensitivity: MaybeSensitivity = None
     """A new analysis, a stored map, or neither."""
 
@@ -467,9 +467,9 @@ class InfluenceMapSpecification(Model):
 
     name: Name = "influence map"
     problem: ProblemName = DEFAULT_PROBLEM
-    catalogue: Catalogue = "highway"
-    parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] = "highway"
-    driving_function: Identifier = "frenet"
+    catalogue: Catalogue | None = None
+    parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] | None = None
+    driving_function: Identifier | None = None
     scenarios: Annotated[
         dict[Identifier, Annotated[dict[Identifier, InfluenceSpecification], Field(max_length=200)]],
         Field(min_length=1, max_length=1000),
@@ -484,9 +484,9 @@ class EvaluationSpecification(Model):
     seed: Annotated[int, Field(ge=1, le=2**31 - 1)] | None = None
     """Seed of the run; null: 1 for a random simulator, and none for others."""
     problem: ProblemName = DEFAULT_PROBLEM
-    catalogue: Identifier = "highway"
-    driving_function: Identifier = "frenet"
+    catalogue: Identifier | None = None
+    driving_function: Identifier | None = None
     vehicle: VehicleSpecification = VehicleSpecification()
-    evaluator: Identifier = "reference"
+    evaluator: Identifier | None = None
     fresh: bool = False
     """Simulates again what is stored."""

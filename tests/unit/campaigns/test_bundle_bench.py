@@ -139,7 +139,7 @@ def test_scenarios_and_score_are_chosen_as_for_the_built_in_problem() -> None:
 
 def test_everything_that_does_not_exist_is_named_at_once() -> None:
     assert fields(problem="unknown") == {"problem"}
-    assert fields(catalogue=["wet", "dry"], evaluator="speed", driving_function="mine", robustness={}) == {
+    assert fields(catalogue=["wet", "dry"], evaluator="reference", driving_function="frenet", robustness={}) == {
         "catalogue[1]",
         "evaluator",
         "driving_function",

@@ -1,15 +1,18 @@
 """A campaign is resolved against what is installed, and everything wrong with it is said at once, field by field."""
 
+import json
+from decimal import Decimal
 from typing import Any
 
 import pytest
 from tests.support.values import MIDDLE
 
-from drivecal.campaigns.resolve.maps import map_from_document, map_to_document, resolve_map
+from drivecal.campaigns.resolve.maps import map_from_document, resolve_map
 from drivecal.campaigns.resolve.optimizer import UNLIMITED
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, Given, InfluenceMapSpecification
 from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.influence import Influence
 
 
 def _resolve(**document: Any) -> CalibrationProblem:
@@ -152,8 +155,9 @@ def _map(**scenarios: Any) -> InfluenceMapSpecification:
 
 
 def test_a_posted_map_survives_storage_exactly() -> None:
-    result = resolve_map(_map(S1={"P9": {"lower": 0.1, "upper": 9.9}, "P1": {"influential": False}}, S2={})).influence_map
-    assert map_from_document(map_to_document(result)) == result
+    result = resolve_map(_map(S1={"P9": {"lower": 0.1, "upper": 9.9}, "P1": {"influential": False}}, S2={}))
+    ranges = {"P9": Influence(influential=True, lower=Decimal("0.1"), upper=Decimal("9.9")), "P1": Influence(influential=False)}
+    assert map_from_document(json.loads(json.dumps(result["scenarios"]))).scenarios == {"S1": ranges, "S2": {}}
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,8 @@ def test_the_example_of_the_interface_is_accepted_as_it_stands() -> None:
 
 def test_an_empty_file_is_the_papers_problem() -> None:
     result = CampaignSpecification.model_validate({})
-    assert result.catalogue == result.parameters == "highway"
+    assert result.problem == "highway"
+    assert {result.catalogue, result.parameters, result.driving_function, result.evaluator, result.vehicle.model} == {None}
     assert result.optimizer is not None
     assert (result.optimizer.kind, result.optimizer.model_extra, result.budget) == ("surrogate", {}, None)
     assert result.sensitivity is None
@@ -166,7 +167,7 @@ NAN, INFINITE = float("nan"), float("inf")
     [
         ("wieghts", {}),
         ("name", ""), ("name", "a" * 201), ("name", "tab\there"), ("name", 5), ("name", None),
-        ("catalogue", []), ("catalogue", ["S1", "S1"]), ("catalogue", ""), ("catalogue", None), ("catalogue", {"S1": 1}),
+        ("catalogue", []), ("catalogue", ["S1", "S1"]), ("catalogue", ""), ("catalogue", {"S1": 1}),
         ("parameters", []), ("parameters", 5), ("parameters", "two words"),
         ("fixed", {"P9": NAN}), ("fixed", {"P9": ""}), ("fixed", {"P9": True}), ("fixed", {"P9": 1e30}), ("fixed", {"": 1}),
         ("baseline", {"P1": -INFINITE}), ("baseline", {"P1": None}), ("baseline", []),

@@ -59,12 +59,12 @@ def test_each_finding_names_field_fault_and_remedy(document: object, said: str) 
 
 
 def test_everything_wrong_is_said_at_once() -> None:
-    result = complaints({"parameters": [{"step": "1"}], "name": "", "evaluator": None})
+    result = complaints({"parameters": [{"step": "1"}], "name": "", "problem": None})
     assert result == [
         "name: '' is too short; give at least 1 characters",
+        "problem: null does not fit; give text",
         "parameters[0].name: the value is missing; give it",
         "parameters[0].step: 1 does not fit; give a number",
-        "evaluator: null does not fit; give text",
     ]
 
 

@@ -9,7 +9,7 @@ from drivecal.api.http.queries import FormQuery, PageQuery, form_of
 from drivecal.api.responses import ROOT
 from drivecal.api.tables.influence import map_rows
 from drivecal.api.tables.paging import FILES, download
-from drivecal.campaigns.resolve.maps import EXPERT, resolve_map, store_posted_map
+from drivecal.campaigns.resolve.maps import EXPERT, resolve_map
 from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage
 from drivecal.contracts.specification import InfluenceMapSpecification
@@ -27,7 +27,7 @@ def post(specification: InfluenceMapSpecification, response: Response, database:
     posted = resolve_map(specification, stored_bundles(database))
     with database.transaction() as connection:
         admission.admit_map(connection, EXPERT)
-        stored = store_posted_map(connection, posted)
+        stored = influence_maps.insert(connection, **posted)
     answer = _answer(stored, with_rows=True)
     response.headers["Location"] = answer.links["self"]
     return answer

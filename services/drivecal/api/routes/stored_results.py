@@ -100,7 +100,7 @@ def delete(query: Annotated[SourceOf, Query()], database: DatabaseDependency) ->
         return ImportDeleted(deleted=imported.remove(connection, query.problem, query.source))
 
 
-def _of_problem(problem: str, parameters: Mapping[str, Given], evaluator: str = "reference") -> EvaluationSpecification:
+def _of_problem(problem: str, parameters: Mapping[str, Given], evaluator: str | None = None) -> EvaluationSpecification:
     return EvaluationSpecification(problem=problem, parameters=dict(parameters), evaluator=evaluator)
 
 
@@ -149,14 +149,14 @@ def _beside_simulations(database: Database, problem: str, rows: Sequence[Importe
     if not rows:
         return []
     sets = [row.parameters for row in rows]
-    first = _simulated(database, problem, sets, "reference")
+    first = _simulated(database, problem, sets, None)
     own = next(iter(first.bench.bundle.manifest.scores))
     names = dict.fromkeys(name for row in rows for name in row.scores)
     scores = {own: first} | {name: _simulated(database, problem, sets, name) for name in names if name != own}
     return [item for place, row in enumerate(rows) for item in _items(place, row, first, scores)]
 
 
-def _simulated(database: Database, problem: str, sets: Sequence[ParameterSet], evaluator: str) -> _Simulated:
+def _simulated(database: Database, problem: str, sets: Sequence[ParameterSet], evaluator: str | None) -> _Simulated:
     bench = _bench(database, _of_problem(problem, sets[0].floats, evaluator))
     with database.read() as connection:  # results that depend on what workers report are not found: a look-up asks no worker
         simulations = stored_simulations(connection, bench, sets) if bench.to_probe is None else []

@@ -1,8 +1,8 @@
 """Influence maps, posted or made by an analysis: checked, stored with their space, and read back."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from typing import Any
 
 from pydantic import TypeAdapter
@@ -33,7 +33,6 @@ from drivecal.domain.scales import Scale
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.sensitivity.scenario import ScenarioInfluence, decided_by
 from drivecal.storage.engine.types import finite
-from drivecal.storage.references import influence_maps
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 from drivecal.storage.studies import MapError, errors_of_map
 
@@ -41,20 +40,11 @@ EXPERT = "expert"
 """The source of the maps that users post."""
 
 
-@dataclass(frozen=True, slots=True)
-class PostedMap:
-    """A valid map from expert knowledge."""
+def resolve_map(specification: InfluenceMapSpecification, bundles: BundleSource = installed_bundles) -> dict[str, Any]:
+    """Returns what `influence_maps.insert` stores of a map from expert knowledge.
 
-    name: str
-    function: str
-    """The driving function, or the problem of a user's own, that the map is about."""
-    influence_map: InfluenceMap
-    space: tuple[Parameter, ...]
-    """The space that the bounds were checked against."""
-
-
-def resolve_map(specification: InfluenceMapSpecification, bundles: BundleSource = installed_bundles) -> PostedMap:
-    """Resolves a posted map. Raises InvalidInputError for every scenario, parameter and bound that does not fit."""
+    Raises InvalidInputError for every scenario, parameter and bound that does not fit.
+    """
     diagnostics = Diagnostics()
     named = specification.model_dump(include={"problem", "catalogue", "driving_function"})
     workbench = find_workbench(ProblemSpecification.model_construct(**named), bundles, diagnostics)
@@ -64,37 +54,21 @@ def resolve_map(specification: InfluenceMapSpecification, bundles: BundleSource 
         raise AssertionError("a part is missing without a finding")
     space = search_parameters(specification.parameters, function)
     parameters = {parameter.name: parameter for parameter in space}
-    problems: list[Problem] = []
     influences: dict[str, dict[str, Influence]] = {}
     for scenario, listed in specification.scenarios.items():
         if scenario not in scenarios:
-            problems.append(Problem(f"scenarios.{scenario}", "there is no such scenario", f"one of {', '.join(scenarios)}"))
+            diagnostics.add(f"scenarios.{scenario}", "there is no such scenario", f"one of {', '.join(scenarios)}")
             continue
         influences[scenario] = {}
         for name, given in listed.items():
             where = f"scenarios.{scenario}.{name}"
             if name not in parameters:
-                problems.append(Problem(where, "there is no such parameter", f"one of {', '.join(parameters)}"))
-                continue
-            try:
-                influences[scenario][name] = _influence(given, parameters[name], where)
-            except InvalidInputError as error:
-                problems.extend(error.problems)
-    if problems:
-        raise InvalidInputError(*problems)
-    return PostedMap(specification.name, function.name, InfluenceMap(influences), space)
-
-
-def store_posted_map(connection: Connection, posted: PostedMap) -> StoredInfluenceMap:
-    """Stores a map from expert knowledge."""
-    return influence_maps.insert(
-        connection,
-        name=posted.name,
-        source=EXPERT,
-        driving_function=posted.function,
-        parameters=space_to_document(posted.space),
-        scenarios=map_to_document(posted.influence_map),
-    )
+                diagnostics.add(where, "there is no such parameter", f"one of {', '.join(parameters)}")
+            elif (influence := diagnostics.attempt(partial(_influence, given, parameters[name], where))) is not None:
+                influences[scenario][name] = influence
+    diagnostics.raise_if_any()
+    about = {"name": specification.name, "source": EXPERT, "driving_function": function.name}
+    return about | {"parameters": space_to_document(space), "scenarios": map_to_document(InfluenceMap(influences))}
 
 
 def _influence(given: InfluenceSpecification, parameter: Parameter, where: str) -> Influence:
@@ -106,17 +80,13 @@ def _influence(given: InfluenceSpecification, parameter: Parameter, where: str) 
         raise InvalidInputError(Problem(where, "a choice has no bounds", "leave lower and upper out"))
     lower = None if given.lower is None else decimal(given.lower)
     upper = None if given.upper is None else decimal(given.upper)
-    problems: list[Problem] = []
+    diagnostics = Diagnostics()
     for attribute, value in (("lower", lower), ("upper", upper)):
         if value is not None:
-            try:
-                parameter.index(value, f"{where}.{attribute}")
-            except InvalidInputError as error:
-                problems.extend(error.problems)
-    if not problems and lower is not None and upper is not None and lower > upper:
-        problems.append(Problem(f"{where}.lower", f"{text(lower)} lies above upper {text(upper)}", "exchange them"))
-    if problems:
-        raise InvalidInputError(*problems)
+            diagnostics.attempt(partial(parameter.index, value, f"{where}.{attribute}"))
+    if not diagnostics.problems and lower is not None and upper is not None and lower > upper:
+        diagnostics.add(f"{where}.lower", f"{text(lower)} lies above upper {text(upper)}", "exchange them")
+    diagnostics.raise_if_any()
     return Influence(influential=True, lower=lower, upper=upper)
 
 

@@ -23,6 +23,7 @@ from drivecal.campaigns.resolve.spaces import (
     free_values,
     given_set,
     notes_off_grid,
+    search_parameters,
     search_space,
     settled,
     space_to_document,
@@ -280,9 +281,8 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
     if workbench.make is None or workbench.function is None:
         raise AssertionError("a part is missing without a finding")
     parameter_set = ParameterSet.of(values)
-    resolvers.constraints_of(workbench.function, ParameterSpace(next(iter(workbench.function.spaces.values())))).check(
-        parameter_set, "parameters"
-    )
+    space = ParameterSpace(search_parameters(None, workbench.function))
+    Constraints(space, workbench.function.constraints).check(parameter_set, "parameters")
     specification = specification.model_copy(update=dict(workbench.settled))
     bench = workbench.make(scenarios)
     if specification.seed is not None:

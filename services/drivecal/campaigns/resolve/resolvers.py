@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.spaces import Parameterised, given_set
+from drivecal.campaigns.resolve.spaces import Function, given_set
 from drivecal.contracts.specification import CampaignSpecification, SensitivitySpecification, SeparateThresholds
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import ParameterSet, ParameterSpace, Setting
@@ -11,7 +11,6 @@ from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins import registry
-from drivecal.plugins.ports import ConstrainedFunction
 from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.thresholds import SensitivitySettings
@@ -150,16 +149,11 @@ def check_validation(specification: CampaignSpecification, diagnostics: Diagnost
         diagnostics.add("validation.largest", message, "give at least as many")
 
 
-def constraints_of(function: Parameterised, space: ParameterSpace) -> Constraints:
-    """Returns the constraints of a driving function; none for a plug-in without."""
-    return Constraints(space, function.constraints if isinstance(function, ConstrainedFunction) else {})
-
-
-def find_constraints(function: Parameterised | None, space: ParameterSpace, diagnostics: Diagnostics) -> Constraints | None:
+def find_constraints(function: Function | None, space: ParameterSpace, diagnostics: Diagnostics) -> Constraints | None:
     """The constraints of the search; None if they leave nothing, with the problem in `diagnostics`."""
     if function is None:
         return None
-    constraints = constraints_of(function, space)
+    constraints = Constraints(space, function.constraints)
     if constraints:
         last = space.n_values - 1
         if diagnostics.attempt(lambda: constraints.region(0 * last, last)) is None:

@@ -1,40 +1,37 @@
 """The search space of a campaign: the values that its parameters may take."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from decimal import Decimal
-from typing import Any, Protocol
+from typing import Any
 
 from pydantic import TypeAdapter
 
 from drivecal.bundles.shapes import Shape, with_coefficients
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.contracts.specification import CampaignSpecification, Given, ParameterSpecification
-from drivecal.domain.constraints import Constraints
+from drivecal.domain.constraints import Constraint, Constraints
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, Setting, Value, billionths, decimal, text
 
 
-class Parameterised(Protocol):
-    """A function under test, as far as its parameters go: a driving function, or the simulator of a bundle."""
+@dataclass(frozen=True)
+class Function:
+    """The parameters of what is under test: of a driving function, or of the simulator of a bundle."""
 
-    @property
-    def name(self) -> str:
-        """Name of the function or problem."""
-
-    @property
-    def spaces(self) -> Mapping[str, tuple[Parameter, ...]]:
-        """Search spaces by name, each with all parameters in order."""
-
-    @property
-    def limits(self) -> Mapping[str, tuple[float | None, float | None]]:
-        """Smallest and largest value that a user's own space may contain, by parameter; None means unlimited."""
-
-    @property
-    def shapes(self) -> Mapping[str, Shape]:
-        """Curves and maps, whose coefficients are parameters."""
+    name: str
+    """Name of the function or problem."""
+    spaces: Mapping[str, tuple[Parameter, ...]]
+    """Search spaces by name, each with all parameters in order, the default first."""
+    limits: Mapping[str, tuple[float | None, float | None]]
+    """Smallest and largest value that a user's own space may contain, by parameter; None means unlimited."""
+    constraints: Mapping[str, Constraint]
+    """Constraints by their text."""
+    shapes: Mapping[str, Shape] = field(default_factory=dict)
+    """Curves and maps, whose coefficients are parameters."""
 
 
-def settled(specification: CampaignSpecification, function: Parameterised, diagnostics: Diagnostics) -> CampaignSpecification:
+def settled(specification: CampaignSpecification, function: Function, diagnostics: Diagnostics) -> CampaignSpecification:
     """Returns a specification with coefficients in the place of curves and maps; adds a problem for each list that does not fit."""
     shapes = function.shapes
     changes: dict[str, Any] = {"fixed": _settled(specification.fixed, shapes, "fixed", diagnostics)}
@@ -48,7 +45,7 @@ def settled(specification: CampaignSpecification, function: Parameterised, diagn
         sets = specification.robustness.sets
         robust = [_settled(each, shapes, f"robustness.sets[{place}]", diagnostics) for place, each in enumerate(sets)]
         changes["robustness"] = specification.robustness.model_copy(update={"sets": robust} if robust else {})
-    if not isinstance(specification.parameters, str):
+    if isinstance(specification.parameters, list):
         changes["parameters"] = [
             listed.model_copy(update={"name": name})
             for listed in specification.parameters
@@ -63,8 +60,12 @@ def _settled(
     return diagnostics.attempt(lambda: with_coefficients(given, shapes, field)) or {}
 
 
-def search_parameters(parameters: str | Sequence[ParameterSpecification], function: Parameterised) -> tuple[Parameter, ...]:
-    """The grid of each listed parameter. Raises InvalidInputError for unknown spaces and names, empty grids, forbidden values."""
+def search_parameters(parameters: str | Sequence[ParameterSpecification] | None, function: Function) -> tuple[Parameter, ...]:
+    """The grid of each listed parameter, or of the function's own.
+
+    Raises InvalidInputError for unknown spaces and names, empty grids, forbidden values."""
+    if parameters is None:
+        return next(iter(function.spaces.values()))
     if isinstance(parameters, str):
         if parameters not in function.spaces:
             remedy = f"one of {', '.join(function.spaces)}, or a list of parameters"
@@ -103,7 +104,7 @@ def _remedy(names: Sequence[str]) -> str:
     return f"one of {', '.join(names)}; if another problem is meant, name it in `problem`"
 
 
-def _default_space(function: Parameterised) -> dict[str, Parameter]:
+def _default_space(function: Function) -> dict[str, Parameter]:
     return {parameter.name: parameter for parameter in next(iter(function.spaces.values()))}
 
 
@@ -137,9 +138,7 @@ def fixed_from_document(document: Mapping[str, str | Mapping[str, str]]) -> dict
     return {name: Decimal(value) if isinstance(value, str) else value["choice"] for name, value in document.items()}
 
 
-def search_space(
-    specification: CampaignSpecification, function: Parameterised, diagnostics: Diagnostics
-) -> ParameterSpace | None:
+def search_space(specification: CampaignSpecification, function: Function, diagnostics: Diagnostics) -> ParameterSpace | None:
     """The space of a campaign with its fixed values; None if it is invalid, with its problems in `diagnostics`."""
     listed = diagnostics.attempt(lambda: search_parameters(specification.parameters, function))
     if listed is None:
@@ -193,7 +192,7 @@ def given_set(
     return made
 
 
-def free_values(given: Mapping[str, Given], function: Parameterised, diagnostics: Diagnostics) -> dict[str, Value]:
+def free_values(given: Mapping[str, Given], function: Function, diagnostics: Diagnostics) -> dict[str, Value]:
     """Values between grid points for a single evaluation: exact decimals and texts by name, in the driving function's order."""
     defaults = _default_space(function)
     names = tuple(defaults)
@@ -212,7 +211,7 @@ def free_values(given: Mapping[str, Given], function: Parameterised, diagnostics
     return values
 
 
-def notes_off_grid(values: Mapping[str, Value], function: Parameterised) -> tuple[str, ...]:
+def notes_off_grid(values: Mapping[str, Value], function: Function) -> tuple[str, ...]:
     """Returns a note for each of `free_values` that no campaign on the driving function's own space asks for."""
     notes = []
     for name, parameter in _default_space(function).items():
@@ -229,7 +228,7 @@ def _value(given: Given, field: str) -> Value:
     return given if isinstance(given, str) else decimal(given)
 
 
-def _check_free(function: Parameterised, usual: Parameter, value: Value, field: str, diagnostics: Diagnostics) -> None:
+def _check_free(function: Function, usual: Parameter, value: Value, field: str, diagnostics: Diagnostics) -> None:
     """Adds a problem if a value is not a choice or whole number of `usual`, or not an exact number within the function's limits."""
     if usual.choices or isinstance(value, str):
         diagnostics.attempt(lambda: usual.index(value, field))
@@ -243,7 +242,7 @@ def _check_free(function: Parameterised, usual: Parameter, value: Value, field: 
     _within_limits(function, usual.name, value, field, diagnostics)
 
 
-def _within_limits(function: Parameterised, name: str, value: Decimal, field: str, diagnostics: Diagnostics) -> None:
+def _within_limits(function: Function, name: str, value: Decimal, field: str, diagnostics: Diagnostics) -> None:
     smallest, largest = function.limits.get(name, (None, None))
     if smallest is not None and value < decimal(smallest):
         diagnostics.add(field, f"{value} is too small for {name}", f"give at least {text(decimal(smallest))}")

@@ -14,11 +14,11 @@ from drivecal.bundles.fingerprints import model_of
 from drivecal.bundles.highway import TaskScenario
 from drivecal.bundles.installed import Bundle, installed
 from drivecal.bundles.manifest import Manifest
-from drivecal.bundles.shapes import Shape
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.goals import KnownValues
+from drivecal.campaigns.resolve.spaces import Function
 from drivecal.contracts.specification import (
     CampaignSpecification,
     EvaluationSpecification,
@@ -38,8 +38,6 @@ LONGEST_ANSWER = 200
 """Characters of a probe's answer in a note."""
 MOST_READ = 64
 """Bundles that a process keeps: their content never changes, and the digest of their files takes a look at all of them."""
-WHOLE = "highway"
-"""Default of `catalogue` and `parameters`: all scenarios, and the problem's own space."""
 
 _read: dict[str, Bundle] = {}
 Wanted = ProblemSpecification | EvaluationSpecification
@@ -91,20 +89,6 @@ def with_tools(source: BundleSource, tools: str | None) -> BundleSource:
 
 
 @dataclass(frozen=True)
-class Function:
-    """The parameters of a problem, as search spaces are made of them (`spaces.Parameterised`)."""
-
-    name: str
-    spaces: Mapping[str, tuple[Parameter, ...]]
-    """Search spaces by name, the default first."""
-    limits: Mapping[str, tuple[float | None, float | None]]
-    constraints: Mapping[str, Allows]
-    """Constraints by their text."""
-    shapes: Mapping[str, Shape] = field(default_factory=dict)
-    """Curves and maps, whose coefficients are parameters."""
-
-
-@dataclass(frozen=True)
 class Workbench:
     """Everything that a specification's problem offers; parts that do not exist are None, with their problems in the diagnostics."""
 
@@ -152,7 +136,8 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
     section = manifest.simulator.model_dump(mode="json")
     plugin: DrivingFunction | None = None
     if manifest.is_driven:
-        plugin = diagnostics.attempt(lambda: registry.driving_function(_driving_function(wanted, section)))
+        drives = wanted.driving_function or section["controller"]["driving_function"]
+        plugin = diagnostics.attempt(lambda: registry.driving_function(drives))
         varied, values = _vehicle(wanted.vehicle, manifest, section, diagnostics)
         function = None if plugin is None else _driven(manifest, section, plugin)
         if plugin is not None:
@@ -177,9 +162,11 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
         seed = 1 if manifest.simulator.random else 0
         return Bench(bundle, score, name, parameters, listed, section, varied, values, evaluator, seed=seed, is_driven=driven)
 
-    settled: dict[str, Any] = {"problem": bundle.digest}
-    if manifest.scores[score].evaluator is None:
-        settled["evaluator"] = score
+    settled: dict[str, Any] = {"problem": bundle.digest, "evaluator": score}
+    if evaluator is not None and evaluator.name != manifest.scores[score].evaluator:
+        settled["evaluator"] = evaluator.name
+    if plugin is not None:
+        settled |= {"driving_function": plugin.name, "vehicle": wanted.vehicle.model_copy(update={"model": section["vehicle"]})}
     if isinstance(wanted, ProblemSpecification) and not any("catalogue" in each for each in data.values()):
         settled["catalogue"] = list(data)
     scores = {
@@ -200,18 +187,11 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
     )
 
 
-def _driving_function(wanted: Wanted, section: Mapping[str, Any]) -> str:
-    """Returns the name of the driving function: the specification's, or the problem's if that is the default."""
-    default = type(wanted).model_fields["driving_function"].default
-    own: str = section["controller"]["driving_function"]
-    return own if wanted.driving_function == default else wanted.driving_function
-
-
 def _declared(manifest: Manifest) -> Function:
     """Returns the parameters of a manifest. Its ranges are limits: its author has not claimed that it works beyond them."""
     parameters = parameters_of(manifest)
     limits = {each.name: (float(each.lower), float(each.upper)) for each in parameters if not each.choices}
-    spaces = {WHOLE: parameters, manifest.problem: parameters}
+    spaces = {manifest.problem: parameters}
     return Function(manifest.problem, spaces, limits, constraints_of(manifest), manifest.shapes)
 
 
@@ -221,7 +201,7 @@ def _driven(manifest: Manifest, section: Mapping[str, Any], plugin: DrivingFunct
     if plugin.name != section["controller"]["driving_function"]:
         return Function(plugin.name, plugin.spaces, plugin.limits, constraints)
     own = _declared(manifest)
-    whole = len(own.spaces[WHOLE]) == len(next(iter(plugin.spaces.values())))
+    whole = len(own.spaces[manifest.problem]) == len(next(iter(plugin.spaces.values())))
     further = plugin.spaces if whole else {}
     spaces = {**own.spaces, **{name: space for name, space in further.items() if name not in own.spaces}}
     return Function(plugin.name, spaces, plugin.limits, {**constraints, **own.constraints})
@@ -232,7 +212,7 @@ def _vehicle(
 ) -> tuple[tuple[VehicleParameter, ...], dict[str, float]]:
     """Returns the varied parameters of the planner's vehicle, and the values of all its parameters. Puts its model into the section."""
     own = section["vehicle"]
-    vehicle = diagnostics.attempt(lambda: registry.vehicle(wanted.model))
+    vehicle = diagnostics.attempt(lambda: registry.vehicle(wanted.model or model_of(own)))
     if vehicle is None:
         return (), {}
     section["vehicle"] = vehicle.name
@@ -275,15 +255,14 @@ def _notes(bundle: Bundle) -> tuple[str, ...]:
 
 def _refuse_driving_settings(wanted: Wanted, problem: str, diagnostics: Diagnostics) -> None:
     given = {"driving_function": wanted.driving_function, "vehicle.model": wanted.vehicle.model}
-    defaults = {"driving_function": "frenet", "vehicle.model": VehicleSpecification().model}
     for name, value in given.items():
-        if value != defaults[name]:
+        if value is not None:
             diagnostics.add(name, f"the problem {problem} has its own simulator", "leave it out, or name another problem")
 
 
-def _scenarios(catalogue: str | list[str], manifest: Manifest, diagnostics: Diagnostics) -> dict[str, Mapping[str, Any]]:
+def _scenarios(catalogue: str | list[str] | None, manifest: Manifest, diagnostics: Diagnostics) -> dict[str, Mapping[str, Any]]:
     """Returns the data of the chosen scenarios, from the manifest and, for drivecal's own planner, from installed catalogues."""
-    if catalogue in (WHOLE, manifest.problem):
+    if catalogue in (None, manifest.problem):
         return dict(manifest.scenarios)
     listed = [catalogue] if isinstance(catalogue, str) else catalogue
     own: dict[str, Mapping[str, Any]] = {name: data for name, data in manifest.scenarios.items() if name in listed}
@@ -308,7 +287,7 @@ def _score(wanted: Wanted, manifest: Manifest, diagnostics: Diagnostics) -> tupl
     rated = next((name for name, entry in scores.items() if entry.evaluator is not None), None)
     if evaluator in scores:
         name = evaluator
-    elif evaluator == type(wanted).model_fields["evaluator"].default:
+    elif evaluator is None:
         objectives = wanted.objectives if isinstance(wanted, CampaignSpecification) else None
         named = [each.score for each in objectives or () if each.score in scores]
         name = next((score for score in named if score is not None), next(iter(scores)))

@@ -210,12 +210,12 @@ def _refuse_unknown(limits: Sequence[SetLimit], problem: ProblemAnswer, *, has_b
 
 
 def _evaluators(problem: ProblemAnswer, chosen: str | None, limits: Sequence[SetLimit]) -> dict[str, str]:
-    """Returns the evaluators of the scores to check by score. `chosen` by a campaign, which comes first: a score, an installed evaluator of
-    the first score that has one, or `reference` for the first score; None for a file."""
+    """Returns the evaluators of the scores to check by score. `chosen` by a campaign, which comes first: a score, or an
+    installed evaluator of the first score that has one; None for a file."""
     first = next(iter(problem.scores))
     if chosen in problem.scores:
         first = chosen
-    elif chosen in {None, "reference"}:
+    elif chosen is None:
         chosen = first
     else:
         first = next((name for name, entry in problem.scores.items() if entry["evaluator"] is not None), first)

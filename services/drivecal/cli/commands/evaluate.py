@@ -29,18 +29,15 @@ def evaluate(
     problem: Annotated[
         str, typer.Option(help="The problem: highway, or the name or digest of a pushed one.")
     ] = DEFAULT_PROBLEM,
-    catalogue: Annotated[str, typer.Option(help="The scenario catalogue.")] = "highway",
-    vehicle: Annotated[str, typer.Option(help="The vehicle model: single_track, hybrid or a plug-in.")] = "single_track",
+    catalogue: Annotated[str | None, typer.Option(help="The scenario catalogue.")] = None,
+    vehicle: Annotated[str | None, typer.Option(help="The vehicle model: single_track, hybrid or a plug-in.")] = None,
     vehicle_parameters: Annotated[
         str | None, typer.Option(metavar="NAME=VALUE,...", help="Parameters of the vehicle that differ from its nominal ones.")
     ] = None,
-    driving_function: Annotated[str, typer.Option(help="Who drives: frenet or a plug-in.")] = "frenet",
+    driving_function: Annotated[str | None, typer.Option(help="Who drives: frenet or a plug-in.")] = None,
     evaluator: Annotated[
-        str,
-        typer.Option(
-            help="The score: reference, learned or a plug-in; of another problem one of its scores, by default the first."
-        ),
-    ] = "reference",
+        str | None, typer.Option(help="A score of the problem; on the motorway also reference, learned or a plug-in.")
+    ] = None,
     trace: Annotated[
         Path | None,
         typer.Option(help="Write the run's time series there: .csv or .parquet (one row per step), .json (all of it)."),

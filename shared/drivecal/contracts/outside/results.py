@@ -17,10 +17,10 @@ class ResultLookup(Model):
 
     sets: Annotated[list[Annotated[Values, Field(min_length=1)]], Field(min_length=1, max_length=MOST_CELLS)]
     problem: ProblemName = DEFAULT_PROBLEM
-    catalogue: Identifier = "highway"
-    driving_function: Identifier = "frenet"
+    catalogue: Identifier | None = None
+    driving_function: Identifier | None = None
     vehicle: VehicleSpecification = VehicleSpecification()
-    evaluator: Identifier = "reference"
+    evaluator: Identifier | None = None
 
 
 class StoredCell(Answer):
