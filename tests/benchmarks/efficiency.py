@@ -1,24 +1,32 @@
-"""How much of the machine a campaign turns into simulation: `run.py efficiency [--population N] [--iterations N]`.
+"""How much of the machine a campaign turns into simulation: `run.py efficiency [--population N] [--iterations N] [--outside]`.
 
 A coordinator as a user starts it carries out a campaign with reduction off. Efficiency = simulated cells x
 single-process cost of a cell / (wall x cores). The cost is measured in the same run, in one process on the otherwise idle machine, over a
 random sample of the campaign's own cells; a shared core or clock counts against the campaign. How much of that
 no coordinator could avoid is told by as many bare processes as there are cores, which simulate the same sample at the same time. The share
 of all processor time that simulations took does not depend on what else the machine does.
+
+`--outside`: what drivecal adds for an outside optimizer that sends 50 requests a second, each with a set of one scenario, while another
+client takes the answers: new sets, then the same ones again, which are stored. The floor is a bare FastAPI program that commits a row to
+SQLite for each request.
 """
 
 import argparse
 import json
 import os
 import random
+import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from statistics import fmean
+from statistics import fmean, median
 from typing import Any
 
+import httpx
 import psutil
 
 from drivecal.cli.commands.demo import coordinator, fresh_folder
@@ -31,6 +39,20 @@ HOME = Path(".drivecal/bench/efficiency")
 TARGET = Path(".drivecal/bench/efficiency.json")
 AT_LEAST = 0.85
 SAMPLE = 600
+RATE, REQUESTS, MOST_ADDED = 50, 1_000, 20.0
+"""Requests a second, their number, and the largest median (ms) that drivecal may add to a request."""
+FLOOR = """
+import sqlite3, sys, uvicorn
+from fastapi import FastAPI
+app = FastAPI()
+@app.post("/sets", status_code=202)
+def take(sets: dict) -> dict:
+    with sqlite3.connect(sys.argv[1], timeout=30) as connection:
+        connection.execute("INSERT INTO sets VALUES (?)", [str(sets)])
+    return {"taken": True}
+sqlite3.connect(sys.argv[1]).executescript("PRAGMA journal_mode = WAL; CREATE TABLE sets (document TEXT)")
+uvicorn.run(app, port=int(sys.argv[2]), log_level="warning")
+"""
 
 
 class Memory(threading.Thread):
@@ -148,12 +170,87 @@ def sample_of(client: Client, campaign: Campaign) -> list[tuple[str, list[float]
     return [(row["scenario"], [row[name] for name in names]) for row in chosen]
 
 
+def floor(folder: Path) -> dict[str, float]:
+    """Returns the median time of a request to the bare program, and its processor time for one (ms)."""
+    port = 20_000 + os.getpid() % 10_000
+    url, waits = f"http://127.0.0.1:{port}/sets", httpx.HTTPTransport(retries=8)
+    command = [sys.executable, "-c", FLOOR, str(folder / "floor.sqlite3"), str(port)]
+    with subprocess.Popen(command) as process, httpx.Client(transport=waits) as bare:
+        bare.post(url, json={})
+        requests = paced(lambda number: bare.post(url, json={"key": str(number), "parameters": {"P1": 0.5, "P6": 0.5}}))
+        used = sum(psutil.Process(process.pid).cpu_times()[:2])
+        process.terminate()
+    return {"request": median(requests), "cpu api": 1000 * used / REQUESTS}
+
+
+def paced(send: Callable[[int], Any]) -> list[float]:
+    """Calls `send` with the number of each request at its time; returns the times of the requests (ms)."""
+
+    def timed(number: int) -> float:
+        began = time.perf_counter()
+        send(number)
+        return 1000 * (time.perf_counter() - began)
+
+    with ThreadPoolExecutor(16) as senders:
+        begin, pending = time.perf_counter(), []
+        for number in range(REQUESTS):
+            time.sleep(max(0.0, begin + number / RATE - time.perf_counter()))
+            pending.append(senders.submit(timed, number))
+        return [each.result() for each in pending]
+
+
+def fed(client: Client) -> dict[str, float]:
+    """Returns median times of requests and answers, the longest of an answer, and processor times for a set by role (ms)."""
+    space = [{"name": name, "lower": 0, "upper": 1, "step": 0.001} for name in ("P1", "P6")]
+    spec = {"catalogue": ["S3"], "parameters": space, "fixed": {f"P{place}": 0.5 for place in (2, 3, 4, 5, *range(7, 12))}}
+    campaign = client.ask_tell(spec | {"reduction": {"mode": "exact"}}).campaign.id
+    sent, came = dict[str, float](), dict[str, float]()
+
+    def send(number: int) -> None:
+        chance, key = random.Random(number), str(number)
+        sent[key] = time.perf_counter()
+        client.propose(campaign, [{"key": key, "parameters": {"P1": chance.random(), "P6": chance.random()}}])
+
+    def listen(after: int = 0) -> None:
+        while len(came) < REQUESTS + 1:
+            page = client.answers(campaign, after=after, wait=5)
+            came.update({cell.key: time.perf_counter() for cell in page.items})
+            after = page.last
+
+    send(-1)  # resolves the problem, once in a process
+    before, listener = processor_seconds(), threading.Thread(target=listen, daemon=True)
+    listener.start()
+    requests = paced(send)
+    listener.join(timeout=600)
+    used = processor_seconds()
+    client.act(campaign, "cancel")
+    answers = [1000 * (came[key] - sent[key]) for key in came if key != "-1"]
+    spent = {f"cpu {role}": 1000 * (used[role] - before[role]) / REQUESTS for role in ("api", "dispatcher", "workers")}
+    return {"request": median(requests), "answer": median(answers), "last answer": max(answers)} | spent
+
+
+def outside() -> int:
+    """Measures and prints what drivecal adds for an outside optimizer; returns 0 if the median of a request is small enough."""
+    with fresh_folder(HOME), coordinator(HOME) as client:
+        wait_for_workers(client)
+        figures = {"floor": floor(HOME), "new sets": fed(client), "stored sets": fed(client)}
+    for name, found in figures.items():
+        print(f"{name:12}", *(f"{what}: {value:.1f}" for what, value in found.items()), sep="  ")
+    added = figures["new sets"]["request"] - figures["floor"]["request"]
+    print(f"added to a request: {added:.1f} ms (at most {MOST_ADDED:g}); load of the machine: {os.getloadavg()[0]:.1f}")
+    TARGET.with_stem("outside").write_text(json.dumps(figures))
+    return 0 if added <= MOST_ADDED else 1
+
+
 def main() -> int:
     """Measures, prints, writes; returns 0 if the campaign was efficient enough."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--population", type=int, default=1000)
     parser.add_argument("--iterations", type=int, default=6)
+    parser.add_argument("--outside", action="store_true", help="measure requests of an outside optimizer instead")
     chosen = parser.parse_args()
+    if chosen.outside:
+        return outside()
     cores = os.cpu_count() or 1
     memory = Memory()
     memory.start()

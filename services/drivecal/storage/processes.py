@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Select, select
+from sqlalchemy import Connection, bindparam, select
 
 from drivecal.domain.errors import SupersededError
 from drivecal.storage.engine.bulk import insert
@@ -37,7 +37,7 @@ class StoredProcess:
 def elect(connection: Connection, name: str, pid: int, started_at: datetime) -> int:
     """Begins a new term, held by the process `pid`; gives its number. Waits until no transaction of the one before runs any more."""
     # FOR UPDATE: this, and nothing that heartbeats do, excludes the FOR KEY SHARE of `confirm`
-    connection.execute(_term(name).with_for_update())
+    connection.execute(_TERM.with_for_update(), {"process": name})
     values = {"pid": pid, "started_at": started_at, "heartbeat_at": now(), "detail": {}}
     statement = insert(connection, processes).values(name=name, term=1, **values)
     elected = statement.on_conflict_do_update(index_elements=["name"], set_={"term": processes.c.term + 1, **values})
@@ -50,18 +50,18 @@ def confirm(connection: Connection, name: str, term: int) -> None:
 
     No other process is elected before the transaction has ended. Raises SupersededError if one was.
     """
-    current = connection.scalar(_term(name).with_for_update(read=True, key_share=True))
+    current = connection.scalar(_CONFIRM, {"process": name})
     if current != term:
         raise SupersededError(f"another {name} was elected (term {current}, this one had {term}); this one writes nothing more")
 
 
 def term_in_office(connection: Connection) -> int:
     """Returns the dispatcher's current term; 0 before the first election."""
-    return connection.scalar(_term(DISPATCHER)) or 0
+    return connection.scalar(_TERM, {"process": DISPATCHER}) or 0
 
 
-def _term(name: str) -> Select[int]:
-    return select(processes.c.term).where(processes.c.name == name)
+_TERM = select(processes.c.term).where(processes.c.name == bindparam("process"))
+_CONFIRM = _TERM.with_for_update(read=True, key_share=True)
 
 
 def heartbeat(connection: Connection, name: str, pid: int, started_at: datetime, detail: Mapping[str, Any]) -> None:
