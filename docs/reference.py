@@ -23,7 +23,7 @@ from pydantic import BaseModel
 
 from drivecal import client
 from drivecal.api.app import create_app
-from drivecal.bundles import highway, manifest
+from drivecal.bundles import highway, manifest, shapes
 from drivecal.bundles.installed import installed_problems
 from drivecal.cli.main import app
 from drivecal.configuration.settings import PREFIX, Settings
@@ -50,6 +50,9 @@ OTHER_FILES = (comparison.ComparisonSpecification, specification.RerunSpecificat
 PROBLEM = (
     manifest.Manifest,
     manifest.ParameterEntry,
+    shapes.ShapeEntry,
+    shapes.CurveAxis,
+    shapes.MapAxes,
     manifest.VariedEntry,
     manifest.ScoreEntry,
     manifest.PythonSimulator,

@@ -20,6 +20,7 @@ from drivecal.analysis.aims import WeightedScore
 from drivecal.analysis.scoring import rate
 from drivecal.bundles.checks import checked, choices_of
 from drivecal.bundles.expressions import Constraint, Formula
+from drivecal.bundles.shapes import with_points
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import Parameter, ParameterSpace, decimal
 from drivecal.domain.regions import FeasibleRegion
@@ -107,8 +108,9 @@ def _plain(value: Any) -> float | str:
     return value if isinstance(value, str) else float(value)
 
 
-def _of_folder(folder: Path, runner: Callable[[Path, Mapping[str, Any]], Callable[..., Any]]) -> EconomyProblem:
-    document = yaml.safe_load((folder / "problem.yaml").read_text())
+def of_folder(folder: Path, runner: Callable[[Path, Mapping[str, Any]], Callable[..., Any]], **changes: Any) -> EconomyProblem:
+    """Returns the problem in a folder, with other sections in its manifest."""
+    document = yaml.safe_load((folder / "problem.yaml").read_text()) | changes
     manifest = checked(document)
     names = choices_of(manifest)
     space = ParameterSpace(
@@ -125,22 +127,23 @@ def _of_folder(folder: Path, runner: Callable[[Path, Mapping[str, Any]], Callabl
         )
     )
     known = {p.name: names.get(p.name, ()) for p in space.parameters}
-    constraints = Constraints(space, {text: Constraint(text, known) for text in manifest.constraints})
+    constraints = Constraints(space, {text: Constraint(text, known) for text in manifest.conditions})
     (name, score), *_ = manifest.scores.items()
     formula, scale = Formula(score.formula or ""), score.scale(name)
     simulate = runner(folder, document)
 
     def run(parameters: Mapping[str, Any], scenario: str) -> float | None:
-        answer = simulate(parameters, document["scenarios"][scenario])
+        arguments = with_points(parameters, manifest.shapes, document["simulator"])
+        answer = simulate(arguments, document["scenarios"][scenario])
         if answer.get("failure"):
             return None
         scored = rate(formula, scale, answer.get("measures", answer), None)
         return None if scored is None else scored.value
 
-    return EconomyProblem(folder.name, space, tuple(document["scenarios"]), scale, run, constraints, document.get("baseline"))
+    return EconomyProblem(folder.name, space, tuple(document["scenarios"]), scale, run, constraints, manifest.start)
 
 
-def _python(folder: Path, document: Mapping[str, Any]) -> Callable[..., Any]:
+def in_python(folder: Path, document: Mapping[str, Any]) -> Callable[..., Any]:
     simulator = document["simulator"]
     specification = importlib.util.spec_from_file_location(f"economy_{folder.name}", folder / simulator["file"])
     assert specification is not None
@@ -235,10 +238,10 @@ def _cliff(x: Floats, scenario: int) -> float | None:
 
 PROBLEMS: Mapping[str, Callable[[], EconomyProblem]] = {
     "motorway": motorway,
-    "acc_curve": lambda: _of_folder(HERE / "acc_curve", _python),
-    "monotone_curve": lambda: _of_folder(HERE / "monotone_curve", _python),
-    "braking": lambda: _of_folder(EXAMPLES / "python-function", _python),
-    "acc": lambda: _of_folder(EXAMPLES / "acc-process", _process),
+    "acc_curve": lambda: of_folder(HERE / "acc_curve", in_python),
+    "monotone_curve": lambda: of_folder(HERE / "monotone_curve", in_python),
+    "braking": lambda: of_folder(EXAMPLES / "python-function", in_python),
+    "acc": lambda: of_folder(EXAMPLES / "acc-process", _process),
     "few_matter": lambda: _computed("few_matter", 30, 6, _few_matter, (None, 0.05)),
     "funnel": lambda: _computed("funnel", 6, 4, _funnel, (0.01,)),
     "cliff": lambda: _computed("cliff", 6, 5, _cliff, (None, 0.02)),

@@ -6,6 +6,7 @@ from typing import Any
 from pydantic import Field
 
 from drivecal.contracts.campaign import Answer, Page, html_facts, html_table
+from drivecal.contracts.setup import ShapeAnswer
 from drivecal.contracts.tables import InfluenceRow
 
 
@@ -209,26 +210,6 @@ class ProblemHeading(Answer):
 
 class ProblemPage(Page[ProblemHeading]):
     """Problems, last pushed first."""
-
-
-class ShapeAnswer(Answer):
-    """A curve or a map: which parameters are its coefficients, and how they give the values at its support points.
-
-    A value is the sum of the coefficients, each times its weights along all axes, rounded to `lower` plus a multiple of `step`.
-    """
-
-    names: list[str]
-    """Its parameters, of a map in rows along its second axis."""
-    axes: list[list[float]]
-    """Support points along each axis, in `axis_units`."""
-    axis_units: list[str]
-    weights: list[list[list[float]]]
-    """Weights along each axis: a row for each support point, with a weight for each coefficient."""
-    lower: float
-    upper: float
-    step: float | None
-    unit: str
-    description: str
 
 
 class ProblemAnswer(ProblemHeading):

@@ -1,9 +1,12 @@
 """Answers about a campaign's setup: its problem and all that decides its runs."""
 
+from collections.abc import Mapping, Sequence
+
 from pydantic import Field, computed_field
 
 from drivecal.contracts.campaign import Answer
 from drivecal.contracts.tables import parameter_column
+from drivecal.domain.values import Points
 
 
 class SearchedParameter(Answer):
@@ -28,6 +31,64 @@ class SearchedParameter(Answer):
     def column(self) -> str:
         """Its column in tables."""
         return parameter_column(self.name)
+
+
+class GoodSets(Answer):
+    """The range of a curve or map over sets whose objective lies `within` the tolerance of the best, or 1 % of the score's range."""
+
+    sets: int
+    """Their number."""
+    within: float
+    lower: Points
+    upper: Points
+    """Smallest and largest value at each support point."""
+
+
+class ShapeAnswer(Answer):
+    """A curve or a map: which parameters are its coefficients, and how they give the values at its support points.
+
+    A value is the sum of the coefficients, each times its weights along all axes, rounded to `lower` plus a multiple of `step`.
+    """
+
+    names: list[str]
+    """Its parameters, of a map in rows along its second axis."""
+    axes: list[list[float]]
+    """Support points along each axis, in `axis_units`."""
+    axis_units: list[str]
+    weights: list[list[list[float]]]
+    """Weights along each axis: a row for each support point, with a weight for each coefficient."""
+    lower: float
+    upper: float
+    step: float | None
+    unit: str
+    description: str
+    good: GoodSets | None = None
+    """The range of a campaign's good sets, once it has some."""
+
+    def values(self, parameters: Mapping[str, float | str]) -> Points:
+        """Returns the values at the support points: a list, of a map a list for each point of x.
+
+        Args:
+            parameters: a value for each of `names`, and others.
+        """
+        given = [float(parameters[name]) for name in self.names]
+        along, *rest = self.weights
+        if not rest:
+            return [self._rounded(each) for each in _weighed(along, given)]
+        width = len(rest[0][0])
+        rows = [_weighed(rest[0], given[start : start + width]) for start in range(0, len(given), width)]
+        columns = [_weighed(along, list(column)) for column in zip(*rows, strict=True)]
+        return [[self._rounded(each) for each in row] for row in zip(*columns, strict=True)]
+
+    def _rounded(self, value: float) -> float:
+        value = min(max(value, self.lower), self.upper)
+        if self.step is not None:
+            value = self.lower + round((value - self.lower) / self.step) * self.step
+        return round(value, 9) + 0.0
+
+
+def _weighed(weights: Sequence[Sequence[float]], values: Sequence[float]) -> list[float]:
+    return [sum(weight * value for weight, value in zip(row, values, strict=True)) for row in weights]
 
 
 class ScenarioSetup(Answer):
@@ -60,3 +121,5 @@ class CampaignSetup(Answer):
     settings: dict[str, str] = Field(default_factory=dict)
     """Settings of the campaign in words, by name."""
     constraints: list[str] = Field(default_factory=list)
+    shapes: dict[str, ShapeAnswer] = Field(default_factory=dict)
+    """Curves and maps by name, whose coefficients are parameters."""

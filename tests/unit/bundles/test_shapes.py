@@ -15,9 +15,9 @@ from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.installed import Bundle
 from drivecal.bundles.shapes import Shape, ShapeEntry, conditions, with_points
-from drivecal.campaigns.resolve.problem import resolve
+from drivecal.campaigns.resolve.problem import resolve, resolve_evaluation
 from drivecal.campaigns.resolve.workbench import constraints_of, parameters_of
-from drivecal.contracts.specification import CampaignSpecification
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import ParameterSpace
@@ -155,6 +155,10 @@ def test_lists_in_a_campaign_become_coefficients() -> None:
     assert problem.baseline is not None
     of_torque = {f"torque_{x}_{y}": 7 for x in (1, 2) for y in (1, 2)}
     assert problem.baseline.floats == {"a": 0.5, "gain_1": 1, "gain_2": 1, "gain_3": 1} | of_torque
+    evaluated = EvaluationSpecification.model_validate(
+        {"problem": "shaped", "parameters": {"a": 0.5, "gain": [1] * 6, "torque": [[7, 7, 7]] * 4}}
+    )
+    assert resolve_evaluation(evaluated, lambda _: bundle).specification.parameters == problem.baseline.floats
     with pytest.raises(InvalidInputError) as refused:
         resolve(CampaignSpecification.model_validate(wanted | {"fixed": {"a": [1]}}), lambda _: bundle)
     assert refused.value.problems[0].field == "fixed.a"

@@ -16,6 +16,7 @@ from drivecal.analysis.savings import MapOrigin, account
 from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidence, SearchCourse, trust
 from drivecal.api.responses import campaign_answer
+from drivecal.api.results.curves import shapes_with_good_sets
 from drivecal.api.tables.front import bound_text, summary
 from drivecal.api.tables.ranking import ranking
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
@@ -59,7 +60,7 @@ def results_of(
     Raises NotFoundError if the search has no such place.
     """
     with database.read() as connection:
-        known = setup_of(connection, campaign)
+        known = setup_of(database, connection, campaign)
         answered = any(cells.get("requested") for cells in campaign.stages.values())
         accounting = account_of(connection, campaign) if answered else None
         causes = causes_of(connection, campaign) if answered else []
@@ -80,7 +81,7 @@ def results_of(
     )
 
 
-def setup_of(connection: Connection, campaign: StoredCampaign) -> CampaignSetup:
+def setup_of(database: Database, connection: Connection, campaign: StoredCampaign) -> CampaignSetup:
     """Returns the parameters, versions and fingerprints that a campaign began with; while it is queued, the current ones."""
     begun_with = resolved_spec(campaign)
     documents = setups.documents(connection, list(begun_with.setups.values()))
@@ -93,6 +94,7 @@ def setup_of(connection: Connection, campaign: StoredCampaign) -> CampaignSetup:
         server=version("drivecal"),
         settings=settings_of(campaign.spec, scenarios, begun_with.evaluator),
         constraints=[] if begun_with.goals is None else [bound_text(bound) for bound in begun_with.goals.bounds],
+        shapes=shapes_with_good_sets(database, connection, campaign, begun_with),
     )
 
 

@@ -38,7 +38,7 @@ def read_results(campaign_id: str, query: PlaceQuery, database: DatabaseDependen
 def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
     """The parameters, versions and fingerprints that the campaign began with; while it is queued, the current ones."""
     with database.read() as connection:
-        return setup_of(connection, calibration(campaigns.get(connection, campaign_id)))
+        return setup_of(database, connection, calibration(campaigns.get(connection, campaign_id)))
 
 
 @router.get("/importance")

@@ -14,13 +14,13 @@ from drivecal.api.http.authorisation import refuse_push
 from drivecal.api.http.bodies import body_of, check_encoding
 from drivecal.api.http.queries import ProblemsQuery
 from drivecal.api.responses import ROOT, matches
+from drivecal.api.results.curves import shapes_of
 from drivecal.bundles.archives import content_digest, files_of
 from drivecal.bundles.manifest import Manifest
-from drivecal.bundles.shapes import Shape, ShapeEntry
 from drivecal.client.problems import read_archived
 from drivecal.configuration.memory import give_back
 from drivecal.configuration.pushing import HEADER
-from drivecal.contracts.inventory import ProblemAnswer, ProblemHeading, ProblemPage, ShapeAnswer
+from drivecal.contracts.inventory import ProblemAnswer, ProblemHeading, ProblemPage
 from drivecal.storage import admission, bundles
 from drivecal.storage.bundles import BundleHeading, StoredBundle
 from drivecal.storage.engine.database import Database
@@ -112,27 +112,11 @@ def _answer(stored: StoredBundle) -> ProblemAnswer:
     manifest = Manifest.model_validate(stored.manifest)
     sections |= {
         "parameters": {name: entry.model_dump(mode="json") for name, entry in manifest.scalars.items()},
-        "shapes": {
-            name: _shape(manifest.shapes[name], each)
-            for name, each in manifest.parameters.items()
-            if isinstance(each, ShapeEntry)
-        },
+        "shapes": shapes_of(manifest),
         "constraints": list(manifest.conditions),
         "baseline": manifest.start,
     }
     return ProblemAnswer.of(stored, links=_links(stored), **sections)
-
-
-def _shape(shape: Shape, entry: ShapeEntry) -> ShapeAnswer:
-    described = entry.model_dump(include={"lower", "upper", "step", "unit", "description"})
-    weights = [each.tolist() for each in shape.weights]
-    return ShapeAnswer(
-        names=list(shape.names),
-        axes=[list(axis) for axis in shape.axes],
-        axis_units=list(entry.axis_units),
-        weights=weights,
-        **described,
-    )
 
 
 def _links(stored: BundleHeading) -> dict[str, str]:

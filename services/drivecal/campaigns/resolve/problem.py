@@ -283,7 +283,7 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
     parameter_set = ParameterSet.of(values)
     space = ParameterSpace(search_parameters(None, workbench.function))
     Constraints(space, workbench.function.constraints).check(parameter_set, "parameters")
-    specification = specification.model_copy(update=dict(workbench.settled))
+    specification = specification.model_copy(update=dict(workbench.settled) | {"parameters": parameter_set.floats})
     bench = workbench.make(scenarios)
     if specification.seed is not None:
         bench = bench.seeded(specification.seed)

@@ -9,6 +9,7 @@ from drivecal.cli.views.output import (
     duration,
     print_answer,
     print_campaign,
+    print_curves,
     print_evaluation,
     print_json,
     print_page,
@@ -241,6 +242,7 @@ def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
         print_json(campaign.model_dump(mode="json") | known)
         return
     print_campaign(campaign)
+    print_curves(campaign, results.setup)
     print_results(results)
 
 

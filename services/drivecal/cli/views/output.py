@@ -28,6 +28,7 @@ from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts
 from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.results import CampaignResults
+from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import Solution
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.events import ASKED
@@ -108,6 +109,29 @@ def print_campaign(campaign: Campaign) -> None:
     width = max(len(name) for name, _ in lines)
     for name, text in lines:
         typer.echo(f"{name.ljust(width)}  {text}")
+
+
+def print_curves(campaign: Campaign, setup: CampaignSetup) -> None:
+    """Prints the curves and maps of the best set and the baseline, with the range of good sets."""
+    sets = {"best": campaign.best, "baseline": campaign.baseline}
+    for name, shape in setup.shapes.items():
+        values = {title: shape.values(each.parameters) for title, each in sets.items() if each is not None}
+        if shape.good is not None:
+            values |= {f"lowest of {shape.good.sets} good sets": shape.good.lower, "highest": shape.good.upper}
+        units = [f" {unit}" if unit != "1" else "" for unit in shape.axis_units]
+        unit = "" if shape.unit == "1" else f" ({shape.unit})"
+        typer.echo(f"\n{name}{unit}")
+        columns = [f"{point:g}{units[-1]}" for point in shape.axes[-1]]
+        if len(shape.axes) == 1:
+            print_columns(["", *columns], [[title, *points] for title, points in values.items()])
+            continue
+        rows = [
+            [title, f"{point:g}{units[0]}", *row]
+            for title, points in values.items()
+            for point, row in zip(shape.axes[0], points, strict=True)
+            if isinstance(row, list)
+        ]
+        print_columns(["", "x", *(f"y {column}" for column in columns)], rows)
 
 
 def _uncertainty_texts(best: Best, aggregate: str | Mapping[str, float]) -> Iterator[str]:
