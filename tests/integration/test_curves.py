@@ -1,0 +1,73 @@
+"""A campaign on a curve: coefficients are searched, results show values at the support points and the range of good sets."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
+from tests.support.problems import store, submit_checked
+from tests.support.runs import dispatcher, finish
+
+from drivecal.api.results.document import results_of
+from drivecal.bundles.shapes import Shape, with_points
+from drivecal.cli.views.output import print_curves
+from drivecal.contracts.work import Cell, CellResult, SetupRequest
+from drivecal.domain.campaigns import CampaignState
+
+WANTED = [3.0, 2.2, 1.4, 0.9, 0.8]
+MANIFEST: dict[str, Any] = {
+    "problem": "curved",
+    "parameters": {
+        "gain": {
+            "curve": {"axis": [0, 5, 10, 20, 40], "axis_unit": "m/s"},
+            "lower": 0,
+            "upper": 4,
+            "monotone": "decreasing",
+            "coefficients": 3,
+            "unit": "1/s",
+        },
+        "load": {"map": {"x": [0, 1], "y": [0, 2, 4]}, "lower": 0, "upper": 1, "step": 0.1, "coefficients": 2},
+    },
+    "baseline": {"gain": [2, 2, 2, 2, 2], "load": [[0, 0, 0], [0, 0, 0]]},
+    "simulator": {"kind": "process", "command": ["mysim"], "deterministic": True},
+    "scenarios": {"city": {}},
+    "measures": {"off": "1"},
+    "scores": {"cost": {"formula": "off", "direction": "minimise", "range": [0, 10], "tolerance": 0.2}},
+}
+
+
+def driven(setup: SetupRequest, cell: Cell) -> CellResult:
+    """The distance of the curve from the wanted one, and of the map from 1 at its last point."""
+    shapes = {name: Shape.from_document(name, document) for name, document in setup.shapes.items()}
+    arguments = with_points(cell.parameters, shapes, setup.simulator)
+    off = float(np.abs(np.array(arguments["gain"]) - WANTED).sum() + abs(np.array(arguments["load"])[-1, -1] - 1))
+    return CellResult(cell.id, None, None, {"off": off}, None, 7.0)
+
+
+def test_results_show_curves_with_the_range_of_good_sets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    store(database, MANIFEST)
+    wanted = {"problem": "curved", "budget": {"simulations": 60}, "optimizer": {"kind": "surrogate", "seed": 1}}
+    ended = finish(database, submit_checked(database, wanted), dispatcher(database, ComputedBackend(driven=driven)))
+    assert ended.state is CampaignState.SUCCEEDED, ended.error
+    results = results_of(database, ended)
+    gain, load = results.setup.shapes["gain"], results.setup.shapes["load"]
+    best, baseline = results.campaign.best, results.campaign.baseline
+    assert best is not None
+    assert baseline is not None
+    assert gain.values(baseline.parameters) == [2, 2, 2, 2, 2]
+    assert best.objective < (baseline.objective or 0)
+    off = np.abs(np.array(gain.values(best.parameters)) - WANTED).sum() + abs(
+        np.array(load.values(best.parameters))[-1, -1] - 1
+    )
+    assert best.objective == pytest.approx(off)
+    assert gain.good is not None
+    assert gain.good.sets >= 1
+    assert (np.array(gain.good.lower) <= gain.values(best.parameters)).all()
+    assert (np.array(gain.good.upper) >= gain.values(best.parameters)).all()
+    print_curves(results.campaign, results.setup)
+    printed = capsys.readouterr().out
+    assert all(text in printed for text in ("gain (1/s)", "40 m/s", "y 4", "baseline"))
+    database.dispose()
