@@ -236,24 +236,3 @@ def test_older_campaigns_stay_listed_and_follow_the_filter(shown: Shown, opening
     page.get_by_label("State").select_option("queued")
     expect(boxes).to_have_count(1)
     shown.api.http.post(f"/api/v1/campaigns/{new.id}/cancel").raise_for_status()
-
-
-def test_a_gain_within_the_tolerance_is_shown_as_neither_better_nor_worse(shown: Shown, opening: Opening) -> None:
-    def close(campaign: dict[str, Any]) -> dict[str, Any]:
-        best = campaign["best"]
-        scores = {name: score - gain for (name, score), gain in zip(best["scores"].items(), (1.5, 2.5), strict=True)}
-        baseline = {"objective": best["objective"] - 2, "parameters": best["parameters"], "scores": scores}
-        return campaign | {"baseline": baseline | {"violation": 0}, "scale": campaign["scale"] | {"tolerance": 2}}
-
-    page = opening(f"{shown.api.url}/#/nowhere")
-    changed(page, f"/campaigns/{shown.first.id}$", close)
-    page.goto(shown.at(shown.first, "overview"))
-    table = page.get_by_role("table", name="Scores by scenario")
-    flat, hill = (table.get_by_role("row", name=name).locator(".change") for name in ("flat", "hill"))
-    expect(flat).to_have_text(re.compile(r"≈ \+1\.5\s*within the tolerance"))
-    expect(hill).to_have_text(re.compile(r"▲ 2\.5"))
-    probe = (
-        "name => { document.body.style.outlineColor = `var(${name})`; return getComputedStyle(document.body).outlineColor; }"
-    )
-    colours = [place.evaluate("place => getComputedStyle(place).color") for place in (flat, hill)]
-    assert colours == [page.evaluate(probe, name) for name in ("--quiet", "--well")]

@@ -47,10 +47,10 @@ describe("times", () => {
   afterEach(() => vi.unstubAllEnvs());
 
   test.each([
-    ["UTC", "00:30:00", "24 Oct 2026"],
-    ["Europe/Berlin", "02:30:00", "25 Oct 2026"],
-    ["Pacific/Apia", "13:30:00", "25 Oct 2026"],
-    ["America/St_Johns", "22:00:00", "24 Oct 2026"],
+    ["UTC", "00:30:00", "24 Oct 2026, UTC"],
+    ["Europe/Berlin", "02:30:00", "25 Oct 2026, CEST"],
+    ["Pacific/Apia", "13:30:00", "25 Oct 2026, GMT+13"],
+    ["America/St_Johns", "22:00:00", "24 Oct 2026, GMT-2:30"],
   ])("are those of the reader's zone %s, and ages the same in all, where a clock was set back as well", (name, time, day) => {
     vi.stubEnv("TZ", name);
     expect(clock("2026-10-25T00:30:00Z")).toContain(time); // 02:30 in Berlin, for the first time
