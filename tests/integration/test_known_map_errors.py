@@ -6,7 +6,7 @@ from typing import Any
 from tests.support.computed import ComputedBackend
 from tests.support.runs import influenced, nothing_matters, post_map, run, submit
 
-from drivecal.api.submission import expected
+from drivecal.api.expectation import expected
 from drivecal.configuration.settings import Settings
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.storage.campaigns import StoredCampaign

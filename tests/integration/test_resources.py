@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from tests.support.problems import store
 
-from drivecal.api import submission
+from drivecal.api import expectation, submission
 from drivecal.api.dependencies import Limits
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
@@ -31,7 +31,7 @@ def test_a_campaign_that_needs_more_than_exists_is_refused_with_the_field(databa
     few, enough = (Limits.of(load_settings(resources=f"carmaker={count}, vtd=1")) for count in (1, 2))
     for refused in (
         lambda: submission.submit(database, few, campaign, None),
-        lambda: submission.expected(database, few, campaign),
+        lambda: expectation.expected(database, few, campaign),
         lambda: submission.evaluate(database, few, one, None),
     ):
         with pytest.raises(InvalidInputError) as error:

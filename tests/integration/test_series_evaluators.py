@@ -1,6 +1,5 @@
 """Whole campaigns whose evaluator needs the time series: what it is given without a simulation, what is simulated again, and that once."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -70,16 +69,12 @@ def test_runs_are_simulated_again_for_it_once_and_nothing_is_for_who_rates_by_me
     asked = again.cells.simulated + again.counts(StageName.SENSITIVITY).simulated
     assert asked > 100
     assert again.cells.unrepeatable == 0
-    [note] = (note for note in again.notes if "seeing 1" in note)
-    assert len(re.findall(r"\d+ (?:are|cannot)", note)) == 2, "the failed ones are rated, others cannot be used"
     third = rerun(database, again, "seeing", ComputedBackend(answer=seen))
     assert third.influence_map_id == again.influence_map_id
     assert third.cells.simulated == third.cells.failed == 0, "the same search on the same ratings"
     assert third.best is not None
     assert again.best is not None
     assert third.best.objective == again.best.objective
-    [later] = (note for note in third.notes if "seeing 1" in note)
-    assert later != note
     back = rerun(database, again, "reference", ComputedBackend(answer=influenced))
     assert back.counts(StageName.SENSITIVITY).simulated == 0
     assert back.best == first.best

@@ -1,73 +1,49 @@
 """Submission of campaigns and evaluations: checked, once per Idempotency-Key, whole or not at all."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pydantic import BaseModel
 from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
-from drivecal.api.live.dispatcher_health import judge
-from drivecal.campaigns.comparison import ComparisonProblem, keys_of, resolve_comparison, tag_of
-from drivecal.campaigns.resolve.bench import Bench
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.maps import check_basis, is_outdated, warnings_of
-from drivecal.campaigns.resolve.outside import indices_of
-from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
+from drivecal.api.expectation import checked, checked_comparison, compared_map, refuse_without, stored_parts
+from drivecal.campaigns.comparison import keys_of, tag_of
+from drivecal.campaigns.resolve.maps import is_outdated, warnings_of
+from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve_evaluation
 from drivecal.campaigns.resolve.workbench import stored_bundles
-from drivecal.campaigns.stages.robustness import check_source
-from drivecal.campaigns.stages.validation import check_predictions, runs_at_most
-from drivecal.contracts.campaign import STUDIES, ExpectedRuns
-from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
+from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
-from drivecal.contracts.outside.sets import ProposedSet
-from drivecal.contracts.specification import (
-    CampaignSpecification,
-    EvaluationSpecification,
-    MapReference,
-    RerunSpecification,
-    Values,
-)
-from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem, TooLargeError
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
+from drivecal.domain.errors import ConflictError
 from drivecal.domain.setups import canonical_json, digest
-from drivecal.storage import admission, campaigns, processes
+from drivecal.storage import admission, campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.outside import imported
-from drivecal.storage.references import influence_maps, runs
+from drivecal.storage.references import influence_maps
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
-
-ASSUMED_MILLISECONDS = 8.0
-"""CPU time of one simulation in the built-in scenarios, on a machine of today."""
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
-    """A simulation occupies a worker for `milliseconds`, `measured` in these setups or else assumed; `workers`: None if the
-    dispatcher is silent."""
+class Asked:
+    """A request by the `digest` of all that tells requests apart, the stored form of its Idempotency-Key, and its owner."""
 
-    milliseconds: float
-    measured: bool
-    workers: int | None
+    digest: str
+    key: str | None
+    owner: str | None
 
-    def seconds(self, simulations: int) -> float | None:
-        """Returns the time that simulations take; None without workers."""
-        return None if self.workers is None else simulations * self.milliseconds / 1000 / self.workers
+    @classmethod
+    def of(cls, path: str, body: BaseModel, key: str | None, owner: str | None) -> "Asked":
+        """Returns the identity of a request, its path and body."""
+        identity = canonical_json({"path": path, "body": body.model_dump(mode="json")})
+        return cls(digest(identity.encode()), None if key is None else admission.key_of(owner, key), owner)
 
-
-def pace(connection: Connection, fingerprints: Sequence[str]) -> Pace:
-    """Returns the pace of simulations in the setups with these fingerprints."""
-    measured = runs.recent_milliseconds(connection, fingerprints)
-    dispatcher = processes.read(connection, processes.DISPATCHER)
-    workers = None
-    if dispatcher is not None and not judge(dispatcher, now()).silent:
-        workers = len(dispatcher.detail.get("workers", [])) or None
-    return Pace(measured or ASSUMED_MILLISECONDS, measured is not None, workers)
-
-
-MAP = "sensitivity.map"
+    @property
+    def columns(self) -> dict[str, Any]:
+        """What is stored of it with its campaign."""
+        return {"idempotency_key": self.key, "body_digest": self.digest, "owner": self.owner}
 
 
 def submit(
@@ -77,14 +53,12 @@ def submit(
 
     Raises InvalidInputError if it cannot run, TooLargeError, and OverloadError if the queue is full.
     """
-    body_digest = digest_of("campaigns", specification)
-    key = None if key is None else admission.key_of(owner, key)
-    earlier = accepted_before(database, body_digest, key)
-    if earlier is not None:
+    asked = Asked.of("campaigns", specification, key, owner)
+    if (earlier := accepted_before(database, asked.digest, asked.key)) is not None:
         return earlier
-    problem = _checked(database, limits, specification)
+    problem = checked(database, limits, specification)
     with database.transaction() as connection:
-        return _queue(connection, limits, problem, key, body_digest, owner)
+        return _queue(connection, limits, problem, asked)
 
 
 def accepted_before(database: Database, body_digest: str, *keys: str | None) -> StoredCampaign | None:
@@ -95,155 +69,12 @@ def accepted_before(database: Database, body_digest: str, *keys: str | None) -> 
         return None if sequence is None else campaigns.by_sequence(connection, sequence)
 
 
-def expected(database: Database, limits: Limits, specification: CampaignSpecification) -> ExpectedRuns:
-    """Returns the expected cost of a campaign. Raises InvalidInputError and TooLargeError as `submit` does."""
-    problem = _checked(database, limits, specification)
-    with database.read() as connection:
-        used = _stored_parts(connection, problem)
-        known = pace(connection, [setup.fingerprint for setup in problem.bench.setups.values()])
-        warnings = warnings_of(connection, problem, used, now())
-        of_predictions = runs_at_most(connection, problem)
-    runs = problem.expected_runs()
-    runs = runs.model_copy(update={"validation": runs.validation + of_predictions})
-    at_most = runs.sensitivity_at_most + runs.calibration_at_most + sum(getattr(runs, study) for study in STUDIES)
-    guessed = not known.measured and not problem.bench.is_driven  # nothing is known of a simulator that never ran
-    time = (
-        {} if guessed else {"milliseconds": known.milliseconds, "measured": known.measured, "seconds": known.seconds(at_most)}
-    )
-    notes = [*warnings, *runs.notes, *([] if guessed else advice(problem, runs.calibration_at_most, known.milliseconds))]
-    return runs.model_copy(update={"notes": notes, "workers": known.workers, **time})
-
-
-CELL_MILLISECONDS = 20.0
-"""CPU time of `surrogate` for the choice of a cell, with some hundred answers of six scenarios."""
-WORTHWHILE_MILLISECONDS = 200.0
-"""Time of a simulation from which on a careful choice costs less than a tenth of it."""
-MOST_MODELLED = 5_000
-"""Simulations up to which `surrogate` is advised."""
-
-
-def advice(problem: CalibrationProblem, simulations: int, milliseconds: float) -> list[str]:
-    """Returns notes on a better choice of the optimizer, if there is one.
-
-    Args:
-        problem: the campaign.
-        simulations: at most, of its search.
-        milliseconds: time of one simulation.
-    """
-    chosen = problem.optimization
-    if chosen is None:
-        return []
-    if chosen.plugin.name == "surrogate" and milliseconds < CELL_MILLISECONDS:
-        return [
-            (
-                f"a simulation takes {milliseconds:.3g} ms, and the choice of a cell about {CELL_MILLISECONDS:g} ms of a core: with several"
-                " times the simulations `optimizer: {kind: genetic}` may find as good a set in the same time"
-            )
-        ]
-    if chosen.by_cell is None and milliseconds >= WORTHWHILE_MILLISECONDS and simulations <= MOST_MODELLED:
-        return [
-            (
-                f"for {simulations:,} simulations of {milliseconds:.3g} ms, `optimizer: {{kind: surrogate}}` and a budget find better sets"
-                " on most problems (docs: optimizers)"
-            )
-        ]
-    return []
-
-
-def resolved(database: Database, specification: CampaignSpecification) -> CalibrationProblem:
-    """Returns the resolved campaign, whose `start_results` became start sets. Raises InvalidInputError with every fault, a missing map's
-    included."""
-    wanted = specification.optimizer
-    try:
-        if wanted is None or wanted.start_results is None:
-            return resolve(specification, stored_bundles(database))
-        plain = wanted.model_copy(update={"start_results": None})
-        problem = resolve(specification.model_copy(update={"optimizer": plain}), stored_bundles(database))
-        begin = [*wanted.start_sets, *_imported_sets(database, problem, wanted.start_results)]
-        begun = plain.model_copy(update={"start_sets": begin})
-        return resolve(specification.model_copy(update={"optimizer": begun}), stored_bundles(database))
-    except InvalidInputError as error:
-        own = error.problems
-    diagnostics = Diagnostics()
-    if isinstance(specification.sensitivity, MapReference):
-        with database.read() as connection:
-            diagnostics.attempt(lambda: _stored_map(connection, specification))
-    raise InvalidInputError(*own, *diagnostics.problems)
-
-
-def _imported_sets(database: Database, problem: CalibrationProblem, source: str) -> list[Values]:
-    """Returns the sets of a source of results from elsewhere, at the nearest grid points, each once."""
-    field, name = "optimizer.start_results", problem.bench.bundle.manifest.problem
-    with database.read() as connection:
-        rows = imported.listing(connection, name, source)
-    if not rows:
-        raise InvalidInputError(
-            Problem(field, f"{name} has no results of {source!r}", f"`drivecal results list {name}` lists what there is")
-        )
-    given = dict.fromkeys(row.parameters for row in rows)
-    sets = [ProposedSet(key=str(number), parameters=dict(each.floats)) for number, each in enumerate(given)]
-    try:
-        points = problem.space.parameter_sets(indices_of(problem, sets))
-    except InvalidInputError as error:
-        remedy = "name the sets that fit in `start_sets`, or change the bounds"
-        raise InvalidInputError(*(Problem(field, str(fault), remedy) for fault in error.problems)) from error
-    return [dict(each.floats) for each in points]
-
-
-def _refuse_without(limits: Limits, bench: Bench) -> None:
-    """Raises InvalidInputError if a run needs more of a resource than the server has."""
-    exist = limits.settings.resources
-    lacking = {
-        name: (scenario, count)
-        for scenario, request in bench.requests.items()
-        for name, count in request.resources.items()
-        if count > exist.get(name, 0)
-    }
-    if lacking:
-        raise InvalidInputError(
-            *(
-                Problem(
-                    "problem",
-                    f"scenario {scenario} needs {count} {name}, and this server has {exist.get(name, 0)}",
-                    f"start the server with --resources {name}={count} or more, or leave the scenario out",
-                )
-                for name, (scenario, count) in lacking.items()
-            )
-        )
-
-
-def _checked(database: Database, limits: Limits, specification: CampaignSpecification) -> CalibrationProblem:
-    """Returns the resolved campaign. Raises TooLargeError if its stages propose too many cells, and InvalidInputError if it needs more of
-    a resource than there is."""
-    problem, largest = resolved(database, specification), limits.settings.largest_campaign
-    _refuse_without(limits, problem.bench)
-    runs = problem.expected_runs()
-    stages = {"optimizer": runs.calibration_proposed, "sensitivity": runs.sensitivity_at_most} | {
-        study: getattr(runs, study) for study in STUDIES
-    }
-    total = sum(stages.values())
-    if total <= largest:
-        return problem
-    stage = max(stages, key=lambda name: stages[name])
-    message = f"the campaign may propose {total:,} cells, {stages[stage]:,} of them here"
-    wanted, what = problem.optimization, "samples or scenarios"
-    if stage == "optimizer" and wanted is not None and wanted.iterations is None:
-        message += f": a budget of {runs.calibration_proposed:,} simulations"
-        what = "budget.simulations"
-    elif stage == "optimizer" and wanted is not None:
-        sizes = f"{wanted.population:,} individuals x {wanted.iterations:,} iterations x {len(problem.scenarios)} scenarios"
-        message, what = f"{message}: {sizes}", "population, iterations or scenarios"
-    raise TooLargeError(Problem(stage, message, f"this server takes {largest:,}; reduce {what}"))
-
-
 def rerun(
     database: Database, limits: Limits, first_id: str, changes: RerunSpecification, key: str | None, owner: str | None = None
 ) -> StoredCampaign:
     """Queues an ended campaign again with `changes`. Raises ConflictError before its end, NotFoundError, and like `submit`."""
-    body_digest = digest_of(f"campaigns/{first_id}/rerun", changes)
-    key = None if key is None else admission.key_of(owner, key)
-    earlier = accepted_before(database, body_digest, key)
-    if earlier is not None:
+    asked = Asked.of(f"campaigns/{first_id}/rerun", changes, key, owner)
+    if (earlier := accepted_before(database, asked.digest, asked.key)) is not None:
         return earlier
     with database.read() as connection:
         first = campaigns.get(connection, first_id)
@@ -253,12 +84,12 @@ def rerun(
     if not first.state.ended:
         raise ConflictError(f"campaign {first_id} is {first.state}; rerun it when it has ended, or cancel it first")
     document = _changed(first, used, changes)
-    problem = _checked(database, limits, validated(CampaignSpecification, document))
+    problem = checked(database, limits, validated(CampaignSpecification, document))
     if used is not None and used.basis is not None and is_outdated(used, problem):
         document["sensitivity"] = used.basis["sensitivity"]  # made again, from stored runs if only ratings are others
-        problem = _checked(database, limits, validated(CampaignSpecification, document))
+        problem = checked(database, limits, validated(CampaignSpecification, document))
     with database.transaction() as connection:
-        return _queue(connection, limits, problem, key, body_digest, owner, rerun_of=first_id)
+        return _queue(connection, limits, problem, asked, rerun_of=first_id)
 
 
 def compare(
@@ -269,18 +100,17 @@ def compare(
 
     Raises InvalidInputError if one cannot run, TooLargeError, and OverloadError if the queue has no room for all.
     """
-    key = admission.key_of(owner, key)
-    body_digest, tag = digest_of("comparisons", specification), tag_of(specification.name, key)
-    keys = keys_of(specification, key)
-    if accepted_before(database, body_digest, *keys) is not None:
+    asked, key = Asked.of("comparisons", specification, None, owner), admission.key_of(owner, key)
+    keys, tag = keys_of(specification, key), tag_of(specification.name, key)
+    if accepted_before(database, asked.digest, *keys) is not None:
         return tag
-    problem = _checked_comparison(database, limits, specification)
+    problem = checked_comparison(database, limits, specification)
     with database.transaction() as connection:
         admission.alone(connection)
-        if admission.earlier(connection, body_digest, *keys) is not None:
+        if admission.earlier(connection, asked.digest, *keys) is not None:
             return tag
         admission.admit(connection, limits.settings.queued_campaigns, None, len(problem.runs))
-        map_id = _compared_map(connection, problem)
+        map_id = compared_map(connection, problem)
         for own, run in zip(keys, problem.runs, strict=True):
             stored = campaigns.insert(
                 connection,
@@ -288,87 +118,42 @@ def compare(
                 spec=run.model_dump(mode="json"),
                 tags=[tag],
                 influence_map_id=None if run.sensitivity is None else map_id,
-                idempotency_key=own,
-                body_digest=body_digest,
                 priority=run.priority,
-                owner=owner,
+                **replace(asked, key=own).columns,
             )
             _pinned(connection, stored, problem.problems[0])
     return tag
-
-
-def expected_comparison(database: Database, limits: Limits, specification: ComparisonSpecification) -> ExpectedComparison:
-    """Returns the expected cost of a comparison. Raises InvalidInputError and TooLargeError as `compare` does."""
-    problem = _checked_comparison(database, limits, specification)
-    with database.read() as connection:
-        _compared_map(connection, problem)
-        known = pace(connection, [setup.fingerprint for setup in problem.problems[0].bench.setups.values()])
-    return ExpectedComparison(
-        runs=len(problem.runs),
-        proposed=problem.proposed,
-        at_most=problem.at_most,
-        milliseconds=known.milliseconds,
-        measured=known.measured,
-        workers=known.workers,
-        seconds=known.seconds(problem.at_most),
-        notes=list(dict.fromkeys(note for resolved in problem.problems for note in resolved.notes)),
-    )
-
-
-def _checked_comparison(database: Database, limits: Limits, specification: ComparisonSpecification) -> ComparisonProblem:
-    problem = resolve_comparison(specification, stored_bundles(database))
-    _refuse_without(limits, problem.problems[0].bench)
-    if problem.proposed > limits.settings.largest_campaign:
-        message = f"the {len(problem.runs):,} campaigns of the comparison may propose {problem.proposed:,} cells"
-        remedy = f"this server takes {limits.settings.largest_campaign:,}; reduce populations, iterations, seeds, optimizers or scenarios"
-        raise TooLargeError(Problem("populations", message, remedy))
-    return problem
-
-
-def _compared_map(connection: Connection, problem: ComparisonProblem) -> str | None:
-    """Returns the id of the influence map that the comparison names. Raises InvalidInputError if it does not fit the campaigns."""
-    return next((named_map(connection, row) for row in problem.problems if row.specification.sensitivity is not None), None)
 
 
 def evaluate(
     database: Database, limits: Limits, specification: EvaluationSpecification, key: str | None, owner: str | None = None
 ) -> StoredCampaign:
     """Queues a single evaluation. Raises InvalidInputError if it cannot run, OverloadError if the queue is full."""
-    body_digest = digest_of("evaluations", specification)
-    key = None if key is None else admission.key_of(owner, key)
-    earlier = accepted_before(database, body_digest, key)
-    if earlier is not None:
+    asked = Asked.of("evaluations", specification, key, owner)
+    if (earlier := accepted_before(database, asked.digest, asked.key)) is not None:
         return earlier
     problem = resolve_evaluation(specification, stored_bundles(database))
-    _refuse_without(limits, problem.bench)
+    refuse_without(limits, problem.bench)
     with database.transaction() as connection:
-        admission.admit(connection, limits.settings.queued_campaigns, key)
+        admission.admit(connection, limits.settings.queued_campaigns, asked.key)
         stored = campaigns.insert(
             connection,
             name="evaluation",
             spec=problem.specification.model_dump(mode="json"),
             kind="evaluation",
-            owner=owner,
-            idempotency_key=key,
-            body_digest=body_digest,
+            **asked.columns,
             notes=problem.notes,
         )
         return _pinned(connection, stored, problem)
 
 
 def _queue(
-    connection: Connection,
-    limits: Limits,
-    problem: CalibrationProblem,
-    key: str | None,
-    body_digest: str,
-    owner: str | None,
-    rerun_of: str | None = None,
+    connection: Connection, limits: Limits, problem: CalibrationProblem, asked: Asked, rerun_of: str | None = None
 ) -> StoredCampaign:
     specification = problem.specification
-    admission.admit(connection, limits.settings.queued_campaigns, key)
+    admission.admit(connection, limits.settings.queued_campaigns, asked.key)
     first = None if rerun_of is None else campaigns.get(connection, rerun_of)  # it may have been deleted since it was read
-    used = _stored_parts(connection, problem)
+    used = stored_parts(connection, problem)
     analysed = None if first is None or used is None or used != first.influence_map_id else first.spec["sensitivity"]
     stored = campaigns.insert(
         connection,
@@ -376,11 +161,9 @@ def _queue(
         spec=specification.model_dump(mode="json"),
         influence_map_id=used,
         rerun_of=rerun_of,
-        idempotency_key=key,
-        body_digest=body_digest,
         likeness=_likeness(problem, analysed),
         priority=specification.priority,
-        owner=owner,
+        **asked.columns,
         notes=warnings_of(connection, problem, used, now()),
     )
     return _pinned(connection, stored, problem)
@@ -400,37 +183,6 @@ def _pinned(connection: Connection, stored: StoredCampaign, problem: Calibration
         return stored
     campaigns.set_resolution(connection, stored.sequence, problem.resolution())
     return campaigns.by_sequence(connection, stored.sequence)
-
-
-def _stored_parts(connection: Connection, problem: CalibrationProblem) -> str | None:
-    """Returns the id of the map that a campaign names. Raises InvalidInputError if the map or a campaign that it names does not fit."""
-    diagnostics = Diagnostics()
-    used = diagnostics.attempt(lambda: named_map(connection, problem))
-    diagnostics.attempt(lambda: check_source(connection, problem))
-    diagnostics.attempt(lambda: check_predictions(connection, problem))
-    diagnostics.raise_if_any()
-    return used
-
-
-def _stored_map(connection: Connection, specification: CampaignSpecification) -> StoredInfluenceMap | None:
-    if not isinstance(specification.sensitivity, MapReference):
-        return None
-    try:
-        return influence_maps.get(connection, specification.sensitivity.map)
-    except NotFoundError as error:
-        raise InvalidInputError(Problem(MAP, str(error), "GET /api/v1/influence-maps lists what there is")) from error
-
-
-def named_map(connection: Connection, problem: CalibrationProblem) -> str | None:
-    """Returns the id of the map that a campaign names. Raises InvalidInputError if it does not exist or fit the campaign."""
-    stored = _stored_map(connection, problem.specification)
-    if stored is None:
-        return None
-    if stored.driving_function != problem.bench.function:
-        message, remedy = f"the map is about {stored.driving_function!r}", f"name or post a map of {problem.bench.function!r}"
-        raise InvalidInputError(Problem(MAP, message, remedy))
-    check_basis(stored, problem)
-    return stored.id
 
 
 def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: RerunSpecification) -> dict[str, Any]:
@@ -457,8 +209,3 @@ def _merged(before: Mapping[str, Any] | None, changes: Mapping[str, Any]) -> dic
     if before is None or changes.get("kind", before.get("kind")) != before.get("kind"):
         return dict(changes)
     return {**before, **changes}
-
-
-def digest_of(path: str, body: BaseModel) -> str:
-    """Returns the identity of a request, its path and body."""
-    return digest(canonical_json({"path": path, "body": body.model_dump(mode="json")}).encode())

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivecal.api.submission import advice
+from drivecal.api.expectation import advice
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.contracts.specification import CampaignSpecification
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivecal.api.submission import Pace
+from drivecal.api.expectation import Pace
 
 
 def test_workers_share_the_simulations() -> None:

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Request, Response
 
-from drivecal.api import submission
+from drivecal.api import expectation, submission
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency, Owner
 from drivecal.api.http.authorisation import refuse_others
 from drivecal.api.http.bodies import StrictRoute
@@ -40,7 +40,7 @@ def submit(
     """Queues a campaign; with `validate_only=true` checks it, counts its runs and stores nothing."""
     if query.validate_only:
         response.status_code = 200
-        return submission.expected(database, limits, specification)
+        return expectation.expected(database, limits, specification)
     return accepted(response, database, submission.submit(database, limits, specification, idempotency_key, owner))
 
 

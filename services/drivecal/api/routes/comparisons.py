@@ -4,7 +4,7 @@ import uuid
 
 from fastapi import APIRouter, Response
 
-from drivecal.api import submission
+from drivecal.api import expectation, submission
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency, Owner
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import SubmissionQuery
@@ -31,7 +31,7 @@ def submit(
     nothing."""
     if query.validate_only:
         response.status_code = 200
-        return submission.expected_comparison(database, limits, specification)
+        return expectation.expected_comparison(database, limits, specification)
     tag = submission.compare(database, limits, specification, idempotency_key or uuid.uuid4().hex, owner)
     response.headers["Location"] = f"{ROOT}/comparisons/{tag}"
     with database.read() as connection:

@@ -54,34 +54,5 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
     return total
 
 
-def note_of(database: Database, view: View) -> str | None:
-    """Describes how the campaign's evaluator rates the stored runs of others; None if there is nothing to report. Call it after
-    `rate_stored_runs`. The text stays the same when the campaign resumes."""
-    bench = view.bench
-    with database.transaction() as connection:
-        if ratings.are_all_by(connection, bench.evaluator_id, _fingerprints(bench)):
-            return None
-        setup_ids = list(ensure_setups(connection, bench).values())
-    with database.read() as connection:  # counts all runs of the setups: outside the write transaction
-        standing = ratings.standing(connection, setup_ids, bench.evaluator_id, view.watermark)
-    parts = []
-    if standing.anew:
-        parts.append(f"{standing.anew:,} are rated from what is stored, without a simulation")
-    if standing.again:
-        parts.append(f"{standing.again:,} were simulated again for it by earlier campaigns")
-    if standing.missing:
-        lacking = "it needs their time series, which is not stored"
-        if not bench.needs_series:
-            lacking = "they lack metrics that it asks for"
-        parts.append(f"{standing.missing:,} cannot be used ({lacking}); cells that this campaign requests are simulated again")
-    if not parts:
-        return None
-    every = standing.anew + standing.again + standing.missing
-    count = "1 stored run" if every == 1 else f"{every:,} stored runs"
-    verb = "was" if every == 1 else "were"
-    beginning = f"{count} of all campaigns {verb} first scored by another formula than {bench.evaluator_id}"
-    return f"{beginning}: {'; '.join(parts)}"
-
-
 def _fingerprints(bench: Bench) -> list[str]:
     return [setup.fingerprint for setup in bench.setups.values()]

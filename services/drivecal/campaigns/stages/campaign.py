@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from drivecal.campaigns.cells.earlier import earlier_versions
 from drivecal.campaigns.cells.planning import View
-from drivecal.campaigns.cells.rerating import note_of, rate_stored_runs
+from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.maps import check_basis, stored_map, warnings_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem
@@ -128,11 +128,10 @@ class StagedCampaign(Job):
     def _begin(self) -> None:
         rate_stored_runs(self._database, self._view)
         claims = self._take_claims()
-        note = note_of(self._database, self._view)
         campaign = self._campaign()
         with self._database.read() as connection:  # what was known of the map when the campaign was submitted
             warnings = warnings_of(connection, self._problem, campaign.influence_map_id, campaign.created_at)
-        notes = [*claims, *warnings, *([] if note is None else [note])]
+        notes = [*claims, *warnings]
         if notes:
             self._problem = replace(self._problem, notes=(*self._problem.notes, *notes))
         self._stage = self._next(campaign)

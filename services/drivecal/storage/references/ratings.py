@@ -8,11 +8,10 @@ import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, case, exists, func, or_, select
+from sqlalchemy import Connection, exists, func, or_, select
 
 from drivecal.domain.evaluations import Rating
 from drivecal.storage.engine.bulk import insert as insert_into
-from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import campaigns, ratings, runs
 from drivecal.storage.references import metrics
 
@@ -66,38 +65,6 @@ def unrated(
         query = query.where(runs.c.failure.is_not(None))
     read = metrics.reader(connection)
     return [UnratedRun(row.id, read(row.metrics), row.failure) for row in connection.execute(query)]
-
-
-@dataclass(frozen=True, slots=True)
-class RatingCoverage:
-    """Numbers of runs that were simulated for other evaluators: rated by this one from what is stored of them (`anew`), simulated again
-    for it (`again`), and not rated by it (`missing`)."""
-
-    anew: int
-    again: int
-    missing: int
-
-
-def standing(connection: Connection, setup_ids: Sequence[int], evaluator: str, watermark: int) -> RatingCoverage:
-    """Counts the runs in these setups and their ratings by `evaluator` ("name version"), both up to `watermark`."""
-    seen, later = ratings.c.since <= watermark, ratings.c.since > 0
-    joined = runs.outerjoin(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator) & seen)
-    query = (
-        select(runs.c.campaign_sequence, func.count(), func.count(ratings.c.run_id), func.count(case((later, 1))))
-        .select_from(joined)
-        .where(runs.c.setup_id.in_(setup_ids), runs.c.id <= watermark)
-        .group_by(runs.c.campaign_sequence)
-    )
-    counted = connection.execute(query).all()
-    anew, again, missing = 0, 0, 0
-    resolutions = select(campaigns.c.sequence, campaigns.c.resolution)
-    rows = rows_among(connection, resolutions, campaigns.c.sequence, [row[0] for row in counted])
-    used = {sequence: (resolution or {}).get("evaluator", evaluator) for sequence, resolution in rows}
-    for sequence, every, rated, repeated in counted:
-        anew += rated - repeated if used.get(sequence) != evaluator else 0
-        again += repeated
-        missing += every - rated
-    return RatingCoverage(anew, again, missing)
 
 
 def insert(connection: Connection, evaluator: str, rated: Sequence[tuple[int, Rating]]) -> None:

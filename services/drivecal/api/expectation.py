@@ -1,0 +1,262 @@
+"""Checks of requests, and what they are expected to cost, without a change of the database."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import Connection
+
+from drivecal.api.dependencies import Limits
+from drivecal.api.live.dispatcher_health import judge
+from drivecal.campaigns.comparison import ComparisonProblem, resolve_comparison
+from drivecal.campaigns.resolve.bench import Bench
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.maps import check_basis, warnings_of
+from drivecal.campaigns.resolve.outside import indices_of
+from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
+from drivecal.campaigns.resolve.workbench import stored_bundles
+from drivecal.campaigns.stages.robustness import check_source
+from drivecal.campaigns.stages.validation import check_predictions, runs_at_most
+from drivecal.contracts.campaign import STUDIES, ExpectedRuns
+from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
+from drivecal.contracts.outside.sets import ProposedSet
+from drivecal.contracts.specification import CampaignSpecification, MapReference, Values
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, TooLargeError
+from drivecal.storage import processes
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
+from drivecal.storage.outside import imported
+from drivecal.storage.references import influence_maps, runs
+from drivecal.storage.references.influence_maps import StoredInfluenceMap
+
+MAP = "sensitivity.map"
+ASSUMED_MILLISECONDS = 8.0
+"""CPU time of one simulation in the built-in scenarios, on a machine of today."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """A simulation occupies a worker for `milliseconds`, `measured` in these setups or else assumed; `workers`: None if the
+    dispatcher is silent."""
+
+    milliseconds: float
+    measured: bool
+    workers: int | None
+
+    def seconds(self, simulations: int) -> float | None:
+        """Returns the time that simulations take; None without workers."""
+        return None if self.workers is None else simulations * self.milliseconds / 1000 / self.workers
+
+
+def pace(connection: Connection, fingerprints: Sequence[str]) -> Pace:
+    """Returns the pace of simulations in the setups with these fingerprints."""
+    measured = runs.recent_milliseconds(connection, fingerprints)
+    dispatcher = processes.read(connection, processes.DISPATCHER)
+    workers = None
+    if dispatcher is not None and not judge(dispatcher, now()).silent:
+        workers = len(dispatcher.detail.get("workers", [])) or None
+    return Pace(measured or ASSUMED_MILLISECONDS, measured is not None, workers)
+
+
+def expected(database: Database, limits: Limits, specification: CampaignSpecification) -> ExpectedRuns:
+    """Returns the expected cost of a campaign. Raises InvalidInputError and TooLargeError as `submit` does."""
+    problem = checked(database, limits, specification)
+    with database.read() as connection:
+        used = stored_parts(connection, problem)
+        known = pace(connection, [setup.fingerprint for setup in problem.bench.setups.values()])
+        warnings = warnings_of(connection, problem, used, now())
+        of_predictions = runs_at_most(connection, problem)
+    runs = problem.expected_runs()
+    runs = runs.model_copy(update={"validation": runs.validation + of_predictions})
+    at_most = runs.sensitivity_at_most + runs.calibration_at_most + sum(getattr(runs, study) for study in STUDIES)
+    guessed = not known.measured and not problem.bench.is_driven  # nothing is known of a simulator that never ran
+    time = (
+        {} if guessed else {"milliseconds": known.milliseconds, "measured": known.measured, "seconds": known.seconds(at_most)}
+    )
+    notes = [*warnings, *runs.notes, *([] if guessed else advice(problem, runs.calibration_at_most, known.milliseconds))]
+    return runs.model_copy(update={"notes": notes, "workers": known.workers, **time})
+
+
+CELL_MILLISECONDS = 20.0
+"""CPU time of `surrogate` for the choice of a cell, with some hundred answers of six scenarios."""
+WORTHWHILE_MILLISECONDS = 200.0
+"""Time of a simulation from which on a careful choice costs less than a tenth of it."""
+MOST_MODELLED = 5_000
+"""Simulations up to which `surrogate` is advised."""
+
+
+def advice(problem: CalibrationProblem, simulations: int, milliseconds: float) -> list[str]:
+    """Returns notes on a better choice of the optimizer, if there is one.
+
+    Args:
+        problem: the campaign.
+        simulations: at most, of its search.
+        milliseconds: time of one simulation.
+    """
+    chosen = problem.optimization
+    if chosen is None:
+        return []
+    if chosen.plugin.name == "surrogate" and milliseconds < CELL_MILLISECONDS:
+        return [
+            (
+                f"a simulation takes {milliseconds:.3g} ms, and the choice of a cell about {CELL_MILLISECONDS:g} ms of a core: with several"
+                " times the simulations `optimizer: {kind: genetic}` may find as good a set in the same time"
+            )
+        ]
+    if chosen.by_cell is None and milliseconds >= WORTHWHILE_MILLISECONDS and simulations <= MOST_MODELLED:
+        return [
+            (
+                f"for {simulations:,} simulations of {milliseconds:.3g} ms, `optimizer: {{kind: surrogate}}` and a budget find better sets"
+                " on most problems (docs: optimizers)"
+            )
+        ]
+    return []
+
+
+def resolved(database: Database, specification: CampaignSpecification) -> CalibrationProblem:
+    """Returns the resolved campaign, whose `start_results` became start sets. Raises InvalidInputError with every fault, a missing map's
+    included."""
+    wanted = specification.optimizer
+    try:
+        if wanted is None or wanted.start_results is None:
+            return resolve(specification, stored_bundles(database))
+        plain = wanted.model_copy(update={"start_results": None})
+        problem = resolve(specification.model_copy(update={"optimizer": plain}), stored_bundles(database))
+        begin = [*wanted.start_sets, *_imported_sets(database, problem, wanted.start_results)]
+        begun = plain.model_copy(update={"start_sets": begin})
+        return resolve(specification.model_copy(update={"optimizer": begun}), stored_bundles(database))
+    except InvalidInputError as error:
+        own = error.problems
+    diagnostics = Diagnostics()
+    if isinstance(specification.sensitivity, MapReference):
+        with database.read() as connection:
+            diagnostics.attempt(lambda: _stored_map(connection, specification))
+    raise InvalidInputError(*own, *diagnostics.problems)
+
+
+def _imported_sets(database: Database, problem: CalibrationProblem, source: str) -> list[Values]:
+    """Returns the sets of a source of results from elsewhere, at the nearest grid points, each once."""
+    field, name = "optimizer.start_results", problem.bench.bundle.manifest.problem
+    with database.read() as connection:
+        rows = imported.listing(connection, name, source)
+    if not rows:
+        raise InvalidInputError(
+            Problem(field, f"{name} has no results of {source!r}", f"`drivecal results list {name}` lists what there is")
+        )
+    given = dict.fromkeys(row.parameters for row in rows)
+    sets = [ProposedSet(key=str(number), parameters=dict(each.floats)) for number, each in enumerate(given)]
+    try:
+        points = problem.space.parameter_sets(indices_of(problem, sets))
+    except InvalidInputError as error:
+        remedy = "name the sets that fit in `start_sets`, or change the bounds"
+        raise InvalidInputError(*(Problem(field, str(fault), remedy) for fault in error.problems)) from error
+    return [dict(each.floats) for each in points]
+
+
+def refuse_without(limits: Limits, bench: Bench) -> None:
+    """Raises InvalidInputError if a run needs more of a resource than the server has."""
+    exist = limits.settings.resources
+    lacking = {
+        name: (scenario, count)
+        for scenario, request in bench.requests.items()
+        for name, count in request.resources.items()
+        if count > exist.get(name, 0)
+    }
+    if lacking:
+        raise InvalidInputError(
+            *(
+                Problem(
+                    "problem",
+                    f"scenario {scenario} needs {count} {name}, and this server has {exist.get(name, 0)}",
+                    f"start the server with --resources {name}={count} or more, or leave the scenario out",
+                )
+                for name, (scenario, count) in lacking.items()
+            )
+        )
+
+
+def checked(database: Database, limits: Limits, specification: CampaignSpecification) -> CalibrationProblem:
+    """Returns the resolved campaign. Raises TooLargeError if its stages propose too many cells, and InvalidInputError if it needs more of
+    a resource than there is."""
+    problem, largest = resolved(database, specification), limits.settings.largest_campaign
+    refuse_without(limits, problem.bench)
+    runs = problem.expected_runs()
+    stages = {"optimizer": runs.calibration_proposed, "sensitivity": runs.sensitivity_at_most} | {
+        study: getattr(runs, study) for study in STUDIES
+    }
+    total = sum(stages.values())
+    if total <= largest:
+        return problem
+    stage = max(stages, key=lambda name: stages[name])
+    message = f"the campaign may propose {total:,} cells, {stages[stage]:,} of them here"
+    wanted, what = problem.optimization, "samples or scenarios"
+    if stage == "optimizer" and wanted is not None and wanted.iterations is None:
+        message += f": a budget of {runs.calibration_proposed:,} simulations"
+        what = "budget.simulations"
+    elif stage == "optimizer" and wanted is not None:
+        sizes = f"{wanted.population:,} individuals x {wanted.iterations:,} iterations x {len(problem.scenarios)} scenarios"
+        message, what = f"{message}: {sizes}", "population, iterations or scenarios"
+    raise TooLargeError(Problem(stage, message, f"this server takes {largest:,}; reduce {what}"))
+
+
+def expected_comparison(database: Database, limits: Limits, specification: ComparisonSpecification) -> ExpectedComparison:
+    """Returns the expected cost of a comparison. Raises InvalidInputError and TooLargeError as `compare` does."""
+    problem = checked_comparison(database, limits, specification)
+    with database.read() as connection:
+        compared_map(connection, problem)
+        known = pace(connection, [setup.fingerprint for setup in problem.problems[0].bench.setups.values()])
+    return ExpectedComparison(
+        runs=len(problem.runs),
+        proposed=problem.proposed,
+        at_most=problem.at_most,
+        milliseconds=known.milliseconds,
+        measured=known.measured,
+        workers=known.workers,
+        seconds=known.seconds(problem.at_most),
+        notes=list(dict.fromkeys(note for resolved in problem.problems for note in resolved.notes)),
+    )
+
+
+def checked_comparison(database: Database, limits: Limits, specification: ComparisonSpecification) -> ComparisonProblem:
+    problem = resolve_comparison(specification, stored_bundles(database))
+    refuse_without(limits, problem.problems[0].bench)
+    if problem.proposed > limits.settings.largest_campaign:
+        message = f"the {len(problem.runs):,} campaigns of the comparison may propose {problem.proposed:,} cells"
+        remedy = f"this server takes {limits.settings.largest_campaign:,}; reduce populations, iterations, seeds, optimizers or scenarios"
+        raise TooLargeError(Problem("populations", message, remedy))
+    return problem
+
+
+def compared_map(connection: Connection, problem: ComparisonProblem) -> str | None:
+    """Returns the id of the influence map that the comparison names. Raises InvalidInputError if it does not fit the campaigns."""
+    return next((named_map(connection, row) for row in problem.problems if row.specification.sensitivity is not None), None)
+
+
+def stored_parts(connection: Connection, problem: CalibrationProblem) -> str | None:
+    """Returns the id of the map that a campaign names. Raises InvalidInputError if the map or a campaign that it names does not fit."""
+    diagnostics = Diagnostics()
+    used = diagnostics.attempt(lambda: named_map(connection, problem))
+    diagnostics.attempt(lambda: check_source(connection, problem))
+    diagnostics.attempt(lambda: check_predictions(connection, problem))
+    diagnostics.raise_if_any()
+    return used
+
+
+def _stored_map(connection: Connection, specification: CampaignSpecification) -> StoredInfluenceMap | None:
+    if not isinstance(specification.sensitivity, MapReference):
+        return None
+    try:
+        return influence_maps.get(connection, specification.sensitivity.map)
+    except NotFoundError as error:
+        raise InvalidInputError(Problem(MAP, str(error), "GET /api/v1/influence-maps lists what there is")) from error
+
+
+def named_map(connection: Connection, problem: CalibrationProblem) -> str | None:
+    """Returns the id of the map that a campaign names. Raises InvalidInputError if it does not exist or fit the campaign."""
+    stored = _stored_map(connection, problem.specification)
+    if stored is None:
+        return None
+    if stored.driving_function != problem.bench.function:
+        message, remedy = f"the map is about {stored.driving_function!r}", f"name or post a map of {problem.bench.function!r}"
+        raise InvalidInputError(Problem(MAP, message, remedy))
+    check_basis(stored, problem)
+    return stored.id
