@@ -54,7 +54,7 @@ def test_a_retry_is_known_again_if_what_it_names_is_gone(
 
     headers = {"Idempotency-Key": uuid.uuid4().hex}
     first = api.http.post(f"/api/v1/{path}", json=body, headers=headers)
-    for module, name in ((submission, "_checked"), (submission, "resolve_evaluation"), (submission, "_checked_comparison")):
+    for module, name in ((submission, "checked"), (submission, "resolve_evaluation"), (submission, "checked_comparison")):
         monkeypatch.setattr(module, name, refuse)
     again = api.http.post(f"/api/v1/{path}", json=body, headers=headers)
     assert (first.status_code, again.status_code, again.json()) == (202, 202, first.json())

@@ -29,6 +29,8 @@ SMALL: dict[str, Any] = {
     "sensitivity": None,
     "parameters": EXPERT_SPACE,
     "catalogue": ["S1", "S2", "S3"],
+    "driving_function": "frenet",
+    "vehicle": {"model": "single_track"},
     "optimizer": {"kind": "genetic", "population": 24, "iterations": 6, "seed": 3},
     "reduction": {"mode": "influence", "max_error": 1},
 }

@@ -15,7 +15,6 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis.confirmation import Confirming, front_outcome
-from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.analysis.verdicts import confirmation_verdict
 from drivecal.campaigns.cells.inspection import check_reuse, form_lots_of_references, rejected_text
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
@@ -33,31 +32,19 @@ from drivecal.campaigns.stages.asking import (
     population_round,
     room_for,
 )
+from drivecal.campaigns.stages.leader import Leader
 from drivecal.campaigns.stages.replication import Replication, SeededBenches
 from drivecal.campaigns.stages.stage import Round, Stage
-from drivecal.contracts.campaign import (
-    Baseline,
-    Best,
-    CellCounts,
-    ErrorRate,
-    GenerationCounts,
-    Released,
-    Repaired,
-    SearchEnd,
-    SearchState,
-)
+from drivecal.contracts.campaign import CellCounts, ErrorRate, GenerationCounts, Released, Repaired, SearchEnd, SearchState
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import RequestedCell
 from drivecal.domain.events import EventKind
-from drivecal.domain.parameters import ParameterSet
-from drivecal.domain.rounding import same
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.optimizers.repair import RepairCount
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import AskedCell, CellAnswer
 from drivecal.reduction.assignment import Policy
-from drivecal.reduction.audit import clopper_pearson
 from drivecal.storage import evaluations, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -89,7 +76,7 @@ class Calibration(Stage):
         self._window = 1 if self._by_cell is None else WINDOW
         self.asks_ahead = self._by_cell is not None
         self._ranking = self._answers.ranking
-        self._best, self._baseline = campaign.best, campaign.baseline
+        self._leader = Leader(campaign, problem, self._ranking)
         self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
         self._notes = problem.notes
         if campaign.search is not None:
@@ -275,7 +262,7 @@ class Calibration(Stage):
             (self._asker, _), self._computation = self._computation.result(), None
         with self._database.transaction() as connection:
             if self._next == 0:
-                self._remember_baseline(connection)
+                self._leader.remember_baseline(connection)
                 return self._tracker.load(connection, share_runs=self._policy().mode != "off")
             here = connection, self._campaign.sequence, self.name, self._next - 1
             self._batches = [each for each in self._batches if not results.is_requested(*here, each[0] if each else None)]
@@ -418,7 +405,7 @@ class Calibration(Stage):
             for number in range(taken, len(tried)):
                 self._ranking.add(self._answers.read(connection, sequence, first + number))
             if tried:
-                self._describe_best(connection)
+                self._leader.describe(connection)
             chosen = self._confirming.choose(self._ranking)
             if chosen is not None and len(chosen.reused) > self._tracker.budget.left:
                 chosen = None
@@ -450,7 +437,7 @@ class Calibration(Stage):
             return None
         with self._database.transaction() as connection:
             asked = self._replication.ask(connection, self._campaign.sequence, self._next, self._search.room, self._tracker)
-            self._describe_best(connection)
+            self._leader.describe(connection)
             self._save(connection)
         return asked
 
@@ -473,7 +460,7 @@ class Calibration(Stage):
                 text = confirmation_verdict(self._confirmation).text
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": text})
                 if not is_front and confirming.tried and confirming.is_changed(best[0]):
-                    self._tell_best(connection, best[0])
+                    self._leader.tell(connection, best[0])
 
     def _close(self, number: int) -> None:
         """Closes a round: every cell has its answer."""
@@ -487,7 +474,7 @@ class Calibration(Stage):
                 self._error_rate = check_reuse(connection, self._view, number, self._problem.scenarios, self._error_rate)
                 if self._planner is not None:
                     self._released = self._planner.released(connection)
-            is_better = self._describe_best(connection)
+            is_better = self._leader.describe(connection)
             figures = self._figures(connection, number, asked, objectives)
             is_new = self._ranking.sets > sets
             self._search = task.progressed(
@@ -501,54 +488,6 @@ class Calibration(Stage):
         self._go_on()
         if self._by_cell is None and self._computation is None:
             self._asked.pop(number)
-
-    def _describe_best(self, connection: Connection) -> bool:
-        """Stores the best set; returns whether it is a better one than before."""
-        best, is_better = self._ranking.best(), False
-        if best is not None:
-            solution, alternatives = best
-            number, before, goals = solution.parameter_set, self._best, self._problem.goals
-            parameters = parameter_sets.load(connection, [number])[number]
-            self._best = Best(
-                objective=solution.objective,
-                parameters=parameters.floats,
-                scores=dict(solution.scores),
-                alternatives=alternatives,
-                violation=solution.violation,
-                undecided=solution.is_undecided,
-                constraints={} if goals is None else goals.named_bounds(solution.judgement),
-                failure_interval=clopper_pearson(*self._ranking.failed_runs(number)) if solution.replicates > 1 else None,
-                **self._ranking.uncertainty(solution),
-            )
-            changed = before is None or not same(solution.objective, before.objective, solution.span)
-            gain = 0.0 if before is None else solution.sign * (self._best.objective - before.objective)
-            # the first set that keeps all constraints may be worse than the last that does not
-            if before is None or (changed and (gain > 0 or (goals is not None and goals.bounds))):
-                self._tell_best(connection, solution)
-                is_better = True
-        unknown = self._baseline is None or self._baseline.objective is None
-        self._remember_baseline(connection)
-        if unknown and self._baseline is not None and self._baseline.objective is not None:
-            events.add(connection, self._campaign.sequence, EventKind.BASELINE, self._baseline.model_dump())
-        return is_better
-
-    def _tell_best(self, connection: Connection, solution: EvaluatedSet) -> None:
-        best = {} if self._best is None else self._best.model_dump()
-        events.add(connection, self._campaign.sequence, EventKind.BEST, best | {"iteration": solution.iteration})
-
-    def _remember_baseline(self, connection: Connection) -> None:
-        baseline: ParameterSet | None = self._problem.baseline
-        if baseline is None:
-            return
-        (number,) = parameter_sets.ensure(connection, [baseline])
-        solution: EvaluatedSet | None = self._ranking.get(number)
-        self._baseline = Baseline(
-            objective=None if solution is None else solution.objective,
-            parameters=baseline.floats,
-            scores=dict.fromkeys(self._problem.scenarios) if solution is None else dict(solution.scores),
-            violation=0.0 if solution is None else solution.violation,
-            undecided=solution is not None and solution.is_undecided,
-        )
 
     def _figures(self, connection: Connection, number: int, asked: AskedRound, objectives: Floats) -> Figures:
         cells = evaluations.counts(connection, self._campaign.sequence, self.name, number)
@@ -583,9 +522,8 @@ class Calibration(Stage):
         reuse = 0.0 if self._policy().mode == "off" else self._view.reuse_time.seconds
         if is_over and self._search.predictions_off is not None:
             notes.append(self._search.predictions_off)
-        if self._best is not None and self._best.violation > 0 and is_over:
-            broken = "is not known to keep them" if self._best.undecided else f"breaks them by {self._best.violation:.1%}"
-            notes.append(f"no set keeps all constraints on results: the best set {broken}")
+        if is_over:
+            notes += self._leader.notes()
         return replace(
             super()._snapshot(connection),
             iteration=self._next - 1 if self._next else None,
@@ -593,8 +531,8 @@ class Calibration(Stage):
             progress=self._progress(counts.requested, counts.requested + counts.pending),
             error_rate=self._error_rate,
             released=self._released,
-            best=self._best,
+            best=self._leader.best,
             confirmation=self._confirmation,
-            baseline=self._baseline,
+            baseline=self._leader.baseline,
             notes=tuple(notes),
         )

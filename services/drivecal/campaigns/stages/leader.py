@@ -1,0 +1,78 @@
+"""The best set of a search beside its baseline, as they are stored and told."""
+
+from sqlalchemy import Connection
+
+from drivecal.analysis.solutions import EvaluatedSet, Ranking
+from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.contracts.campaign import Baseline, Best
+from drivecal.domain.events import EventKind
+from drivecal.domain.rounding import same
+from drivecal.reduction.audit import clopper_pearson
+from drivecal.storage import events
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.references import parameter_sets
+
+
+class Leader:
+    """What is known of the best set of a `ranking`, and of the baseline."""
+
+    def __init__(self, campaign: StoredCampaign, problem: CalibrationProblem, ranking: Ranking) -> None:
+        self._sequence, self._problem, self._ranking = campaign.sequence, problem, ranking
+        self.best, self.baseline = campaign.best, campaign.baseline
+
+    def describe(self, connection: Connection) -> bool:
+        """Notes and tells the best set; returns whether it is a better one than before."""
+        best, is_better = self._ranking.best(), False
+        if best is not None:
+            solution, alternatives = best
+            number, before, goals = solution.parameter_set, self.best, self._problem.goals
+            parameters = parameter_sets.load(connection, [number])[number]
+            self.best = Best(
+                objective=solution.objective,
+                parameters=parameters.floats,
+                scores=dict(solution.scores),
+                alternatives=alternatives,
+                violation=solution.violation,
+                undecided=solution.is_undecided,
+                constraints={} if goals is None else goals.named_bounds(solution.judgement),
+                failure_interval=clopper_pearson(*self._ranking.failed_runs(number)) if solution.replicates > 1 else None,
+                **self._ranking.uncertainty(solution),
+            )
+            changed = before is None or not same(solution.objective, before.objective, solution.span)
+            gain = 0.0 if before is None else solution.sign * (self.best.objective - before.objective)
+            # the first set that keeps all constraints may be worse than the last that does not
+            if before is None or (changed and (gain > 0 or (goals is not None and goals.bounds))):
+                self.tell(connection, solution)
+                is_better = True
+        unknown = self.baseline is None or self.baseline.objective is None
+        self.remember_baseline(connection)
+        if unknown and self.baseline is not None and self.baseline.objective is not None:
+            events.add(connection, self._sequence, EventKind.BASELINE, self.baseline.model_dump())
+        return is_better
+
+    def tell(self, connection: Connection, solution: EvaluatedSet) -> None:
+        """Tells that this set is the best one now."""
+        best = {} if self.best is None else self.best.model_dump()
+        events.add(connection, self._sequence, EventKind.BEST, best | {"iteration": solution.iteration})
+
+    def remember_baseline(self, connection: Connection) -> None:
+        """Notes what is known of the baseline, if there is one."""
+        baseline = self._problem.baseline
+        if baseline is None:
+            return
+        (number,) = parameter_sets.ensure(connection, [baseline])
+        solution = self._ranking.get(number)
+        self.baseline = Baseline(
+            objective=None if solution is None else solution.objective,
+            parameters=baseline.floats,
+            scores=dict.fromkeys(self._problem.scenarios) if solution is None else dict(solution.scores),
+            violation=0.0 if solution is None else solution.violation,
+            undecided=solution is not None and solution.is_undecided,
+        )
+
+    def notes(self) -> list[str]:
+        """Returns that the best set of a search that is over breaks constraints, if it does."""
+        if self.best is None or self.best.violation <= 0:
+            return []
+        broken = "is not known to keep them" if self.best.undecided else f"breaks them by {self.best.violation:.1%}"
+        return [f"no set keeps all constraints on results: the best set {broken}"]
