@@ -42,7 +42,7 @@ class Asked:
 
     @property
     def columns(self) -> dict[str, Any]:
-        """What is stored of it with its campaign."""
+        """Columns of its campaign."""
         return {"idempotency_key": self.key, "body_digest": self.digest, "owner": self.owner}
 
 

@@ -1,4 +1,4 @@
-"""The best set of a search beside its baseline, as they are stored and told."""
+"""The best set of a search and its baseline, as they are stored and told."""
 
 from sqlalchemy import Connection
 
@@ -14,7 +14,7 @@ from drivecal.storage.references import parameter_sets
 
 
 class Leader:
-    """What is known of the best set of a `ranking`, and of the baseline."""
+    """The best set of a `ranking`, and the baseline."""
 
     def __init__(self, campaign: StoredCampaign, problem: CalibrationProblem, ranking: Ranking) -> None:
         self._sequence, self._problem, self._ranking = campaign.sequence, problem, ranking
@@ -56,7 +56,7 @@ class Leader:
         events.add(connection, self._sequence, EventKind.BEST, best | {"iteration": solution.iteration})
 
     def remember_baseline(self, connection: Connection) -> None:
-        """Notes what is known of the baseline, if there is one."""
+        """Takes the score of the baseline, if there is one, from the ranking."""
         baseline = self._problem.baseline
         if baseline is None:
             return
