@@ -217,6 +217,7 @@ def expected_comparison(database: Database, limits: Limits, specification: Compa
 
 
 def checked_comparison(database: Database, limits: Limits, specification: ComparisonSpecification) -> ComparisonProblem:
+    """Returns the resolved comparison. Raises TooLargeError and InvalidInputError as `checked` does."""
     problem = resolve_comparison(specification, stored_bundles(database))
     refuse_without(limits, problem.problems[0].bench)
     if problem.proposed > limits.settings.largest_campaign:

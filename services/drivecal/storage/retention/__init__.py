@@ -1,1 +1,0 @@
-"""Removal of campaigns, whose runs stay."""
