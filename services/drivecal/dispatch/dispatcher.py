@@ -33,7 +33,7 @@ from drivecal.storage import campaigns, events, traces
 from drivecal.storage.campaigns import CampaignHeading, StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.retention import removal
+from drivecal.storage.maintenance import deletion
 
 EVALUATION_PRIORITY = 1000
 """A user waits for a single evaluation; a campaign can wait a batch longer."""
@@ -233,7 +233,7 @@ class Dispatcher:
                 campaigns.stall(connection, active.campaign.sequence, round(STALL_SECONDS / 60), reason)
             events.prune(connection, now() - EVENTS_KEPT)
             traces.prune(connection, now() - TRACES_KEPT, MOST_TRACES)
-            more = removal.remove_some_keys(connection)
+            more = deletion.remove_some_keys(connection)
         for active, _ in stalled:
             active.stalled = True
         return more

@@ -17,11 +17,11 @@ from drivecal.storage import campaigns, evaluations, labels
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
+from drivecal.storage.maintenance import deletion
 from drivecal.storage.maintenance.consistency import verify
+from drivecal.storage.maintenance.deletion import delete_campaign
 from drivecal.storage.references import influence_maps, reference_keys
 from drivecal.storage.references import runs as runs_of
-from drivecal.storage.retention import deletion, removal
-from drivecal.storage.retention.deletion import delete_campaign
 
 SMALL: dict[str, Any] = WITH_ANALYSIS | {
     "sensitivity": {"intervals": 2, "samples": 3, "threshold": 0.02},
@@ -195,7 +195,7 @@ def test_an_interrupted_deletion_goes_on(database: Database) -> None:
 def test_the_keys_under_a_deleted_map_are_out_of_use_at_once_and_go_in_slices(
     database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(removal, "KEYS", 2)
+    monkeypatch.setattr(deletion, "KEYS", 2)
     with database.transaction() as connection:
         first = campaigns.request_action(connection, campaign(connection).id, "cancel")
         common: dict[str, Any] = {"name": "map", "driving_function": "frenet", "parameters": [], "scenarios": {}}
@@ -223,7 +223,7 @@ def test_the_keys_under_a_deleted_map_are_out_of_use_at_once_and_go_in_slices(
     while more:
         with database.transaction() as connection:
             left.append(connection.execute(select(func.count()).select_from(tables.reference_keys)).scalar_one())
-            more = removal.remove_some_keys(connection)
+            more = deletion.remove_some_keys(connection)
     assert left[0] == 10
     assert left[-1] == 5
     assert all(before - after <= 3 for before, after in pairwise(left))

@@ -24,7 +24,7 @@ from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.retention import deletion
+from drivecal.storage.maintenance import deletion
 
 LIMITS = Limits.of(load_settings())
 PATIENCE = 60

@@ -28,9 +28,9 @@ from drivecal.storage.engine.bulk import LARGEST_IN
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.evaluations import AnsweredCell
+from drivecal.storage.maintenance import deletion
 from drivecal.storage.references import parameter_sets, reference_keys, runs
 from drivecal.storage.references.reference_keys import Integers
-from drivecal.storage.retention import deletion
 
 ROWS = 4_000
 SMALL = {"reference_indexes", "leases", "processes", "traces", "lots"}

@@ -19,7 +19,7 @@ from drivecal.storage import campaigns, labels, revision_queries
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.retention import deletion
+from drivecal.storage.maintenance import deletion
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
 

@@ -18,12 +18,28 @@ from drivecal.storage import admission
 from drivecal.storage import campaigns as stored_campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.tables import campaigns, evaluations, influence_maps, leases, runs, traces
+from drivecal.storage.engine.tables import (
+    campaign_stages,
+    campaigns,
+    evaluations,
+    events,
+    generations,
+    influence_maps,
+    leases,
+    lots,
+    outside_sets,
+    reference_indexes,
+    reference_keys,
+    runs,
+    studies,
+    traces,
+)
 from drivecal.storage.engine.types import now
-from drivecal.storage.retention import removal
 
 SLICE = 20_000
 """Numbers of cells whose rows go in a transaction."""
+KEYS = 5_000
+"""Reference keys that go at a time."""
 MOST_LISTED = 20
 """Campaigns that a refusal names."""
 
@@ -77,8 +93,8 @@ def remove_cells(database: Database, sequence: int) -> None:
             admission.alone(connection)  # or a trace could be requested of a cell whose traces are gone already
             remove_slice(connection, sequence, range(start, start + SLICE))
     with database.transaction() as connection:
-        connection.execute(delete(traces).where(traces.c.campaign_sequence == sequence))
-        removal.remove_records(connection, sequence)
+        for table in (traces, campaign_stages, generations, lots, outside_sets, studies, events):
+            connection.execute(delete(table).where(table.c.campaign_sequence == sequence))
 
 
 def _mark(connection: Connection, sequence: int, identifier: str) -> None:
@@ -87,7 +103,10 @@ def _mark(connection: Connection, sequence: int, identifier: str) -> None:
     marked = {"deleted_at": now(), "revision": campaigns.c.revision + 1}
     connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(emptied | freed | marked))
     maps = list(connection.scalars(select(influence_maps.c.sequence).where(influence_maps.c.source == identifier)))
-    removal.retire_maps(connection, maps)
+    index = reference_indexes.c  # `remove_some_keys` removes what has no map any more
+    connection.execute(
+        update(reference_indexes).where(index.influence_map_sequence.in_(maps)).values(influence_map_sequence=-index.id)
+    )
     connection.execute(delete(influence_maps).where(influence_maps.c.sequence.in_(maps)))
 
 
@@ -104,3 +123,19 @@ def remove_slice(connection: Connection, sequence: int, numbers: range) -> None:
         connection.execute(delete(table).where(here, exists().where(cell.id == table.c.evaluation_id, mine)))
     connection.execute(delete(evaluations).where(goes))
     connection.execute(update(evaluations).where(mine, cell.lot.is_not(None)).values(lot=None))
+
+
+def remove_some_keys(connection: Connection) -> bool:
+    """Removes some keys of the retired indexes; False if none is left."""
+    table = reference_indexes.c
+    index = connection.scalar(select(table.id).where(table.influence_map_sequence < 0).order_by(table.id).limit(1))
+    if index is None:
+        return False
+    key, mine = reference_keys.c.key, reference_keys.c.index_id == index
+    following = connection.scalar(select(key).where(mine).order_by(key).offset(KEYS).limit(1))
+    if following is not None:
+        connection.execute(delete(reference_keys).where(mine, key <= following))
+        return True
+    connection.execute(delete(reference_keys).where(mine))
+    connection.execute(delete(reference_indexes).where(reference_indexes.c.id == index))
+    return True
