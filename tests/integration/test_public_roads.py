@@ -215,7 +215,7 @@ def test_another_reader_has_the_lanes_where_they_are_driven(fetched: Path, tmp_p
     }
     for number in range(len(ours.tracks)):
         for row in np.flatnonzero(~np.isnan(ours.centres[:, number]))[::10]:
-            x, y, _ = to_cartesian(ours.line, ours.stations[row], ours.centres[row, number])
+            x, y, _ = to_cartesian(ours.line, ours.line[row, 0], ours.centres[row, number])
             assert float(np.hypot(*(nodes - (x, y)).T).min()) < NEAR
 
 

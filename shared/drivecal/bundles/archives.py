@@ -31,7 +31,7 @@ LARGEST_RATIO = 1100
 DEEPEST = 32
 _EARLIEST = (1980, 1, 1, 0, 0, 0)
 _END, _ENTRY, _LOCATOR_64 = b"PK\x05\x06", b"PK\x01\x02", b"PK\x06\x07"
-_FAULTS = (
+UNREADABLE = (
     zipfile.BadZipFile,
     zlib.error,
     EOFError,
@@ -42,6 +42,7 @@ _FAULTS = (
     struct.error,
     KeyError,
 )
+"""Exceptions of zipfile for archives that are damaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +139,7 @@ def files_of(archive: bytes, largest: int = LARGEST, most_files: int = MOST_FILE
             entries = _checked_entries(opened.infolist())
             _check_size(archive, entries, largest, most_files)
             files = {name: _content(opened, entries[name]) for name in sorted(entries)}
-    except _FAULTS as error:
+    except UNREADABLE as error:
         reason = " ".join(str(error).split())
         raise _refused("", f"the archive cannot be read: {shown(reason, 200)}", "write the zip again") from error
     return files

@@ -51,7 +51,7 @@ def _road(network: bytes, route: tuple[str, ...], name: str) -> Road:
     if np.any(measured.limits != limits[:, None]):
         raise _refused(name, "has lanes with limits of their own")
     changes = np.flatnonzero(np.diff(limits, prepend=-1.0))
-    knots = tuple(SpeedKnot(float(measured.stations[row]), float(limits[row])) for row in changes)
+    knots = tuple(SpeedKnot(float(measured.line[row, 0]), float(limits[row])) for row in changes)
     return Road(resampled(measured.line, measured.length, SPACING), measured.length, lanes, width, knots)
 
 

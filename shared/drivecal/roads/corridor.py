@@ -13,7 +13,6 @@ from heapq import heappop, heappush
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from drivecal.contracts.strict_json import shown
@@ -71,14 +70,13 @@ class Track:
 class Corridor:
     """The lanes of a route in Frenet coordinates.
 
-    `line` is the reference line (n, 5) as in `domain.roads`. `tracks` go from right to left. `stations` (k,) are equally spaced in s; the
-    arrays (k, m) have a row for each. `centres` are the tracks' offsets from the line (m), positive to the left, NaN if the track is not
-    there. Lane `widths` (m) and speed `limits` (m/s) apply up to the next station.
+    `line` is the reference line (n, 5) as in `domain.roads`. `tracks` go from right to left. The arrays (n, m) have a row for each of the
+    line. `centres` are the tracks' offsets from the line (m), positive to the left, NaN if the track is not there. Lane `widths` (m) and
+    speed `limits` (m/s) apply up to the next row.
     """
 
     line: Floats
     tracks: tuple[Track, ...]
-    stations: Floats
     centres: Floats
     widths: Floats
     limits: Floats
@@ -124,8 +122,8 @@ class Corridor:
         """Returns the track whose lane holds a point, None if there is none. Of two that overlap, the closer centre counts."""
         if not 0.0 <= s <= self.length:
             return None
-        row = s / self.stations[1]
-        low = min(int(row), len(self.stations) - 2)
+        row = s / self.line[1, 0]
+        low = min(int(row), len(self.line) - 2)
         share = row - low
         centres = (1.0 - share) * self.centres[low] + share * self.centres[low + 1]
         off = np.abs(d - centres)
@@ -165,8 +163,7 @@ def corridor(
         track, (centres[:, number], widths[:, number], limits[:, number]) = _track(chain, lanes, places, guide.line)
         tracks.append(track)
     parallel = not any(track.begin > 0.0 or track.ends for track in tracks) and _is_parallel(network, route)
-    stations = guide.line[:, 0].copy()
-    result = Corridor(guide.line, tuple(tracks), stations, centres, widths, limits, name, places.table, parallel)
+    result = Corridor(guide.line, tuple(tracks), centres, widths, limits, name, places.table, parallel)
     _check(result, network, lanes, places)
     return result
 
@@ -231,33 +228,16 @@ def _track(chain: Chain, lanes: Lanes, places: _Places, line: Floats) -> tuple[T
     end = stations[-1] if chain.last == len(lanes.edges) - 1 else min(stations[-1], pieces[-1][2])
     there = (stations >= begin) & (stations <= end)
     at = np.clip(np.searchsorted([piece[1] for piece in pieces], stations, side="right") - 1, 0, None)
-    columns = (np.interp(stations, s, d), _widths(measured, at, stations), _limits(measured, at, stations))
-    centre, width, limit = (np.where(there, column, np.nan) for column in columns)
+    widths, limits = np.empty((2, len(stations)))
+    for number, (lane, place) in enumerate(measured):
+        here = at == number
+        share = np.interp(stations[here], place[:, 1], place[:, 0] / max(lane.length, 1e-9))
+        widths[here] = lane.width if lane.widths is None else np.interp(share, *lane.widths.T)
+        limits[here] = limits_at(lane, share)
+    centre, width, limit = (np.where(there, column, np.nan) for column in (np.interp(stations, s, d), widths, limits))
     stops = [max(stop, following[1]) for (_, _, stop), following in pairwise(pieces)] + [pieces[-1][2]]
     named = tuple(LanePiece(lane.edge, lane.index, start, stop) for (lane, start, _), stop in zip(pieces, stops, strict=True))
     return Track(named, float(begin), float(end), chain.last < len(lanes.edges) - 1), (centre, width, limit)
-
-
-def _widths(measured: Sequence[tuple[Lane, Floats]], at: npt.NDArray[np.int64], stations: Floats) -> Floats:
-    """Returns a track's width at each station; `at`: the piece there."""
-    widths = np.empty(len(stations))
-    for number, (lane, place) in enumerate(measured):
-        here = at == number
-        if lane.widths is None:
-            widths[here] = lane.width
-        else:
-            share = np.interp(stations[here], place[:, 1], place[:, 0] / max(lane.length, 1e-9))
-            widths[here] = np.interp(share, *lane.widths.T)
-    return widths
-
-
-def _limits(measured: Sequence[tuple[Lane, Floats]], at: npt.NDArray[np.int64], stations: Floats) -> Floats:
-    """Returns a track's limit at each station; `at`: the piece there."""
-    limits = np.empty(len(stations))
-    for number, (lane, place) in enumerate(measured):
-        here = at == number
-        limits[here] = limits_at(lane, np.interp(stations[here], place[:, 1], place[:, 0] / max(lane.length, 1e-9)))
-    return limits
 
 
 def _measured_pieces(chain: Chain, places: _Places) -> Iterator[tuple[Lane, Floats]]:

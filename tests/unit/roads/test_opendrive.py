@@ -87,7 +87,7 @@ def test_tracks_lie_on_lanes_of_the_file(route: tuple[str, str]) -> None:
     road, lanes = drive(route), truth(route[0])
     for number in range(len(road.tracks)):
         for row in np.flatnonzero(~np.isnan(road.centres[:, number]))[::10]:
-            x, y, _ = to_cartesian(road.line, road.stations[row], road.centres[row, number])
+            x, y, _ = to_cartesian(road.line, road.line[row, 0], road.centres[row, number])
             assert min(distance(x, y, points) for points in lanes.values()) < NEAR
 
 
@@ -110,7 +110,7 @@ def test_every_lane_of_the_file_beside_the_drive_is_a_track(route: tuple[str, st
                         assert at is not None, (entry.id, index, s)
                         track = road.lane_at(*at)
                         assert track is not None
-                        row = round(at[0] / road.stations[1])
+                        row = round(at[0] / road.line[1, 0])
                         assert road.widths[row, track] == pytest.approx(lane_width(lane, s - begin), abs=0.05)
                         assert road.centres[row, track] == pytest.approx(at[1], abs=NEAR)
 

@@ -35,7 +35,7 @@ def changes(road: Corridor, track: int) -> list[tuple[float, float]]:
     """Returns the places where the limit of a track changes, and the new limits."""
     limits = road.limits[:, track]
     rows = np.flatnonzero(np.diff(limits, prepend=-1.0))
-    return [(float(road.stations[row]), float(limits[row])) for row in rows]
+    return [(float(road.line[row, 0]), float(limits[row])) for row in rows]
 
 
 def test_a_limit_holds_from_its_place_on_in_the_driving_direction() -> None:

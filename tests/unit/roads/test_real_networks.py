@@ -52,11 +52,11 @@ def test_centres_widths_and_limits_are_those_of_the_file(name: str) -> None:
         for piece in track.lanes:
             lane = lane_of(name, piece.edge, piece.index)
             shape = [point[:2] for point in lane.getShape()]
-            rows = np.flatnonzero((road.stations > piece.begin + 1.0) & (road.stations < piece.end - 1.0))
+            rows = np.flatnonzero((road.line[:, 0] > piece.begin + 1.0) & (road.line[:, 0] < piece.end - 1.0))
             assert np.allclose(road.widths[rows, number], lane.getWidth())
             assert np.allclose(road.limits[rows, number], lane.getSpeed())
             for row in rows[:: max(1, len(rows) // 15)]:
-                x, y, _ = to_cartesian(road.line, road.stations[row], road.centres[row, number])
+                x, y, _ = to_cartesian(road.line, road.line[row, 0], road.centres[row, number])
                 assert sumolib.geomhelper.distancePointToPolygon((x, y), shape) < NEAR
 
 

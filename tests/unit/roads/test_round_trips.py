@@ -55,7 +55,7 @@ def test_the_centre_of_a_lane_is_in_its_track(name: str, which: float, share: fl
     place = lanes.places[piece.edge, piece.index]
     s, d = lanes.position(piece.edge, piece.index, float(share * place[-1, 0]))
     if track.begin + 1.0 <= s <= track.end - 1.0:
-        off = [abs(float(np.interp(s, lanes.stations, centres)) - d) for centres in lanes.centres.T]
+        off = [abs(float(np.interp(s, lanes.line[:, 0], centres)) - d) for centres in lanes.centres.T]
         assert off[number] < 0.2
         assert lanes.lane_at(s, d) in [other for other, distance in enumerate(off) if distance <= off[number] + 1e-9]
 

@@ -42,7 +42,7 @@ def test_on_the_main_road_the_acceleration_lane_is_a_track_that_begins_and_ends(
         ("after", 1),
     ]
     assert np.isnan(road.centres[0]).tolist() == [True, False, False]
-    middle = len(road.stations) // 2
+    middle = len(road.line[:, 0]) // 2
     assert road.centres[middle, 0] < road.centres[middle, 1] < road.centres[middle, 2]
 
 
@@ -60,7 +60,7 @@ def test_from_the_ramp_the_line_changes_to_a_lane_that_goes_on() -> None:
 def test_widths_and_limits_are_those_of_each_edge() -> None:
     road = drive(entrance(), "before", "beside", "after")
     for s, width, limit in ((100.0, 3.75, 33.33), (550.0, 3.5, 33.33), (1000.0, 3.0, 27.78)):
-        row = int(np.searchsorted(road.stations, s))
+        row = int(np.searchsorted(road.line[:, 0], s))
         assert road.widths[row, 1] == pytest.approx(width)
         assert road.limits[row, 1] == pytest.approx(limit)
 

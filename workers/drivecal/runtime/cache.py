@@ -144,8 +144,7 @@ class BundleCache:
         """Removes what killed workers left of bundles that they unpacked. Only names that `unpack` makes are touched."""
         self._tidied = True
         for path in self._folder.glob(".*-*"):
-            named = path.name[1:].partition("-")[0]
-            is_digest = len(named) == 64 and set(named) <= set("0123456789abcdef")
+            is_digest = _DIGEST.fullmatch(path.name[1:].partition("-")[0]) is not None
             try:
                 status = path.lstat()
                 is_old = time.time() - status.st_mtime > LEFT_SECONDS

@@ -1,9 +1,7 @@
 """Reads the modelDescription.xml of an FMU (FMI 2.0 and 3.0, co-simulation): variables with their units."""
 
 import math
-import struct
 import zipfile
-import zlib
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -12,6 +10,7 @@ from pathlib import Path
 from typing import IO
 
 from drivecal.bundles import units
+from drivecal.bundles.archives import UNREADABLE
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.roads.documents import Attributes, read_elements
@@ -29,17 +28,6 @@ INTEGERS: Mapping[str, tuple[int, int]] = {
 """Smallest and largest value of each type of integers."""
 _WHOLE = {*INTEGERS, "Enumeration", "Boolean"}
 _TYPES = NUMBERS | _WHOLE | {"String", "Binary", "Clock"}
-_FAULTS = (
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    KeyError,
-    OSError,
-    EOFError,
-    NotImplementedError,
-    RuntimeError,
-    ValueError,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +70,7 @@ def read_fmu(file: str | Path | IO[bytes], name: str | None = None) -> FmuDescri
     try:
         with Path(file).open("rb") if isinstance(file, str | Path) else nullcontext(file) as whole:
             content = _content(whole)
-    except _FAULTS as error:
+    except UNREADABLE as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else " ".join(str(error).split())
         raise _refused(name, f"it cannot be read as an FMU: {shown(reason, 200)}", "give an .fmu file") from error
     if len(content) > LARGEST_DESCRIPTION:

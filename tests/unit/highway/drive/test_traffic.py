@@ -120,7 +120,7 @@ def test_sumo_s_cars_have_the_scenario_s_limit_where_the_file_has_none(tmp_path:
 
 def test_a_front_beyond_the_end_of_its_edge_stays_on_the_track() -> None:
     road = corridor(read_network(entrance(), "road.net.xml"), ["before", "beside", "after"], "road.net.xml")
-    lanes = SumoLanes(road, road.stations)
+    lanes = SumoLanes(road, road.line[:, 0])
     end = float(road.places["before", 0][-1, 0])
     edge, lane, position = lanes.ahead("before", 0, end + 30.0)
     assert (edge, lane) == ("beside", 1)  # lane 0 of this edge is that of the ramp

@@ -259,14 +259,7 @@ class Traffic:
         try:
             if self._has_actions and self._actions.pending:
                 self._act(index * self.step)
-            track, along = at[geometry.TRACK], at[geometry.ALONG]
-            if track == self._track and self._placed < self._border and index % CHECKED_STEPS:
-                # Along its lane by the speed that leads there, which takes SUMO a tenth of the time of a search by coordinates.
-                way = max(along - self._placed, 0.0)
-                self._placed += way
-                SET_SPEED(EGO, way / self.step)
-            else:
-                self._guide(index)
+            self._guide(index)
             STEP()
             if (ARRIVED() or (not self._is_exact and DEPARTED())) and not self._update():
                 if at[geometry.S] > self.road.length - self.scenario.ego.length - at[geometry.OWN_SPEED] * self.step:
@@ -307,12 +300,13 @@ class Traffic:
     def _guide(self, index: int) -> None:
         """Puts SUMO's ego vehicle to where it reaches its place at the end of the step.
 
-        Into its lane by name, also if SUMO took another one behind a split; by coordinates if its way in this step begins or ends inside of
-        a junction, or begins before the route.
+        Along its lane by the speed that leads there, which takes SUMO a tenth of the time of a search by coordinates; into its lane by
+        name, also if SUMO took another one behind a split; by coordinates if its way in this step begins or ends inside of a junction, or
+        begins before the route.
         """
         at, speed = self._at, self._at[geometry.OWN_SPEED]
         track, along = int(at[geometry.TRACK]), at[geometry.ALONG]
-        if track == self._track and index % CHECKED_STEPS and self._is_followed(track):
+        if track == self._track and index % CHECKED_STEPS and (self._placed < self._border or self._is_followed(track)):
             way = max(along - self._placed, 0.0)
             self._placed += way
             SET_SPEED(EGO, way / self.step)
