@@ -2,22 +2,28 @@
 
 The files come in packages of PyPI under the GPL, so they are fetched and not stored here: `ASAP2_Demo_V161.a2l` of pya2ldb, which reads A2L
 by a parser in C++, and ASAM's and ETAS's demonstrations of CDF 2.0 in the source archive of asamint. No package holds a DCM: that of
-a public project under the MIT licence is next to `tests/unit/calibration_data/test_dcm.py`.
+a public project under the MIT licence is next to `tests/unit/calibration_data/test_curves.py`.
 """
 
 import hashlib
 import json
+import math
 import subprocess
 import sys
 import tarfile
+from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
+from tests.unit.calibration_data.test_curves import expected, in_another_reader
 
 from drivecal.calibration_data import files
-from drivecal.calibration_data.sections import chosen_by, joined, sections_of
+from drivecal.calibration_data.carried import carried
+from drivecal.calibration_data.characteristics import Characteristic
+from drivecal.calibration_data.sections import joined, sections_of
 from drivecal.domain.errors import InvalidInputError
 
 pytestmark = [pytest.mark.packages, pytest.mark.timeout(900)]
@@ -32,7 +38,8 @@ FILES = {
     f"{CDF20_DEMO}.cdfx": "dd024a95659c9a4693127ae43cee6efd7bce04dac74c82cc9f797237c8d7099a",
 }
 """SHA-256 of the files that the numbers below are about."""
-RASTER = 1e-4
+KINDS = {"VALUE", "CURVE", "MAP", "VAL_BLK"}
+RASTER = 2e-3
 """Largest distance of drivecal's limits from the file's, as a share: drivecal rounds inwards to values of the control unit."""
 BY_ANOTHER = """
 import json
@@ -47,6 +54,16 @@ rows = [
         row.phys_unit.unit if row.phys_unit else units.get(row.conversion, ""),
         row.conversion in units or row.conversion == "NO_COMPU_METHOD",
         any((row.dependent_characteristic, row.virtual_characteristic, row.read_only)),
+        [
+            (
+                axis.attribute,
+                axis.axis_pts_ref.axisPoints if axis.axis_pts_ref else "",
+                axis.fix_axis_par_dist.numberapo if axis.fix_axis_par_dist else
+                len(axis.fix_axis_par_list.axisPts_Value) if axis.fix_axis_par_list else 0,
+            )
+            for axis in row.axis_descr
+        ],
+        list(row.matrix_dim.numbers) if row.matrix_dim else [],
     )
     for row in session.query(model.Characteristic)
 ]
@@ -90,7 +107,7 @@ def by_another(fetched: Path, folder: Path, content: bytes) -> list[list[Any]]:
 
 @pytest.mark.parametrize(
     ("name", "scalars", "faults"),
-    list(zip([name for name in FILES if name.endswith(".a2l")], (35, 23, 1, 28), (7, 2, 0, 0), strict=True)),
+    list(zip([name for name in FILES if name.endswith(".a2l")], (49, 37, 3, 43), (7, 2, 0, 0), strict=True)),
 )
 def test_another_reader_has_the_same_characteristics_of_an_a2l(
     fetched: Path, tmp_path: Path, name: str, scalars: int, faults: int
@@ -104,8 +121,8 @@ def test_another_reader_has_the_same_characteristics_of_an_a2l(
             unit.strip().strip("-"),
             is_described,
         )
-        for label, description, kind, lower, upper, unit, is_described, follows in rows
-        if kind == "VALUE" and not follows
+        for label, description, kind, lower, upper, unit, is_described, follows, axes, sizes in rows
+        if kind in KINDS and not follows and "CURVE_AXIS" not in [axis[0] for axis in axes] and (kind != "VAL_BLK" or sizes)
     }
     ranges = (
         ("VTAB_RANGE", "TAB_VERB") if name.startswith("pya2l") else ("VTAB_RANGE",)
@@ -116,47 +133,65 @@ def test_another_reader_has_the_same_characteristics_of_an_a2l(
     ours = {
         row.name: (row.description, row.lower, row.upper, "" if row.unit == "1" else row.unit, row.fault is None)
         for row in content.characteristics
+        if row.kind != "COM_AXIS"
     }
     assert ours == theirs
+    axes = {row[0]: row[8:] for row in rows}
+    for row in content.characteristics:
+        if row.kind in {"CURVE", "MAP"}:
+            assert [[axis.kind, axis.shared, len(axis.points)] for axis in row.axes] == axes[row.name][0]
+        elif row.kind == "VAL_BLK":
+            assert [len(axis.points) for axis in row.axes] == [size for size in axes[row.name][1] if size > 1]
     assert sorted(content.skipped) == sorted(row[0] for row in rows if row[0] not in theirs)
     assert len(ours) == scalars
     assert sum(row.fault is not None for row in content.characteristics) == faults
 
 
-def test_what_has_a_fault_in_a_public_a2l_is_refused_with_line_and_remedy_and_the_rest_is_usable(fetched: Path) -> None:
-    content = files.read(public(fetched, ASAP2_DEMO), "demo.a2l")
-    faulty = [row for row in content.characteristics if row.fault is not None]
-    with pytest.raises(InvalidInputError) as refused:
-        sections_of(faulty[:1], {}, 0.5)
-    assert [problem.field for problem in refused.value.problems] == ["demo.a2l, line 4361"]
-    assert "--match" in refused.value.problems[0].remedy
-    chosen = chosen_by(content.characteristics, ["ASAM.C.SCALAR.?BYTE.*"])
-    assert set(sections_of(chosen, {}, 0.5).parameters) == {row.name for row in chosen}
-    assert not set(faulty) & set(chosen)
+def of_xml(content: bytes) -> dict[str, list[Any]]:
+    """Values and points of axes in a CDFX by name, as an XML library has them."""
+    return {
+        node.findtext("SHORT-NAME") or "": [
+            [each.text if each.tag == "VT" else float(each.text or "") for each in part.iter() if each.tag in {"V", "VT"}]
+            for part in node.iterfind(".//SW-VALUES-PHYS")
+        ]
+        for node in ET.fromstring(content).iter("SW-INSTANCE")
+    }
 
 
-def test_an_xml_library_has_the_same_scalars_of_a_cdfx(fetched: Path) -> None:
-    content = files.read(public(fetched, f"{CDF20_DEMO}.cdfx"), "demo.cdfx")
-    root = ET.fromstring(public(fetched, f"{CDF20_DEMO}.cdfx"))
-    leaves = [node for node in root.iter("SW-INSTANCE") if node.find("SW-INSTANCE") is None]
-    scalars = [node for node in leaves if node.findtext("CATEGORY") in {"VALUE", "BOOLEAN", "ASCII"}]
-    theirs = []
-    for node in scalars:
-        (value,) = node.iterfind(".//SW-VALUES-PHYS/*")
-        text = (value.text or "").strip()
-        theirs.append(
-            (node.findtext("SHORT-NAME"), text if value.tag == "VT" else float(text), node.findtext("LONG-NAME") or "")
-        )
-    assert [(row.name, row.value, row.description) for row in content.characteristics] == theirs
-    assert (len(theirs), len(content.skipped)) == (4, len(leaves) - 4)
+def expected_in_xml(row: Characteristic, own: Collection[str]) -> list[Any]:
+    """The same of a characteristic; `own`: kinds of axes whose points stand with its values."""
+    return [list(row.values) or [row.value], *(list(axis.points) for axis in row.axes if axis.kind in own)]
 
 
-def test_an_a2l_and_the_cdfx_that_belongs_to_it_become_a_parameter(fetched: Path) -> None:
-    given = [files.read(public(fetched, CDF20_DEMO + end), f"demo{end}") for end in (".a2l", ".cdfx")]
-    chosen = chosen_by(joined(content.characteristics for content in given), ["CDF20.Dependent.Base*"])
-    sections = sections_of(chosen, {"CDF20.Dependent.Base.FW_wU16": "base"}, 0.5)
-    assert sections.parameters == {"base": {"lower": 0, "upper": 35565, "integer": True, "description": "Dependent Base"}}
-    assert sections.baseline == {"base": 17}
+@pytest.mark.parametrize("name", [name for name in FILES if name.startswith("asamint") and name.endswith(".a2l")])
+def test_curves_and_maps_of_a_public_a2l_keep_values_and_axes_in_other_readers(
+    fetched: Path, tmp_path: Path, name: str
+) -> None:
+    described = files.read(public(fetched, name), name).characteristics
+    if name.startswith(CDF20_DEMO):
+        held = files.read(public(fetched, f"{CDF20_DEMO}.cdfx"), "demo.cdfx").characteristics
+        fixed = [row.axes[0].points for row in [*described, *held] if row.name == "CDF20.curve.FKL_xFIX_wU8"]
+        assert fixed[0] == fixed[1]
+        theirs = of_xml(public(fetched, f"{CDF20_DEMO}.cdfx"))
+        ours = {row.name: expected_in_xml(row, {"STD_AXIS", "FIX_AXIS"}) for row in held if "ASCII" not in row.name}
+        assert (len(ours), ours) == (9, {name: theirs[name] for name in ours})
+    else:  # no file has their values
+        held = []
+        for row in (row for row in described if row.axes):
+            axes = tuple(replace(axis, points=axis.points or (1.5, 2.5, 4.0)) for axis in row.axes)
+            values = range(math.prod(len(axis.points) for axis in axes))
+            held.append(replace(row, axes=axes, values=tuple(value / 16 for value in values)))
+    curves = [row for row in joined([described, held]) if row.values]
+    assert {row.kind for row in curves} > {"CURVE", "COM_AXIS"}
+    assert sections_of(curves, {}, 0.5).baseline.keys() == {row.name for row in curves}
+    changed = replace(curves[0], values=(0.125, *curves[0].values[1:]))
+    for rows, chosen in ((curves, []), ([changed, *curves[1:]], [changed])):
+        for form in ("dcm", "cdfx"):
+            (tmp_path / f"base.{form}").write_bytes(files.write(form, curves, None))
+            (tmp_path / f"set.{form}").write_bytes(carried(tmp_path / f"base.{form}", form, chosen))
+        assert in_another_reader(tmp_path / "set.dcm") == {row.name: expected(row) for row in rows}
+        ours = {row.name: expected_in_xml(row, {"STD_AXIS", "FIX_AXIS", "COM_AXIS", "RES_AXIS"}) for row in rows}
+        assert of_xml((tmp_path / "set.cdfx").read_bytes()) == ours
 
 
 @pytest.mark.parametrize("name", FILES)

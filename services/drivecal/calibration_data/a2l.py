@@ -1,11 +1,23 @@
-"""A2L (ASAM MCD-2 MC, ASAP2): names, limits, units and resolutions of a control unit's scalar characteristics. It holds no values."""
+"""A2L (ASAM MCD-2 MC, ASAP2): names, limits, units, resolutions and axes of a control unit's characteristics. It holds no values, and only
+the fixed points of axes: the others stand in the control unit's memory.
+"""
 
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import takewhile
 
-from drivecal.calibration_data.characteristics import Characteristic, Content, decoded, problem_of, refused, unit_of
+from drivecal.calibration_data.characteristics import (
+    Axis,
+    Characteristic,
+    Content,
+    decoded,
+    index,
+    problem_of,
+    refused,
+    unit_of,
+)
 from drivecal.contracts.strict_json import shown
 
 _TOKEN = re.compile(
@@ -20,6 +32,8 @@ _WHOLE = re.compile(r"U?(?:BYTE|WORD|LONG)|SBYTE|SWORD|SLONG|A_U?INT64")
 _IDENTICAL = "NO_COMPU_METHOD"
 _FOLLOWING = frozenset({"DEPENDENT_CHARACTERISTIC", "VIRTUAL_CHARACTERISTIC"})
 """Blocks of characteristics that follow from others."""
+_AXES = {"VALUE": 0, "CURVE": 1, "MAP": 2, "VAL_BLK": 1}
+"""Least number of axes of each kind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,14 +45,15 @@ class _Token:
 
 @dataclass(slots=True)
 class _Block:
-    """Content between `/begin KIND` and `/end KIND`, without the blocks inside, but with their kinds."""
+    """Content between `/begin KIND` and `/end KIND`, and the blocks inside apart from it."""
 
     kind: str
     line: int
     module: int = 0
     """Number of the MODULE around it, whose names are its own."""
     tokens: list[_Token] = field(default_factory=list)
-    inside: set[str] = field(default_factory=set)
+    inside: "list[_Block]" = field(default_factory=list)
+    """Not of a whole project or module."""
 
     def text(self, position: int) -> str:
         return self.tokens[position].text if position < len(self.tokens) else ""
@@ -54,36 +69,38 @@ class _Block:
         return []
 
 
-@dataclass(slots=True)
-class _Described:
-    """Blocks that describe values, by module, kind and name."""
-
-    blocks: dict[tuple[int, str, str], _Block] = field(default_factory=dict)
-
-    def get(self, module: int, kind: str, name: str) -> _Block | None:
-        return self.blocks.get((module, kind, name))
+_Described = dict[tuple[int, str, str], _Block]
+"""Blocks that describe values, by module, kind and name."""
 
 
 def read(content: bytes, file: str) -> Content:
-    """Returns the characteristics of type VALUE. Raises InvalidInputError with the line of the first fault that concerns all of them."""
-    described = _Described()
+    """Returns the characteristics of types VALUE, CURVE, MAP and VAL_BLK, and the axes that curves share (COM_AXIS). Raises
+    InvalidInputError with the line of the first fault that concerns all of them."""
+    described: _Described = {}
     wanted: list[_Block] = []
     result = Content()
     for block in _blocks(decoded(content, file), file):
         if block.kind == "CHARACTERISTIC":
-            if block.text(2) == "VALUE" and not block.inside & _FOLLOWING and not block.has("READ_ONLY"):
+            follows = any(each.kind in _FOLLOWING for each in block.inside)
+            if block.text(2) in _AXES and not follows and not block.has("READ_ONLY"):
                 wanted.append(block)
             else:
                 result.skipped.append(block.text(0))
         elif block.kind == "INSTANCE":
             result.skipped.append(block.text(0))
-        elif block.kind in {"COMPU_METHOD", "COMPU_VTAB", "COMPU_VTAB_RANGE", "RECORD_LAYOUT"}:
-            described.blocks[block.module, block.kind, block.text(0)] = block
-    names: set[str] = set()
+        elif block.kind in {"COMPU_METHOD", "COMPU_VTAB", "COMPU_VTAB_RANGE", "RECORD_LAYOUT", "AXIS_PTS"}:
+            described[block.module, block.kind, block.text(0)] = block
+    shared: dict[str, _Block] = {}
     for block in wanted:
-        characteristic = _characteristic(block, described, file)
-        result.add(file, characteristic, names)
-        names.add(characteristic.name)
+        characteristic = _characteristic(block, block.text(2), described, file)
+        axes = tuple(_axes(block, described))
+        is_known = _AXES[characteristic.kind] <= len(axes) <= 2
+        result.add(file, characteristic.name, replace(characteristic, axes=axes) if is_known else None)
+        blocks = [described.get((block.module, "AXIS_PTS", axis.shared)) for axis in axes if axis.kind == "COM_AXIS"]
+        shared |= {each.text(0): each for each in blocks if each is not None and not each.has("READ_ONLY")}
+    for name in [name for name in shared if name not in result.names]:
+        axis = _characteristic(shared[name], "COM_AXIS", described, file)
+        result.add(file, name, replace(axis, axes=(index(_count(shared[name].text(7))),)))
     return result
 
 
@@ -118,9 +135,10 @@ def _blocks(text: str, file: str) -> Iterator[_Block]:
         if token.text == "/begin":
             is_a2l = is_a2l or name.text == "PROJECT"
             module += name.text == "MODULE"
-            if open_blocks:
-                open_blocks[-1].inside.add(name.text)
-            open_blocks.append(_Block(name.text, token.line, module))
+            block = _Block(name.text, token.line, module)
+            if open_blocks and open_blocks[-1].kind not in {"PROJECT", "MODULE"}:
+                open_blocks[-1].inside.append(block)
+            open_blocks.append(block)
         elif not open_blocks or open_blocks[-1].kind != name.text:
             expected = f"of {open_blocks[-1].kind} (line {open_blocks[-1].line})" if open_blocks else "of no block"
             raise refused(file, token.line, f"/end {shown(name.text)} stands at the end {expected}", "correct the file")
@@ -132,38 +150,40 @@ def _blocks(text: str, file: str) -> Iterator[_Block]:
         raise refused(file, 1, "it has no /begin PROJECT", "give an A2L file")
 
 
-def _characteristic(block: _Block, described: _Described, file: str) -> Characteristic:
-    """Reads: name, description, type, address, deposit, largest difference, conversion, lower and upper limit, then optional fields."""
-    if len(block.tokens) < 9:
+def _characteristic(block: _Block, kind: str, described: _Described, file: str) -> Characteristic:
+    """Reads: name, description, type, address, deposit, largest difference, conversion, lower and upper limit, then optional fields. An
+    axis has its input and record layout in the places of address and deposit, and the number of its points before the limits."""
+    first = 8 if kind == "COM_AXIS" else 7
+    if len(block.tokens) < first + 2:
         raise refused(file, block.line, f"the characteristic {shown(block.text(0))} is incomplete", "export the file again")
     name, conversion = block.text(0), block.text(6)
-    lower, upper = _limit(block.text(7)), _limit(block.text(8))
-    method = described.get(block.module, "COMPU_METHOD", conversion)
+    lower, upper = _limit(block.text(first)), _limit(block.text(first + 1))
+    method = described.get((block.module, "COMPU_METHOD", conversion))
     fault = None
-    for token, limit in ((block.tokens[7], lower), (block.tokens[8], upper)):
+    for token, limit in zip(block.tokens[first:], (lower, upper), strict=False):
         if math.isnan(limit):
             remedy = f"correct the limit of {shown(name)}, or leave it out by --match"
             fault = problem_of(file, token.line, f"{shown(token.text)} is not a number", remedy)
     if method is None and conversion != _IDENTICAL:
         message, remedy = f"there is no COMPU_METHOD {shown(conversion)}", "export the file again, or leave it out by --match"
         fault = problem_of(file, block.tokens[6].line, message, remedy)
-    layout = described.get(block.module, "RECORD_LAYOUT", block.text(4))
-    is_whole = layout is not None and any(_WHOLE.fullmatch(text) for text in layout.after("FNC_VALUES", 1)[1:2])
-    unit = next(iter(block.after("PHYS_UNIT", 9)), method.text(4) if method else "")
+    layout = described.get((block.module, "RECORD_LAYOUT", block.text(4)))
+    values = "AXIS_PTS_X" if kind == "COM_AXIS" else "FNC_VALUES"
+    is_whole = layout is not None and any(_WHOLE.fullmatch(text) for text in layout.after(values, 1)[1:2])
     choices: dict[str, float] = {}
     if method is not None and method.text(2) == "TAB_VERB":
         choices, message, remedy = _choices(method, described, lower, upper)
         if message:
             fault = problem_of(file, block.tokens[6].line, message, remedy)
     raster = _raster(method) if is_whole else None
-    given = [float(text) for text in block.after("STEP_SIZE", 9)[:1] if _is_number(text)]
+    given = _numbers(block.after("STEP_SIZE", 9)[:1])
     step = given[0] if given and given[0] > 0 else None if raster is None else raster.step
     is_integer = raster is not None and not choices and step == raster.step == 1.0 and raster.offset.is_integer()
     if raster is not None and step == raster.step and not choices and math.isfinite(lower):
         lower = raster.first_from(lower)
     return Characteristic(
         name,
-        unit=unit_of(unit),
+        unit=_unit(block, method),
         description=" ".join(block.text(1).split()),
         lower=lower if math.isfinite(lower) else None,
         upper=upper if math.isfinite(upper) else None,
@@ -173,18 +193,58 @@ def _characteristic(block: _Block, described: _Described, file: str) -> Characte
         codes=tuple(choices.values()),
         line=block.line,
         fault=fault,
+        kind=kind,
     )
+
+
+def _unit(block: _Block, method: _Block | None) -> str:
+    return unit_of(next(iter(block.after("PHYS_UNIT", 6)), method.text(4) if method else ""))
+
+
+def _axes(block: _Block, described: _Described) -> Iterator[Axis]:
+    """Yields the axes of a characteristic: an array's are numbered; a curve's have kind, input, conversion, largest number of points, lower
+    and upper limit, then optional fields. An axis that is a curve itself is missing."""
+    if block.text(2) == "VAL_BLK":
+        sizes = [*takewhile(bool, map(_count, block.after("MATRIX_DIM", 9)[:3] or block.after("NUMBER", 9)[:1]))]
+        while len(sizes) > 1 and sizes[-1] == 1:
+            sizes.pop()
+        yield from map(index, sizes)
+    for axis in (each for each in block.inside if each.kind == "AXIS_DESCR"):
+        kind = axis.text(0)
+        method = described.get((block.module, "COMPU_METHOD", axis.text(2)))
+        lower, upper = (limit if math.isfinite(limit) else None for limit in map(_limit, (axis.text(4), axis.text(5))))
+        points: tuple[float, ...] = ()
+        if kind == "FIX_AXIS" and (method or axis.text(2) == _IDENTICAL) and (raster := _raster(method)) is not None:
+            points = tuple(raster.offset + raster.sign * raster.step * stored for stored in _fixed(axis))
+        if kind != "CURVE_AXIS":
+            unit = "1" if kind == "RES_AXIS" else _unit(axis, method)  # its points are positions in a table
+            yield Axis(kind, points, unit, next(iter(axis.after("AXIS_PTS_REF", 6)), ""), lower, upper)
+
+
+def _fixed(axis: _Block) -> Iterator[float]:
+    """Yields the points of a fixed axis as they are stored."""
+    for listed in axis.inside:
+        yield from _numbers([token.text for token in listed.tokens]) if listed.kind == "FIX_AXIS_PAR_LIST" else ()
+    for keyword in ("FIX_AXIS_PAR", "FIX_AXIS_PAR_DIST"):
+        if given := _numbers(axis.after(keyword, 6)[:3]):
+            distance = 2.0 ** given[1] if keyword == "FIX_AXIS_PAR" else given[1]
+            yield from (given[0] + number * distance for number in range(_count(f"{given[2]:.0f}")))
+
+
+def _count(text: str) -> int:
+    """Returns a number of points; 0 if it is none."""
+    return int(text) if text.isdecimal() and len(text) < 5 else 0
 
 
 def _choices(method: _Block, described: _Described, lower: float, upper: float) -> tuple[dict[str, float], str, str]:
     """Returns the texts of an enumeration's values within the limits, with their numbers; or else what is wrong, and the remedy."""
     remedy = "export the file again, or leave it out by --match"
     name = next(iter(method.after("COMPU_TAB_REF", 5)), "")
-    table, ranges = (described.get(method.module, kind, name) for kind in ("COMPU_VTAB", "COMPU_VTAB_RANGE"))
+    table, ranges = (described.get((method.module, kind, name)) for kind in ("COMPU_VTAB", "COMPU_VTAB_RANGE"))
     if table is None and ranges is None:
         return {}, f"there is no COMPU_VTAB {shown(name)}, which COMPU_METHOD {shown(method.text(0))} names", remedy
     texts: dict[str, float] = {}
-    for first, last, text in _rows(table) if table is not None else _triples(ranges):
+    for first, last, text in _rows(table, 4, 1) if table is not None else _rows(ranges, 3, 2):
         if last < lower or first > upper:
             continue
         if first != last:
@@ -194,27 +254,21 @@ def _choices(method: _Block, described: _Described, lower: float, upper: float) 
     return texts, "" if texts else f"{shown(name)} has no text for a value from {lower:g} to {upper:g}", remedy
 
 
-def _rows(table: _Block) -> Iterator[tuple[float, float, str]]:
-    """Yields value, value and text of a COMPU_VTAB's rows."""
-    for value, text in zip(table.tokens[4::2], table.tokens[5::2], strict=False):
-        if text.is_string and _is_number(value.text):
-            yield float(value.text), float(value.text), text.text
-
-
-def _triples(table: _Block | None) -> Iterator[tuple[float, float, str]]:
-    """Yields least value, largest value and text of a COMPU_VTAB_RANGE's rows."""
-    tokens = table.tokens if table is not None else []
-    for first, last, text in zip(tokens[3::3], tokens[4::3], tokens[5::3], strict=False):
-        if text.is_string and _is_number(first.text) and _is_number(last.text):
-            yield float(first.text), float(last.text), text.text
+def _rows(table: _Block | None, first: int, n_values: int) -> Iterator[tuple[float, float, str]]:
+    """Yields least value, largest value and text of the rows of a COMPU_VTAB or COMPU_VTAB_RANGE, which begin at a position."""
+    tokens = table.tokens[first:] if table is not None else []
+    for row in zip(*(tokens[position :: n_values + 1] for position in range(n_values + 1)), strict=False):
+        if row[-1].is_string and (values := _numbers([token.text for token in row[:-1]])):
+            yield values[0], values[-1], row[-1].text
 
 
 @dataclass(frozen=True, slots=True)
 class _Raster:
-    """Physical values that whole numbers stand for: `offset` and all multiples of `step` from it."""
+    """Physical values that whole numbers stand for: `offset` and all multiples of `step` from it; with `sign` that of the number."""
 
     step: float
     offset: float = 0.0
+    sign: float = 1.0
 
     def first_from(self, lower: float) -> float:
         """Returns the least value of the raster that is not below a limit."""
@@ -230,19 +284,20 @@ def _raster(method: _Block | None) -> _Raster | None:
         return _Raster(1.0)
     if method.text(2) == "LINEAR":  # physical = a stored + b
         factors = _numbers(method.after("COEFFS_LINEAR", 5)[:2])
-        return _Raster(abs(factors[0]), factors[1]) if len(factors) == 2 and factors[0] else None
+        return _Raster(abs(factors[0]), factors[1], math.copysign(1, factors[0])) if len(factors) == 2 and factors[0] else None
     if method.text(2) == "RAT_FUNC":  # stored = (a x^2 + b x + c) / (d x^2 + e x + f)
         factors = _numbers(method.after("COEFFS", 5)[:6])
         if len(factors) < 6:
             return None
         a, b, c, d, e, f = factors
-        return _Raster(abs(f / b), -c / b) if a == d == e == 0 and b != 0 and f != 0 else None
+        return _Raster(abs(f / b), -c / b, math.copysign(1, f / b)) if a == d == e == 0 and b != 0 and f != 0 else None
     return None
 
 
 def _numbers(texts: Sequence[str]) -> list[float]:
     """Returns the numbers of texts; an empty list if a text is not a number."""
-    return [float(text) for text in texts] if all(map(_is_number, texts)) else []
+    numbers = [_limit(text) for text in texts]
+    return numbers if all(map(math.isfinite, numbers)) else []
 
 
 def _limit(text: str) -> float:
@@ -251,10 +306,3 @@ def _limit(text: str) -> float:
         return float(int(text, 16)) if text.lower().startswith("0x") else float(text)
     except (ValueError, OverflowError):
         return math.nan
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False

@@ -1,8 +1,8 @@
-"""The common content of calibration files: scalar characteristics, and the origin of their values."""
+"""The common content of calibration files: characteristics, and the origin of their values."""
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass, field
+from typing import Any
 
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -11,15 +11,38 @@ LARGEST_FILE = 256 << 20
 MOST_CHARACTERISTICS = 1_000_000
 UNITLESS = frozenset({"", "-", "1"})
 """Units of numbers without a unit; drivecal's is `1`, that of calibration files `-`."""
+INDEX = "INDEX"  # kind of the axes of arrays, whose points are 0, 1, ...
+Places = tuple[tuple[int, int], ...]
+"""Begin and end of each number in the text of a DCM, or the bytes of a CDFX."""
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """An axis of a curve, map or array. `kind`: STD_AXIS, COM_AXIS, RES_AXIS, FIX_AXIS or INDEX. `points` are empty while no file says
+    them. `shared`: name of the axis that stands in the file by itself. `lower`, `upper`: limits of the points."""
+
+    kind: str
+    points: tuple[float, ...] = ()
+    unit: str = "1"
+    shared: str = ""
+    lower: float | None = None
+    upper: float | None = None
+    places: Places = ()
+
+
+def index(size: int, kind: str = INDEX) -> Axis:
+    """Returns an axis whose points are the numbers of the values."""
+    return Axis(kind, tuple(map(float, range(size))))
 
 
 @dataclass(frozen=True, slots=True)
 class Characteristic:
-    """A scalar value of a control unit. What a file does not say is None or empty.
+    """A value, curve, map, array or axis of a control unit. What a file does not say is None or empty.
 
     `value`: a number, or the text of a choice, in physical units. `lower`, `upper`, `step`: limits and resolution. `choices`: texts of an
     enumeration, with their numbers in `codes`. `line` is its line in the file. `fault`: the reason why it cannot become a parameter; the
-    other characteristics of its file can.
+    other characteristics of its file can. `kind`: VALUE, CURVE, MAP, VAL_BLK or COM_AXIS, the points of a shared axis. All but VALUE have
+    `axes`, and `values` in the place of `value`: along the first axis first.
     """
 
     name: str
@@ -34,6 +57,23 @@ class Characteristic:
     codes: tuple[float, ...] = ()
     line: int = 0
     fault: Problem | None = None
+    kind: str = "VALUE"
+    axes: tuple[Axis, ...] = ()
+    values: tuple[float, ...] = ()
+    places: Places = ()
+
+    @property
+    def rows(self) -> list[tuple[float, ...]]:
+        """The values of a map or table, a row along the first axis for each point of the second one; of a curve one row."""
+        width = len(self.values) // len(self.axes[1].points) if len(self.axes) > 1 else len(self.values)
+        return [self.values[begin : begin + width] for begin in range(0, len(self.values), width or 1)]
+
+    @property
+    def given(self) -> Any:
+        """The value as a problem has it: of a curve a list, of a map a list for each point of x. None without a value."""
+        if not self.axes or not self.values:
+            return self.value
+        return list(self.values) if len(self.axes) == 1 else [list(column) for column in zip(*self.rows, strict=True)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,25 +96,23 @@ class Quality:
 
 @dataclass(slots=True)
 class Content:
-    """Content of a file. `skipped`: names of characteristics that are not scalars."""
+    """Content of a file. `skipped`: names of characteristics that cannot become parameters."""
 
     characteristics: list[Characteristic] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
+    names: set[str] = field(default_factory=set)
 
-    def add(self, file: str, characteristic: Characteristic, known: Collection[str]) -> None:
-        """Adds a characteristic. Raises InvalidInputError if its name is `known`, or if there are too many."""
-        if characteristic.name in known:
-            raise refused(
-                file,
-                characteristic.line,
-                f"{shown(characteristic.name)} appears twice",
-                "keep one of the two, or export each MODULE alone",
-            )
+    def add(self, file: str, name: str, given: Characteristic | None) -> None:
+        """Adds a characteristic; None is skipped. Raises InvalidInputError if there is one of its name, or if there are too many."""
+        if given is None:
+            self.skipped.append(name)
+            return
+        if name in self.names:
+            raise refused(file, given.line, f"{shown(name)} appears twice", "keep one of the two, or export each MODULE alone")
         if len(self.characteristics) >= MOST_CHARACTERISTICS:
-            raise refused(
-                file, characteristic.line, f"there are more than {MOST_CHARACTERISTICS:,} characteristics", "split it"
-            )
-        self.characteristics.append(characteristic)
+            raise refused(file, given.line, f"there are more than {MOST_CHARACTERISTICS:,} characteristics", "split it")
+        self.characteristics.append(given)
+        self.names.add(name)
 
 
 def unit_of(text: str) -> str:

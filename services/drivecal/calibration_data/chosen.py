@@ -2,9 +2,12 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from drivecal.calibration_data.characteristics import Characteristic, Quality
+import numpy as np
+
+from drivecal.calibration_data.carried import replaced
+from drivecal.calibration_data.characteristics import Axis, Characteristic, Quality, index
 from drivecal.contracts.results import CampaignResults, ResultTrust
-from drivecal.contracts.setup import SearchedParameter
+from drivecal.contracts.setup import SearchedParameter, ShapeAnswer
 from drivecal.contracts.tables import FrontRow, Solution
 
 
@@ -15,18 +18,31 @@ def characteristics_of(
     the `labels` keep their names."""
     return [
         Characteristic(
-            labels.get(parameter.name, parameter.name),
-            values[parameter.name],
-            parameter.unit,
-            lower=None if parameter.choices else parameter.lower,
-            upper=None if parameter.choices else parameter.upper,
-            integer=parameter.kind == "integer",
-            choices=tuple(parameter.choices),
-            description=parameter.description,
+            labels.get(each.name, each.name), values[each.name], each.unit, each.description,
+            None if each.choices else each.lower, None if each.choices else each.upper,
+            integer=each.kind == "integer", choices=tuple(each.choices),
         )
-        for parameter in parameters
-        if parameter.name in values
-    ]
+        for each in parameters
+        if each.name in values
+    ]  # fmt: skip
+
+
+def curves_of(
+    values: Mapping[str, float | str], shapes: Mapping[str, ShapeAnswer], labels: Mapping[str, str]
+) -> list[Characteristic]:
+    """Returns the curves and maps of a set under their labels. Those over 0, 1, ... without a unit are arrays. What is called as an axis of
+    one (`gain.x`) has its points."""
+    curves = {}
+    for name, shape in shapes.items():
+        counted = [index(len(axis)) for axis in shape.axes]
+        is_array = [list(axis.points) for axis in counted] == shape.axes and set(shape.axis_units) == {"1"}
+        own = [Axis("STD_AXIS", tuple(points), unit) for points, unit in zip(shape.axes, shape.axis_units, strict=True)]
+        kind, axes = ("VAL_BLK", counted) if is_array else (("CURVE", "MAP")[len(own) - 1], own)
+        said = (labels.get(name, name), None, shape.unit, shape.description, shape.lower, shape.upper)
+        points = np.transpose(shape.values(values)).ravel().tolist()
+        curves[said[0]] = Characteristic(*said, kind=kind, axes=tuple(axes), values=tuple(points))
+    moved = [curves.pop(label) for label in list(curves) if label[:-2] in curves and label[-2:] in {".x", ".y"}]
+    return list(replaced(curves, moved, "the problem").values())
 
 
 def quality_of(known: CampaignResults, chosen: Solution | FrontRow, figures: Iterable[tuple[str, str]]) -> Quality:

@@ -26,7 +26,7 @@ def read(content: bytes, file: str) -> Content:
     return READERS[suffix](content, file)
 
 
-def write(form: CalibrationFormat, characteristics: Sequence[Characteristic], quality: Quality) -> bytes:
+def write(form: CalibrationFormat, characteristics: Sequence[Characteristic], quality: Quality | None) -> bytes:
     """Returns a file. CSV holds no quality data."""
     if form == "csv":
         return write_table(characteristics)
@@ -57,4 +57,5 @@ def labels_of(document: object, parameters: Sequence[str] | None = None) -> dict
 
 def write_table(characteristics: Sequence[Characteristic]) -> bytes:
     """Returns a table in CSV, UTF-8, with one row per characteristic."""
-    return csv_text([COLUMNS, *([getattr(row, column) for column in COLUMNS] for row in characteristics)]).encode()
+    rows = ((row.name, row.given, row.unit, row.lower, row.upper, row.description) for row in characteristics)
+    return csv_text([COLUMNS, *rows]).encode()

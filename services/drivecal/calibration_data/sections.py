@@ -3,11 +3,12 @@
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatchcase
+from itertools import pairwise
 from typing import Any
 
-from drivecal.calibration_data.characteristics import Characteristic
+from drivecal.calibration_data.characteristics import Axis, Characteristic, index
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -15,6 +16,9 @@ from drivecal.domain.errors import InvalidInputError, Problem
 LARGEST = 1e6
 """Largest number that a parameter of drivecal may have."""
 MOST_PARAMETERS = 200
+FEW = 8
+"""Coefficients of a curve or map with more points than a problem has parameters."""
+AXES = "xy"
 SINGLE = 2.0**-23
 """Relative precision of a number of 32 bits."""
 CHANGE = 1e-6
@@ -25,39 +29,59 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
 @dataclass(slots=True)
 class Sections:
     """`parameters` and `baseline`, ready for `problem.yaml`. `guessed`: parameters whose range is only a span around their value.
-    `left_out`: texts whose choices no file has, as in a DCM without its A2L."""
+    `left_out`: why others are missing, by name: texts whose choices no file has, as in a DCM without its A2L, and curves without axes."""
 
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
-    baseline: dict[str, float | str] = field(default_factory=dict)
+    baseline: dict[str, Any] = field(default_factory=dict)
     guessed: list[str] = field(default_factory=list)
-    left_out: list[str] = field(default_factory=list)
+    left_out: dict[str, str] = field(default_factory=dict)
 
 
 def joined(files: Iterable[Sequence[Characteristic]]) -> list[Characteristic]:
     """Returns the characteristics of several files by name: what a later file does not say, an earlier one may, e.g. limits of an A2L for
-    the values of a DCM."""
+    the values of a DCM. Curves get the points of their shared axes."""
     result: dict[str, Characteristic] = {}
     for characteristics in files:
         for new in characteristics:
             known = result.get(new.name)
             result[new.name] = new if known is None else _joined(known, new)
+    for name, each in result.items():
+        axes = []
+        for axis in each.axes:
+            own = result.get(axis.shared) if axis.kind == "COM_AXIS" and not axis.points else None
+            axes.append(replace(axis, points=own.values, unit=own.unit if axis.unit == "1" else axis.unit) if own else axis)
+        result[name] = replace(each, axes=tuple(axes))
     return list(result.values())
 
 
+def axis_points(characteristics: Iterable[Characteristic]) -> list[Characteristic]:
+    """Returns the known points of axes that are not shared as characteristics of their own, `gain.x` for the first axis of `gain`."""
+    return [
+        Characteristic(
+            f"{each.name}.{letter}", unit=axis.unit, lower=axis.lower, upper=axis.upper, line=each.line, kind="COM_AXIS",
+            description=f"axis {letter} of {each.name}", axes=(index(len(axis.points)),), values=axis.points,
+        )
+        for each in characteristics
+        for letter, axis in zip(AXES, each.axes, strict=False)
+        if axis.kind == "STD_AXIS" and axis.points
+    ]  # fmt: skip
+
+
 def _joined(known: Characteristic, new: Characteristic) -> Characteristic:
-    return replace(
-        known,
-        value=known.value if new.value is None else new.value,
-        unit=known.unit if new.unit == "1" else new.unit,
-        description=new.description or known.description,
-        lower=known.lower if new.lower is None else new.lower,
-        upper=known.upper if new.upper is None else new.upper,
-        step=new.step or known.step,
-        integer=new.integer or known.integer,
-        choices=new.choices or known.choices,
-        codes=new.codes or known.codes,
-        fault=new.fault or known.fault,
-    )
+    if len(known.axes) != len(new.axes):
+        message = f"it has {len(known.axes)} axes in a file, and {len(new.axes)} in another"
+        new = replace(new, fault=Problem(shown(new.name), message, "give files of one version, or leave it out by --match"))
+    axes = []
+    for old, axis in zip(known.axes, new.axes, strict=False):
+        points = axis.points if axis.points and (new.values or not old.points) else old.points
+        kind = axis.kind if old.kind == "STD_AXIS" else old.kind  # a DCM does not have the kind of each axis
+        axes.append(replace(old, **_said(axis) | {"points": points, "kind": kind}))
+    return replace(known, **_said(new) | {"axes": tuple(axes)})
+
+
+def _said(given: Axis | Characteristic) -> dict[str, Any]:
+    """Returns what a file says: the fields that do not have their defaults."""
+    return {each.name: value for each in fields(given) if (value := getattr(given, each.name)) != each.default}
 
 
 def chosen_by(characteristics: Sequence[Characteristic], patterns: Sequence[str]) -> list[Characteristic]:
@@ -69,7 +93,7 @@ def chosen_by(characteristics: Sequence[Characteristic], patterns: Sequence[str]
         or any(characteristic.name == pattern or fnmatchcase(characteristic.name, pattern) for pattern in patterns)
     ]
     if not characteristics:
-        raise InvalidInputError(Problem("files", "they have no scalar characteristic", "give a file with some"))
+        raise InvalidInputError(Problem("files", "no characteristic can be a parameter", "give a file with some"))
     if not result:
         remedy = nearest(patterns[0], [characteristic.name for characteristic in characteristics])
         raise InvalidInputError(Problem("--match", "no characteristic is left", remedy))
@@ -87,8 +111,8 @@ def sections_of(characteristics: Sequence[Characteristic], names: Mapping[str, s
         name = names.get(characteristic.name, characteristic.name)
         if characteristic.fault is not None:
             problems.append(characteristic.fault)
-        elif isinstance(characteristic.value, str) and not characteristic.choices:
-            result.left_out.append(characteristic.name)
+        elif (reason := _missing(characteristic)) is not None:
+            result.left_out[characteristic.name] = reason
         elif not _NAME.fullmatch(name):
             message = f"{shown(name)} cannot be the name of a parameter"
             problems.append(Problem(shown(characteristic.name), message, "bind it to another name by --names"))
@@ -97,16 +121,33 @@ def sections_of(characteristics: Sequence[Characteristic], names: Mapping[str, s
         else:
             try:
                 result.parameters[name] = entry = _entry(characteristic, span, name, result.guessed)
-                if characteristic.value is not None:
+                if characteristic.values:
+                    settled = tuple(_settled(value, entry, name) for value in characteristic.values)
+                    result.baseline[name] = replace(characteristic, values=settled).given
+                elif characteristic.value is not None:
                     result.baseline[name] = _value(characteristic, name, entry)
             except InvalidInputError as error:
                 problems += error.problems
     if result.left_out and not result.parameters and not problems:
-        message = "there are only texts, and no file says what others there are"
-        problems.append(Problem(", ".join(map(shown, result.left_out)), message, "give an A2L with their enumerations, too"))
+        problems += [Problem(shown(name), why, "give a file that has it, too") for name, why in result.left_out.items()]
     if problems:
         raise InvalidInputError(*problems)
     return result
+
+
+def _missing(characteristic: Characteristic) -> str | None:
+    """Returns why a characteristic cannot be a parameter, though it has no fault."""
+    if isinstance(characteristic.value, str) and not characteristic.choices:
+        return "it is a text, and no file says what others there are (an A2L with its enumeration does)"
+    if characteristic.axes and characteristic.choices:
+        return "its values are texts"
+    for letter, axis in zip(AXES, characteristic.axes, strict=False):
+        if not axis.points:
+            named = f"its axis {letter} ({axis.shared or axis.kind})"
+            return f"no file has the points of {named}, which an A2L leaves to the memory: give a DCM or CDFX, too"
+        if len(axis.points) < 2 or any(not low < high for low, high in pairwise(axis.points)):
+            return f"the points of its axis {letter} do not rise"
+    return None
 
 
 def _value(characteristic: Characteristic, name: str, entry: Mapping[str, Any]) -> float | str:
@@ -138,7 +179,7 @@ def _settled(value: float, entry: Mapping[str, Any], name: str) -> float:
 
 
 def _entry(characteristic: Characteristic, span: float, name: str, guessed: list[str]) -> dict[str, Any]:
-    entry: dict[str, Any] = {}
+    entry: dict[str, Any] = _axes(characteristic)
     if characteristic.choices or isinstance(characteristic.value, str):
         if len(characteristic.choices) < 2:
             message = "its enumeration has fewer than two texts"
@@ -147,15 +188,17 @@ def _entry(characteristic: Characteristic, span: float, name: str, guessed: list
     else:
         lower, upper = characteristic.lower, characteristic.upper
         if lower is None or upper is None or not -LARGEST <= lower < upper <= LARGEST:
-            if characteristic.value is None:
+            values = characteristic.values or ((characteristic.value,) if characteristic.value is not None else ())
+            if not values:
                 message = "it has neither a usable range nor a value"
                 raise InvalidInputError(
                     Problem(name, message, "give a DCM or CDFX with its value, too, or leave it out by --match")
                 )
-            lower, upper = _guess(characteristic, characteristic.value, span)
+            lower, upper = _guess(characteristic, values, span)
             guessed.append(name)
         if characteristic.integer:
-            entry |= {"lower": math.ceil(lower), "upper": math.floor(upper), "integer": True}
+            whole = {"step": 1} if characteristic.axes else {"integer": True}
+            entry |= {"lower": math.ceil(lower), "upper": math.floor(upper), **whole}
         else:
             entry |= {"lower": _inwards(lower, 1), "upper": _inwards(upper, -1)}
         if entry["lower"] >= entry["upper"]:
@@ -170,10 +213,24 @@ def _entry(characteristic: Characteristic, span: float, name: str, guessed: list
     return entry
 
 
-def _guess(characteristic: Characteristic, value: float, span: float) -> tuple[float, float]:
-    """Returns a range around a value, within the limit that the characteristic has on one side."""
-    reach = max(span * abs(value) or span, 1.0 if characteristic.integer else 0.0)
-    lower, upper = value - reach, value + reach
+def _axes(characteristic: Characteristic) -> dict[str, Any]:
+    """Returns the entry's fields on the axes of a curve or map; no fields for a value."""
+    axes, entry = characteristic.axes, dict[str, Any]()
+    if len(axes) == 1:
+        entry["curve"] = {"axis": list(axes[0].points)}
+        entry["curve"] |= {"axis_unit": axes[0].unit[:32]} if axes[0].unit != "1" else {}
+    elif axes:
+        entry["map"] = {letter: list(axis.points) for letter, axis in zip(AXES, axes, strict=True)}
+        entry["map"] |= {f"{letter}_unit": axis.unit[:32] for letter, axis in zip(AXES, axes, strict=True) if axis.unit != "1"}
+    if math.prod(len(axis.points) for axis in axes) > MOST_PARAMETERS:
+        entry["coefficients"] = FEW
+    return entry | ({"monotone": "increasing"} if characteristic.kind == "COM_AXIS" else {})
+
+
+def _guess(characteristic: Characteristic, values: Sequence[float], span: float) -> tuple[float, float]:
+    """Returns a range around values, within the limit that the characteristic has on one side."""
+    reach = max(span * max(map(abs, values)) or span, 1.0 if characteristic.integer else 0.0)
+    lower, upper = min(values) - reach, max(values) + reach
     ends = characteristic.lower, characteristic.upper
     least, most = (end if end is not None and abs(end) <= LARGEST else None for end in ends)
     within = max(lower, lower if least is None else least), min(upper, upper if most is None else most)

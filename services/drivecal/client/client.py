@@ -5,11 +5,14 @@ import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from http import HTTPStatus
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import httpx
 from pydantic import ValidationError
 
+from drivecal.calibration_data import dcm
+from drivecal.calibration_data.carried import carried
 from drivecal.client.documents import Document, completed, ids_on, is_abbreviated, plain, weights_text, with_full_ids
 from drivecal.client.following import READ_SECONDS, EventParser, Following, Sent, ServerSentEvent, Told, displayed
 from drivecal.client.frames import DownloadedTable, RankedSets, Rows
@@ -521,6 +524,7 @@ class Client(Transport):
         weights: str | None = None,
         score: str | None = None,
         labels: Mapping[str, str] | None = None,
+        base: Path | None = None,
     ) -> bytes:
         """Returns a set as a calibration file.
 
@@ -532,10 +536,12 @@ class Client(Transport):
             weights: Weights under which the rank counts.
             score: Score under which the rank counts.
             labels: Names in the file, by parameter; others keep their own.
+            base: A DCM or CDFX whose other content is kept, or an A2L that has the kinds of axes.
         """
         place = ("campaigns", identifier, "calibration-file")
         listed = [f"{name}={label}" for name, label in (labels or {}).items()]
         chosen_by = {"set": rank, "front": front, "weights": weights, "score": score}
-        response = self._request("GET", place, query={"format": form, **chosen_by, "label": listed or None})
+        query = {"format": form if base is None else "dcm", **chosen_by, "label": listed or None}
+        response = self._request("GET", place, query=query)
         raise_for(response, *named(place))
-        return response.content
+        return response.content if base is None else carried(base, form, dcm.read(response.content, "set").characteristics)

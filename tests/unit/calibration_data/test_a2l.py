@@ -64,9 +64,36 @@ def test_limits_units_and_resolutions_are_physical() -> None:
     assert v0.line == 6
 
 
-def test_curves_are_listed_and_left_out() -> None:
-    content = a2l.read(file('curve "" CURVE 0x10 _U16 0 speed 0 60 /begin AXIS_DESCR STD_AXIS /end AXIS_DESCR'), "a.a2l")
-    assert (content.characteristics, content.skipped) == ([], ["curve"])
+def test_curves_have_their_axes_and_fixed_points_are_physical() -> None:
+    axes = {
+        "dist": "FIX_AXIS in speed 3 0 60 FIX_AXIS_PAR_DIST 80 160 3",
+        "shift": "FIX_AXIS in same 3 0 60 FIX_AXIS_PAR 4 3 3",
+        "listed": "FIX_AXIS in gap 3 0 60 /begin FIX_AXIS_PAR_LIST 100 150 300 /end FIX_AXIS_PAR_LIST",
+        "lost": "FIX_AXIS in missing 3 0 60 FIX_AXIS_PAR_DIST 0 1 3",
+        "std": 'STD_AXIS in speed 3 -5 60 PHYS_UNIT "km/h"',
+        "com": "COM_AXIS in gap 8 0 60 AXIS_PTS_REF shared",
+        "res": "RES_AXIS in speed 8 0 60 AXIS_PTS_REF table",
+        "bent": "CURVE_AXIS in same 8 0 60 CURVE_AXIS_REF std",
+    }
+    axes = {name: f"/begin AXIS_DESCR {axis} /end AXIS_DESCR " for name, axis in axes.items()}
+    arrays = {"row": "NUMBER 4", "table": "MATRIX_DIM 2 3 1", "cube": "MATRIX_DIM 2 3 2"}
+    content = file(
+        *(f'{name} "" CURVE 0x10 _U16 0 speed 0 60 {axis}' for name, axis in axes.items()),
+        f'both "" MAP 0x10 _F32 0 gap 0 1 {axes["com"]} {axes["dist"]}',
+        *(f'{name} "" VAL_BLK 0x10 _U16 0 same 0 9 {sizes}' for name, sizes in arrays.items()),
+    ).replace(b"/end MODULE", b"""/begin AXIS_PTS shared "own" 0x20 in _X8 0 speed 8 0 30 /end AXIS_PTS
+/begin RECORD_LAYOUT _X8 AXIS_PTS_X 1 UBYTE INDEX_INCR DIRECT /end RECORD_LAYOUT /end MODULE""")  # fmt: skip
+    read = {each.name: each for each in a2l.read(content, "a.a2l").characteristics}
+    assert a2l.read(content, "a.a2l").skipped == ["bent", "cube"]
+    points = {"dist": (1.0, 3.0, 5.0), "shift": (4.0, 12.0, 20.0), "listed": (1.0, 1.5, 3.0)}
+    assert {name: read[name].axes[0].points for name in axes if name != "bent" and read[name].axes[0].points} == points
+    std, com, res = (read[name].axes[0] for name in ("std", "com", "res"))
+    assert (std.kind, std.unit, std.lower, std.upper) == ("STD_AXIS", "km/h", -5.0, 60.0)
+    assert (com.kind, com.unit, com.shared, res.kind, res.unit) == ("COM_AXIS", "s", "shared", "RES_AXIS", "1")
+    assert [axis.kind for axis in read["both"].axes] == ["COM_AXIS", "FIX_AXIS"]
+    assert [len(axis.points) for name in ("row", "table") for axis in read[name].axes] == [4, 2, 3]
+    shared = read["shared"]
+    assert (shared.kind, shared.lower, shared.upper, shared.step, shared.unit) == ("COM_AXIS", 0.0, 30.0, 0.0125, "m/s")
 
 
 @pytest.mark.parametrize(

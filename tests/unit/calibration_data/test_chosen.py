@@ -6,12 +6,17 @@ from typing import Any
 import pytest
 
 from drivecal.analysis.verdicts import answers
+from drivecal.api.results.curves import shapes_of
+from drivecal.bundles.installed import Bundle
+from drivecal.bundles.manifest import Manifest
 from drivecal.calibration_data import cdfx, dcm
-from drivecal.calibration_data.chosen import characteristics_of, figures_of, quality_of
+from drivecal.calibration_data.chosen import characteristics_of, curves_of, figures_of, quality_of
 from drivecal.calibration_data.files import CalibrationFormat, write
+from drivecal.campaigns.resolve.problem import resolve_evaluation
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.results import CampaignResults, Light, ResultTrust, ResultVerdict
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
+from drivecal.contracts.specification import EvaluationSpecification, Given
 from drivecal.contracts.tables import FrontRow, Solution
 from drivecal.domain.scales import Direction, Scale
 
@@ -109,6 +114,43 @@ def exported(data: Data, *, weights: Weights = None, score: str | None = None, t
 
 def _read(content: bytes, form: str) -> Any:
     return (dcm if form == "dcm" else cdfx).read(content, f"set.{form}")
+
+
+def test_a_set_has_its_curves_and_the_points_of_their_axes() -> None:
+    over = {"lower": 0.0, "upper": 90.0}
+    entries = {
+        "gain": {"curve": {"axis": [0, 10, 20], "axis_unit": "m/s"}, "coefficients": 2, "unit": "1/s", **over},
+        "gain.x": {"curve": {"axis": [0, 1, 2]}, "monotone": "increasing", **over},
+        "torque": {"map": {"x": [0, 1], "y": [5, 6, 7]}, **over},
+        "block": {"map": {"x": [0, 1, 2], "y": [0, 1]}, **over},
+        "gap": over,
+    }
+    manifest = Manifest.model_validate({
+        "problem": "p", "parameters": entries, "simulator": {"kind": "python", "file": "m.py"}, "scenarios": {"s": {}},
+        "measures": {"m": "1"}, "scores": {"c": {"formula": "m", "direction": "minimise", "range": [0, 1]}},
+    })  # fmt: skip
+    table = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+    given: dict[str, Given] = {
+        "gain": [3.0, 2.0, 1.0],
+        "gain.x": [0.0, 15.0, 20.0],
+        "torque": table,
+        "block": [[1.0, 2.0]] * 3,
+        "gap": 1.0,
+    }
+    specification = EvaluationSpecification(problem="p", parameters=given)
+    resolved = resolve_evaluation(specification, lambda _: Bundle("0" * 64, "1" * 64, manifest))
+    values = {name: value for name, value in resolved.specification.parameters.items() if not isinstance(value, list)}
+    assert (values["gain_1"], values["gain_2"], values["gap"], len(values)) == (3.0, 1.0, 1.0, 18)
+    curves = curves_of(values, shapes_of(manifest), {"gain": "ACC_gain", "gain.x": "ACC_gain.x"})
+    kinds = [("ACC_gain", "CURVE", [3.0, 2.0, 1.0]), ("torque", "MAP", table), ("block", "VAL_BLK", [[1.0, 2.0]] * 3)]
+    for form in FORMS:
+        read = _read(write(form, curves, None), form).characteristics
+        assert [(each.name, each.kind, each.given) for each in read] == kinds
+        assert (read[0].axes[0].points, read[0].axes[0].unit, read[1].axes[1].points) == (
+            (0.0, 15.0, 20.0),
+            "m/s",
+            (5.0, 6.0, 7.0),
+        )
 
 
 @pytest.mark.parametrize(("light", "state"), [("red", "prelimCalibrated"), ("amber", "calibrated"), ("green", "calibrated")])

@@ -7,9 +7,9 @@ import pytest
 
 from drivecal.bundles.manifest import ParameterEntry
 from drivecal.calibration_data import dcm
-from drivecal.calibration_data.characteristics import Characteristic
+from drivecal.calibration_data.characteristics import Axis, Characteristic, index
 from drivecal.calibration_data.files import labels_of
-from drivecal.calibration_data.sections import chosen_by, joined, sections_of
+from drivecal.calibration_data.sections import axis_points, chosen_by, joined, sections_of
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Parameter
 
@@ -64,17 +64,6 @@ def test_a_label_that_is_another_parameters_name_is_refused() -> None:
     assert labels_of({"P1": "P2", "P2": "P1"}, ["P1", "P2"]) == {"P1": "P2", "P2": "P1"}
 
 
-def test_ranges_of_one_file_join_values_of_another() -> None:
-    sections = sections_of(
-        joined([[Characteristic("g", lower=0.5, upper=3.0, unit="s")], [Characteristic("g", 1.5), Characteristic("h", 2.0)]]),
-        {},
-        0.1,
-    )
-    assert sections.parameters == {"g": {"lower": 0.5, "upper": 3.0, "unit": "s"}, "h": {"lower": 1.8, "upper": 2.2}}
-    assert sections.baseline == {"g": 1.5, "h": 2.0}
-    assert sections.guessed == ["h"]
-
-
 def test_values_are_those_of_the_parameter_or_refused() -> None:
     mode = Characteristic("mode", 1.0, choices=("off", "on"), codes=(0.0, 1.0))
     whole = Characteristic("n", 3.0, lower=0.5, upper=9.5, integer=True)
@@ -117,12 +106,51 @@ def test_texts_whose_choices_no_file_has_are_left_out() -> None:
     mode, gap = Characteristic("mode", "sport", choices=("eco", "sport")), Characteristic("gap", 1.5, lower=1.0, upper=2.0)
     exported = dcm.read(dcm.write([mode, gap]), "best.dcm").characteristics
     sections = sections_of(exported, {}, 0.5)
-    assert (list(sections.parameters), sections.baseline, sections.left_out) == (["gap"], {"gap": 1.5}, ["mode"])
+    assert (list(sections.parameters), sections.baseline, sections.left_out) == (
+        ["gap"],
+        {"gap": 1.5},
+        {"mode": sections.left_out["mode"]},
+    )
     known = sections_of(joined([[mode], exported]), {}, 0.5)
     assert (known.parameters["mode"], known.baseline["mode"]) == ({"choices": ["eco", "sport"]}, "sport")
-    assert known.left_out == []
+    assert known.left_out == {}
     with pytest.raises(InvalidInputError):
         sections_of(exported[:1], {}, 0.5)
+
+
+def test_what_an_a2l_lacks_is_taken_from_another_file_or_named() -> None:
+    std, com, res = Axis("STD_AXIS", unit="m"), Axis("COM_AXIS", unit="m", shared="s"), Axis("RES_AXIS", shared="r")
+    described = [
+        Characteristic("own", lower=0.0, upper=9.0, step=0.5, kind="CURVE", axes=(replace(std, lower=0.0, upper=7.0),)),
+        Characteristic("group", lower=0.0, upper=9.0, integer=True, kind="MAP", axes=(com, std)),
+        Characteristic("scaled", lower=0.0, upper=9.0, unit="s", kind="CURVE", axes=(res,)),
+        Characteristic("s", lower=0.0, upper=99.0, kind="COM_AXIS", axes=(index(8),)),
+    ]
+    free = Characteristic("free", 2.0)
+    alone = sections_of([*described[:3], free], {}, 0.1)
+    assert (alone.parameters, list(alone.left_out)) == ({"free": {"lower": 1.8, "upper": 2.2}}, ["own", "group", "scaled"])
+    assert (alone.guessed, "(s)" in alone.left_out["group"]) == (["free"], True)
+    held = [
+        Characteristic("own", kind="CURVE", axes=(replace(std, points=(1.0, 2.0, 4.0)),), values=(3.0, 2.0, 0.5)),
+        Characteristic("group", kind="MAP", axes=(com, replace(std, points=(5.0, 6.0))), values=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)),
+        Characteristic("scaled", kind="CURVE", axes=(index(2, "RES_AXIS"),), values=(1.0, 2.0)),
+        Characteristic("s", kind="COM_AXIS", axes=(index(3),), values=(10.0, 20.0, 30.0)),
+    ]
+    for given in ([described, held], [held, described]):
+        known = joined(given)
+        made = sections_of([*known, *axis_points(known)], {}, 0.5)
+        axes = {"x": [10.0, 20.0, 30.0], "y": [5.0, 6.0], "x_unit": "m", "y_unit": "m"}
+        assert made.parameters["group"] == {"map": axes, "lower": 0, "upper": 9, "step": 1}
+        curve = {"axis": [1.0, 2.0, 4.0], "axis_unit": "m"}
+        assert made.parameters["own"] == {"curve": curve, "lower": 0.0, "upper": 9.0, "step": 0.5}
+        assert made.parameters["scaled"] == {"curve": {"axis": [0.0, 1.0]}, "lower": 0.0, "upper": 9.0, "unit": "s"}
+        assert (made.parameters["own.x"]["monotone"], made.parameters["own.x"]["upper"]) == ("increasing", 7.0)
+        points = {"own.x": [1.0, 2.0, 4.0], "s": [10.0, 20.0, 30.0], "group": [[1.0, 4.0], [2.0, 5.0], [3.0, 6.0]]}
+        assert {name: made.baseline[name] for name in points} == points
+    with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "own"):
+        sections_of(joined([described[:1], [Characteristic("own", 1.0)]]), {}, 0.5)
+    flat = replace(held[0], axes=(replace(std, points=(1.0, 1.0, 4.0)),))
+    assert list(sections_of([flat, free], {}, 0.5).left_out) == ["own"]
 
 
 def test_characteristics_are_chosen_by_their_names() -> None:

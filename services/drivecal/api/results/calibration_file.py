@@ -10,12 +10,11 @@ from drivecal.api.responses import calibration
 from drivecal.api.results.document import results_of
 from drivecal.api.tables.front import front_table
 from drivecal.api.tables.ranking import ranking
-from drivecal.calibration_data.chosen import characteristics_of, figures_of, quality_of
+from drivecal.calibration_data.chosen import characteristics_of, curves_of, figures_of, quality_of
 from drivecal.calibration_data.files import CalibrationFormat, labels_of, write
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import front_of
-from drivecal.contracts.assignments import assignments
-from drivecal.contracts.strict_json import shown
+from drivecal.contracts.assignments import assignments, settings
 from drivecal.contracts.tables import FrontRow, Solution
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.storage import campaigns
@@ -68,9 +67,12 @@ def written(database: Database, campaign: str, query: CalibrationFileOf) -> byte
         chosen = _ranked(ranked.solutions(rank - 1, rank), query, stored.id, "solutions")
     known = results_of(database, stored, front, (chosen.iteration, chosen.individual))
     figures = figures_of(known, chosen, given, query.score)
-    parameters = known.setup.parameters
-    named = labels_of(_document(query.label), [parameter.name for parameter in parameters])
-    return write(query.format, characteristics_of(chosen.parameters, parameters, named), quality_of(known, chosen, figures))
+    shapes = known.setup.shapes
+    coefficients = {name for shape in shapes.values() for name in shape.names}
+    parameters = [parameter for parameter in known.setup.parameters if parameter.name not in coefficients]
+    named = labels_of(settings(query.label, "label"), [*shapes, *(parameter.name for parameter in parameters)])
+    content = characteristics_of(chosen.parameters, parameters, named) + curves_of(chosen.parameters, shapes, named)
+    return write(query.format, content, quality_of(known, chosen, figures))
 
 
 def _ranked(listed: Sequence[Ranked], query: CalibrationFileOf, campaign: str, table: str) -> Ranked:
@@ -81,14 +83,3 @@ def _ranked(listed: Sequence[Ranked], query: CalibrationFileOf, campaign: str, t
             return row
     remedy = f"drivecal {table} {campaign} lists those that it has"
     raise InvalidInputError(Problem(field, f"campaign {campaign} has no set of rank {rank}", remedy))
-
-
-def _document(labels: Sequence[str]) -> dict[str, str]:
-    """Returns labels as a file of names has them. Raises InvalidInputError for two of one parameter."""
-    document = dict[str, str]()
-    for text in labels:
-        name, _, label = text.partition("=")
-        if name in document:
-            raise InvalidInputError(Problem("label", f"{shown(name)} has two labels", "give it one"))
-        document[name] = label
-    return document

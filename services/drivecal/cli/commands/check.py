@@ -19,12 +19,13 @@ from drivecal.client.documents import read_document
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.inventory import ProblemAnswer
-from drivecal.contracts.specification import DEFAULT_PROBLEM, GoalSpecification, Model
+from drivecal.contracts.setup import ShapeAnswer
+from drivecal.contracts.specification import DEFAULT_PROBLEM, Given, GoalSpecification, Model
 from drivecal.contracts.strict_json import Number
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, file_faults
 from drivecal.domain.scales import told
 
-Parameters = Mapping[str, float | str]
+Parameters = Mapping[str, Given]
 CALIBRATION_FILES = (".dcm", ".cdfx")
 
 
@@ -146,9 +147,9 @@ def check(
         compared: dict[str, dict[str, EvaluatedCell]] = {}
         differing = 0
         if baseline is not None:
-            values = _values(_set(client, baseline, names)[0], own)
+            values = _values(_set(client, baseline, names)[0], own, known.shapes)
             compared, differing = _evaluated(client, settings | {"parameters": values}, evaluators, wait, fresh=fresh)
-        document = settings | {"parameters": _values(parameters, own)}
+        document = settings | {"parameters": _values(parameters, own, known.shapes)}
         cells, more = _evaluated(client, document, evaluators, wait, fresh=fresh)
     checked = CheckedSet(cells, compared, known, differing + more)
     findings = list(checked.findings(wanted))
@@ -181,13 +182,15 @@ def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, Map
         document = dict(read_document(given))
         return document.get("parameters", document), {}
     from drivecal.calibration_data import files
+    from drivecal.calibration_data.sections import axis_points, joined
 
     with file_faults(Path(given), "read", "give another file"):
         content = Path(given).read_bytes()
     labels = {} if names is None else files.labels_of(dict(read_document(names)))
     by_label = {label: name for name, label in labels.items()}
-    listed = files.read(content, given).characteristics
-    return {by_label.get(each.name, each.name): each.value for each in listed if each.value is not None}, {}
+    listed = joined([files.read(content, given).characteristics])
+    listed += axis_points(listed)
+    return {by_label.get(each.name, each.name): each.given for each in listed if each.given is not None}, {}
 
 
 def _refuse_unknown(limits: Sequence[SetLimit], problem: ProblemAnswer, *, has_baseline: bool) -> None:
@@ -222,8 +225,11 @@ def _evaluators(problem: ProblemAnswer, chosen: str | None, limits: Sequence[Set
     return {first: chosen} | {limit.score: limit.score for limit in limits if limit.score not in {None, first}}
 
 
-def _values(parameters: Parameters, names: Collection[str]) -> Parameters:
-    """Returns the values of the named parameters; `parameters` may hold others as well. Raises InvalidInputError if one is missing."""
+def _values(parameters: Parameters, names: Collection[str], shapes: Mapping[str, ShapeAnswer]) -> Parameters:
+    """Returns the values of the named parameters, of curves and maps in the place of their coefficients; `parameters` may hold others
+    as well. Raises InvalidInputError if one is missing."""
+    owners = {each: name for name, shape in shapes.items() for each in shape.names}
+    names = dict.fromkeys(name if name in parameters else owners.get(name, name) for name in names)
     missing = [name for name in names if name not in parameters]
     if missing:
         remedy = "give one value per parameter; --names has the labels of a calibration file"

@@ -13,7 +13,7 @@ from drivecal.bundles.archives import content_digest, files_of
 from drivecal.bundles.fmus.bundles import fields_of_resets
 from drivecal.calibration_data import files
 from drivecal.calibration_data.characteristics import LARGEST_FILE
-from drivecal.calibration_data.sections import Sections, chosen_by, joined, sections_of
+from drivecal.calibration_data.sections import Sections, axis_points, chosen_by, joined, sections_of
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_json, print_page, when
 from drivecal.client.documents import read_document
@@ -282,6 +282,9 @@ def parameters(
     span: Annotated[
         float, typer.Option(min=1e-6, max=1e3, help="Half the width of a range that no file gives, as a share of the value.")
     ] = 0.5,
+    with_axes: Annotated[
+        bool, typer.Option("--axis-points", help="Take the points of axes as parameters, too: NAME.x, or the shared axis.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Print the parameters of calibration files as sections of problem.yaml."""
@@ -291,7 +294,9 @@ def parameters(
             read = stream.read(LARGEST_FILE + 1)
         contents.append((source, files.read(read, source)))
     labels = files.labels_of(read_document(names)) if names is not None else {}
-    chosen = chosen_by(joined(content.characteristics for _, content in contents), match or [])
+    known = joined(content.characteristics for _, content in contents)
+    offered = [*known, *axis_points(known)] if with_axes else [each for each in known if each.kind != "COM_AXIS"]
+    chosen = chosen_by(offered, match or [])
     sections = sections_of(chosen, {label: name for name, label in labels.items()}, span)
     if as_json:
         print_json({"parameters": sections.parameters, "baseline": sections.baseline})
@@ -299,13 +304,13 @@ def parameters(
         typer.echo("\n".join(_yaml(sections)))
     for source, content in contents:
         if content.skipped:
-            tell(
-                f"{source}: {len(content.skipped):,} curves, maps, other arrays, variants and values that follow from others are left out"
-            )
+            names = f"{', '.join(content.skipped[:SHOWN])}{', ...' if len(content.skipped) > SHOWN else ''}"
+            why = "texts, more than two axes, axes that are curves, variants, read-only values, values that follow from others"
+            tell(f"{source}: {len(content.skipped):,} are left out ({why}): {names}")
     if sections.guessed:
         tell(f"no file has a usable range of {', '.join(sections.guessed)}: {span:.0%} around the value was taken; correct it")
-    if sections.left_out:
-        tell(f"no file has the choices of {', '.join(sections.left_out)}: left out; give an A2L with the enumeration, too")
+    for name, reason in sections.left_out.items():
+        tell(f"{name}: left out: {reason}")
     missing = sections.parameters.keys() - sections.baseline.keys()
     if missing and sections.baseline:
         tell(f"no file has a value of {', '.join(sorted(missing))}: complete the baseline, or remove it")

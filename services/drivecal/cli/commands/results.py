@@ -104,6 +104,10 @@ def export(
         ),
     ] = None,
     names: NamesOption = None,
+    base: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Of one set: a DCM or CDFX whose other content is kept, or an A2L with its axes."),
+    ] = None,
     where: Annotated[
         list[str] | None,
         typer.Option(
@@ -132,18 +136,18 @@ def export(
             number = write_runs(client, client.full_id(identifier), folder)
         tell(f"{folder}: {number:,} runs; show them by: MLFLOW_ALLOW_FILE_STORE=true mlflow ui --backend-store-uri {folder}")
         return
-    form = "json" if as_json else form or _format_of(output)
+    form = "json" if as_json else form or _format_of(output if output != "-" or base is None else base.name)
     if weights is not None and table not in {"solutions", "front"}:
         raise typer.BadParameter("--weights needs --table solutions or front")
     if score is not None and table != "solutions":
         raise typer.BadParameter("--score needs --table solutions")
     if measures and table != "evaluations":
         raise typer.BadParameter("--measures needs --table evaluations")
-    given = {"where": where, "weights": weights, "score": score, "measures": "true" if measures else None}
+    given = {"where": where, "weights": weights, "score": score, "measures": "true" if measures else None, "base": base}
     query = {name: value for name, value in given.items() if value}
     with connect(url) as client:
         campaign_id = client.full_id(identifier)
-        if form in {"dcm", "cdfx"} or row is not None or names is not None:
+        if form in {"dcm", "cdfx"} or any(given is not None for given in (row, names, base)):
             pieces = iter([_calibration_file(client, campaign_id, table, form, row or 1, names, query)])
         else:
             pieces = _pieces(client, campaign_id, table, form, query)
@@ -183,7 +187,8 @@ def _calibration_file(
     labels = {} if names is None else labels_of(read_document(names))
     rank, front = (None, row) if table == "front" else (row, None)
     kind = cast("CalibrationFormat", form)
-    return client.calibration_file(identifier, kind, rank, front, query.get("weights"), query.get("score"), labels)
+    given = {name: value for name, value in query.items() if name in {"weights", "score", "base"}}
+    return client.calibration_file(identifier, kind, rank, front, labels=labels, **given)
 
 
 def _refuse_unranked(table: TableName, query: Mapping[str, Any]) -> None:

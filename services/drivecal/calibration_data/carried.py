@@ -1,0 +1,86 @@
+"""Chosen values in a given file of calibration data: all else stays as it is."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from xml.sax.saxutils import escape  # writes only
+
+from drivecal.calibration_data import cdfx, dcm, files
+from drivecal.calibration_data.characteristics import INDEX, Characteristic, on_one_line
+from drivecal.calibration_data.sections import AXES, SINGLE, joined
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError, Problem, file_faults
+
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+_Edit = tuple[int, int, str]  # begin, end and new text of what changes
+
+
+def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characteristic]) -> bytes:
+    """Returns the content of a base file with chosen values. A DCM or CDFX keeps every other byte; in another format than its own,
+    and of an A2L, what drivecal reads is written. Raises InvalidInputError for values that do not fit the base."""
+    file, ending = base.name, base.suffix.lower().removeprefix(".")
+    with file_faults(base, "read", "give a DCM, CDFX or A2L file"):
+        held = base.read_bytes()
+    if ending != form:
+        known = {each.name: each for each in files.read(held, file).characteristics}
+        return files.write(form, [each for each in replaced(known, chosen, file).values() if each.given is not None], None)
+    if b"\0" in held[:64]:
+        raise InvalidInputError(Problem(shown(file, 200), "its encoding is not one of single bytes", "save it as UTF-8"))
+    mark = _BYTE_ORDER_MARK if held.startswith(_BYTE_ORDER_MARK) else b""
+    body = held.removeprefix(mark)
+    content = dcm.read_text(body.decode("latin-1"), file) if ending == "dcm" else cdfx.read(body, file)  # places count bytes
+    known = {each.name: each for each in joined([content.characteristics])}
+    pieces, end = [mark], 0
+    for begin, last, text in sorted(_edits(known, replaced(known, chosen, file), ending)):
+        pieces += [body[end:begin], text.encode("ascii", "xmlcharrefreplace") if ending == "cdfx" else text.encode()]
+        end = last
+    return b"".join([*pieces, body[end:]])
+
+
+def _edits(known: Mapping[str, Characteristic], changed: Mapping[str, Characteristic], form: str) -> Iterator[_Edit]:
+    for name, old in known.items():
+        new = changed[name]
+        pairs = [(old.values or (old.value,), new.values or (new.value,), old.places)]
+        pairs += [(before.points, after.points, before.places) for before, after in zip(old.axes, new.axes, strict=True)]
+        for was, given, places in pairs:
+            for before, after, (begin, end) in zip(was, given, places, strict=False):
+                text = on_one_line(after) if isinstance(after, str) else repr(after)
+                if before != after:
+                    yield begin, end, escape(text) if form == "cdfx" else f'"{text}"' if isinstance(after, str) else text
+
+
+def replaced(known: Mapping[str, Characteristic], chosen: Sequence[Characteristic], file: str) -> dict[str, Characteristic]:
+    """Returns the known characteristics by name, with the chosen values. `gain.x` has the points of the first axis of `gain`; a shared
+    axis gives its points to its curves, too. Raises InvalidInputError for what is unknown or has other axes."""
+    given = {each.name: each for each in chosen}
+    problems, unknown, result = [], set(given), dict[str, Characteristic]()
+    for name, old in known.items():
+        new, axes = given.get(name, old), []
+        fits = name not in given or _fits(old, new)
+        for letter, axis, own in zip(AXES, old.axes, new.axes, strict=False):
+            moved = given.get(f"{name}.{letter}", given.get(axis.shared))
+            points = moved.values if moved and axis.points else axis.points if old.values else own.points
+            fits = fits and (not old.values or len(points) == len(axis.points))
+            axes.append(replace(axis, points=points))
+            unknown.discard(f"{name}.{letter}")
+        if not fits:
+            message = f"{shown(file, 200)} has another kind, number or axis of its values than the problem"
+            problems.append(old.fault or Problem(shown(name), message, "give a file that belongs to the problem's version"))
+        result[name] = replace(old, value=new.value, values=new.values, axes=tuple(axes))
+    missing = f"{shown(file, 200)} does not have it"
+    problems += [Problem(shown(name), missing, nearest(name, list(known))) for name in sorted(unknown - known.keys())]
+    if problems:
+        raise InvalidInputError(*problems)
+    return result
+
+
+def _fits(old: Characteristic, new: Characteristic) -> bool:
+    """Returns True if a file's characteristic can take values. An A2L has no values, and no axes of its own."""
+    axes = [(one, other) for one, other in zip(old.axes, new.axes, strict=False) if INDEX not in {one.kind, other.kind}]
+    points = [pair for one, other in axes for pair in zip(one.points, other.points, strict=False)]
+    same_points = all(math.isclose(one, other, rel_tol=SINGLE, abs_tol=SINGLE) for one, other in points)
+    same_size = len(old.axes) == len(new.axes) and (not old.values or len(old.values) == len(new.values))
+    same_kind = old.value is None or isinstance(old.value, str) == isinstance(new.value, str)
+    return old.fault is None and same_size and same_kind and same_points

@@ -1,0 +1,154 @@
+"""Curves, maps, arrays and shared axes in DCM and CDFX: kept to the last bit, also in another reader, and in files that others wrote."""
+
+import math
+import string
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.support.logs import log_left_as_it_was
+
+from drivecal.calibration_data import cdfx, dcm
+from drivecal.calibration_data.carried import carried
+from drivecal.calibration_data.characteristics import Axis, Characteristic, Quality, index, unit_of
+from drivecal.calibration_data.files import CalibrationFormat
+from drivecal.domain.errors import InvalidInputError
+
+PUBLIC = Path(__file__).parent / "public" / "DEMO.DCM"
+"""Written by CDM 7.2.3, from https://github.com/zhyongquan/pydcm; the folder holds its licence."""
+QUALITY = Quality(
+    "calibrated", "2026-11-21T10:00:00+00:00", "my-acc", "comfort", "process", "c" * 32, "d" * 64, (("score city", "6"),)
+)
+FORMS: Mapping[CalibrationFormat, ModuleType] = {"dcm": dcm, "cdfx": cdfx}
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+names = st.text(string.ascii_letters + string.digits + "_.", min_size=1, max_size=40)
+texts = st.text(
+    st.characters(codec="utf-8", exclude_categories=("C", "Zl", "Zp", "Zs"), exclude_characters='"'), min_size=1, max_size=40
+)
+units = texts.filter(lambda text: text not in {"-", "1"}) | st.just("1")
+
+
+@st.composite
+def characteristics(draw: st.DrawFn) -> Characteristic:
+    plain = Characteristic(draw(names), draw(numbers | texts), draw(units), draw(texts | st.just("")))
+    kind = draw(st.sampled_from(["VALUE", "CURVE", "MAP", "VAL_BLK", "COM_AXIS"]))
+    sizes = {"MAP": [3, 4], "VAL_BLK": draw(st.lists(st.integers(2, 5), min_size=1, max_size=2))}.get(kind, [3])
+    axes = [index(size) for size in sizes]
+    if kind in {"CURVE", "MAP"}:
+        axis_kind, shared = draw(st.sampled_from(["STD_AXIS", "FIX_AXIS", "COM_AXIS"])), draw(st.sampled_from(["", "-shared"]))
+        points = [sorted(draw(st.sets(numbers, min_size=size, max_size=size))) for size in sizes]
+        axes = [Axis(axis_kind, tuple(each), draw(units), shared) for each in points]
+    values = draw(st.tuples(*[numbers] * math.prod(sizes)))
+    return plain if kind == "VALUE" else replace(plain, value=None, kind=kind, axes=tuple(axes), values=values)
+
+
+several = st.lists(characteristics(), max_size=5, unique_by=lambda each: each.name)
+
+
+def plain(each: Characteristic) -> Characteristic:
+    return replace(each, line=0, places=(), axes=tuple(replace(axis, places=()) for axis in each.axes))
+
+
+def in_another_reader(file: Path) -> dict[str, tuple[Any, ...]]:
+    """Values (of curves by their points, of maps by y and x, of arrays in rows), units and descriptions in dcmReader."""
+    with log_left_as_it_was():  # importing it sets up the log of the process
+        from dcmReader.dcm_reader import DcmReader
+    other = DcmReader()
+    other.read(str(file))
+    rows = [row for name in dir(other) if name.startswith("get_") and name != "get_functions" for row in getattr(other, name)()]
+    unit = ("unit", "unit_values", "unit_x")
+    return {
+        row.name: (
+            getattr(row, "values", None) or (row.text if row.value is None else row.value),
+            unit_of(next(getattr(row, name) for name in unit if hasattr(row, name))),
+            row.description or "",
+        )
+        for row in rows
+    }
+
+
+def expected(each: Characteristic) -> tuple[Any, ...]:
+    """The same of a characteristic."""
+    values: Any = [list(row) for row in each.rows] if each.kind == "VAL_BLK" else list(each.values) or each.value
+    if each.kind in {"CURVE", "MAP"}:
+        rows = [dict(zip(each.axes[0].points, row, strict=True)) for row in each.rows]
+        values = dict(zip(each.axes[1].points, rows, strict=True)) if each.kind == "MAP" else rows[0]
+    return values, each.unit, each.description
+
+
+@given(several)
+def test_nothing_is_lost_in_a_file_also_for_another_reader(
+    tmp_path_factory: pytest.TempPathFactory, given: list[Characteristic]
+) -> None:
+    for form, module in FORMS.items():
+        base = tmp_path_factory.getbasetemp() / f"ours.{form}"
+        base.write_bytes(module.write(given, QUALITY))
+        read = module.read(base.read_bytes(), base.name).characteristics
+        assert list(map(plain, read)) == given
+        assert module.write(read, QUALITY) == carried(base, form, read) == base.read_bytes()
+    assert in_another_reader(base.with_suffix(".dcm")) == {each.name: expected(each) for each in given}
+
+
+def test_another_reader_has_the_same_of_a_public_file_before_and_after_a_change(tmp_path: Path) -> None:
+    content = dcm.read(PUBLIC.read_bytes(), PUBLIC.name)
+    assert (len(content.characteristics), content.skipped) == (5, [])
+    before = {each.name: expected(each) for each in content.characteristics}
+    assert in_another_reader(PUBLIC) == before
+    curve, table = content.characteristics[2:4]
+    changed = [
+        replace(curve, values=(0.1, *curve.values[1:])),
+        replace(table, axes=(table.axes[0], replace(table.axes[1], points=(0.5, 2.0, 3.0, 4.0, 5.0, 6.0)))),
+    ]
+    points = Characteristic(f"{table.name}.y", kind="COM_AXIS", values=changed[1].axes[1].points)
+    file = tmp_path / "after.dcm"
+    file.write_bytes(carried(PUBLIC, "dcm", [changed[0], points]))
+    assert in_another_reader(file) == before | {each.name: expected(each) for each in changed}
+    assert sum(map(bytes.__ne__, PUBLIC.read_bytes().split(), file.read_bytes().split())) == 7
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_all_that_was_not_calibrated_stays_in_a_base(tmp_path: Path, form: CalibrationFormat) -> None:
+    module, base = FORMS[form], tmp_path / f"b.{form}"
+    shared = Characteristic("s", kind="COM_AXIS", axes=(index(2),), values=(1.0, 2.0))
+    curve = Characteristic("c", kind="CURVE", axes=(Axis("COM_AXIS", (1.0, 2.0), "m", "s"),), values=(5.0, 6.0))
+    content = module.write([shared, curve, Characteristic("mode", "eco"), Characteristic("v", 1.0)]).replace(b"6.0", b"6.000")
+    texts = {"dcm": b"VARIANTENKODIERUNG\r\n anything \xe4\r\nEND\r\n", "cdfx": b"<!-- anything \xc3\xa4 -->\n"}
+    base.write_bytes(content + texts[form])
+    chosen = [replace(shared, values=(1.0, 3.0)), replace(curve, values=(7.0, 6.0)), Characteristic("mode", "a & b")]
+    changed = carried(base, form, chosen)
+    assert texts[form] in changed
+    assert b"6.000" in changed
+    read = {each.name: each for each in module.read(changed, f"b.{form}").characteristics}
+    assert (read["s"].given, read["c"].given, read["c"].axes[0].points) == ([1.0, 3.0], [7.0, 6.0], (1.0, 3.0))
+    assert (read["mode"].value, read["v"].value) == ("a & b", 1.0)
+    other: CalibrationFormat = "cdfx" if form == "dcm" else "dcm"
+    rewritten = FORMS[other].read(carried(base, other, chosen), f"b.{other}").characteristics
+    assert list(map(plain, rewritten)) == [plain(replace(read[each.name], places=())) for each in rewritten]
+    moved, short = replace(curve, axes=(Axis("STD_AXIS", (1.0, 9.0)),)), replace(curve, values=(1.0,))
+    points = Characteristic("c.x", kind="COM_AXIS", values=(1.0,))
+    for name, faulty in (
+        ("c", moved),
+        ("c", short),
+        ("c", points),
+        ("mode", Characteristic("mode", 1.0)),
+        ("w", replace(curve, name="w")),
+    ):
+        with pytest.raises(InvalidInputError) as refused:
+            carried(base, form, [faulty])
+        assert [problem.field for problem in refused.value.problems] == [name]
+
+
+def test_an_a2l_gives_the_axes_of_a_set_their_kinds(tmp_path: Path) -> None:
+    base = tmp_path / "a.a2l"
+    base.write_text("""/begin PROJECT p "" /begin CHARACTERISTIC gap "" CURVE 0 L 0 NO_COMPU_METHOD 0 9
+/begin AXIS_DESCR COM_AXIS in NO_COMPU_METHOD 8 0 9 AXIS_PTS_REF speeds /end AXIS_DESCR /end CHARACTERISTIC /end PROJECT""")
+    axis = Axis("STD_AXIS", (1.0, 2.0))
+    chosen = Characteristic("gap", kind="CURVE", axes=(axis,), values=(5.0, 6.0))
+    for form, module in FORMS.items():
+        (read,) = module.read(carried(base, form, [chosen]), "set").characteristics
+        assert plain(read) == replace(chosen, axes=(replace(axis, kind="COM_AXIS", shared="speeds"),))
