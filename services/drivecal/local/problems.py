@@ -281,6 +281,22 @@ MOST_WARNINGS = 20
 """Files that are listed."""
 
 
+def inexact_baseline(manifest: Manifest) -> list[str]:
+    """Returns a warning for each curve or map of the baseline that its coefficients cannot give exactly."""
+    warnings = []
+    for name, shape in manifest.shapes.items():
+        given, nearest = (manifest.baseline or {}).get(name), shape.values(manifest.start or {}) if manifest.start else None
+        off = 0.0 if nearest is None else float(np.abs(np.subtract(np.asarray(given), nearest)).max())
+        if off > INEXACT:
+            taken = f"{len(shape.names)} coefficients give no such values; the nearest ones are taken, off by at most {off:.3g}"
+            warnings.append(f"baseline.{name}: {taken}")
+    return warnings
+
+
+INEXACT = 1e-8
+"""Difference from a baseline's values that is reported: beyond the rounding of their decimals."""
+
+
 def cut_scores(manifest: Manifest, checked: Sequence[CheckedScenario]) -> list[str]:
     """Returns a warning for each score that is cut off, with its true value."""
     runs = [

@@ -21,6 +21,7 @@ from drivecal.contracts.specification import CampaignSpecification, EvaluationSp
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import ParameterSpace
+from drivecal.local.problems import inexact_baseline
 
 AXIS = [0.0, 5.0, 10.0, 20.0, 40.0, 45.0]
 GAIN: dict[str, Any] = {"curve": {"axis": AXIS, "axis_unit": "m/s"}, "lower": 0.2, "upper": 3.2, "unit": "1/s"}
@@ -144,12 +145,7 @@ def test_a_line_on_the_grid_has_every_form(form: dict[str, Any]) -> None:
 
 def test_lists_in_a_campaign_become_coefficients() -> None:
     bundle = Bundle("d", "f", checked(document({"coefficients": 3}, {"coefficients": 4})))
-    wanted = {
-        "problem": "shaped",
-        "catalogue": "highway",
-        "fixed": {"torque": [[7, 7, 7]] * 4},
-        "baseline": {"a": 0.5, "gain": [1] * 6},
-    }
+    wanted = {"problem": "shaped", "fixed": {"torque": [[7, 7, 7]] * 4}, "baseline": {"a": 0.5, "gain": [1] * 6}}
     problem = resolve(CampaignSpecification.model_validate(wanted), lambda _: bundle)
     assert [each.name for each in problem.space.searched] == ["a", "gain_1", "gain_2", "gain_3"]
     assert problem.baseline is not None
@@ -174,6 +170,14 @@ def test_a_simulator_gets_lists(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     [cell] = local.evaluate({"a": 0.5, "gain": [2.5] * 6, "torque": torque}, problem=folder).cells.values()
     assert cell.error is None
     assert cell.metrics == pytest.approx({"error": 0.25 + 0.25 + 1 + 2.25 + 4 + 4, "corner": 4})
+
+
+def test_a_baseline_that_coefficients_cannot_give_is_told() -> None:
+    exact = {"a": 0.5, "gain": [1] * 6, "torque": [[7, 7, 7]] * 4}
+    few: tuple[dict[str, Any], dict[str, Any]] = ({"coefficients": 3}, {"coefficients": 4})
+    assert inexact_baseline(checked(document(*few, baseline=exact))) == []
+    [warning] = inexact_baseline(checked(document(*few, baseline=exact | {"gain": [1, 2, 1, 2, 1, 2]})))
+    assert warning.startswith("baseline.gain:")
 
 
 def test_conditions_of_a_map_run_along_its_axes() -> None:

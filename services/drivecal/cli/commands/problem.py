@@ -86,6 +86,7 @@ def check(
             ask_probe,
             cut_scores,
             doubtful_ranges,
+            inexact_baseline,
             other_set,
             run_problem,
             trial_set,
@@ -102,7 +103,7 @@ def check(
             checked.append(result)
         if not any(result.other for result in checked):
             report["other_parameters"] = None  # no scenario came to it
-        report["warnings"] = [*doubtful_ranges(manifest, checked), *cut_scores(manifest, checked)]
+        report["warnings"] = [*inexact_baseline(manifest), *doubtful_ranges(manifest, checked), *cut_scores(manifest, checked)]
         report["warnings"] += [*_doubts_elsewhere(manifest, checked), *undeclared(manifest, checked)]
     report["scenarios"] = [asdict(result) | {"opened": sorted(result.opened)} for result in checked]
     if as_json:

@@ -116,7 +116,7 @@ def print_curves(campaign: Campaign, setup: CampaignSetup) -> None:
     sets = {"best": campaign.best, "baseline": campaign.baseline}
     for name, shape in setup.shapes.items():
         values = {title: shape.values(each.parameters) for title, each in sets.items() if each is not None}
-        if shape.good is not None:
+        if shape.good is not None and len(shape.axes) == 1:
             values |= {f"lowest of {shape.good.sets} good sets": shape.good.lower, "highest": shape.good.upper}
         units = [f" {unit}" if unit != "1" else "" for unit in shape.axis_units]
         unit = "" if shape.unit == "1" else f" ({shape.unit})"
