@@ -186,7 +186,7 @@ def test_simulations_that_do_not_repeat_themselves_are_told(database: Database) 
     assert any(str(ended.cells.unrepeatable) in re.findall(r"\d+", note) for note in ended.notes)
     with database.read() as connection:
         cells = results.answers(
-            connection, ended.sequence, StageName.CALIBRATION, valued=lambda metrics, _: {"draw": metrics["draw"] or 0.0}
+            connection, ended.sequence, StageName.CALIBRATION, valued=lambda metrics, *_: {"draw": metrics["draw"] or 0.0}
         )
         drawn = {(cell.iteration, cell.individual, cell.scenario): cell.values["draw"] for cell in cells if not cell.seed}
     own = [row for row in repeated if row.outcome == Outcome.SIMULATED]

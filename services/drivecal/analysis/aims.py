@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from drivecal.analysis.goals import SCORE, Aggregate, Bound, Goal, Goals, Objective
+from drivecal.domain.constraints import Columns
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.rounding import grains
 from drivecal.domain.scales import Scale
@@ -107,6 +108,12 @@ class JudgedGoals:
             scale, failed = goal.value.scale, goal.value.failed
             worth[goal.value.key] = scale.failed if scale is not None else np.nan if failed is None else failed
         return np.tile(list(worth.values()), (self.scenarios, 1))
+
+    def given(self, entries: Columns) -> Floats:
+        """Returns the values of n sets that are known without a run, shape (n, n_values); NaN for the others."""
+        changes = self.goals.changes
+        count = len(next(iter(entries.values())))
+        return np.stack([changes[key](entries) if key in changes else np.full(count, np.nan) for key in self.keys], axis=1)
 
     def of(self, cell: CellScore) -> tuple[float, ...]:
         """Returns the values of an answered cell."""

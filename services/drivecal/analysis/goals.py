@@ -17,9 +17,12 @@ from drivecal.analysis.front import Mask, non_dominated
 from drivecal.analysis.replicates import rate_bounds
 from drivecal.analysis.scoring import LARGEST, rate
 from drivecal.bundles.expressions import Formula
+from drivecal.domain.constraints import ChangeFrom, ChangeLimit
 from drivecal.domain.evaluations import CellScore
+from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.rounding import grains, levels, same
 from drivecal.domain.scales import Scale
+from drivecal.domain.setups import canonical_json, digest
 from drivecal.plugins.ports import Floats
 
 SCORE = "score"
@@ -43,17 +46,25 @@ class CellValue:
     formula: str | None = None
     measure: str | None = None
     failed: float | None = None
+    change: ChangeFrom | None = None
+    """A change from a reference set, which is known without a run, in place of a score or a measure."""
 
     @property
     def key(self) -> str:
         """Identity among the values of a cell."""
+        if self.change is not None:
+            return f"{self.change.kind} {digest(canonical_json(dict(self.change.reference)).encode())}"
         if self.measure is not None:
             return f"measure {self.measure} {self.failed}"
         return SCORE if self.formula is None or self.scale is None else f"score {self.scale.name}"
 
-    def of(self, measures: Mapping[str, float | None], failure: str | None) -> float | None:
-        """Returns the value of a run; None if it lacks a measure. A measure beyond LARGEST counts as LARGEST, as sums of it could
+    def of(
+        self, measures: Mapping[str, float | None], failure: str | None, parameters: ParameterSet | None = None
+    ) -> float | None:
+        """Returns the value of a set's run; None if it lacks a measure. A measure beyond LARGEST counts as LARGEST, as sums of it could
         overflow."""
+        if self.change is not None:
+            return None if parameters is None else self.change.of(parameters)
         if self.measure == FAILED:
             return 0.0 if failure is None else 1.0
         if self.measure is not None:
@@ -224,7 +235,7 @@ class Goals:
         places: dict[str, tuple[str, str]] = {}
         for goal in (*self.objectives, *self.bounds):
             named = (goal.name, goal.value.key)
-            if goal.value.key != SCORE and named not in labels:
+            if goal.value.key != SCORE and goal.value.change is None and named not in labels:
                 labels[named] = _numbered(goal.name, labels.values())
             places |= {f"{labels[named]}@{scenario}": (scenario, goal.value.key) for scenario in goal.shares if named in labels}
         return places
@@ -247,9 +258,21 @@ class Goals:
         """True if an optimizer needs the ability `objectives`."""
         return len(self.objectives) > 1 or bool(self.bounds)
 
-    def values(self, measures: Mapping[str, float | None], failure: str | None) -> dict[str, float]:
-        """Returns the computed values of a run, by key, without values that the run lacks."""
-        values = {key: value.of(measures, failure) for key, value in self.computed.items()}
+    @property
+    def changes(self) -> dict[str, ChangeFrom]:
+        """The changes from a reference among the values, by key."""
+        return {key: value.change for key, value in self.computed.items() if value.change is not None}
+
+    @property
+    def limits(self) -> tuple[ChangeLimit, ...]:
+        """Limits of changes, which no run is needed for."""
+        return tuple(ChangeLimit(each.value.change, each.limit) for each in self.bounds if each.value.change is not None)
+
+    def values(
+        self, measures: Mapping[str, float | None], failure: str | None, parameters: ParameterSet | None = None
+    ) -> dict[str, float]:
+        """Returns the computed values of a set's run, by key, without values that the run lacks."""
+        values = {key: value.of(measures, failure, parameters) for key, value in self.computed.items()}
         return {key: value for key, value in values.items() if value is not None}
 
     @property
@@ -331,7 +354,7 @@ class Goals:
 _GOALS = TypeAdapter(Goals)
 
 
-def valued_by(goals: Goals | None) -> Callable[[Mapping[str, float | None], str | None], dict[str, float]] | None:
+def valued_by(goals: Goals | None) -> Callable[[Mapping[str, float | None], str | None, ParameterSet], dict[str, float]] | None:
     """Returns what computes the values of a run that cells do not store; None if goals need none."""
     return goals.values if goals is not None and goals.computed else None
 

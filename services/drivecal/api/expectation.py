@@ -7,21 +7,23 @@ from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.live.dispatcher_health import judge
+from drivecal.api.tables.ranking import ranking
 from drivecal.campaigns.comparison import ComparisonProblem, resolve_comparison
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import check_basis, warnings_of
 from drivecal.campaigns.resolve.outside import indices_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.campaigns.stages.validation import check_predictions, runs_at_most
 from drivecal.contracts.campaign import STUDIES, ExpectedRuns
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
 from drivecal.contracts.outside.sets import ProposedSet
-from drivecal.contracts.specification import CampaignSpecification, MapReference, Values
+from drivecal.contracts.specification import CampaignSpecification, GoalSpecification, MapReference, Values
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, TooLargeError
-from drivecal.storage import processes
+from drivecal.storage import campaigns, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.outside import imported
@@ -116,6 +118,9 @@ def resolved(database: Database, specification: CampaignSpecification) -> Calibr
     """Returns the resolved campaign, whose `start_results` became start sets. Raises InvalidInputError with every fault, a missing map's
     included."""
     wanted = specification.optimizer
+    goals = {name: given for name in ("objectives", "constraints") if (given := getattr(specification, name))}
+    sets = {name: [_with_set(database, goal) for goal in given] for name, given in goals.items()}
+    specification = specification.model_copy(update=sets)
     try:
         if wanted is None or wanted.start_results is None:
             return resolve(specification, stored_bundles(database))
@@ -131,6 +136,22 @@ def resolved(database: Database, specification: CampaignSpecification) -> Calibr
         with database.read() as connection:
             diagnostics.attempt(lambda: _stored_map(connection, specification))
     raise InvalidInputError(*own, *diagnostics.problems)
+
+
+def _with_set(database: Database, goal: GoalSpecification) -> GoalSpecification:
+    """Returns a goal with the values of the set of a campaign, `ID` or `ID#2`, from which it counts changes; unknown ones stay."""
+    for name in ("changes", "distance"):
+        if isinstance(given := getattr(goal, name), str) and given != "baseline":
+            identifier, _, rank = given.partition("#")
+            try:
+                with database.read() as connection:
+                    campaign = campaigns.get(connection, identifier)
+            except NotFoundError:
+                return goal
+            place = int(rank) if rank.isdecimal() else 1
+            for solution in ranking(database, campaign, resolved_spec(campaign), None).solutions(max(0, place - 1), place):
+                return goal.model_copy(update={name: solution.parameters})
+    return goal
 
 
 def _imported_sets(database: Database, problem: CalibrationProblem, source: str) -> list[Values]:

@@ -35,8 +35,8 @@ BATCH = 1_000
 """Rows that an export holds in memory at a time."""
 parsed = lru_cache(10_000)(ParameterSet.from_json)
 """Reads a stored set. Each is requested in several scenarios, and read when it waits and when predictors learn its answers."""
-Valued = Callable[[Mapping[str, float | None], str | None], Mapping[str, float]]
-"""Returns further values of a run from its metrics and its failure."""
+Valued = Callable[[Mapping[str, float | None], str | None, ParameterSet], Mapping[str, float]]
+"""Returns further values of a run from its metrics, its failure and the parameter set of the cell."""
 _PLACE = tuple(evaluations.c[name] for name in ("stage", "iteration", "individual", "scenario", "seed"))
 _COPIED = evaluations.c.outcome.in_(NOT_SIMULATED)
 # Made once: an alias computes its columns anew, which takes longer than to read a small campaign.
@@ -192,9 +192,11 @@ def answers(
         score, rating = func.coalesce(own.c.score, score), func.coalesce(own.c.rating, rating)
         believed = copied & own.c.run_id.is_(None)
         run_id = case((copied, own_run.c.id), else_=table.run_id)
-    measured = (_ANSWERING_RUN.c.metrics, _ANSWERING_RUN.c.failure, table.metrics.label("own")) if valued is not None else ()
+    own_metrics = table.metrics.label("own"), parameter_sets.c.parameter_values
+    measured = (_ANSWERING_RUN.c.metrics, _ANSWERING_RUN.c.failure, *own_metrics) if valued is not None else ()
     if valued is not None:
         source = source.outerjoin(_ANSWERING_RUN, _ANSWERING_RUN.c.id == run_id)
+        source = source.join(parameter_sets, parameter_sets.c.id == table.parameter_set_id)
     query = (
         select(
             table.parameter_set_id,
@@ -220,7 +222,8 @@ def answers(
     for row in connection.execute(query):
         cell = CellScore(*row[:10])
         if valued is not None and row.metrics is not None:
-            cell = replace(cell, values=valued(read(row.metrics) if row.own is None else row.own, row.failure))
+            taken = read(row.metrics) if row.own is None else row.own
+            cell = replace(cell, values=valued(taken, row.failure, parsed(row.parameter_values)))
         yield cell
 
 

@@ -231,8 +231,12 @@ class Quantile(Model):
     quantile: Annotated[float, Field(ge=0, le=1)]
 
 
+ReferenceSet = Values | Annotated[str, StringConstraints(min_length=1, max_length=80)]
+"""A set: `baseline`, values by parameter, or the id of a campaign, which means its best set, with `#2` the second."""
+
+
 class GoalSpecification(Model):
-    """A declared score or a stored measure, over scenarios.
+    """A declared score or a stored measure, over scenarios, or the change from a set, which is known without a run.
 
     `min`, `max` and quantiles are computed from the values, even if lower values are better.
     """
@@ -241,6 +245,12 @@ class GoalSpecification(Model):
     """A score that the problem declares; this or `measure`."""
     measure: Identifier | None = None
     """A stored measure; this or `score`."""
+    changes: ReferenceSet | None = None
+    """Number of parameters that differ from a set: `baseline`, values by parameter, or `ID` or `ID#2` of another campaign."""
+    distance: ReferenceSet | None = None
+    """Distance from such a set, in shares of the parameters' ranges; a choice that differs counts as 1."""
+    norm: Literal["largest", "sum"] = "largest"
+    """Kind of the distance: the largest difference of a parameter, or the sum."""
     name: Identifier | None = None
     """The score's or measure's own if left out."""
     scenarios: Literal["all"] | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "all"
@@ -251,8 +261,15 @@ class GoalSpecification(Model):
 
     @model_validator(mode="after")
     def _names_a_value(self) -> Self:
-        if (self.score is None) == (self.measure is None) and not getattr(self, "counts_failures", False):
-            raise ValueError(f"it names {'no score or' if self.score is None else 'a score and a'} measure; give one of them")
+        named = [name for name in ("score", "measure", "changes", "distance") if getattr(self, name) is not None]
+        if len(named) > 1:
+            raise ValueError(f"it names {' and '.join(named)}; give one of them")
+        if not named and not getattr(self, "counts_failures", False):
+            raise ValueError("it names no value; give score, measure, changes or distance")
+        fields = type(self).model_fields
+        others = [name for name in _OF_RUNS if name in fields and getattr(self, name) not in (fields[name].default, "minimise")]
+        if others and named in (["changes"], ["distance"]):
+            raise ValueError(f"a change from a set is the same in each scenario, and less is better; leave {others[0]} out")
         if self.score is not None and self.failed is not None:
             raise ValueError("a score has a worth of failed runs already; leave `failed` out")
         return self
@@ -260,7 +277,12 @@ class GoalSpecification(Model):
     @property
     def label(self) -> str:
         """Name in results."""
-        return self.name or self.score or self.measure or "failures"
+        change = "changes" if self.changes is not None else "distance" if self.distance is not None else None
+        return self.name or self.score or self.measure or change or "failures"
+
+
+_OF_RUNS = ("scenarios", "weights", "failed", "aggregate", "direction", "at_least", "rate")
+"""Fields of goals that say something about runs."""
 
 
 class ObjectiveSpecification(GoalSpecification):
@@ -293,7 +315,7 @@ class ConstraintSpecification(GoalSpecification):
     @property
     def counts_failures(self) -> bool:
         """True if it bounds the rate of failed runs, and so names no value."""
-        return self.rate is not None and self.score is None and self.measure is None
+        return self.rate is not None and {self.score, self.measure} == {None} and self.changes is self.distance is None
 
     @model_validator(mode="after")
     def _has_a_limit(self) -> Self:

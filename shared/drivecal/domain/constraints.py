@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -48,14 +48,110 @@ class LinearConstraint(Protocol):
 
 
 @dataclass(frozen=True)
+class ChangeFrom:
+    """How far sets are from a reference: the number of parameters that differ, or the largest or summed difference in shares of the ranges.
+
+    A choice that differs counts as the whole range.
+    """
+
+    kind: Literal["changes", "largest", "sum"]
+    reference: Mapping[str, int | str]
+    """Values of the searched parameters as `ParameterSet` stores them."""
+    ranges: Mapping[str, int]
+    """Widths of their ranges, in billionths."""
+
+    @classmethod
+    def between(
+        cls, kind: Literal["changes", "largest", "sum"], space: ParameterSpace, reference: ParameterSet
+    ) -> "ChangeFrom":
+        """Creates the comparison of a space's sets with one of them."""
+        values = dict(zip(reference.names, reference.billionths, strict=True))
+        ranges = {each.name: billionths(each.upper) - billionths(each.lower) for each in space.searched}
+        return cls(kind, {name: values[name] for name in ranges}, ranges)
+
+    def shares(self, entries: Columns) -> npt.NDArray[np.float64]:
+        """Returns the differences of n sets, shape (n, n_searched), in shares of the ranges."""
+        columns = [
+            (entries[name] != value) * 1.0 if isinstance(value, str) else np.abs(entries[name] - value) / self.ranges[name]
+            for name, value in self.reference.items()
+        ]
+        return np.stack(columns, axis=1)
+
+    def __call__(self, entries: Columns) -> npt.NDArray[np.float64]:
+        """Returns the change of n sets, shape (n,), from their stored values by parameter."""
+        shares = self.shares(entries)
+        changes: npt.NDArray[np.float64] = (
+            (shares > 0).sum(axis=1).astype(np.float64)
+            if self.kind == "changes"
+            else shares.max(axis=1)
+            if self.kind == "largest"
+            else shares.sum(axis=1)
+        )
+        return changes
+
+    def of(self, parameters: ParameterSet) -> float:
+        """Returns the change of a set."""
+        values = zip(parameters.names, parameters.billionths, strict=True)
+        return float(self({name: np.array([value]) for name, value in values})[0])
+
+    def row(self, space: ParameterSpace) -> Indices:
+        """Returns the grid indices of the reference, shape (n_searched,)."""
+        values = ((each, self.reference[each.name]) for each in space.searched)
+        return np.array([each.first_from(v) if isinstance(v, int) else each.choices.index(v) for each, v in values])
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeLimit:
+    """Largest change from a reference, which keeps all constraints."""
+
+    change: ChangeFrom
+    at_most: float
+
+    @property
+    def text(self) -> str:
+        """The limit in words."""
+        return f"{'changes' if self.change.kind == 'changes' else 'distance'} <= {self.at_most:g}"
+
+    def allows(self, entries: Columns) -> npt.NDArray[np.bool_]:
+        """Returns which sets keep it, shape (n,)."""
+        allowed: npt.NDArray[np.bool_] = self.change(entries) <= self.at_most + 1e-12
+        return allowed
+
+    def limited(self, moves: Indices, last: Indices, unordered: npt.NDArray[np.bool_], order: Indices, share: float) -> Indices:
+        """Returns moves from the reference that are short enough, shape (n, n_searched).
+
+        Args:
+            moves: differences of grid indices.
+            last: largest grid indices.
+            unordered: which parameters are choices.
+            order: for each row the ranks of its parameters; of too many moves the first ones stay.
+            share: part of the limit to use, at most 1.
+        """
+        most = self.at_most * share
+        if self.change.kind == "changes":
+            return np.where(order < np.floor(most), moves, 0)
+        moves = np.where(unordered & (most < 1), 0, moves)
+        if self.change.kind == "largest":
+            steps = np.where(unordered, last, np.floor(most * last + 1e-9)).astype(np.int64)
+            return np.clip(moves, -steps, steps)
+        total = np.where(unordered, moves != 0, np.abs(moves) / last).sum(axis=1, keepdims=True)
+        moves = np.where(unordered & (total > most), 0, moves)
+        total = (np.abs(moves) / last).sum(axis=1, keepdims=True)
+        shorter: Indices = np.trunc(moves * np.minimum(1.0, most / np.maximum(total, 1e-300))).astype(np.int64)
+        return shorter
+
+
+@dataclass(frozen=True)
 class Constraints:
     """Constraints over all parameters of a space, fixed ones included, by their text."""
 
     space: ParameterSpace
     listed: Mapping[str, Constraint] = field(default_factory=dict)
+    limits: tuple[ChangeLimit, ...] = ()
+    """Limits of changes, all from one reference."""
 
     def __bool__(self) -> bool:
-        return bool(self.listed)
+        return bool(self.listed or self.limits)
 
     @cached_property
     def names(self) -> frozenset[str]:
@@ -74,7 +170,18 @@ class Constraints:
         columns = self._columns(population)
         for constraint in self.listed.values():
             allowed &= _allowed(constraint, columns)
+        entries = self.entries(population) if self.limits else {}
+        for limit in self.limits:
+            allowed &= limit.allows(entries)
         return allowed
+
+    def entries(self, population: Indices) -> dict[str, npt.NDArray[Any]]:
+        """Returns the stored values of the searched parameters at rows of grid indices, shape (n,) each."""
+        columns = zip(self.space.searched, population.T, strict=True)
+        return {
+            each.name: np.array(each.choices)[indices] if each.choices else each.billionths_at(indices)
+            for each, indices in columns
+        }
 
     @cached_property
     def drawn(self) -> int:
@@ -83,9 +190,10 @@ class Constraints:
         return min(DRAWN, max(ANCHORS, MOST_OPERATIONS // max(operations, 1)))
 
     @cached_property
-    def whole_region(self) -> FeasibleRegion:
+    def whole_region(self) -> "FeasibleRegion | Vicinity":
         """The feasible part of the space. Raises InvalidInputError as `region` does."""
-        return self.region(np.zeros_like(self.space.n_values), self.space.n_values - 1)
+        region = self.region(np.zeros_like(self.space.n_values), self.space.n_values - 1)
+        return Vicinity(self, region) if self.limits else region
 
     def region(self, lower: Indices, upper: Indices) -> FeasibleRegion:
         """Returns the feasible part of the box from `lower` to `upper`, shape (n_searched,).
@@ -148,6 +256,7 @@ class Constraints:
         """Raises InvalidInputError naming the constraints that a set breaks."""
         columns = {name: np.array([value]) for name, value in parameters.floats.items()}
         broken = [text for text, constraint in self.listed.items() if not _allowed(constraint, columns)[0]]
+        broken += [limit.text for limit in self.limits if limit.change.of(parameters) > limit.at_most + 1e-12]
         if broken:
             values = ", ".join(f"{name} = {value}" for name, value in parameters.floats.items())
             raise InvalidInputError(
@@ -174,6 +283,43 @@ class Constraints:
             choices = np.array(parameter.choices)
             columns[parameter.name] = choices[indices] if parameter.choices else parameter.billionths_at(indices) / BILLION
         return columns
+
+
+class Vicinity:
+    """The feasible sets near a reference. Rows of grid indices have the shape (n, n_searched)."""
+
+    def __init__(self, constraints: Constraints, region: FeasibleRegion) -> None:
+        """`region`: the feasible sets without limits of changes."""
+        self._constraints, self._region = constraints, region
+        space = constraints.space
+        self._reference = constraints.limits[0].change.row(space)
+        self._last = space.n_values - 1
+        self._unordered = np.array([bool(each.choices) for each in space.searched], dtype=np.bool_)
+
+    def repair(self, population: Indices) -> Indices:
+        """Returns the population with a feasible row near each infeasible one: its largest moves from the reference, or shorter ones."""
+        rows = self._region.repair(population)
+        moved = np.where(self._unordered, rows != self._reference, np.abs(rows - self._reference) / self._last)
+        return self._near(rows, np.argsort(np.argsort(-moved, axis=1, kind="stable"), axis=1))
+
+    def sample(self, n: int, generator: np.random.Generator) -> Indices:
+        """Returns n feasible rows, spread over the vicinity."""
+        rows = self._region.sample(n, generator)
+        for limit in self._constraints.limits:
+            if limit.change.kind != "changes" and limit.at_most < 1:  # else clipping would put most rows on its border
+                rows = self._reference + np.trunc((rows - self._reference) * limit.at_most).astype(np.int64)
+        return self._near(rows, np.argsort(generator.random(rows.shape), axis=1))
+
+    def _near(self, rows: Indices, order: Indices) -> Indices:
+        """Returns feasible rows as near as possible to others; the reference itself is feasible."""
+        near, broken = rows.copy(), np.flatnonzero(~self._constraints.feasible(rows))
+        for share in (1.0, 0.75, 0.5, 0.25, 0.0):
+            moves = rows[broken] - self._reference
+            for limit in self._constraints.limits:
+                moves = limit.limited(moves, self._last, self._unordered, order[broken], share)
+            near[broken] = self._reference + moves
+            broken = broken[~self._constraints.feasible(near[broken])]
+        return near
 
 
 class _ReadColumns(Mapping[str, npt.NDArray[Any]]):

@@ -91,6 +91,8 @@ class SearchTask:
         window: number of rounds that are under way at most.
         random: whether answers depend on a seed.
         replicates: most replicates of a cell.
+        given: returns the values of sets that are known without an answer, the same in each scenario, shape (n, n_values); NaN for others.
+        references: sets with which objectives or constraints compare, shape (k, n_searched).
     """
 
     n_values: Indices
@@ -105,6 +107,15 @@ class SearchTask:
     window: int = 1
     random: bool = False
     replicates: int = 1
+    given: Callable[[Indices], Floats] | None = None
+    references: Indices | None = None
+
+    def with_given(self, rows: Indices, values: Floats) -> Floats:
+        """Returns values of n sets, shape (..., n, n_scenarios, n_values), with what is known of them without an answer."""
+        if self.given is None:
+            return values
+        known = self.given(rows)[:, np.newaxis]
+        return np.where(np.isnan(known), values, known)
 
 
 class Search(Protocol):

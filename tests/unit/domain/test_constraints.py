@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from decimal import Decimal
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.domain.constraints import Constraint, Constraints
+from drivecal.domain.constraints import ChangeFrom, ChangeLimit, Constraint, Constraints
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
 
@@ -40,6 +41,27 @@ def holds(row: list[int]) -> bool:
     values = SPACE.parameter_set(row).floats
     a, b, n = (float(values[name]) for name in ("a", "b", "n"))
     return a <= b and a + n * 0.5 >= 1 and (values["mode"] != "winter" or n > 0) and n != 0
+
+
+LIMITS = [("changes", 2.0), ("largest", 0.15), ("sum", 0.4), ("sum", 1.5)]
+
+
+@pytest.mark.parametrize(("kind", "most"), LIMITS)
+def test_repair_and_samples_keep_limits_of_change_and_constraints(kind: Any, most: float) -> None:
+    numbers = [Parameter.from_step(f"p{place}", Decimal(0), Decimal(1), Decimal("0.01")) for place in range(6)]
+    space = ParameterSpace((*numbers, Parameter.choice("mode", ["a", "b", "c"])))
+    reference = space.parameter_set([50, 40, 50, 50, 50, 50, 1])
+    limit = ChangeLimit(ChangeFrom.between(kind, space, reference), most)
+    constraints = Constraints(space, {"p0 >= p1": lambda columns: columns["p0"] >= columns["p1"]}, (limit,))
+    generator = np.random.default_rng(1)
+    rows = np.stack([generator.integers(0, each.n_values, 200) for each in space.searched], axis=1)
+    region = constraints.whole_region
+    for made in (region.repair(rows), region.sample(200, generator)):
+        assert constraints.feasible(made).all()
+        assert max(limit.change.of(each) for each in space.parameter_sets(made)) <= most + 1e-9
+        assert len(np.unique(made, axis=0)) > 20
+    near = region.sample(5, generator)
+    assert (region.repair(near) == near).all(), "feasible sets stay"
 
 
 def test_the_names_of_constraints_are_what_their_functions_read() -> None:

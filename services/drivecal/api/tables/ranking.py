@@ -22,6 +22,7 @@ from drivecal.contracts.tables import Solution
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore
+from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.scales import Scale, plain
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
@@ -146,9 +147,9 @@ def _rated(
     """Yields the answered cells with another score; without one if a reference or a prediction answered them, or a measure is missing.
     Values of `goals` may name the campaign's own score."""
 
-    def rate(measures: Mapping[str, float | None], failure: str | None) -> dict[str, float]:
-        score = value.of(measures, failure)
-        further = {} if goals is None else goals.values(measures, failure)
+    def rate(measures: Mapping[str, float | None], failure: str | None, parameters: ParameterSet) -> dict[str, float]:
+        score = value.of(measures, failure, parameters)
+        further = {} if goals is None else goals.values(measures, failure, parameters)
         return further if score is None else further | {value.key: score}
 
     bounds_own = goals is not None and any(bound.value.key == SCORE for bound in goals.bounds)

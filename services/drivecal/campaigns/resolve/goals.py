@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from drivecal.analysis.goals import FAILED, SCORE, Aggregate, Bound, CellValue, Goals, Objective
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.spaces import given_set
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.specification import (
     CampaignSpecification,
@@ -14,6 +15,8 @@ from drivecal.contracts.specification import (
     Quantile,
     ReductionSpecification,
 )
+from drivecal.domain.constraints import ChangeFrom, Constraints
+from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.scales import Direction
 
 LIKELY = 0.25
@@ -22,10 +25,15 @@ LIKELY = 0.25
 
 @dataclass(frozen=True)
 class KnownValues:
-    """Values of a problem that goals can name: scores by name, the campaign's own without a formula, and the units of measures."""
+    """Values of a problem that goals can name: scores by name, the campaign's own without a formula, and the units of measures.
+
+    Changes are those from the `baseline`, or from a set that keeps the `constraints`.
+    """
 
     scores: Mapping[str, CellValue] = field(default_factory=dict)
     measures: Mapping[str, str] = field(default_factory=dict)
+    constraints: Constraints | None = None
+    baseline: ParameterSet | None = None
 
 
 def find_goals(
@@ -43,6 +51,8 @@ def find_goals(
         for place, each in enumerate(specification.constraints)
     ]
     _refuse_equal_names(given, diagnostics)
+    if len({tuple(bound.value.change.reference.items()) for bound in bounds if bound and bound.value.change}) > 1:
+        diagnostics.add("constraints", "they limit changes from several sets", "compare with one set")
     if len(given) > 1 and specification.replicates.level is not None:
         message = "a front has the means of several objectives over the seeds"
         diagnostics.add("replicates.aggregate", message, "leave it out, or give one objective")
@@ -81,6 +91,10 @@ def _objective(
     if value is None or shares is None:
         return None
     scale = value.scale
+    if value.change is not None:
+        most = 1.0 if value.change.kind == "largest" else float(len(value.change.reference))
+        worst = most if given.reference is None else given.reference
+        return Objective(given.label, value, _anywhere(shares), Aggregate("max"), -1, given.tolerance, worst)
     direction = Direction(given.direction) if given.direction is not None else None if scale is None else scale.direction
     if direction is None:
         diagnostics.add(f"{field}.direction", "a measure has no direction of its own", "give maximise or minimise")
@@ -111,10 +125,32 @@ def _bound(
     if given.rate is not None and value.scale is None and value.failed is None:
         value = replace(value, failed=limit - sign * span)
     aggregate = _aggregate(given.aggregate or ("min" if sign > 0 else "max"))
+    shares = shares if value.change is None else _anywhere(shares)
     return Bound(given.label, value, shares, aggregate, sign, limit, span, given.rate)
 
 
+def _anywhere(shares: Mapping[str, float]) -> dict[str, float]:
+    """Returns the shares of a value that is the same in each scenario."""
+    return {next(iter(shares)): 1.0}
+
+
+def _change(given: GoalSpecification, field: str, known: KnownValues, diagnostics: Diagnostics) -> CellValue | None:
+    place = "distance" if given.changes is None else "changes"
+    wanted, reference = given.changes or given.distance or {}, known.baseline
+    if isinstance(wanted, Mapping):
+        reference = given_set(wanted, known.constraints, f"{field}.{place}", diagnostics)
+    elif reference is None or wanted != "baseline":
+        message = "the campaign has no baseline" if wanted == "baseline" else f"{wanted} is no ranked set of a campaign"
+        diagnostics.add(f"{field}.{place}", message, "give a `baseline`, or the values of a set")
+    if reference is None or known.constraints is None:
+        return None
+    kind = "changes" if given.distance is None else given.norm
+    return CellValue(change=ChangeFrom.between(kind, known.constraints.space, reference))
+
+
 def _value(given: GoalSpecification, field: str, known: KnownValues, diagnostics: Diagnostics) -> CellValue | None:
+    if given.changes is not None or given.distance is not None:
+        return _change(given, field, known, diagnostics)
     if given.score is not None:
         if given.score in known.scores:
             return known.scores[given.score]

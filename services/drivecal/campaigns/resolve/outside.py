@@ -21,7 +21,7 @@ def indices_of(problem: CalibrationProblem, proposed: Sequence[ProposedSet]) -> 
     """
     settings = None if problem.optimization is None else problem.optimization.settings
     repairs = isinstance(settings, ExternalSettings) and settings.infeasible == "repair"
-    space, constraints, diagnostics = problem.space, problem.constraints, Diagnostics()
+    space, constraints, diagnostics = problem.space, problem.search_constraints, Diagnostics()
     rows = np.zeros((len(proposed), len(space.searched)), dtype=np.int64)
     for number, each in enumerate(proposed):
         field = f"sets[{number}].parameters"

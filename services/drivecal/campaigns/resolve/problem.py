@@ -6,6 +6,7 @@ field and a remedy. `api.submission` then checks the server's limits, and `stage
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from math import ceil
 from typing import Any
 
@@ -71,6 +72,11 @@ class CalibrationProblem:
         if not isinstance(wanted, SensitivitySpecification):
             return None
         return resolvers.plan_analysis(wanted, self.constraints, self.scenarios, self.bench.scale)
+
+    @cached_property
+    def search_constraints(self) -> Constraints:
+        """The constraints of the search: over the parameters, and limits of changes from a set."""
+        return replace(self.constraints, limits=() if self.goals is None else self.goals.limits)
 
     @property
     def policy(self) -> Policy:
@@ -206,19 +212,21 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     notes += workbench.notes
     space = None if workbench.function is None else search_space(specification, workbench.function, diagnostics)
     constraints = None if space is None else resolvers.find_constraints(workbench.function, space, diagnostics)
-    goals = find_goals(specification, workbench.known, weights, diagnostics) if workbench.known.scores and weights else None
-    reduction, more = check_reuse(specification.reduction, goals, diagnostics)
-    specification = specification.model_copy(update={"reduction": reduction})
-    notes += more
-    check_abilities(optimization, constraints, goals, diagnostics)
-    notes += note_search(optimization, constraints)
     if specification.baseline is None:
         baseline, more = resolvers.own_baseline(workbench.baseline, constraints)
         notes += more
     else:
         baseline = given_set(specification.baseline, constraints, "baseline", diagnostics)
+    known = replace(workbench.known, constraints=constraints, baseline=baseline)
+    goals = find_goals(specification, known, weights, diagnostics) if known.scores and weights else None
+    reduction, more = check_reuse(specification.reduction, goals, diagnostics)
+    specification = specification.model_copy(update={"reduction": reduction})
+    notes += more
+    check_abilities(optimization, constraints, goals, diagnostics)
+    notes += note_search(optimization, constraints)
     population = None if optimization is None or optimization.by_cell is not None else optimization.population
-    start_sets = resolvers.find_start_sets(specification, baseline, constraints, diagnostics, population)
+    within = replace(constraints, limits=goals.limits) if constraints is not None and goals is not None else constraints
+    start_sets = resolvers.find_start_sets(specification, baseline, within, diagnostics, population)
     robust_sets = resolvers.find_robust_sets(specification, workbench.varied, constraints, diagnostics)
     resolvers.check_validation(specification, diagnostics)
     analysed = specification.sensitivity

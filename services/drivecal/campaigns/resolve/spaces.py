@@ -45,6 +45,11 @@ def settled(specification: CampaignSpecification, function: Function, diagnostic
         sets = specification.robustness.sets
         robust = [_settled(each, shapes, f"robustness.sets[{place}]", diagnostics) for place, each in enumerate(sets)]
         changes["robustness"] = specification.robustness.model_copy(update={"sets": robust} if robust else {})
+    for section in ("objectives", "constraints"):
+        for place, goal in enumerate(getattr(specification, section) or ()):
+            given = {name: each for name in ("changes", "distance") if isinstance(each := getattr(goal, name), dict)}
+            own = {name: _settled(each, shapes, f"{section}[{place}].{name}", diagnostics) for name, each in given.items()}
+            changes.setdefault(section, []).append(goal.model_copy(update=own))
     if isinstance(specification.parameters, list):
         changes["parameters"] = [
             listed.model_copy(update={"name": name})

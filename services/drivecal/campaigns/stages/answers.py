@@ -148,7 +148,7 @@ class PopulationAnswers(SearchAnswers):
 
     def settle(self, population: Indices) -> None:
         """Takes the answers of equal sets for the individuals that were not requested."""
-        sets = list(map(tuple, population.tolist())) if self._problem.constraints else []
+        sets = list(map(tuple, population.tolist())) if self._problem.search_constraints else []
         for place in sorted(self._requested) if sets else ():
             self._by_set[sets[place]] = self._scores[place].copy(), self._ratings[place].copy(), dict(self._cells[place])
         for place, indices in enumerate(sets):

@@ -174,7 +174,7 @@ class Calibration(Stage):
         with self._database.read() as connection:
             last = generations.last(connection, self._campaign.sequence)
             self._closed = generations.finished(connection, self._campaign.sequence)
-            constrained = self._by_cell is None and bool(self._problem.constraints)
+            constrained = self._by_cell is None and bool(self._problem.search_constraints)
             populations = generations.populations(connection, self._campaign.sequence) if constrained else []
             for number, population in enumerate(populations[: self._closed]):
                 self._answers.take_in(connection, self._campaign.sequence, [number])

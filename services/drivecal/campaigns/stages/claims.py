@@ -56,7 +56,7 @@ class ClaimCheck(Stage):
             answers = [
                 (self._sample[answer.individual], answer)
                 for answer in results.answers(
-                    connection, self._campaign.sequence, self.name, valued=lambda measures, _: _finite(measures)
+                    connection, self._campaign.sequence, self.name, valued=lambda measures, *_: _finite(measures)
                 )
                 if answer.score is not None
             ]

@@ -59,7 +59,7 @@ def search_task(database: Database, view: View, problem: CalibrationProblem, aim
     chosen = problem.optimization
     if chosen is None:
         raise ValueError("the campaign has no search")
-    space, constraints = problem.space, problem.constraints
+    space, constraints = problem.space, problem.search_constraints
     region = constraints.whole_region if constraints else None
 
     def repair(rows: Indices) -> Indices:
@@ -73,8 +73,9 @@ def search_task(database: Database, view: View, problem: CalibrationProblem, aim
     limit = problem.search_simulations
     is_cut_off = problem.specification.reduction.mode == "off"
     known = [] if is_cut_off else _known(database, view, problem, aim)
-    start = problem.start_indices
+    start, changes = problem.start_indices, {} if problem.goals is None else problem.goals.changes
     best = [indices for indices in best_known(aim, known) if list(indices) not in start.tolist()]
+    first = {*best, *map(tuple, start.tolist())}  # asked all the same, so that the campaign ranks them
     return SearchTask(
         n_values=space.n_values,
         kinds=space.kinds,
@@ -83,13 +84,15 @@ def search_task(database: Database, view: View, problem: CalibrationProblem, aim
         repair=repair,
         sample=sample,
         start=np.concatenate([start, np.array(best, dtype=np.int64).reshape(len(best), len(space.n_values))]),
-        known=[answer for answer in known if answer.cell.indices not in best],
+        known=[answer for answer in known if answer.cell.indices not in first],
         cells=None if limit is None else most_cells(limit, problem.bench.repeated_share) // problem.least_replicates,
         window=WINDOW,
         random=problem.bench.is_random,
         replicates=choosing(problem.specification.replicates.most) // problem.least_replicates
         if problem.bench.is_random
         else 1,
+        given=(lambda rows: aim.given(constraints.entries(rows))) if changes and isinstance(aim, JudgedGoals) else None,
+        references=np.unique([each.row(space) for each in changes.values()], axis=0) if changes else None,
     )
 
 
@@ -99,11 +102,11 @@ def population_asker(problem: CalibrationProblem, last: StoredGeneration | None,
     if chosen is None:
         raise ValueError("the campaign has no search")
     if last is None:
-        optimizer = chosen.begin(problem.constraints, problem.start_indices if problem.start_sets else None)
+        optimizer = chosen.begin(problem.search_constraints, problem.start_indices if problem.start_sets else None)
     elif last.optimizer_state is None:
         raise RuntimeError(f"generation {last.iteration} has no optimizer state")
     else:
-        optimizer = chosen.restore(problem.constraints, last.optimizer_state)
+        optimizer = chosen.restore(problem.search_constraints, last.optimizer_state)
         populations = populations or [last.population]
     shape = chosen.population, problem.space.n_values
     return PopulationAsker(optimizer, chosen.plugin.name, shape, len(problem.scenarios), populations, problem.least_replicates)
@@ -194,7 +197,7 @@ def _known(database: Database, view: View, problem: CalibrationProblem, aim: Wei
                     continue
                 values = {SCORE: run.score}
                 if problem.goals is not None:
-                    values |= problem.goals.values(*measured[run.evaluation])
+                    values |= problem.goals.values(*measured[run.evaluation], run.parameters)
                 cell = CellScore(0, scenario, run.score, run.rating, own=True, iteration=0, individual=0, values=values)
                 failed = run.score == view.bench.scale.failed
                 answers.append(CellAnswer(AskedCell(indices, place), aim.of(cell), failed=failed))

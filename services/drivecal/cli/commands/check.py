@@ -43,6 +43,8 @@ class SetLimit(GoalSpecification):
             raise ValueError("it needs one of at_least, at_most and worse_by_at_most")
         if self.worse_by_at_most is not None and self.score is None:
             raise ValueError("worse_by_at_most is a limit of a score; measures have no direction")
+        if self.score is self.measure is None:
+            raise ValueError("it is a limit of a score or a measure; leave changes and distance out")
         return self
 
     @property

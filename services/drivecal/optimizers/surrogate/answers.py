@@ -59,6 +59,14 @@ class Answers:
         self.best: Floats = aim.best.astype(np.float64)
         """The best value to be expected of a cell, shape (n_scenarios, n_values): what the aim says, or the best answer if it is better."""
 
+        self._from_before: set[int] = set()
+        """Sets with answers from before the search that it has not asked on."""
+        self._asked_on: set[int] = set()
+
+    def end_of_known(self) -> None:
+        """Notes that all answers so far are from before the search."""
+        self._from_before = set(range(len(self.sets)))
+
     def __contains__(self, indices: tuple[int, ...]) -> bool:
         return indices in self._numbers
 
@@ -81,7 +89,12 @@ class Answers:
         )
 
     def ask(self, begun: BegunSet, scenario: int) -> None:
-        """Notes that a cell is asked."""
+        """Notes that a cell is asked. If the set has answers from before, their cells are to be asked as well once it is complete: a
+        campaign ranks sets by cells of its own."""
+        if begun.number in self._from_before:
+            self._from_before.remove(begun.number)
+            self._asked_on.add(begun.number)
+            self._asked[begun.number] = 0
         self._asked[begun.number, scenario] = begun.replicate
 
     def take(self, answer: CellAnswer) -> None:
@@ -95,6 +108,8 @@ class Answers:
             self._answered[begun.number, scenario] = replicate
             self.order[scenario].append(begun.number)
             self._replicates[scenario].append((replicate, values, bool(self._failed[begun.number, scenario])))
+        if begun.number in self._asked_on and self._answered[begun.number].all():
+            begun.whole = True
         if not self._failed[begun.number, scenario]:
             better = self._upwards[scenario] * (values - self.best[scenario]) > 0
             self.best[scenario] = np.where(better, values, self.best[scenario])

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from drivecal.optimizers.surrogate.answers import Answers, BegunSet
 from drivecal.optimizers.surrogate.merits import Standing
+from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim
 
 SHARE = 0.02
@@ -15,12 +16,20 @@ LEAST = 0.0001
 """The same, whatever the first value was."""
 
 
-def beaten(aim: Aim, answers: Answers, sets: Sequence[BegunSet], standing: Standing) -> npt.NDArray[np.bool_]:
-    """Returns which sets cannot be better than the best complete ones, even with the best value in every scenario left, shape (n,)."""
+def beaten(aim: Aim, answers: Answers, sets: Sequence[BegunSet], standing: Standing, best: Floats) -> npt.NDArray[np.bool_]:
+    """Returns which sets cannot be better than the best complete ones, even with the best value in every scenario left, shape (n,).
+
+    Args:
+        aim: the campaign's aim.
+        answers: all answers.
+        sets: n sets that are not complete.
+        standing: the complete sets.
+        best: the best values to be expected of each set, shape (n, n_scenarios, n_values).
+    """
     values = answers.values(sets)
     missing = ~np.stack([answers.answered(begun) for begun in sets])
     with np.errstate(invalid="ignore"):
-        objectives, violations = aim.judge(np.where(missing[:, :, np.newaxis], answers.best, values))
+        objectives, violations = aim.judge(np.where(missing[:, :, np.newaxis], best, values))
     return standing.beats(objectives, violations) | without_result(answers, sets)
 
 

@@ -32,6 +32,8 @@ DRAWS = 64
 """Draws for a candidate."""
 OPEN_DRAWS = 256
 """Draws for a set that was begun."""
+FEW_DRAWS = 16
+"""Draws for each of many sets that are known in part."""
 SPREAD, NEAR = 300, 500
 """Candidates over the whole space, and near the best sets."""
 PARENTS = 8
@@ -49,7 +51,7 @@ GROUPS = 4
 PENDING = 64
 """Most unanswered sets that the models count as known."""
 DORMANT = 64
-"""Most sets with known answers from before that are looked at."""
+"""Most sets with known answers from before that are looked at in detail."""
 DESIGN, PROPOSAL, DRAWING, DIRECTION, NOISE = range(5)
 """Streams of random numbers."""
 
@@ -73,6 +75,7 @@ class SurrogateSearch:
         self._spent = 0
         for answer in task.known:
             self._answers.take(answer)
+        self._answers.end_of_known()
         self._begin_first_sets()
         self._threads = ThreadpoolController()
 
@@ -209,12 +212,13 @@ class SurrogateSearch:
         return self._merits[key]
 
     def _values(self, sets: Sequence[BegunSet]) -> Floats:
-        """Returns what complete sets are worth: their answers, or what models expect after samples, so that luck does not count."""
+        """Returns what complete sets are worth: their answers, or what models expect after samples, so that luck does not count. Values
+        that are known without an answer stay as they are."""
         values = self._answers.values(sets)
         if self._task.random and len(sets):
             features = self._answers.features([begun.number for begun in sets])
             expected = np.stack([model.expected(features) for model in self._models], axis=1)
-            values = np.where(np.isnan(values), np.nan, expected)
+            values = np.where(np.isnan(values), np.nan, self._task.with_given(self._rows(sets), expected))
         return values
 
     def _noise(self, begun: BegunSet, merit: Merit) -> float:
@@ -224,7 +228,7 @@ class SurrogateSearch:
             model.runs(features, generator.normal(size=(OPEN_DRAWS, 1, self._aim.values)), generator.random((OPEN_DRAWS, 1)))
             for model in self._models
         ]
-        merits = merit(np.concatenate(runs, axis=1))
+        merits = merit(self._task.with_given(self._rows([begun]), np.stack(runs, axis=2))[:, 0])
         return float(merits[np.isfinite(merits)].std()) if np.isfinite(merits).any() else 0.0
 
     def _promising(self) -> list[tuple[BegunSet, Floats]]:
@@ -233,7 +237,8 @@ class SurrogateSearch:
             begun for begun in self._answers.sets if not begun.beaten and not begun.whole and len(self._answers.missing(begun))
         ]
         if sets:
-            lost = beaten(self._aim, self._answers, sets, self._standing)
+            best = self._task.with_given(self._rows(sets), np.stack([self._answers.best] * len(sets)))
+            lost = beaten(self._aim, self._answers, sets, self._standing, best)
             if self._task.random:  # a sample bounds nothing
                 lost = without_result(self._answers, sets)
             for begun, is_lost in zip(sets, lost, strict=True):
@@ -248,25 +253,26 @@ class SurrogateSearch:
                 ranked.append((chance, begun, drawn))
         return [(begun, drawn) for _, begun, drawn in sorted(ranked, key=lambda each: -each[0])]
 
-    def _draws(self, features: Floats, count: int, generator: np.random.Generator, *, pending: bool) -> Floats:
+    def _rows(self, sets: Sequence[BegunSet]) -> Indices:
+        return np.array([begun.indices for begun in sets], dtype=np.int64)
+
+    def _draws(self, rows: Indices, count: int, generator: np.random.Generator, *, pending: bool) -> Floats:
         """Returns draws of values, shape (count, n, n_scenarios, n_values). All sets share the random numbers, so that they compare."""
+        features = self._encoding(rows)
         shape = (count, 1, self._aim.scenarios, self._aim.values)
         normal = ndtri((np.argsort(generator.random(shape), axis=0) + 0.5) / count)
         uniform = (np.argsort(generator.random(shape[:3]), axis=0) + 0.5) / count
-        return np.stack(
-            [
-                model.values(model.predict(features, pending=pending), normal[:, :, place], uniform[:, :, place])
-                for place, model in enumerate(self._models)
-            ],
-            axis=2,
-        )
+        drawn = [
+            model.values(model.predict(features, pending=pending), normal[:, :, place], uniform[:, :, place])
+            for place, model in enumerate(self._models)
+        ]
+        return self._task.with_given(rows, np.stack(drawn, axis=2))
 
-    def _drawn(self, sets: Sequence[BegunSet]) -> Floats:
+    def _drawn(self, sets: Sequence[BegunSet], count: int = OPEN_DRAWS) -> Floats:
         """Returns draws of the values of sets, shape (n, n_draws, n_scenarios, n_values), with the answers that are known."""
         if not sets:
-            return np.empty((0, OPEN_DRAWS, self._aim.scenarios, self._aim.values))
-        features = self._answers.features([begun.number for begun in sets])
-        drawn = self._draws(features, OPEN_DRAWS, self._generator(DRAWING), pending=False).transpose(1, 0, 2, 3)
+            return np.empty((0, count, self._aim.scenarios, self._aim.values))
+        drawn = self._draws(self._rows(sets), count, self._generator(DRAWING), pending=False).transpose(1, 0, 2, 3)
         if self._task.random:
             return drawn
         known = np.stack([self._answers.answered(begun) for begun in sets])[:, np.newaxis, :, np.newaxis]
@@ -290,12 +296,12 @@ class SurrogateSearch:
         generator, merit = self._generator(PROPOSAL, number), self._merit(number)
         merit.least_gain = self._least_gain(number, merit)
         rows = self._new(
-            np.concatenate([self._task.sample(SPREAD, generator), self._children(self._parents(), NEAR, generator)])
+            np.concatenate([self._task.sample(SPREAD, generator), self._children(self._parents(), NEAR, generator)]), generator
         )
         merits = self._merits_of(rows, merit, number)
         for _ in range(REFINEMENTS if len(rows) else 0):
             top = merit.best_first(merits)[:REFINED]
-            more = self._new(self._children(rows[top], REFINING, generator))
+            more = self._new(self._children(rows[top], REFINING, generator), generator)
             rows, merits = np.concatenate([rows, more]), np.concatenate([merits, self._merits_of(more, merit, number)], axis=1)
         improvements = merit.improvements(merits)
         begun = self._begun_before(merit)
@@ -330,13 +336,13 @@ class SurrogateSearch:
         """Returns merits of draws, shape (DRAWS, n)."""
         if not len(rows):
             return np.empty((DRAWS, 0))
-        drawn = self._draws(self._encoding(rows), DRAWS, self._generator(DRAWING, number + 1), pending=True)
+        drawn = self._draws(rows, DRAWS, self._generator(DRAWING, number + 1), pending=True)
         return merit(drawn.reshape(-1, *drawn.shape[2:])).reshape(DRAWS, len(rows))
 
     def _begun_before(self, merit: Merit) -> tuple[float, BegunSet, float] | None:
         """Returns the most promising set that is known in part, or that may have another replicate: its expected improvement for the cost
         of a new set, itself, its chance."""
-        sets = self._answers.dormant[-DORMANT:]
+        sets = self._dormant(merit)
         repeatable = self._answers.repeatable(self._task.replicates)
         first = min(BEFORE_REPEATS, (self._task.cells or np.inf) // self._aim.scenarios // 4)
         if len(self._answers.complete) >= first and repeatable:
@@ -350,8 +356,25 @@ class SurrogateSearch:
             ranked.append((gain / share if gain > 0 else gain, begun, merit.beaten_by(merits)))
         return max(ranked, key=lambda each: each[0], default=None)
 
-    def _new(self, rows: Indices) -> Indices:
-        """Returns the feasible ones of repaired rows that have not begun, each once."""
+    def _dormant(self, merit: Merit) -> list[BegunSet]:
+        """Returns the most promising feasible sets that are known in part: new sets are others, so that all must be looked at."""
+        sets = self._answers.dormant
+        feasible = self._task.feasible(self._rows(sets)) if sets else ()
+        sets = [begun for begun, is_feasible in zip(sets, feasible, strict=True) if is_feasible]
+        if len(sets) <= DORMANT:
+            return sets
+        drawn = self._drawn(sets, FEW_DRAWS)
+        merits = merit(drawn.reshape(-1, *drawn.shape[2:])).reshape(len(sets), FEW_DRAWS)
+        return [sets[place] for place in sorted(merit.best_first(merits.T)[:DORMANT].tolist())]
+
+    def _new(self, rows: Indices, generator: np.random.Generator) -> Indices:
+        """Returns the feasible ones of repaired rows that have not begun, each once. Rows nearer to a set that the aim compares with join
+        them: no random step ends at its very values."""
+        references = self._task.references
+        if references is not None:
+            chosen = references[generator.integers(len(references), size=len(rows))]
+            back = generator.random(rows.shape) < generator.random((len(rows), 1))
+            rows = np.concatenate([rows, np.where(back, chosen, rows)])
         rows = np.unique(self._task.repair(rows), axis=0)
         fresh = np.array([tuple(row) not in self._answers for row in rows.tolist()], dtype=np.bool_)
         return rows[fresh & self._task.feasible(rows)]

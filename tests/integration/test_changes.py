@@ -1,0 +1,121 @@
+"""The smallest change that reaches the limits: objectives and constraints that compare with a set."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
+from tests.support.problems import store, submit_checked
+from tests.support.runs import dispatcher, finish, rows_of
+
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.front import front_of
+from drivecal.contracts.input_errors import validated
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.contracts.work import Cell, CellResult, SetupRequest
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import InvalidInputError
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+
+BASELINE = {f"p{number}": 0.5 for number in range(1, 7)} | {"mode": "eco"}
+MANIFEST: dict[str, Any] = {
+    "problem": "gains",
+    "parameters": {f"p{number}": {"lower": 0, "upper": 1} for number in range(1, 7)} | {"mode": {"choices": ["eco", "sport"]}},
+    "baseline": BASELINE,
+    "simulator": {"kind": "process", "command": ["mysim"], "deterministic": True},
+    "scenarios": {"city": {}, "road": {}},
+    "measures": {"y": "1"},
+    "scores": {"cost": {"formula": "y", "direction": "minimise", "range": [0, 10]}},
+}
+SPEC: dict[str, Any] = {
+    "problem": "gains",
+    "objectives": [{"changes": "baseline"}],
+    "constraints": [{"score": "cost", "at_most": 1}],
+    "optimizer": {"kind": "surrogate", "seed": 1},
+    "budget": {"simulations": 120},
+}
+
+
+def driven(setup: SetupRequest, cell: Cell) -> CellResult:
+    """p1 and p2 matter most: both together reach a cost of 1, neither does alone. All the others help a little."""
+    p = {name: float(value) for name, value in cell.parameters.items() if name != "mode"}
+    cost = 2 * abs(p["p1"] - 0.9) + 2 * abs(p["p2"] - 0.1) + 0.1 * sum(abs(p[f"p{number}"] - 0.7) for number in range(3, 7))
+    return CellResult(cell.id, None, None, {"y": cost + 0.5 + 0.05 * (setup.scenario == "road")}, None, 7.0)
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Database]:
+    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    store(database, MANIFEST)
+    yield database
+    database.dispose()
+
+
+def carried_out(database: Database, **changes: Any) -> StoredCampaign:
+    ended = finish(database, submit_checked(database, SPEC | changes), dispatcher(database, ComputedBackend(driven=driven)))
+    assert ended.state is CampaignState.SUCCEEDED, ended.error
+    return ended
+
+
+def changed(parameters: Any) -> list[str]:
+    return [name for name, value in BASELINE.items() if parameters[name] != value]
+
+
+def test_the_smallest_change_that_reaches_a_limit_is_found(database: Database) -> None:
+    best = carried_out(database).best
+    assert best is not None
+    assert best.violation == 0
+    assert changed(best.parameters) == ["p1", "p2"]
+    assert best.objective == 2
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        {"changes": "baseline", "at_most": 3},
+        {"distance": "baseline", "at_most": 0.1},
+        {"distance": "baseline", "norm": "sum", "at_most": 0.5},
+    ],
+)
+def test_no_set_beyond_a_limit_of_change_is_simulated(database: Database, limit: dict[str, Any]) -> None:
+    ended = carried_out(database, objectives=[{"score": "cost"}], constraints=[limit], budget={"simulations": 50})
+    assert ended.best is not None
+    assert ended.baseline is not None
+    assert ended.baseline.objective is not None
+    assert ended.best.objective < ended.baseline.objective - 0.2
+    for row in rows_of(database, ended):
+        values = row.parameters.floats
+        shares = np.array([abs(float(values[name]) - 0.5) for name in BASELINE if name != "mode"] + [values["mode"] != "eco"])
+        amount = np.count_nonzero(shares) if "changes" in limit else shares.sum() if "norm" in limit else shares.max()
+        assert amount <= limit["at_most"] + 1e-9
+
+
+def test_the_second_objective_is_the_distance_from_a_set_of_another_campaign(database: Database) -> None:
+    small = {"constraints": [], "budget": {"simulations": 30}}
+    first = carried_out(database, objectives=[{"score": "cost"}], **small)
+    assert first.best is not None
+    ended = carried_out(database, objectives=[{"score": "cost"}, {"distance": f"{first.id}#1"}], **small)
+    assert ended.spec["objectives"][1]["distance"] == first.best.parameters
+    front = front_of(database, ended, resolved_spec(ended))
+    assert 0.0 in [each.solution.judgement.amounts[1] for each in front.members if each.solution.judgement is not None], (
+        "the set itself, whose cells are stored"
+    )
+
+
+@pytest.mark.parametrize(
+    ("goal", "field"),
+    [
+        ({"changes": "baseline", "direction": "maximise"}, "objectives[0]"),
+        ({"changes": {"p1": 0.5}}, "objectives[0].changes.p2"),
+        ({"distance": "f" * 32}, "objectives[0].distance"),
+        ({"score": "cost", "changes": "baseline"}, "objectives[0]"),
+    ],
+)
+def test_a_wrong_comparison_is_refused_by_its_field(database: Database, goal: dict[str, Any], field: str) -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        submit_checked(database, validated(CampaignSpecification, SPEC | {"objectives": [goal]}).model_dump())
+    assert any(problem.field.startswith(field) for problem in refused.value.problems)
