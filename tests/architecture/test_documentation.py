@@ -22,8 +22,8 @@ from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.cli.commands.check import LimitsFile
 from drivecal.cli.main import app
-from drivecal.client.documents import located_yaml, read_document
-from drivecal.client.problems import read_bundle
+from drivecal.configuration.documents import located_yaml, read_document
+from drivecal.configuration.problems import read_bundle
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification

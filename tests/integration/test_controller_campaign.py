@@ -13,7 +13,7 @@ from tests.support.serve import serving
 
 from drivecal.bundles.highway_catalogue import MEASURES
 from drivecal.client import Client
-from drivecal.client.problems import read_bundle
+from drivecal.configuration.problems import read_bundle
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 SPEC: dict[str, Any] = {

@@ -19,7 +19,7 @@ from tests.support.networks import REAL, entrance, real
 from tests.support.scenario_files import FILES, ROUTES
 from tests.support.scenario_files import motorway as opendrive
 
-from drivecal.client.problems import read_bundle
+from drivecal.configuration.problems import read_bundle
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import NoMeasuresError

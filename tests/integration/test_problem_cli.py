@@ -11,7 +11,7 @@ from tests.support.command import command
 from tests.support.server import RunningApi, serving
 
 from drivecal.client import Client
-from drivecal.client.problems import read_bundle
+from drivecal.configuration.problems import read_bundle
 from drivecal.domain.errors import NotFoundError
 
 EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "problems" / "python-function"

@@ -22,7 +22,7 @@ import pytest
 import yaml
 from tests.support.roads import to_cartesian
 
-from drivecal.client.problems import read_bundle
+from drivecal.configuration.problems import read_bundle
 from drivecal.local.problems import CheckedScenario, run_problem, trial_set
 from drivecal.roads.conversion import converted
 from drivecal.roads.corridor import Corridor, corridor

@@ -15,7 +15,7 @@ from drivecal.api.dependencies import Limits
 from drivecal.bundles.archives import content_digest, executables, files_of, manifest_text, pack
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway_catalogue import MEASURES as CATALOGUE
-from drivecal.client.problems import read_manifest
+from drivecal.configuration.problems import read_manifest
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult

@@ -44,7 +44,7 @@ from drivecal.contracts.tables import FrontRow, InfluenceRow, JudgedSet, Optimum
 from drivecal.domain.errors import OverloadError
 
 if TYPE_CHECKING:
-    from drivecal.client.problems import Pushed
+    from drivecal.configuration.problems import Pushed
 
 Action = Literal["pause", "resume", "cancel", "finish"]
 Table = Literal[TableName, "front/evaluated"]
@@ -460,7 +460,7 @@ class Client(Transport):
 
     def push_problem(self, problem: "Pushed") -> ProblemAnswer:
         """Stores a problem: a folder with `problem.yaml`, or an archive of one. Takes a token of an author, or the server's own user."""
-        from drivecal.client.problems import archive_of, push_headers  # what checks problems takes a second to import
+        from drivecal.configuration.problems import archive_of, push_headers  # what checks problems takes a second to import
 
         archive = archive_of(problem)
         headers = push_headers(archive, signed="Authorization" not in self._http.headers)

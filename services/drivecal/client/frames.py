@@ -1,7 +1,7 @@
 """Tables as data frames of Arrow, pandas or polars: downloaded files, and rows that are a list as well."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from io import BytesIO
@@ -9,32 +9,9 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
+from drivecal.configuration.arrow import arrow_schema, arrow_table
 from drivecal.contracts.campaign import MOST_ROWS, html_table
-from drivecal.contracts.tables import Column, Kind, Solution, SolutionPage, columns_of, file_row
-
-
-def arrow_schema(columns: Sequence[Column]) -> Any:
-    """Returns the `pyarrow.Schema` of a file with these columns. Raises ModuleNotFoundError without pyarrow."""
-    import pyarrow as pa  # takes a while and memory; most processes never need it
-
-    types = {
-        "integer": pa.int64(),
-        "number": pa.float64(),
-        "text": pa.string(),
-        "truth": pa.bool_(),
-        "numbers": pa.list_(pa.float64()),
-    }
-    return pa.schema([(column.name, types[column.kind]) for column in columns])
-
-
-def arrow_table(schema: Any, rows: Iterable[Mapping[str, Any]]) -> Any:
-    """Returns a `pyarrow.Table` of rows that have a value, or None, for each column of the schema."""
-    import pyarrow as pa
-
-    listed = list(rows)
-    arrays = [pa.array([row[column.name] for row in listed], column.type) for column in schema]
-    return pa.Table.from_arrays(arrays, schema=schema)
-
+from drivecal.contracts.tables import Kind, Solution, SolutionPage, columns_of, file_row
 
 RowModel = TypeVar("RowModel", bound=BaseModel)
 

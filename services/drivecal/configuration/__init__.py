@@ -1,1 +1,1 @@
-"""Configuration of the coordinator's processes."""
+"""Configuration of the coordinator's processes, and the files that users write."""

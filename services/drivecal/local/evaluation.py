@@ -12,7 +12,7 @@ from drivecal.bundles.installed import Bundle
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import resolve_evaluation
 from drivecal.campaigns.resolve.workbench import installed_bundles, with_tools
-from drivecal.client.problems import read_bundle
+from drivecal.configuration.problems import read_bundle
 from drivecal.contracts.campaign import html_table
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import DEFAULT_PROBLEM, EvaluationSpecification, Given

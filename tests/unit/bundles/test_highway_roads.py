@@ -17,7 +17,7 @@ from drivecal.bundles.archives import BundleFile, content_digest, files_of, with
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway_roads import check_roads, conversions
 from drivecal.bundles.traffic import description
-from drivecal.client.problems import read_archived, read_bundle, read_bundle_with_notes
+from drivecal.configuration.problems import read_archived, read_bundle, read_bundle_with_notes
 from drivecal.domain.errors import InvalidInputError, UnavailableError
 from drivecal.roads.corridor import Corridor, corridor
 from drivecal.roads.network import Network, read_network

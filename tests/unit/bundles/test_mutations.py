@@ -16,7 +16,7 @@ from tests.support.effort import tries
 from tests.support.mutations import at_home, soon
 
 from drivecal.bundles.archives import executables, files_of, manifest_text, pack, remove, unpack
-from drivecal.client.problems import read_manifest
+from drivecal.configuration.problems import read_manifest
 from drivecal.domain.errors import InvalidInputError
 
 MUTATIONS = tries(200, 10_000)

@@ -17,7 +17,7 @@ from drivecal.bundles.fmus.description import parse_description, read_fmu
 from drivecal.bundles.installed import installed_problems
 from drivecal.bundles.manifest import CommandSimulator, Manifest, ProcessSimulator
 from drivecal.client.problem_templates import write_problem
-from drivecal.client.problems import read_bundle
+from drivecal.configuration.problems import read_bundle
 from drivecal.domain.errors import InvalidInputError
 from drivecal.local.problems import run_problem, trial_set
 

@@ -9,7 +9,7 @@ import yaml
 
 from drivecal import local
 from drivecal.client.problem_templates import write_problem
-from drivecal.client.problems import read_bundle
+from drivecal.configuration.problems import read_bundle
 from drivecal.domain.errors import InvalidInputError
 from drivecal.local.problems import run_problem
 

@@ -17,8 +17,8 @@ from drivecal.api.responses import ROOT, matches
 from drivecal.api.results.curves import shapes_of
 from drivecal.bundles.archives import content_digest, files_of
 from drivecal.bundles.manifest import Manifest
-from drivecal.client.problems import read_archived
 from drivecal.configuration.memory import give_back
+from drivecal.configuration.problems import read_archived
 from drivecal.configuration.pushing import HEADER
 from drivecal.contracts.inventory import ProblemAnswer, ProblemHeading, ProblemPage
 from drivecal.storage import admission, bundles

@@ -11,7 +11,7 @@ from fastapi.responses import JSONResponse, StreamingResponse
 from pydantic import BaseModel
 
 from drivecal.api.http.queries import PARQUET, TableOf, form_of
-from drivecal.client.frames import arrow_schema, arrow_table
+from drivecal.configuration.arrow import arrow_schema, arrow_table
 from drivecal.contracts.campaign import Page
 from drivecal.contracts.tables import Column, csv_text, file_row
 from drivecal.domain.errors import InvalidInputError, Problem

@@ -19,7 +19,7 @@ from drivecal.cli.views.output import (
 )
 from drivecal.cli.views.progress import follow
 from drivecal.client.client import Action, Client
-from drivecal.client.documents import opened_document
+from drivecal.configuration.documents import opened_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedRuns
 from drivecal.domain.campaigns import CampaignState

@@ -15,7 +15,7 @@ from drivecal.cli.commands.evaluate import SECONDS_BETWEEN_QUESTIONS, ended
 from drivecal.cli.views.output import print_columns, print_json
 from drivecal.cli.views.progress import pauses
 from drivecal.client.client import Client
-from drivecal.client.documents import read_document
+from drivecal.configuration.documents import read_document
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.inventory import ProblemAnswer

@@ -10,7 +10,7 @@ from drivecal.cli.views.output import duration, print_answer, print_columns
 from drivecal.cli.views.progress import attached, pauses
 from drivecal.cli.views.sections import fixed, objective_number
 from drivecal.client.client import Client
-from drivecal.client.documents import opened_document
+from drivecal.configuration.documents import opened_document
 from drivecal.contracts.comparison import ComparedGroup, Comparison, ExpectedComparison
 from drivecal.domain.campaigns import CampaignState
 

@@ -11,7 +11,7 @@ from drivecal.cli.application import JsonOption, UrlOption, app, connect
 from drivecal.cli.views.output import print_answer, print_columns, print_json, print_page, when
 from drivecal.cli.views.sections import fixed
 from drivecal.client.client import Client
-from drivecal.client.documents import opened_document
+from drivecal.configuration.documents import opened_document
 from drivecal.contracts.inventory import InfluenceMapAnswer
 from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.errors import ConflictError, NotFoundError

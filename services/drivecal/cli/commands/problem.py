@@ -16,9 +16,9 @@ from drivecal.calibration_data.characteristics import LARGEST_FILE
 from drivecal.calibration_data.sections import Sections, axis_points, chosen_by, joined, sections_of
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_json, print_page, when
-from drivecal.client.documents import read_document
 from drivecal.client.problem_templates import write_problem
-from drivecal.client.problems import read_bundle_with_notes
+from drivecal.configuration.documents import read_document
+from drivecal.configuration.problems import read_bundle_with_notes
 from drivecal.contracts.inventory import ProblemAnswer
 from drivecal.domain.errors import file_faults
 

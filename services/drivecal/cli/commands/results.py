@@ -18,9 +18,9 @@ from drivecal.cli.commands.problem import NamesOption
 from drivecal.cli.views.fronts import front_blocks
 from drivecal.cli.views.output import print_answer, print_blocks, print_json, print_solutions
 from drivecal.client.client import Client
-from drivecal.client.documents import read_document
 from drivecal.client.mlflow import write_runs
 from drivecal.client.transport import harmless_text
+from drivecal.configuration.documents import read_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.tables import TableName
 from drivecal.domain.errors import InvalidInputError, Problem, file_faults

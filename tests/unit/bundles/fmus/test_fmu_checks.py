@@ -18,7 +18,7 @@ from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.fmus import description as description_module
 from drivecal.bundles.fmus.bundles import MOST_PROBLEMS, check_fmus, fields_of_resets
 from drivecal.bundles.fmus.description import parse_description, read_fmu
-from drivecal.client.problems import read_archived, read_bundle_with_notes
+from drivecal.configuration.problems import read_archived, read_bundle_with_notes
 from drivecal.domain.errors import InvalidInputError
 
 SECOND = """<fmiModelDescription fmiVersion="2.0" modelName="acc" guid="1"><CoSimulation modelIdentifier="acc"/>

@@ -36,7 +36,7 @@ from drivecal.bundles.archives import files_of
 from drivecal.bundles.traffic.elements import Notes, read_tree
 from drivecal.bundles.traffic.entities import Files, entities_of
 from drivecal.bundles.traffic.places import Map
-from drivecal.client.problems import read_archived, read_bundle_with_notes
+from drivecal.configuration.problems import read_archived, read_bundle_with_notes
 from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.network import read_network
 

@@ -12,7 +12,7 @@ from drivecal.bundles.checks import checked, script_problems
 from drivecal.bundles.fmus.bundles import check_fmus
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.manifest import Manifest
-from drivecal.client.documents import LARGEST_FILE, located, located_yaml
+from drivecal.configuration.documents import LARGEST_FILE, located, located_yaml
 from drivecal.configuration.pushing import HEADER, read_secret, sign
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.strict_json import shown

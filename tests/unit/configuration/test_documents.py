@@ -10,7 +10,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivecal.client.documents import LARGEST_FILE, opened_document, read_document
+from drivecal.configuration.documents import LARGEST_FILE, opened_document, read_document
 from drivecal.contracts import strict_json
 from drivecal.domain.errors import InvalidInputError, Problem
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tests.support.effort import examples
 
 from drivecal.bundles.archives import content_digest, files_of, pack
-from drivecal.client.problems import read_archived, read_bundle, read_manifest
+from drivecal.configuration.problems import read_archived, read_bundle, read_manifest
 from drivecal.domain.errors import InvalidInputError
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples" / "problems"

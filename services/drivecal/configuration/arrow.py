@@ -1,0 +1,29 @@
+"""Tables of `contracts.tables` as pyarrow has them, for files and data frames."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from drivecal.contracts.tables import Column
+
+
+def arrow_schema(columns: Sequence[Column]) -> Any:
+    """Returns the `pyarrow.Schema` of a file with these columns. Raises ModuleNotFoundError without pyarrow."""
+    import pyarrow as pa  # takes a while and memory; most processes never need it
+
+    types = {
+        "integer": pa.int64(),
+        "number": pa.float64(),
+        "text": pa.string(),
+        "truth": pa.bool_(),
+        "numbers": pa.list_(pa.float64()),
+    }
+    return pa.schema([(column.name, types[column.kind]) for column in columns])
+
+
+def arrow_table(schema: Any, rows: Iterable[Mapping[str, Any]]) -> Any:
+    """Returns a `pyarrow.Table` of rows that have a value, or None, for each column of the schema."""
+    import pyarrow as pa
+
+    listed = list(rows)
+    arrays = [pa.array([row[column.name] for row in listed], column.type) for column in schema]
+    return pa.Table.from_arrays(arrays, schema=schema)
