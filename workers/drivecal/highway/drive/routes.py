@@ -14,7 +14,6 @@ from drivecal.bundles.highway import Driver, HighwayScenario, TrafficEntry
 from drivecal.bundles.highway_actions import Brake, Wait
 from drivecal.bundles.traffic.route_files import SUBLANE as SUBLANE_MODEL
 from drivecal.bundles.traffic.route_files import RouteTraffic
-from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import Floats
 from drivecal.highway import sumo
 from drivecal.highway.geometry import hit
@@ -78,8 +77,6 @@ def routes_file(scenario: HighwayScenario, routes: RouteTraffic | None = None) -
     """Returns SUMO's file of the scenario's own vehicles: a type and a route each. Each run adds the vehicles.
 
     `routes`: the traffic of the scenario's route file.
-
-    Raises InvalidInputError with the field `traffic[i].edge`.
     """
     unmoved = SUBLANE_MODEL if _is_sublane(scenario, routes) else "LC2013"
     root = Element("routes")
@@ -88,11 +85,11 @@ def routes_file(scenario: HighwayScenario, routes: RouteTraffic | None = None) -
         root, "vType", {"id": EGO, "length": repr(ego.length), "width": repr(ego.width), **_FREE} | _model(_NOBODY, unmoved)
     )
     SubElement(root, "route", id=route_id(EGO), edges=" ".join(scenario.route))
-    for index, (name, entry) in enumerate(drivers(scenario).items()):
+    for name, entry in drivers(scenario).items():
         if entry.path is not None:
             continue
         SubElement(root, "vType", {"id": name} | _type(entry, unmoved))
-        SubElement(root, "route", id=route_id(name), edges=" ".join(_route(scenario, entry, f"traffic[{index}]")))
+        SubElement(root, "route", id=route_id(name), edges=" ".join(_route(scenario, entry)))
     return tostring(root)
 
 
@@ -101,17 +98,12 @@ _FREE = {"speedFactor": "100", "speedDev": "0", "maxSpeed": "200"}
 _NOBODY = Driver.model_validate({})
 
 
-def _route(scenario: HighwayScenario, driver: TrafficEntry, field: str) -> list[str]:
-    """Returns the edges that begin with the driver's `edge`: its whole route if it is off the scenario's."""
-    edge, own = driver.edge, driver.route is not None
+def _route(scenario: HighwayScenario, driver: TrafficEntry) -> list[str]:
+    """Returns the edges that begin with the driver's `edge`, which alone is the route of a vehicle off the scenario's."""
     route = scenario.route if driver.route is None else driver.route
-    if edge is None:
+    if driver.edge is None:
         return route
-    if edge in route:
-        return route[route.index(edge) :]
-    if own:
-        raise InvalidInputError(Problem(f"{field}.edge", f"the edge {edge} is not on the own route", "give one of `route`"))
-    return [edge]
+    return route[route.index(driver.edge) :] if driver.edge in route else [driver.edge]
 
 
 def _is_sublane(scenario: HighwayScenario, routes: RouteTraffic | None) -> bool:

@@ -109,10 +109,7 @@ class Traffic:
         self._strays: dict[str, bool] = {}
         """True for vehicles that also drive on edges off the scenario's route, e.g. against it."""
         self._own = frozenset(scenario.route)
-        try:
-            contents = [("traffic.rou.xml", routes_file(scenario, routes))]
-        except InvalidInputError as error:
-            raise _prefixed(error, field) from error
+        contents = [("traffic.rou.xml", routes_file(scenario, routes))]
         if routes is not None:
             contents.append((f"routes-{Path(scenario.routes or '').name.translate(SPLITTING)}", routes.content))
         for route_file, content in contents:
@@ -426,11 +423,7 @@ def _front(road: HighwayRoad, placed: Placed, length: float, field: str) -> tupl
     else:
         edge, lane, position = road.sumo.ahead(placed.edge, placed.lane, placed.s + 0.5 * length)
     name = f"{edge}_{lane}"
-    try:
-        end = float(sumo.lane.getLength(name))
-    except SUMO_ERRORS as error:
-        message = f"the network has no lane {name}"
-        raise InvalidInputError(Problem(f"{field}.lane", message, "give an edge and a lane of the network")) from error
+    end = float(sumo.lane.getLength(name))
     beyond = position - end
     if beyond > LARGEST_BEYOND and not isinstance(placed, Ego):  # the ego vehicle is put to its place after each step
         message = f"the vehicle's front would be {beyond:.2f} m beyond the end of the lane {name}, where SUMO cannot put it"
