@@ -156,6 +156,25 @@ def test_a_calibration_file_with_labels_is_checked_like_any_set(checking: Checki
     assert "parameters.P1" in missing.output
 
 
+def test_the_curves_of_a_calibration_file_are_checked(checking: Checking) -> None:
+    tank = {"curve": {"axis": [0, 5, 9]}, "lower": 0, "upper": 9}
+    parameters, baseline = (MANIFEST[name] | {"tank": given} for name, given in (("parameters", tank), ("baseline", [1, 2, 3])))
+    push(checking.api.database, checking.folder / "heater", parameters=parameters, baseline=baseline)
+    seen = []
+
+    def answer(scenario: str, cell: Cell) -> CellResult:
+        seen.append([cell.parameters[f"tank_{number}"] for number in (1, 2, 3)])
+        return heated(scenario, cell)
+
+    checking.backend.answer = answer
+    values = [f"FESTWERT {name}\n WERT {value}\nEND" for name, value in (("gain", 0.5), ("stage", 1), ("rooms", 3))]
+    curve = 'KENNLINIE ACC_tank 3\n ST/X 0 5 9\n WERT 4 2.5 7\nEND\nFESTWERT mode\n TEXT "eco"\nEND\n'
+    file = checking.file("set.dcm", "\n".join(["KONSERVIERUNG_FORMAT 2.0", *values, curve]))
+    checked = checking(file, "--problem", "heater", "--names", checking.file("names.yaml", "tank: ACC_tank"))
+    assert (checked.exit_code, seen) == (0, [[4.0, 2.5, 7.0]] * 2), checked.output
+    assert "parameters.tank" in checking(file, "--problem", "heater").output
+
+
 @pytest.mark.parametrize(
     ("limit", "field"),
     [

@@ -24,7 +24,6 @@ from drivecal.calibration_data import files
 from drivecal.calibration_data.carried import carried
 from drivecal.calibration_data.characteristics import Characteristic
 from drivecal.calibration_data.sections import joined, sections_of
-from drivecal.domain.errors import InvalidInputError
 
 pytestmark = [pytest.mark.packages, pytest.mark.timeout(900)]
 
@@ -192,14 +191,3 @@ def test_curves_and_maps_of_a_public_a2l_keep_values_and_axes_in_other_readers(
         assert in_another_reader(tmp_path / "set.dcm") == {row.name: expected(row) for row in rows}
         ours = {row.name: expected_in_xml(row, {"STD_AXIS", "FIX_AXIS", "COM_AXIS", "RES_AXIS"}) for row in rows}
         assert of_xml((tmp_path / "set.cdfx").read_bytes()) == ours
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_a_part_of_a_public_file_is_refused_with_its_line(fetched: Path, name: str) -> None:
-    whole = public(fetched, name).rstrip()
-    for share in range(1, 20):
-        with pytest.raises(InvalidInputError) as refused:
-            files.read(whole[: len(whole) * share // 20], f"part{Path(name).suffix}")
-        (problem,) = refused.value.problems
-        assert problem.field.startswith(f"part{Path(name).suffix}, line ")
-        assert problem.remedy

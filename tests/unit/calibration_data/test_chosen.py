@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
+from tests.support.problems import MANIFEST
 
 from drivecal.analysis.verdicts import answers
 from drivecal.api.results.curves import shapes_of
@@ -125,10 +126,7 @@ def test_a_set_has_its_curves_and_the_points_of_their_axes() -> None:
         "block": {"map": {"x": [0, 1, 2], "y": [0, 1]}, **over},
         "gap": over,
     }
-    manifest = Manifest.model_validate({
-        "problem": "p", "parameters": entries, "simulator": {"kind": "python", "file": "m.py"}, "scenarios": {"s": {}},
-        "measures": {"m": "1"}, "scores": {"c": {"formula": "m", "direction": "minimise", "range": [0, 1]}},
-    })  # fmt: skip
+    manifest = Manifest.model_validate(MANIFEST | {"parameters": entries, "constraints": [], "baseline": None})
     table = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
     given: dict[str, Given] = {
         "gain": [3.0, 2.0, 1.0],
