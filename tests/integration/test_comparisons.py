@@ -183,7 +183,7 @@ def test_any_campaigns_with_a_common_tag_are_compared(database: Database) -> Non
         submit(database, optimizer={"kind": kind, "population": 6, "iterations": 2, "seed": 1}) for kind in ("random", "swarm")
     ]
     with database.transaction() as connection:
-        connection.execute(update(tables.campaigns).values(tags=["mine"]))
+        connection.execute(update(tables.campaigns).values(tags=("mine",)))
     answer = finish_comparison(database, "mine")
     assert [(run.campaign, run.optimizer) for run in answer.runs] == [(tagged[0].id, "random"), (tagged[1].id, "swarm")]
     with pytest.raises(NotFoundError):
@@ -196,7 +196,7 @@ def test_a_confirmed_campaign_has_the_optimum_of_its_objective(database: Databas
     optimizer = {"kind": "genetic", "population": 9, "iterations": 3}
     submitted = submit(database, stored_map=stored_map, objectives=objectives, optimizer=optimizer, parameters=EXPERT_SPACE)
     with database.transaction() as connection:
-        connection.execute(update(tables.campaigns).values(tags=["mine"]))
+        connection.execute(update(tables.campaigns).values(tags=("mine",)))
     [compared_run] = finish_comparison(database, "mine").runs
     campaign = get(database, submitted)
     assert campaign.best is not None

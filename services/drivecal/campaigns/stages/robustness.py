@@ -72,13 +72,13 @@ def check_source(connection: Connection, problem: CalibrationProblem) -> None:
         raise InvalidInputError(Problem(field, message, "name one that has searched"))
     if not source.state.ended:
         raise InvalidInputError(Problem(field, f"campaign {wanted.of} is {source.state}", "name one that has ended"))
-    if source.spec["driving_function"] != function:
-        message = f"its solutions are of the driving function {source.spec['driving_function']!r}"
-        raise InvalidInputError(Problem(field, message, f"name a campaign of {function!r}"))
     theirs = resolved_spec(source)
     if set(theirs.space.names) != set(problem.space.names):
         message = f"its sets have the parameters {', '.join(theirs.space.names)}"
         raise InvalidInputError(Problem(field, message, f"name a campaign that searched {', '.join(problem.space.names)}"))
+    if source.spec["driving_function"] != function:
+        message = f"its solutions are of the driving function {source.spec['driving_function'] or 'of its problem'}"
+        raise InvalidInputError(Problem(field, message, f"name a campaign of {function or problem.bench.function}"))
     if missing := [name for name in problem.weights if name not in theirs.weights]:
         message = f"its sets have no scores in {', '.join(missing)}"
         raise InvalidInputError(Problem(field, message, f"give a catalogue of {', '.join(theirs.weights)}"))
