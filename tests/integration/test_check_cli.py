@@ -125,11 +125,16 @@ def searched(checking: Checking, **changes: Any) -> str:
         return client.wait(client.submit(document | changes).id).id
 
 
-def test_a_set_of_a_campaign_is_checked_in_the_vehicle_of_the_campaign(checking: Checking) -> None:
-    campaign = searched(checking, catalogue=["S1"], vehicle={"parameters": {"mass": 2500}})
+def test_a_set_of_a_campaign_is_checked_in_its_scenarios_and_its_vehicle_without_simulations(checking: Checking) -> None:
+    limited = checking.file("limits.json", {"limits": [{"score": "reference", "at_least": -9, "scenarios": ["S2"]}]})
+    fixed = {f"P{number}": 0.25 for number in range(2, 12)}
+    space = [{"name": "P1", "lower": 0, "upper": 1, "step": 0.1}]
+    settings = {"vehicle": {"parameters": {"mass": 2500}}, "parameters": space, "fixed": fixed, "evaluator": "learned"}
+    campaign = searched(checking, catalogue=["S1", "S3"], **settings)
     before = len(checking.backend.sent)
     assert checking(f"{campaign}#1", "--baseline", f"{campaign}#2").exit_code == 0
-    assert len(checking.backend.sent) == before + 10, "the runs of S1 are stored"
+    assert len(checking.backend.sent) == before
+    assert checking(f"{campaign}#1", "--limits", limited).exit_code == 2
 
 
 def test_scores_are_checked_by_name_and_a_campaigns_own_comes_first(checking: Checking) -> None:

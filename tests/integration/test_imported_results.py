@@ -88,9 +88,16 @@ def test_a_search_starts_with_the_sets_of_a_source_and_simulates_them(api: Runni
         differences = [item.difference for item in client.imported("heater")]
         assert [difference is None for difference in differences] == [False, True]  # no run of the very set off the grid
         client.import_results([row() | {"parameters": SET | {"rooms": 9}}], **HEAD | {"source": "house 8"})
-        for source in ("house 8", "house 9"):
-            refused = api.http.post("/api/v1/campaigns", json=spec | {"optimizer": search | {"start_results": source}})
+        few: dict[str, Any] = {"population": 2, "start_sets": [SET | {"rooms": 2}]}
+        for changes in ({"start_results": "house 8"}, {"start_results": "house 9"}, few):
+            refused = api.http.post("/api/v1/campaigns", json=spec | {"optimizer": search | changes})
             assert problem_of(refused, 422)["errors"][0]["field"] == "optimizer.start_results"
+        begun = campaign.spec["optimizer"]
+        for changed in ({}, {"kind": "genetic", "population": 6}, few | {"population": 6}):
+            again = client.rerun(campaign.id, {"weights": {}, "optimizer": changed}).spec["optimizer"]
+            assert (again["start_results"], again["start_sets"][-2:]) == ("house 7", begun["start_sets"])
+        client.delete_imported("heater", "house 7")
+        assert client.rerun(campaign.id, {"weights": {"winter": 1}}).spec["optimizer"] == begun
 
 
 @pytest.mark.parametrize(

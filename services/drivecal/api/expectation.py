@@ -1,7 +1,7 @@
 """Checks of requests, and what they are expected to cost, without a change of the database."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sqlalchemy import Connection
 
@@ -114,21 +114,24 @@ def advice(problem: CalibrationProblem, simulations: int, milliseconds: float) -
     return []
 
 
-def resolved(database: Database, specification: CampaignSpecification) -> CalibrationProblem:
-    """Returns the resolved campaign, whose `start_results` became start sets. Raises InvalidInputError with every fault, a missing map's
-    included."""
-    wanted = specification.optimizer
+def resolved(database: Database, specification: CampaignSpecification, *, again: bool = False) -> CalibrationProblem:
+    """Returns the resolved campaign, whose start sets include the sets of `start_results`. Raises InvalidInputError with every fault, a
+    missing map's included. `again`: it was resolved before, and the results may have been deleted since."""
+    wanted, bundles = specification.optimizer, stored_bundles(database)
     goals = {name: given for name in ("objectives", "constraints") if (given := getattr(specification, name))}
-    sets = {name: [_with_set(database, goal) for goal in given] for name, given in goals.items()}
-    specification = specification.model_copy(update=sets)
+    measured = {name: [_with_set(database, goal) for goal in given] for name, given in goals.items()}
+    specification = specification.model_copy(update=measured)
     try:
+        problem = resolve(specification, bundles)
         if wanted is None or wanted.start_results is None:
-            return resolve(specification, stored_bundles(database))
-        plain = wanted.model_copy(update={"start_results": None})
-        problem = resolve(specification.model_copy(update={"optimizer": plain}), stored_bundles(database))
-        begin = [*wanted.start_sets, *_imported_sets(database, problem, wanted.start_results)]
-        begun = plain.model_copy(update={"start_sets": begin})
-        return resolve(specification.model_copy(update={"optimizer": begun}), stored_bundles(database))
+            return problem
+        sets = _imported_sets(database, problem, wanted.start_results, again=again)
+        begin = [*wanted.start_sets, *(each for each in sets if each not in wanted.start_sets)]
+        begun = wanted.model_copy(update={"start_sets": begin})
+        try:
+            return resolve(specification.model_copy(update={"optimizer": begun}), bundles)
+        except InvalidInputError as error:
+            raise InvalidInputError(*(replace(each, field="optimizer.start_results") for each in error.problems)) from error
     except InvalidInputError as error:
         own = error.problems
     diagnostics = Diagnostics()
@@ -154,12 +157,12 @@ def _with_set(database: Database, goal: GoalSpecification) -> GoalSpecification:
     return goal
 
 
-def _imported_sets(database: Database, problem: CalibrationProblem, source: str) -> list[Values]:
+def _imported_sets(database: Database, problem: CalibrationProblem, source: str, *, again: bool) -> list[Values]:
     """Returns the sets of a source of results from elsewhere, at the nearest grid points, each once."""
     field, name = "optimizer.start_results", problem.bench.bundle.manifest.problem
     with database.read() as connection:
         rows = imported.listing(connection, name, source)
-    if not rows:
+    if not rows and not again:
         raise InvalidInputError(
             Problem(field, f"{name} has no results of {source!r}", f"`drivecal results list {name}` lists what there is")
         )
@@ -195,10 +198,10 @@ def refuse_without(limits: Limits, bench: Bench) -> None:
         )
 
 
-def checked(database: Database, limits: Limits, specification: CampaignSpecification) -> CalibrationProblem:
-    """Returns the resolved campaign. Raises TooLargeError if its stages propose too many cells, and InvalidInputError if it needs more of
-    a resource than there is."""
-    problem, largest = resolved(database, specification), limits.settings.largest_campaign
+def checked(database: Database, limits: Limits, given: CampaignSpecification, *, again: bool = False) -> CalibrationProblem:
+    """Returns the campaign as `resolved`. Raises TooLargeError if its stages propose too many cells, and InvalidInputError if it needs more
+    of a resource than there is."""
+    problem, largest = resolved(database, given, again=again), limits.settings.largest_campaign
     refuse_without(limits, problem.bench)
     runs = problem.expected_runs()
     stages = {"optimizer": runs.calibration_proposed, "sensitivity": runs.sensitivity_at_most} | {

@@ -11,6 +11,7 @@ from drivecal.api.dependencies import Limits
 from drivecal.api.expectation import checked, checked_comparison, compared_map, refuse_without, stored_parts
 from drivecal.campaigns.comparison import keys_of, tag_of
 from drivecal.campaigns.resolve.maps import is_outdated, warnings_of
+from drivecal.campaigns.resolve.optimizer import BEGINNINGS
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve_evaluation
 from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.contracts.comparison import ComparisonSpecification
@@ -84,10 +85,10 @@ def rerun(
     if not first.state.ended:
         raise ConflictError(f"campaign {first_id} is {first.state}; rerun it when it has ended, or cancel it first")
     document = _changed(first, used, changes)
-    problem = checked(database, limits, validated(CampaignSpecification, document))
+    problem = checked(database, limits, validated(CampaignSpecification, document), again=True)
     if used is not None and used.basis is not None and is_outdated(used, problem):
         document["sensitivity"] = used.basis["sensitivity"]  # made again, from stored runs if only ratings are others
-        problem = checked(database, limits, validated(CampaignSpecification, document))
+        problem = checked(database, limits, validated(CampaignSpecification, document), again=True)
     with database.transaction() as connection:
         return _queue(connection, limits, problem, asked, rerun_of=first_id)
 
@@ -205,7 +206,7 @@ def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: Re
 
 
 def _merged(before: Mapping[str, Any] | None, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns merged settings. For another kind of optimizer, nothing of the first settings is kept."""
-    if before is None or changes.get("kind", before.get("kind")) != before.get("kind"):
-        return dict(changes)
-    return {**before, **changes}
+    """Returns merged settings. For another kind of optimizer, only the sets that a search begins with are kept."""
+    if before is not None and changes.get("kind", before.get("kind")) != before.get("kind"):
+        before = {name: before[name] for name in BEGINNINGS if name in before}
+    return {**(before or {}), **changes}

@@ -16,6 +16,7 @@ from sqlalchemy import Connection
 from drivecal.analysis import comparison as analysis
 from drivecal.analysis.comparison import Conditions, Course
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.optimizer import BEGINNINGS
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.campaigns.resolve.workbench import BundleSource, installed_bundles
@@ -192,7 +193,7 @@ def _check_lists(specification: ComparisonSpecification, diagnostics: Diagnostic
             if name in COMMON:
                 message = "all optimizers have the same here"
                 diagnostics.add(f"optimizers[{index}].{name}", message, f"give it in `{COMMON[name]}`")
-            elif name == "start_sets":
+            elif name in BEGINNINGS:
                 diagnostics.add(f"optimizers[{index}].{name}", "all optimizers begin with the same sets here", "leave it out")
 
 

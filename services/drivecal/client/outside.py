@@ -18,23 +18,14 @@ WAIT_SECONDS = 20.0
 Parameters = Mapping[str, Given]
 
 
-class Feeding(Protocol):
+class _Feeding(Protocol):
     """The client's calls about a campaign that others feed."""
 
-    def propose(self, identifier: str, sets: Sequence[Mapping[str, object]]) -> AcceptedSets:
-        """Sends sets."""
-
-    def answers(self, identifier: str, after: int = 0, wait: float = 0.0) -> AnswerPage:
-        """Returns answers."""
-
-    def act(self, identifier: str, action: Literal["finish"]) -> Campaign:
-        """Asks the campaign to finish."""
-
-    def campaign(self, identifier: str) -> Campaign:
-        """Returns the campaign."""
-
-    def wait(self, identifier: str) -> Campaign:
-        """Returns the campaign when it has ended."""
+    def propose(self, identifier: str, sets: Sequence[Mapping[str, object]]) -> AcceptedSets: ...
+    def answers(self, identifier: str, after: int = 0, wait: float = 0.0) -> AnswerPage: ...
+    def act(self, identifier: str, action: Literal["finish"]) -> Campaign: ...
+    def campaign(self, identifier: str) -> Campaign: ...
+    def wait(self, identifier: str) -> Campaign: ...
 
 
 class SearchEndedError(DrivecalError):
@@ -61,7 +52,7 @@ class AskTell:
     SearchEndedError leaves the block without an error, so that the budget ends your loop. After another exception the campaign stays open.
     """
 
-    def __init__(self, client: Feeding, campaign: Campaign) -> None:
+    def __init__(self, client: _Feeding, campaign: Campaign) -> None:
         self._client, self.campaign = client, campaign
         self._last = 0
         self._cells: dict[str, dict[str, CellAnswered]] = {}

@@ -506,9 +506,13 @@ class EvaluationSpecification(Model):
     seed: Annotated[int, Field(ge=1, le=2**31 - 1)] | None = None
     """Seed of the run; null: 1 for a random simulator, and none for others."""
     problem: ProblemName = DEFAULT_PROBLEM
-    catalogue: Identifier | None = None
+    catalogue: Catalogue | None = None
     driving_function: Identifier | None = None
     vehicle: VehicleSpecification = VehicleSpecification()
     evaluator: Identifier | None = None
     fresh: bool = False
     """Simulates again what is stored."""
+
+
+DECIDING = CampaignSpecification.model_fields.keys() & EvaluationSpecification.model_fields.keys() - {"parameters"}
+"""Settings of a campaign that decide the score of a set, and that an evaluation of the set takes from it."""

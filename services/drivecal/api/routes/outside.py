@@ -38,14 +38,10 @@ def propose(campaign_id: str, proposed: ProposedSets, request: Request, database
     """Takes sets of an outside optimizer. They are stored before the answer; sending them again, with the same keys, changes nothing."""
     problem = _problem(database, campaign_id)
     indices = indices_of(problem, proposed.sets)
+    listed = [each.scenarios and [name for name in problem.scenarios if name in each.scenarios] for each in proposed.sets]
     sets = [
-        OutsideSet(
-            each.key,
-            row,
-            None if each.scenarios is None else [name for name in problem.scenarios if name in each.scenarios],
-            each.replicates,
-        )
-        for each, row in zip(proposed.sets, indices.tolist(), strict=True)
+        OutsideSet(each.key, row, names, each.replicates)
+        for each, row, names in zip(proposed.sets, indices.tolist(), listed, strict=True)
     ]
     with database.transaction() as connection:
         campaign = outside_sets.external_campaign(connection, campaign_id)

@@ -29,6 +29,8 @@ ORDERING = ("swarm", "cma_es")
 """Built-in optimizers that move through the values of a parameter in their order."""
 SIMULATIONS_OF_A_SCENARIO = 100
 """Simulations for each scenario of a search without a budget."""
+BEGINNINGS = {"start_sets", "start_results"}
+"""Settings of every search, which no plug-in sees."""
 UNLIMITED = 1_000_000
 """Cells that are expected at most of a search without a limit of simulations."""
 
@@ -118,7 +120,7 @@ def choose_optimizer(specification: CampaignSpecification, scenarios: int, diagn
     if plugin is None:
         return None
     try:
-        settings = plugin.settings.model_validate(wanted.model_dump(exclude={"start_sets"}, exclude_none=True))
+        settings = plugin.settings.model_validate(wanted.model_dump(exclude=BEGINNINGS, exclude_none=True))
     except ValidationError as error:
         for detail in error.errors(include_url=False):
             field = ".".join(["optimizer", *(str(part) for part in detail["loc"])])
@@ -144,8 +146,8 @@ def settled_search(specification: CampaignSpecification, chosen: Optimization | 
     """Returns the specification's optimizer and budget with their defaults, by field."""
     if chosen is None or specification.optimizer is None:
         return {}
-    left_out = {"start_sets"} if chosen.iterations is not None else {"start_sets", "iterations"}
-    settings = specification.optimizer.model_dump(include={"start_sets"}) | chosen.settings.model_dump(exclude=left_out)
+    left_out = BEGINNINGS if chosen.iterations is not None else BEGINNINGS | {"iterations"}
+    settings = specification.optimizer.model_dump(include=BEGINNINGS) | chosen.settings.model_dump(exclude=left_out)
     return {"optimizer": OptimizerSection.model_validate(settings), "budget": chosen.budget}
 
 

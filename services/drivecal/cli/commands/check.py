@@ -20,7 +20,7 @@ from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.inventory import ProblemAnswer
 from drivecal.contracts.setup import ShapeAnswer
-from drivecal.contracts.specification import DEFAULT_PROBLEM, Given, GoalSpecification, Model
+from drivecal.contracts.specification import DECIDING, DEFAULT_PROBLEM, Given, GoalSpecification, Model
 from drivecal.contracts.strict_json import Number
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, file_faults
 from drivecal.domain.scales import told
@@ -117,9 +117,10 @@ class CheckedSet:
         return None if holds else f"{limit.label} is {told(value)}"
 
     def _value(self, cells: Mapping[str, Mapping[str, EvaluatedCell]], limit: SetLimit, scenario: str) -> float | None:
-        if limit.score is not None:
-            return cells[limit.score][scenario].score
-        return (next(iter(cells.values()))[scenario].metrics or {}).get(limit.measure or "")
+        cell = (next(iter(cells.values())) if limit.score is None else cells[limit.score]).get(scenario)
+        if cell is None or limit.score is not None:
+            return None if cell is None else cell.score
+        return (cell.metrics or {}).get(limit.measure or "")
 
 
 @app.command()
@@ -141,9 +142,11 @@ def check(
     with connect(url) as client:
         parameters, spec = _set(client, chosen, names)
         known = client.problem(problem or spec.get("problem", DEFAULT_PROBLEM))
-        _refuse_unknown(wanted, known, has_baseline=baseline is not None)
+        copied = DECIDING if problem is None else DECIDING - {"catalogue"}  # another push may have other scenarios
+        settings = {name: spec[name] for name in copied if name in spec} | {"problem": known.digest}
+        listed = settings.get("catalogue") or known.scenarios
+        _refuse_unknown(wanted, known, () if isinstance(listed, str) else listed, has_baseline=baseline is not None)
         evaluators = _evaluators(known, spec.get("evaluator"), wanted)
-        settings = {"problem": known.digest} | {name: spec[name] for name in ("vehicle", "driving_function") if name in spec}
         own = parameters if spec and problem is None else known.parameters  # a driving function has its own
         wait = partial(ended, client, timeout=timeout, asking=pauses(SECONDS_BETWEEN_QUESTIONS, timeout))
         compared: dict[str, dict[str, EvaluatedCell]] = {}
@@ -195,7 +198,8 @@ def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, Map
     return {by_label.get(each.name, each.name): each.given for each in listed if each.given is not None}, {}
 
 
-def _refuse_unknown(limits: Sequence[SetLimit], problem: ProblemAnswer, *, has_baseline: bool) -> None:
+def _refuse_unknown(limits: Sequence[SetLimit], problem: ProblemAnswer, known: Collection[str], *, has_baseline: bool) -> None:
+    """Raises InvalidInputError. `known`: names of the scenarios; empty if only the server knows the scenarios of a catalogue."""
     faults = []
     for number, limit in enumerate(limits):
         field = f"limits[{number}]"
@@ -204,9 +208,9 @@ def _refuse_unknown(limits: Sequence[SetLimit], problem: ProblemAnswer, *, has_b
                 faults.append(
                     Problem(f"{field}.{kind}", f"{problem.name} has no {kind} {name!r}", f"one of {', '.join(names)}")
                 )
-        for name in () if limit.scenarios == "all" else limit.scenarios:
-            if name not in problem.scenarios:
-                remedy = f"one of {', '.join(problem.scenarios)}"
+        for name in () if limit.scenarios == "all" or not known else limit.scenarios:
+            if name not in known:
+                remedy = f"one of {', '.join(known)}"
                 faults.append(Problem(f"{field}.scenarios", f"{problem.name} has no scenario {name!r}", remedy))
         if limit.worse_by_at_most is not None and not has_baseline:
             faults.append(Problem(f"{field}.worse_by_at_most", "there is no baseline", "give --baseline"))
