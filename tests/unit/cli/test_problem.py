@@ -201,19 +201,17 @@ def test_a_middle_that_breaks_a_constraint_asks_for_a_baseline(write: Write) -> 
 
 
 def test_the_middle_of_a_grid_lies_on_it() -> None:
-    manifest = Manifest.model_validate(
-        {
-            "problem": "p",
-            "parameters": {"x": {"lower": 0.1, "upper": 0.7, "step": 0.2}, "n": {"lower": -3.0, "upper": 4.0, "integer": True}},
-            "simulator": {"kind": "python", "file": "model.py"},
-            "scenarios": {"s": {}},
-            "measures": {"m": "1"},
-            "scores": {"c": {"formula": "m", "direction": "minimise", "range": [0.0, 1.0]}},
-        }
-    )
-    assert trial_set(manifest) == {"x": 0.3, "n": 0}
+    document = {
+        "problem": "p",
+        "parameters": {"x": {"lower": 0.1, "upper": 0.7, "step": 0.2}, "n": {"lower": -3.0, "upper": 4.0, "integer": True}},
+        "simulator": {"kind": "python", "file": "model.py"},
+        "scenarios": {"s": {}},
+        "measures": {"m": "1"},
+        "scores": {"c": {"formula": "m", "direction": "minimise", "range": [0.0, 1.0]}},
+    }
+    assert trial_set(Manifest.model_validate(document)) == {"x": 0.3, "n": 0}
     with pytest.raises(InvalidInputError):
-        trial_set(manifest.model_copy(update={"constraints": ("x > 0.5",)}))
+        trial_set(Manifest.model_validate(document | {"constraints": ["x > 0.5"]}))
 
 
 @pytest.mark.parametrize(
