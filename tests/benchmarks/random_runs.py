@@ -2,6 +2,7 @@
 
 - Synthetic campaigns through the allocation of the product: sets at distances of 1, the noise of a run, and as much noise that all sets
   have in common. `equal`: the same sets and the same rule to stop, but all sets get equally many runs. Runs that report are not counted.
+  `--kinds`: `normal` noise; `steps`: noisy ratings in six scenarios, rounded to scores 0..7; `failures`: runs also score 0 by chance.
 - `--problems NAME ...`: problems of `economy` with noise, a share (`--noise`) of the quartiles' distance of random sets, half of its
   variance common to all sets: the TRUE objective of the set that a campaign of `--cells` runs reports, over `--seeds` seeds, and in how
   many it is at least as good as `single`, which calls the best single sample the best set. `after`: replicates after the search alone.
@@ -12,10 +13,13 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtr
 from tests.benchmarks._economy_problems import EconomyProblem, problem
 from tests.benchmarks.economy import ARMS, FIRST_SEED, Ended, Run, surrogate
 
@@ -27,28 +31,55 @@ from drivecal.domain.evaluations import CellScore
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import AskedCell, CellAnswer
 
+Drawn = tuple[Floats, Floats, Floats]
 TARGET = Path(".drivecal/bench/random.json")
 NOISES = (0.5, 1.0, 3.0)
 MANY, USUAL = ReplicatesSpecification(most=200), ReplicatesSpecification()
 ROOM = 8
 """Runs of a round."""
+DISTANCE, BEST, SCENARIOS = 0.2, 6.0, 6
+"""Distance of neighbours, true mean of the best set, and number of scenarios, of sets whose scores have steps."""
 EQUAL = 200
 """Campaigns whose equal allocation is computed."""
+
+
+def normal(generator: np.random.Generator, noise: float, sets: int, runs: int) -> Drawn:
+    """Returns objectives, shape (sets, runs), ratings of the same shape, and the true means of sets at distances of 1."""
+    means: Floats = -np.arange(sets, dtype=np.float64)
+    common, own = generator.normal(size=runs), generator.normal(size=(sets, runs))
+    samples = means[:, np.newaxis] + noise * (common + own)
+    return samples, samples, means
+
+
+def stepped(generator: np.random.Generator, noise: float, sets: int, runs: int, *, fails: bool = False) -> Drawn:
+    """Returns the same of sets at distances of DISTANCE, whose objective is the mean of whole scores in SCENARIOS scenarios."""
+    own, means = noise * DISTANCE * (0.5**0.5 if fails else 1.0), np.linspace(BEST, BEST - DISTANCE * (sets - 1), sets)
+    failing = generator.uniform(0, 2, sets) * own**2 / 5 if fails else np.zeros(sets)  # a failure costs some 5.5 of 7 points
+    deviation, grid = own * SCENARIOS**0.5, np.linspace(-20, 40, 6001)
+    expected = ndtr((grid[:, np.newaxis] - np.arange(0.5, 7)) / (2**0.5 * deviation)).sum(axis=1)
+    middles = np.interp(means / (1 - failing), expected, grid)
+    drawn = generator.normal(size=(SCENARIOS, runs)) + generator.normal(size=(sets, SCENARIOS, runs))
+    ratings = np.clip(middles[:, np.newaxis, np.newaxis] + deviation * drawn, 0, 7)
+    ratings = np.where(generator.random(ratings.shape) < failing[:, np.newaxis, np.newaxis], 0.0, ratings)
+    return np.floor(ratings + 0.5).mean(axis=1), ratings.mean(axis=1), means
+
+
+KINDS: Mapping[str, Callable[..., Drawn]] = {"normal": normal, "steps": stepped, "failures": partial(stepped, fails=True)}
 
 
 class Campaign:
     """Sets 0, 1, 2, ...; set 0 is the best. Its runs depend on the number of the campaign, the set and the seed alone."""
 
-    def __init__(self, noise: float, number: int, sets: int, wanted: ReplicatesSpecification) -> None:
+    def __init__(self, kind: str, noise: float, number: int, sets: int, wanted: ReplicatesSpecification) -> None:
         generator = np.random.Generator(np.random.PCG64([round(10 * noise), number]))
-        common = generator.normal(size=wanted.most)
-        own: Floats = generator.normal(size=(sets, wanted.most))
-        self.samples = -np.arange(sets)[:, np.newaxis] + noise * (common + own)
+        self.samples, ratings, self._means = KINDS[kind](generator, noise, sets, wanted.most)
+        values = np.stack([self.samples, ratings], axis=2)
         self._choosing, self.runs, ranking = choosing(wanted.most), 0, Ranking({"S1": 1}, wanted=wanted)
         chosen = [(place, 1) for place in range(sets)]
         while chosen:
-            values = [(place, seed, float(self.samples[place, seed - 1])) for place, seed in chosen]
-            ranking.add([CellScore(place, "S1", value, value, True, 0, place, seed=seed) for place, seed, value in values])
+            for place, seed in chosen:
+                score, rating = values[place, seed - 1].tolist()
+                ranking.add([CellScore(place, "S1", score, rating, True, 0, place, seed=seed)])
             self.runs += sum(seed <= self._choosing for _, seed in chosen)
             chosen = next_runs(ranking, wanted, ROOM, sys.maxsize)
         self.ranking = ranking
@@ -65,7 +96,7 @@ class Campaign:
         best = self.ranking.best()
         if best is None or best[0].lower is None or best[0].upper is None:
             return False
-        return best[0].lower <= -best[0].parameter_set <= best[0].upper
+        return best[0].lower <= float(self._means[best[0].parameter_set]) <= best[0].upper
 
     def equally(self, confidence: float) -> int:
         """Returns the runs after which the best set is known if all sets get equally many."""
@@ -78,19 +109,20 @@ class Campaign:
         return sets * most
 
 
-def allocated(sizes: Sequence[int], noises: Sequence[float], campaigns: int, figures: dict[str, list[float]]) -> Iterator[str]:
-    """Yields a line for each number of sets and each noise, and adds its figures: right choices, the share of their runs in the runs of
-    equal allocation (by the first campaigns), and intervals that hold the chosen set's true mean, with the usual replicates."""
-    yield f"{'sets':>5}{'noise':>7}{'right':>9}{'runs':>9}{'runs/equal':>12}{'95 % intervals':>16}"
-    for sets in sizes:
-        for noise in noises:
-            decided = [Campaign(noise, number, sets, MANY) for number in range(campaigns)]
-            right = float(np.mean([campaign.is_right for campaign in decided]))
-            runs, first = float(np.mean([campaign.runs for campaign in decided])), decided[:EQUAL]
-            share = sum(each.runs for each in first) / sum(each.equally(MANY.confidence) for each in first)
-            held = float(np.mean([Campaign(noise, number, sets, USUAL).is_covered for number in range(campaigns)]))
-            figures[f"{sets} {noise}"] = [right, share, held]
-            yield f"{sets:>5}{noise:>7}{right:>9.1%}{runs:>9.1f}{share:>12.0%}{held:>16.1%}"
+def allocated(
+    kinds: Sequence[str], sizes: Sequence[int], noises: Sequence[float], campaigns: int, figures: dict[str, list[float]]
+) -> Iterator[str]:
+    """Yields a line for each kind, each number of sets and each noise, and adds its figures: right choices, the share of their runs in the
+    runs of equal allocation (by the first campaigns), and intervals that hold the chosen set's true mean, with the usual replicates."""
+    yield f"{'':10}{'sets':>5}{'noise':>7}{'right':>9}{'runs':>9}{'runs/equal':>12}{'95 % intervals':>16}"
+    for kind, sets, noise in product(kinds, sizes, noises):
+        decided = [Campaign(kind, noise, number, sets, MANY) for number in range(campaigns)]
+        right = float(np.mean([campaign.is_right for campaign in decided]))
+        runs, first = float(np.mean([campaign.runs for campaign in decided])), decided[:EQUAL]
+        share = sum(each.runs for each in first) / sum(each.equally(MANY.confidence) for each in first)
+        held = float(np.mean([Campaign(kind, noise, number, sets, USUAL).is_covered for number in range(campaigns)]))
+        figures[f"{kind} {sets} {noise}"] = [right, share, held]
+        yield f"{kind:10}{sets:>5}{noise:>7}{right:>9.1%}{runs:>9.1f}{share:>12.0%}{held:>16.1%}"
 
 
 class NoisyRun(Run):
@@ -180,6 +212,7 @@ def main(arguments: Sequence[str]) -> int:
     """Measures; returns 0 if the choice is right and cheap, and intervals hold what they say."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--campaigns", type=int, default=1000)
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--sets", type=int, nargs="+", default=[10, 30])
     parser.add_argument("--noises", type=float, nargs="+", default=NOISES)
     parser.add_argument("--problems", nargs="*", default=[])
@@ -188,7 +221,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--cells", type=int, default=600)
     parser.add_argument("--noise", type=float, default=0.3)
     options, figures = parser.parse_args(arguments), dict[str, list[float]]()
-    synthetic = allocated(options.sets, options.noises, options.campaigns, figures)
+    synthetic = allocated(options.kinds, options.sets, options.noises, options.campaigns, figures)
     for line in compared(options, figures) if options.problems else synthetic:
         print(line, flush=True)
     TARGET.parent.mkdir(parents=True, exist_ok=True)

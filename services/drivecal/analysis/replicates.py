@@ -27,6 +27,8 @@ SWEEPS = 30
 """Iterations of the fit of means and effects of seeds."""
 QUANTILES = 200
 """Points of a distribution over which probabilities are integrated."""
+LEAST_APART = 0.1
+"""Least squared distance of sets, in the largest squared error."""
 NEGLIGIBLE = 0.05
 """Rivals whose probability is below this share of the permitted error get no runs."""
 LISTED = 200
@@ -147,8 +149,13 @@ def assess(samples: Floats, level: float | None = None) -> SetStatistics:
         samples: objective of each set under each seed, higher is better, shape (n, n_seeds); NaN without a run. Each set has a run.
         level: of the quantiles that take the place of means; None for means.
     """
+    known = _means(samples)
     if level is not None:
-        return _quantiles(samples, assess(samples), level)
+        return _quantiles(samples, known, level)
+    return _without_luck(known) if known.is_known else known
+
+
+def _means(samples: Floats) -> SetStatistics:
     run = np.isfinite(samples)
     counts = run.sum(axis=1)
     several = counts > 1
@@ -164,12 +171,36 @@ def assess(samples: Floats, level: float | None = None) -> SetStatistics:
     if freedom < FEWEST:
         unknown = np.full(len(samples), np.nan)
         return SetStatistics(counts, means, unknown, unknown, np.full(len(samples), freedom))
-    noise, spread = float((residuals**2).sum()) / freedom, (deviations**2).sum() / own.sum()
+    squares, spread = float((residuals**2).sum()), (deviations**2).sum() / own.sum()
+    # scores with steps may be equal by chance: one further run might have been a step away
+    noise = (squares + _step(samples[run]) ** 2) / (freedom + 1.0) if spread > 0 else 0.0
     prior = min(SHRINKAGE, freedom)
     # residuals of a set lose a little to the effects of seeds
     variances = (prior * noise + (residuals**2).sum(axis=1) * own.sum() / freedom) / (prior + own)
+    variances = np.maximum(
+        variances, noise
+    )  # a few equal runs, or none with a rare failure, make no set surer than all together
     spreads = (prior * spread + (deviations**2).sum(axis=1)) / (prior + own)
     return SetStatistics(counts, means, variances, np.maximum(spreads, variances), np.minimum(prior + own, freedom), noise**0.5)
+
+
+def _step(values: Floats) -> float:
+    """Returns the least distance of different values; next to nothing without steps."""
+    gaps = np.diff(np.sort(values))
+    return float(gaps[gaps > 1e-9 * np.ptp(values)].min(initial=np.inf)) if np.ptp(values) > 0 else 0.0
+
+
+def _without_luck(known: SetStatistics) -> SetStatistics:
+    """Draws means to their median, each by the share of luck in it (James and Stein 1961), so that no lucky single run stands before many
+    good ones. The better half tells how far sets are apart: a search asks for many bad sets, but for few that beat its best ones. Errors
+    stay what they are."""
+    middle, errors = float(np.median(known.means)), known.errors**2
+    better = known.means > middle
+    if not better.any():
+        return known
+    apart = float(((known.means[better] - middle) ** 2 - errors[better]).mean())
+    luck = errors / (errors + max(apart, LEAST_APART * float(errors.max()), 1e-300))
+    return replace(known, means=known.means + luck * (middle - known.means))
 
 
 def _quantiles(samples: Floats, known: SetStatistics, level: float) -> SetStatistics:
@@ -262,18 +293,28 @@ def to_tell(standing: SetStatistics, leader: int, rival: int, confidence: float)
     return max(1, int(np.ceil(NormalDist().inv_cdf(confidence) ** 2 * both / distance**2)))
 
 
-def interval(values: Sequence[float], level: float | None, confidence: float) -> tuple[float | None, float | None]:
+def interval(
+    values: Sequence[float], level: float | None, confidence: float, spread: float = 0.0, freedom: float = 0.0
+) -> tuple[float | None, float | None]:
     """Returns a two-sided interval of at least two independent values: of the mean (Student), or of the quantile of this `level`, exact by
-    order statistics. An end of a quantile is None if there are too few values for it."""
+    order statistics. An end of a quantile is None if there are too few values for it. `spread`, `freedom`: see `variance`."""
     from scipy.special import bdtr, stdtrit
 
     if level is None:
-        half = float(stdtrit(len(values) - 1, 0.5 + confidence / 2) * np.std(values, ddof=1) / np.sqrt(len(values)))
+        error = float(np.sqrt(variance(values, spread, freedom) / len(values)))
+        half = float(stdtrit(freedom + len(values) - 1, 0.5 + confidence / 2)) * error
         return float(np.mean(values)) - half, float(np.mean(values)) + half
     ordered, tail = sorted(values), (1 - confidence) / 2
     above = bdtr(np.arange(len(ordered), dtype=np.float64), len(ordered), level)  # probability of each to be above the quantile
     under, over = int((above <= tail).sum()), int((above < 1 - tail).sum())
     return ordered[under - 1] if under else None, ordered[over] if over < len(ordered) else None
+
+
+def variance(values: Sequence[float], spread: float, freedom: float) -> float:
+    """Returns the variance of at least two values, together with a `spread` of so many degrees of `freedom` from elsewhere: few runs often
+    lack a rare bad one, and runs with equal scores are no proof that there is no noise."""
+    own = len(values) - 1
+    return (freedom * spread + own * float(np.var(values, ddof=1))) / (freedom + own)
 
 
 def rate_bounds(bad: int, runs: int, confidence: float) -> tuple[float, float]:

@@ -169,8 +169,9 @@ class Ranking:
         """Number of sets with an answer."""
         return len(self._runs)
 
-    def order(self, solution: EvaluatedSet) -> tuple[int, int, float, int, int]:
-        """Sorts best first: feasible sets first, equal objectives by the weighted continuous rating, then by discovery."""
+    def order(self, solution: EvaluatedSet) -> tuple[int, int, int, float, int, int]:
+        """Sorts best first: feasible sets first, of equal objectives the one with the most runs, then by the weighted continuous rating,
+        then by discovery."""
         self._assess()
         if self._levels is None:
             known = list((self._solutions | self._predicted).values())
@@ -179,7 +180,8 @@ class Ranking:
             numbers = (each.parameter_set for each in known)
             self._levels = dict(zip(numbers, zip(violations, objectives, strict=True), strict=True))
         rating = -solution.sign * solution.choice.rating
-        return *self._levels[solution.parameter_set], rating, solution.iteration, solution.individual
+        runs = len(self._runs[solution.parameter_set])
+        return *self._levels[solution.parameter_set], -runs, rating, solution.iteration, solution.individual
 
     def _over_seeds(self, number: int) -> EvaluatedSet | None:
         """Returns the solution of a set with the means over its seeds."""
@@ -316,11 +318,15 @@ class Ranking:
         numbers, standing = known
         for number in self._solutions.keys() - set(numbers):  # compared before the first set kept the constraints
             self._solutions[number] = replace(self._solutions[number], **UNCOMPARED)
-        for number in numbers:
+        chosen = {seed for objectives in self._samples.values() for seed in objectives if seed <= self._choosing}
+        for place, number in enumerate(numbers):
             fresh = [objective for seed, objective in sorted(self._samples.get(number, {}).items()) if seed > self._choosing]
             if len(fresh) > 1:
-                error = float(np.std(fresh, ddof=1) / len(fresh) ** 0.5) * replicates.widening(self._level)
-                lower, upper = replicates.interval(fresh, self._level, confidence)
+                others = (0.0, 0.0)
+                if standing.is_known and self._level is None:  # runs under one seed have much in common
+                    others = float(standing.spreads[place]), min(float(standing.freedom[place]), len(chosen) - 1.0)
+                error = float((replicates.variance(fresh, *others) / len(fresh)) ** 0.5) * replicates.widening(self._level)
+                lower, upper = replicates.interval(fresh, self._level, confidence, *others)
                 own = replace(self._solutions[number], lower=lower, upper=upper, standard_error=error)
                 self._solutions[number] = own
         if not standing.is_known:
