@@ -311,7 +311,7 @@ def interval(
 
 
 def variance(values: Sequence[float], spread: float, freedom: float) -> float:
-    """Returns the variance of at least two values, together with a `spread` of so many degrees of `freedom` from elsewhere: few runs often
+    """Returns the variance of at least two values, pooled with the `spread` of other runs (degrees of `freedom`): few runs often
     lack a rare bad one, and runs with equal scores are no proof that there is no noise."""
     own = len(values) - 1
     return (freedom * spread + own * float(np.var(values, ddof=1))) / (freedom + own)
