@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import httpx
 from pydantic import ValidationError
 
-from drivecal.calibration_data import dcm
-from drivecal.calibration_data.carried import carried
 from drivecal.client.documents import Document, completed, ids_on, is_abbreviated, plain, weights_text, with_full_ids
 from drivecal.client.following import READ_SECONDS, EventParser, Following, Sent, ServerSentEvent, Told, displayed
 from drivecal.client.frames import DownloadedTable, RankedSets, Rows
@@ -544,4 +542,9 @@ class Client(Transport):
         query = {"format": form if base is None else "dcm", **chosen_by, "label": listed or None}
         response = self._request("GET", place, query=query)
         raise_for(response, *named(place))
-        return response.content if base is None else carried(base, form, dcm.read(response.content, "set").characteristics)
+        if base is None:
+            return response.content
+        from drivecal.calibration_data import dcm  # half of a start of the command line, which few commands need
+        from drivecal.calibration_data.carried import carried
+
+        return carried(base, form, dcm.read(response.content, "set").characteristics)
