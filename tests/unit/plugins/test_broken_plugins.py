@@ -24,7 +24,6 @@ import json
 from drivecal.api.routes import inventory
 from drivecal.plugins import registry
 from drivecal.domain.errors import InvalidInputError
-NO_DATABASE = None  # without a `problem` no database is asked
 scenarios, spaces = inventory.scenarios(), inventory.parameters()
 def refusal(find):
     try:
@@ -36,7 +35,7 @@ print(json.dumps({
     "functions": sorted({space.driving_function for space in spaces.items}),
     "broken": [[plugin.group, plugin.name, plugin.package, plugin.error] for plugin in [*scenarios.broken, *spaces.broken]],
     "all": [str(plugin) for plugin in registry.broken()],
-    "one": inventory.scenario("S1", NO_DATABASE).catalogue,
+    "one": registry.catalogue("highway").name,
     "named": refusal(lambda: registry.catalogue("theirs")),
 }))
 """
