@@ -23,7 +23,7 @@ class WeightedScore:
     """The weighted mean of the score (Eq. 6). The value of a cell is its continuous rating, which is rounded to the scale's steps."""
 
     weights: Mapping[str, float]
-    """By scenario, of sum 1."""
+    """By scenario, of sum 1; a scenario of weight 0 may be without a value."""
     scale: Scale
     values: int = 1
     objectives: int = 1
@@ -55,7 +55,7 @@ class WeightedScore:
         scores = self.scale.sign * np.maximum(self.scale.sign * scores, self.scale.sign * self.scale.failed)
         total = np.zeros(len(values))
         for column, weight in enumerate(self.weights.values()):
-            total += weight * scores[:, column]
+            total += weight * scores[:, column] if weight else 0.0
         return self.scale.sign * total[:, np.newaxis], np.where(np.isnan(total), np.nan, 0.0)
 
 
@@ -66,11 +66,14 @@ class JudgedGoals:
     goals: Goals
     names: tuple[str, ...]
     """Names of the scenarios."""
+    whole: Goals | None = None
+    """Goals that the values of a cell are of, if they are more."""
 
     @cached_property
     def keys(self) -> tuple[str, ...]:
         """Identities of the values of a cell."""
-        return tuple(dict.fromkeys(goal.value.key for goal in self._all))
+        whole = self.whole or self.goals
+        return tuple(dict.fromkeys(goal.value.key for goal in (*whole.objectives, *whole.bounds)))
 
     @property
     def _all(self) -> tuple[Objective | Bound, ...]:
@@ -126,6 +129,10 @@ class JudgedGoals:
         columns = {key: column for column, key in enumerate(self.keys)}
 
         def amounts(goal: Goal) -> Floats:
+            if isinstance(goal, Objective) and goal.variants:
+                parts = np.stack([amounts(part) for part in goal.parts])
+                combined: Floats = goal.sign * (goal.sign * parts).min(axis=0) if goal.worst else parts.mean(axis=0)
+                return combined
             here = values[:, [places[name] for name in goal.shares], columns[goal.value.key]]
             return _aggregated(goal.aggregate, here, list(goal.shares.values()))
 

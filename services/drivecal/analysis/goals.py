@@ -5,7 +5,7 @@ data, so that its results can be read without its problem.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil, isclose, log, log1p
 from typing import Any, Literal
@@ -134,11 +134,28 @@ class Objective(Goal):
     tolerance: float = 0.0
     reference: float | None = None
     unit: str = "1"
+    variants: tuple[Mapping[str, float], ...] = ()
+    """Shares of each variant, if it combines the objectives of several: their mean, or the `worst`."""
+    worst: bool = False
+
+    @cached_property
+    def parts(self) -> list["Objective"]:
+        """The objectives of its variants."""
+        return [replace(self, shares=shares, variants=()) for shares in self.variants]
+
+    def amount(self, cells: Mapping[str, Mapping[str, float]]) -> float | None:
+        """See `Goal`."""
+        if not self.variants:
+            return super().amount(cells)
+        amounts = [amount for part in self.parts if (amount := part.amount(cells)) is not None]
+        if len(amounts) < len(self.parts):
+            return None
+        return self.sign * min(self.sign * amount for amount in amounts) if self.worst else sum(amounts) / len(amounts)
 
     def is_weighted_mean(self, shares: Mapping[str, float]) -> bool:
         """Returns whether it is the mean of the campaign's score with these weights (Eq. 6)."""
         alike = self.shares.keys() == shares.keys() and all(isclose(self.shares[name], share) for name, share in shares.items())
-        return self.value.key == SCORE and self.aggregate.kind == "mean" and alike
+        return self.value.key == SCORE and self.aggregate.kind == "mean" and alike and not self.variants
 
     @property
     def span(self) -> float:
@@ -352,6 +369,18 @@ class Goals:
 
 
 _GOALS = TypeAdapter(Goals)
+
+
+def normalised(weights: Mapping[str, float]) -> dict[str, float]:
+    """Returns the positive weights with a sum of 1."""
+    total = sum(weights.values())
+    return {name: weight / total for name, weight in weights.items() if weight > 0}
+
+
+def weighted_mean(scale: Scale, shares: Mapping[str, float]) -> Goals:
+    """Returns the weighted mean of a score as the only objective (Eq. 6)."""
+    worst = scale.lower if scale.sign > 0 else scale.upper
+    return Goals((Objective(scale.name, CellValue(scale), shares, Aggregate(), scale.sign, 0.0, worst, scale.unit),))
 
 
 def valued_by(goals: Goals | None) -> Callable[[Mapping[str, float | None], str | None, ParameterSet], dict[str, float]] | None:

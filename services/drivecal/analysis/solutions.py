@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from drivecal.analysis import replicates
-from drivecal.analysis.goals import Aggregate, Goals, Judged
+from drivecal.analysis.goals import Aggregate, Goals, Judged, normalised
 from drivecal.analysis.replicates import SetStatistics
 from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.evaluations import CellScore
@@ -125,10 +125,10 @@ class Ranking:
         """Ratings of a set differ between seeds, so that equal scores, which have steps, do not say that there is no noise."""
         self._is_assessed = True
         self._span = span if goals is None else goals.objectives[0].span
-        total = sum(weights.values())
-        self._shares = {name: weight / total for name, weight in weights.items() if weight > 0}
+        self._shares = normalised(weights)
         judged = () if goals is None else (*goals.objectives, *goals.bounds)
-        self._scenarios = {*self._shares, *(scenario for goal in judged for scenario in goal.shares)}
+        self.scenarios = {*self._shares, *(scenario for goal in judged for scenario in goal.shares)}
+        """Scenarios whose answers count."""
         self._answers: dict[int, dict[str, CellScore]] = {}
         self._places: dict[int, tuple[int, int]] = {}
         self._solutions: dict[int, EvaluatedSet] = {}
@@ -147,7 +147,7 @@ class Ranking:
             place = (answer.iteration, answer.individual)
             self._places[number] = min(self._places.get(number, place), place)
             cells = self._runs.setdefault(number, {}).setdefault(answer.seed or 1, {})
-            if answer.scenario in self._scenarios and _counts_more(answer, cells.get(answer.scenario)):
+            if answer.scenario in self.scenarios and _counts_more(answer, cells.get(answer.scenario)):
                 cells[answer.scenario] = answer
             touched.add(number)
         self._surest_front = self._best = self._levels = None
@@ -483,7 +483,7 @@ class Ranking:
             scores[scenario] = cell.score
             if not cell.own:
                 reused.append(scenario)
-        bounding = sorted(self._scenarios.difference(self._shares))
+        bounding = sorted(self.scenarios.difference(self._shares))
         reused += [scenario for scenario in bounding if scenario in cells and not cells[scenario].own]
         solution = EvaluatedSet(
             number, objective, rating, scores, tuple(reused), *self._places[number], self._sign, span=self._span

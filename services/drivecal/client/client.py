@@ -263,6 +263,7 @@ class Client(Transport):
         weights: Mapping[str, float] | str | None = None,
         limit: int | None = None,
         score: str | None = None,
+        variant: str | None = None,
     ) -> RankedSets:
         """Returns the best parameter sets; the `items` of the answer are its rows.
 
@@ -271,10 +272,10 @@ class Client(Transport):
             weights: Weights of the scenarios, `{"S1": 2, "S2": 1}` or `S1=2,S2=1`; by default the campaign's.
             limit: Largest number of sets.
             score: Another score of the problem, or `NAME@PUSH`: a score that another push declares.
+            variant: A variant of the campaign, for which sets are ranked.
         """
-        return self._get(
-            RankedSets, "campaigns", identifier, "solutions", weights=weights_text(weights), limit=limit, score=score
-        )
+        query = {"weights": weights_text(weights), "limit": limit, "score": score, "variant": variant}
+        return self._get(RankedSets, "campaigns", identifier, "solutions", **query)
 
     def evaluations(self, identifier: str, **query: Any) -> DownloadedTable:
         """Returns every requested cell of a campaign. `where`: conditions as in the REST API, e.g. `where=["scenario=S1", "P1>=0.5"]`."""
@@ -523,6 +524,7 @@ class Client(Transport):
         score: str | None = None,
         labels: Mapping[str, str] | None = None,
         base: Path | None = None,
+        variant: str | None = None,
     ) -> bytes:
         """Returns a set as a calibration file.
 
@@ -535,10 +537,11 @@ class Client(Transport):
             score: Score under which the rank counts.
             labels: Names in the file, by parameter; others keep their own.
             base: A DCM or CDFX whose other content is kept, or an A2L that has the kinds of axes.
+            variant: Variant for which the rank counts.
         """
         place = ("campaigns", identifier, "calibration-file")
         listed = [f"{name}={label}" for name, label in (labels or {}).items()]
-        chosen_by = {"set": rank, "front": front, "weights": weights, "score": score}
+        chosen_by = {"set": rank, "front": front, "weights": weights, "score": score, "variant": variant}
         query = {"format": form if base is None else "dcm", **chosen_by, "label": listed or None}
         response = self._request("GET", place, query=query)
         raise_for(response, *named(place))

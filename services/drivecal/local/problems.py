@@ -221,7 +221,7 @@ def _bench(manifest: Manifest, scenario: str, score: str | None = None) -> Bench
     diagnostics.raise_if_any()
     if make is None:
         raise AssertionError("a part is missing without a finding")
-    return make([scenario])
+    return make([scenario], {})
 
 
 class _OwnLoop:

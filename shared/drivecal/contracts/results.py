@@ -8,7 +8,7 @@ from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Answer, Campaign, Study
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.tables import RobustnessRow, ValidationRow
+from drivecal.contracts.tables import RobustnessRow, Solution, ValidationRow
 
 Light = Literal["green", "amber", "red"]
 Question = Literal["scores", "search", "baseline"]
@@ -142,6 +142,20 @@ class FrontSummary(Answer):
     growth: list[FrontGrowth]
 
 
+class VariantResult(Answer):
+    """The best set of a variant and its value under the best set that all variants have in common; null until they are known.
+
+    The common set is worse by `cost`, which is below 0 only if the set breaks constraints of the variant, by `violation`."""
+
+    name: str
+    scenarios: dict[str, float]
+    """Weights, of sum 1."""
+    best: Solution | None
+    common: float | None = None
+    cost: float | None = None
+    violation: float = 0.0
+
+
 class StudyResult(Answer):
     """A study that succeeded, with its rows of the table that it made."""
 
@@ -155,7 +169,7 @@ class CampaignResults(Answer):
     (`trust`), and costs (`accounting`, null before the first answered cell).
 
     `front` is null with a single objective, and before a set has a value of each. `failures` lists the causes of failed cells. `studies`
-    lists the succeeded studies of any campaign: in the campaign's own vehicle first, the newest first."""
+    lists the succeeded studies of any campaign: in the campaign's own vehicle first, the newest first. `variants` has the campaign's."""
 
     campaign: Campaign
     setup: CampaignSetup
@@ -163,4 +177,5 @@ class CampaignResults(Answer):
     accounting: Accounting | None = None
     front: FrontSummary | None = None
     failures: list[FailureCause] = Field(default_factory=list)
+    variants: list[VariantResult] = Field(default_factory=list)
     studies: list[StudyResult] = Field(default_factory=list)

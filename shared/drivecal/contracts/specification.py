@@ -433,6 +433,21 @@ class ReplicatesSpecification(Model):
         return self
 
 
+class VariantVehicle(Model):
+    """Parameters of a vehicle that differ from the campaign's, by name; of another problem, its varied parameters."""
+
+    parameters: Annotated[dict[Identifier, Number], Field(max_length=100)] = {}
+
+
+class VariantSpecification(Model):
+    """A variant of the product, such as a market: some of the campaign's scenarios, their weights, and its vehicle."""
+
+    scenarios: Literal["all"] | Annotated[_Scenarios, AfterValidator(_each_once)] = "all"
+    weights: Annotated[dict[Identifier, Annotated[float, Field(gt=0, le=1e6)]], Field(max_length=1000)] = {}
+    """By scenario: 1 if left out; the campaign's without any."""
+    vehicle: VariantVehicle = VariantVehicle()
+
+
 class CampaignSpecification(ProblemSpecification):
     """A whole campaign. Everything has a default: `{}` searches the paper's problem with 100 simulations for each scenario."""
 
@@ -452,6 +467,10 @@ class CampaignSpecification(ProblemSpecification):
     """Null: the weighted mean of the campaign's score."""
     constraints: Annotated[list[ConstraintSpecification], Field(max_length=100)] = []
     """On scores and measures; sets that keep them are better than sets that do not."""
+    variants: Annotated[dict[Identifier, VariantSpecification], Field(max_length=20)] = {}
+    """By name; the search looks for the best set of each, and for the best set that all have in common."""
+    common: Literal["mean", "worst"] = "mean"
+    """Objective of the best common set: the mean of the variants' objectives, or the worst of them."""
 
     @field_validator("reduction")
     @classmethod

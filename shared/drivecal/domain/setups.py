@@ -24,6 +24,11 @@ def fingerprint_of(document: Mapping[str, object]) -> str:
     return digest(canonical_json(document).encode())
 
 
+def base_of(scenario: str) -> str:
+    """Returns the problem's scenario, `S1`, of a campaign's scenario: `S1`, or `S1@eu` with the vehicle of a variant."""
+    return scenario.partition("@")[0]
+
+
 @dataclass(frozen=True, slots=True)
 class Setup:
     """Everything besides the parameter set that decides a run of a scenario.

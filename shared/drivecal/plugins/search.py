@@ -93,6 +93,8 @@ class SearchTask:
         replicates: most replicates of a cell.
         given: returns the values of sets that are known without an answer, the same in each scenario, shape (n, n_values); NaN for others.
         references: sets with which objectives or constraints compare, shape (k, n_searched).
+        variants: further aims over the same cells, each about some of the scenarios. A search may look for the best set of each as well:
+            `aim` is what they have in common.
     """
 
     n_values: Indices
@@ -109,6 +111,7 @@ class SearchTask:
     replicates: int = 1
     given: Callable[[Indices], Floats] | None = None
     references: Indices | None = None
+    variants: Sequence[Aim] = ()
 
     def with_given(self, rows: Indices, values: Floats) -> Floats:
         """Returns values of n sets, shape (..., n, n_scenarios, n_values), with what is known of them without an answer."""

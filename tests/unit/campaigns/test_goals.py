@@ -98,3 +98,11 @@ def test_the_measures_of_the_closed_loop_are_those_of_its_runs() -> None:
     runner = TaskRunner(HIGHWAY.scenarios["S1"], FRENET, vehicle, REFERENCE)
     values = [float(parameter.lower) for parameter in FRENET.spaces["highway"]]
     assert runner.run(values).metrics.keys() == CLOSED_LOOP_MEASURES.keys()
+
+
+def test_faults_of_variants_name_the_field() -> None:
+    us: dict[str, Any] = {"weights": {"S9": 1.0}, "vehicle": {"parameters": {"mas": 1.0}}}
+    given: dict[str, Any] = {"objectives": [{"score": "comfort", "scenarios": ["S1"]}], "robustness": {}}
+    wrong = {"variants.us.vehicle.parameters.mas", "variants.eu.scenarios[1]", "variants.us.weights.S9"}
+    variants = {"eu": {"scenarios": ["S1", "S9"]}, "us": us}
+    assert set(fields(variants=variants, **given)) == wrong | {"objectives[0]", "robustness"}

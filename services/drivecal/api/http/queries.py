@@ -104,10 +104,11 @@ class TableOf(PageOf, FormOf):
 
 class RankedOf(Parameters):
     """A ranking by weights such as `S1=2,S2=1`; other scenarios have weight 1. `score`: another one of the problem, or `NAME@PUSH`: a
-    score that another push of it declares, by its name or digest."""
+    score that another push of it declares, by its name or digest. `variant`: one of the campaign's, for which sets are ranked."""
 
     weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
     score: Annotated[str, StringConstraints(max_length=300)] | None = None
+    variant: Annotated[str, StringConstraints(max_length=64)] | None = None
 
 
 class SolutionsOf(TableOf, RankedOf):

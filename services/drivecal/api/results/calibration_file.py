@@ -28,7 +28,7 @@ Rank = Annotated[int, Field(ge=1, le=LARGEST_RANK)]
 
 class CalibrationFileOf(RankedOf):
     """A set: of rank `set` in the solutions, or of rank `front` on the front; without either the first of the front if the campaign has
-    several objectives, else of the solutions. It is ranked by `weights` and, in the solutions, by another `score`, as in those tables.
+    several objectives, else of the solutions. It is ranked by `weights` and, in the solutions, by another `score` or for a `variant`.
     `label`: a name in the file for a parameter, such as `P1=ACC_tGap_C`; others keep their names."""
 
     rank: Annotated[Rank | None, Field(alias="set")] = None
@@ -52,7 +52,7 @@ def written(database: Database, campaign: str, query: CalibrationFileOf) -> byte
         raise InvalidInputError(Problem("front", "a set is of the solutions or of the front", "give set or front"))
     with database.read() as connection:
         stored = calibration(campaigns.get(connection, campaign), ", which ranks nothing")
-    resolved = resolved_spec(stored)
+    resolved = resolved_spec(stored).of_variant(query.variant)
     front = front_of(database, stored, resolved)
     on_front = query.front is not None or (query.rank is None and len(front.goals.objectives) > 1)
     if on_front and query.score is not None:
@@ -66,7 +66,7 @@ def written(database: Database, campaign: str, query: CalibrationFileOf) -> byte
         ranked = ranking(database, stored, resolved, query.weights, query.score)
         chosen = _ranked(ranked.solutions(rank - 1, rank), query, stored.id, "solutions")
     known = results_of(database, stored, front, (chosen.iteration, chosen.individual))
-    figures = figures_of(known, chosen, given, query.score)
+    figures = [*figures_of(known, chosen, given, query.score), *([("variant", query.variant)] if query.variant else [])]
     shapes = known.setup.shapes
     coefficients = {name for shape in shapes.values() for name in shape.names}
     parameters = [parameter for parameter in known.setup.parameters if parameter.name not in coefficients]

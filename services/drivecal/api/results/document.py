@@ -18,7 +18,7 @@ from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidenc
 from drivecal.api.responses import campaign_answer
 from drivecal.api.results.curves import shapes_with_good_sets
 from drivecal.api.tables.front import bound_text, summary
-from drivecal.api.tables.ranking import ranking
+from drivecal.api.tables.ranking import ranking, variants_of
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of, stored_scale
@@ -77,6 +77,7 @@ def results_of(
         accounting=accounting,
         front=summary(front, baseline) if objectives and front is not None else None,
         failures=causes,
+        variants=variants_of(database, campaign, resolved_spec(campaign)),
         studies=made,
     )
 
@@ -312,6 +313,7 @@ ASKED = {
     "Budget": "budget",
     "Objectives": "objectives",
     "Constraints": "constraints",
+    "Variants": "variants",
     "Sensitivity": "sensitivity",
     "Reduction": "reduction",
     "Robustness": "robustness",

@@ -48,7 +48,7 @@ def show_importance(campaign_id: str, query: ImportanceQuery, database: Database
     weights and score or others."""
     with database.read() as connection:
         campaign = calibration(campaigns.get(connection, campaign_id), ", which has no search")
-    return importance(database, campaign, resolved_spec(campaign), query)
+    return importance(database, campaign, resolved_spec(campaign).of_variant(query.variant), query)
 
 
 @router.get("/studies")

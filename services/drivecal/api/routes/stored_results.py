@@ -110,7 +110,7 @@ def _bench(database: Database, wanted: EvaluationSpecification) -> Bench:
     diagnostics.raise_if_any()
     if workbench.make is None:
         raise AssertionError("a part is missing without a finding")
-    return workbench.make(workbench.scenarios)
+    return workbench.make(workbench.scenarios, {})
 
 
 def _check(given: ImportedResults, bench: Bench) -> None:

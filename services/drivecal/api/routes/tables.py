@@ -109,7 +109,7 @@ def find_cell(campaign_id: str, query: CellQuery, database: DatabaseDependency) 
 def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The evaluated parameter sets, best first, under the campaign's weights and score or others. Nothing is simulated for it."""
     campaign = _campaign(database, campaign_id)
-    begun_with = _pinned(campaign)
+    begun_with = _pinned(campaign).of_variant(query.variant)
     ranked = ranking(database, campaign, begun_with, query.weights, query.score)
     columns = ranked_columns(Solution, ranked.scenarios, replace(begun_with, scale=ranked.scale, goals=ranked.goals))
     return table_answer(f"solutions-{campaign.id}", query, accept, lambda: columns, slices(ranked.solutions, len(ranked)))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from sqlalchemy import Connection
 
-from drivecal.analysis.goals import SCORE, Aggregate, CellValue, Goals, Objective, valued_by
+from drivecal.analysis.goals import SCORE, Aggregate, CellValue, Goals, Objective, normalised, valued_by
 from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
 from drivecal.bundles.expressions import Formula
@@ -17,6 +17,7 @@ from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of
 from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
 from drivecal.contracts.assignments import assignments
+from drivecal.contracts.results import VariantResult
 from drivecal.contracts.strict_json import shown
 from drivecal.contracts.tables import Solution
 from drivecal.domain.campaigns import StageName
@@ -24,6 +25,7 @@ from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.scales import Scale, plain
+from drivecal.domain.setups import base_of
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -97,12 +99,33 @@ def ranking(
     return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0], scale, goals)
 
 
+def variants_of(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec) -> list[VariantResult]:
+    """Returns the best set of each variant and its value under the best common set, as far as they are known."""
+    if not resolved.variants:
+        return []
+    with database.read() as connection:
+        valued, stage = valued_by(resolved.goals), StageName.CALIBRATION
+        answers = list(results.answers(connection, campaign.sequence, stage, corrected_by=resolved.evaluator, valued=valued))
+    standings = list[Ranking]()
+    for spec in (resolved, *map(resolved.of_variant, resolved.variants)):
+        standings.append(Ranking(spec.weights, spec.scale.sign, spec.goals, spec.scale.span, spec.replicates))
+        standings[-1].add(answers)
+    best, rows = standings[0].best(), list[VariantResult]()
+    for (name, goals), standing in zip(resolved.variants.items(), standings[1:], strict=True):
+        shares = dict(goals.objectives[0].shares)
+        own = CampaignRanking(database, standing.ranking()[:1], list(shares), resolved.scale, goals).solutions(0, 1)
+        rows.append(VariantResult(name=name, scenarios=shares, best=next(iter(own), None)))
+        if best is not None and (common := standing.get(best[0].parameter_set)) is not None:
+            cost = {"cost": common.sign * (own[0].objective - common.objective), "violation": common.violation}
+            rows[-1] = rows[-1].model_copy(update=cost | {"common": common.objective})
+    return rows
+
+
 def _constrained(goals: Goals, weights: Mapping[str, float], scale: Scale, score: CellValue | None) -> Goals | None:
     """Returns the weighted mean of a score, by default the campaign's, under the constraints of the goals; None if they have none."""
     if not goals.bounds:
         return None
-    total = sum(weights.values())
-    shares = {name: weight / total for name, weight in weights.items() if weight > 0}
+    shares = normalised(weights)
     return Goals((Objective(scale.name, score or CellValue(scale), shares, Aggregate(), scale.sign),), goals.bounds)
 
 
@@ -174,11 +197,11 @@ def given_weights(text: str, names: Sequence[str], kind: str) -> Mapping[str, fl
     problems: list[Problem] = []
     for name, weight in given.items():
         where = f"weights.{name}"
-        if name not in names:
+        if name not in names and name not in map(base_of, names):
             problems.append(Problem(where, f"the campaign did not examine this {kind}", f"one of {', '.join(names)}"))
         elif not 0 <= weight <= LARGEST_WEIGHT:
             problems.append(Problem(where, f"{weight:g} is not a weight", f"give a number from 0 to {LARGEST_WEIGHT:,.0f}"))
-    weights = {name: given.get(name, 1.0) for name in names}
+    weights = {name: given.get(name, given.get(base_of(name), 1.0)) for name in names}
     if not problems and not any(weights.values()):
         problems.append(Problem("weights", "all weights are 0", f"give at least one {kind} a positive weight"))
     if problems:

@@ -12,7 +12,7 @@ from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.domain.setups import Setup
+from drivecal.domain.setups import Setup, base_of
 from drivecal.storage import campaigns, results, traces
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.types import now
@@ -63,7 +63,7 @@ def _specification(connection: Connection, number: int) -> tuple[EvaluationSpeci
     row = results.by_id(connection, number)
     spec = campaigns.by_sequence(connection, row.campaign_sequence).spec
     stored = setups.by_id(connection, row.setup_id)
-    document: dict[str, Any] = {"parameters": row.parameters.floats, "scenario": row.scenario}
+    document: dict[str, Any] = {"parameters": row.parameters.floats, "scenario": base_of(row.scenario)}
     document |= {name: spec[name] for name in ("problem", "evaluator", "driving_function")}
     document["vehicle"] = spec["vehicle"] | {"parameters": dict(Setup(row.scenario, stored.document).varied)}
     if row.seed:
@@ -73,7 +73,7 @@ def _specification(connection: Connection, number: int) -> tuple[EvaluationSpeci
     specification = validated(EvaluationSpecification, document)
     tools: Any = stored.document.get("tools")
     problem = resolve_evaluation(specification, with_tools(bundles_of(connection), tools))
-    today = problem.bench.setups[row.scenario]
+    today = problem.bench.setups[base_of(row.scenario)]
     if today.fingerprint != stored.fingerprint:
         changed = [name for name, value in today.document.items() if stored.document.get(name) != value]
         raise ConflictError(

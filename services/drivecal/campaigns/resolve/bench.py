@@ -15,7 +15,7 @@ from drivecal.contracts.work import SetupRequest
 from drivecal.domain.evaluations import Rating
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.scales import Scale
-from drivecal.domain.setups import Setup
+from drivecal.domain.setups import Setup, base_of
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Evaluator, SeriesEvaluator
@@ -40,6 +40,8 @@ class Bench:
     """Side conditions that robustness studies vary."""
     values: Mapping[str, float] = field(default_factory=dict)
     """Values of the side conditions."""
+    vehicles: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """The same by scenario, where a variant has others."""
     evaluator: Evaluator | None = None
     """Rates the runs; None: the score has a formula."""
     seed: int = 0
@@ -62,11 +64,12 @@ class Bench:
 
     def _setups(self, seed: int) -> dict[str, Setup]:
         manifest, files, tools = self.earlier or self.bundle.manifest, self.bundle.files, self.bundle.tools
-        settings: dict[str, Any] = {"section": self.section, "varied": self.values, "tools": tools, "seed": seed}
-        documents = {
-            name: setup_document(manifest, name, files, data=data, **settings) for name, data in self.scenarios.items()
+        settings: dict[str, Any] = {"section": self.section, "tools": tools, "seed": seed}
+        return {
+            name: Setup(base, setup_document(manifest, base, files, data=data, varied=varied, **settings))
+            for name, data in self.scenarios.items()
+            for base, varied in [(base_of(name), self.vehicles.get(name, self.values))]
         }
-        return {name: Setup(name, document) for name, document in documents.items()}
 
     @property
     def is_random(self) -> bool:
@@ -90,7 +93,7 @@ class Bench:
             name: SetupRequest(
                 bundle=self.bundle.digest,
                 problem=manifest.problem,
-                scenario=name,
+                scenario=base_of(name),
                 data=data,
                 simulator=self.section,
                 parameters=tuple(parameter.name for parameter in self.parameters),
@@ -103,13 +106,13 @@ class Bench:
                 document=self.setups[name].document,
                 tools=self.bundle.tools,
                 units=units,
-                varied=self.values,
+                varied=self.vehicles.get(name, self.values),
                 evaluator=self.evaluator.name if rated and self.evaluator else None,
                 evaluator_version=self.evaluator.version if rated and self.evaluator else None,
                 seed=self.seed,
                 session=unseeded[name].fingerprint if unseeded else "",
                 is_driven=self.is_driven,
-                resources=manifest.resources(name),
+                resources=manifest.resources(base_of(name)),
                 renews=manifest.simulator.renews,
             )
             for name, data in self.scenarios.items()
@@ -178,8 +181,8 @@ class Bench:
         """Returns the class of a scenario for evaluators: its `rated_as`, or its id."""
         data = self.scenarios[scenario]
         if "catalogue" in data and self.is_driven:
-            return registry.catalogue(data["catalogue"]).scenarios[scenario].rated_as
-        return str(data.get("rated_as", scenario))
+            return registry.catalogue(data["catalogue"]).scenarios[base_of(scenario)].rated_as
+        return str(data.get("rated_as", base_of(scenario)))
 
     @property
     def _entry(self) -> ScoreEntry:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from drivecal.analysis.goals import FAILED, SCORE, Aggregate, Bound, CellValue, Goals, Objective
+from drivecal.analysis.goals import FAILED, SCORE, Aggregate, Bound, CellValue, Goals, Objective, normalised
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import given_set
 from drivecal.contracts.input_errors import nearest
@@ -18,6 +18,7 @@ from drivecal.contracts.specification import (
 from drivecal.domain.constraints import ChangeFrom, Constraints
 from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.scales import Direction
+from drivecal.domain.setups import base_of
 
 LIKELY = 0.25
 """Share of failed runs above which models of a search keep away, if the limit is lower: too few runs of a set tell less."""
@@ -67,19 +68,20 @@ def find_goals(
 
 
 def check_reuse(
-    reduction: ReductionSpecification, goals: Goals | None, diagnostics: Diagnostics
+    reduction: ReductionSpecification, goals: Goals | None, diagnostics: Diagnostics, *, has_variants: bool = False
 ) -> tuple[ReductionSpecification, tuple[str, ...]]:
-    """Returns the settings of reuse under these goals, with a note: references, predictions and maps know one score only."""
-    if goals is None or not goals.computed:
+    """Returns the settings of reuse under these goals, with a note: references, predictions and maps know one score only, and only the best
+    set in common is confirmed."""
+    judged = () if goals is None else (*goals.objectives, *goals.bounds)
+    named = ", ".join(sorted({goal.name for goal in judged if goal.value.key != SCORE}))
+    named = named or ("the best sets of variants" if has_variants else "")
+    if not named or not (reduction.predicts or reduction.uses_map):
         return reduction, ()
-    if not (reduction.predicts or reduction.uses_map):
-        return reduction, ()
-    named = ", ".join(sorted({goal.name for goal in (*goals.objectives, *goals.bounds) if goal.value.key != SCORE}))
     if "mode" in reduction.model_fields_set:
-        message = f"references and predictions answer the campaign's score only, and {named} would have no value"
+        message = f"references and predictions are of the campaign's score alone, and not for {named}"
         diagnostics.add("reduction.mode", message, "give mode: exact, which repeats equal sets")
         return reduction, ()
-    note = f"cells are answered by equal sets only, as references and predictions have no {named}"
+    note = f"cells are answered by equal sets only: references and predictions are not for {named}"
     return reduction.model_copy(update={"mode": "exact"}), (note,)
 
 
@@ -167,11 +169,10 @@ def _shares(
     given: GoalSpecification, field: str, weights: Mapping[str, float], diagnostics: Diagnostics
 ) -> dict[str, float] | None:
     """Weights of sum 1, by scenario in the catalogue's order."""
-    chosen = list(weights) if given.scenarios == "all" else [name for name in weights if name in given.scenarios]
-    unknown = {
-        f"{field}.scenarios": [] if given.scenarios == "all" else [name for name in given.scenarios if name not in weights]
-    }
-    unknown[f"{field}.weights"] = [name for name in given.weights if name not in chosen]
+    listed, bases = [] if given.scenarios == "all" else given.scenarios, {name: base_of(name) for name in weights}
+    chosen = [name for name in weights if not listed or bases[name] in listed]
+    unknown = {f"{field}.scenarios": [name for name in listed if name not in bases.values()]}
+    unknown[f"{field}.weights"] = [name for name in given.weights if name not in [bases[each] for each in chosen]]
     for place, names in unknown.items():
         for name in names:
             diagnostics.add(place, f"the scenario {name!r} is not simulated for it", f"one of {', '.join(chosen or weights)}")
@@ -179,9 +180,8 @@ def _shares(
         return None
     if chosen == list(weights) and not given.weights:
         return dict(weights)
-    own = {name: given.weights.get(name, 1.0) if given.weights else weights[name] for name in chosen}
-    total = sum(own.values())
-    return {name: weight / total for name, weight in own.items()}
+    own = {name: given.weights.get(bases[name], 1.0) if given.weights else weights[name] for name in chosen}
+    return normalised(own)
 
 
 def _aggregate(given: str | Quantile) -> Aggregate:

@@ -5,7 +5,7 @@ field and a remedy. `api.submission` then checks the server's limits, and `stage
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from math import ceil
 from typing import Any
@@ -29,6 +29,7 @@ from drivecal.campaigns.resolve.spaces import (
     settled,
     space_to_document,
 )
+from drivecal.campaigns.resolve.variants import find_variants, goals_of_variants
 from drivecal.campaigns.resolve.workbench import BundleSource, find_workbench, installed_bundles
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import (
@@ -65,6 +66,8 @@ class CalibrationProblem:
     """Constraints over the parameters; none for a plug-in without."""
     goals: Goals | None = None
     """Objectives and constraints; None for the weighted mean of the bench's score."""
+    variants: Mapping[str, Goals] = field(default_factory=dict)
+    """Objective and constraints of each variant."""
 
     def analysis(self) -> SensitivityAnalysis | None:
         """A new sensitivity analysis; None if the specification names a map or wants no analysis."""
@@ -169,7 +172,8 @@ class CalibrationProblem:
         """
         fixed = fixed_to_document(self.space.fixed)
         resolution = _resolution(self.bench, self.space.parameters) | {"fixed": fixed, "weights": dict(self.weights)}
-        return resolution if self.goals is None else resolution | {"goals": self.goals.to_json()}
+        resolution |= {} if self.goals is None else {"goals": self.goals.to_json()}
+        return resolution | {"variants": {name: goals.to_json() for name, goals in self.variants.items()}}
 
 
 @dataclass(frozen=True)
@@ -205,6 +209,8 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     if workbench.function is not None:
         specification = settled(specification, workbench.function, diagnostics)
     weights, notes = resolvers.normalise_weights(specification.weights, workbench.scenarios, diagnostics)
+    variants = find_variants(specification, weights, workbench, diagnostics)
+    weights = dict(variants.weights)
     optimization = choose_optimizer(specification, len(weights), diagnostics)
     if notes and (specification.objectives or specification.constraints):
         notes += ("objectives and constraints leave these scenarios out as well",)
@@ -219,7 +225,10 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
         baseline = given_set(specification.baseline, constraints, "baseline", diagnostics)
     known = replace(workbench.known, constraints=constraints, baseline=baseline)
     goals = find_goals(specification, known, weights, diagnostics) if known.scores and weights else None
-    reduction, more = check_reuse(specification.reduction, goals, diagnostics)
+    own_goals: dict[str, Goals] = {}
+    if not diagnostics.problems:
+        goals, own_goals = goals_of_variants(specification, goals, known, variants)
+    reduction, more = check_reuse(specification.reduction, goals, diagnostics, has_variants=bool(variants.shares))
     specification = specification.model_copy(update={"reduction": reduction})
     notes += more
     check_abilities(optimization, constraints, goals, diagnostics)
@@ -236,11 +245,12 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     if workbench.make is None or space is None or constraints is None:
         raise AssertionError("a part is missing without a finding")
     specification = specification.model_copy(update=dict(workbench.settled) | settled_search(specification, optimization))
-    bench = replace(workbench.make(weights), repeat=specification.reduction.repeat)
+    bench = replace(workbench.make(weights, variants.vehicles), repeat=specification.reduction.repeat)
     resolvers.check_units(specification, bench.scale, diagnostics)
     notes += resolvers.note_predictions(specification, bench.scale)
+    sets = baseline, start_sets, robust_sets
     problem = CalibrationProblem(
-        specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints, goals
+        specification, bench, space, weights, optimization, *sets, notes, constraints, goals, own_goals
     )
     _check_rates(problem, diagnostics)
     diagnostics.raise_if_any()
@@ -292,7 +302,7 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
     space = ParameterSpace(search_parameters(None, workbench.function))
     Constraints(space, workbench.function.constraints).check(parameter_set, "parameters")
     specification = specification.model_copy(update=dict(workbench.settled) | {"parameters": parameter_set.floats})
-    bench = workbench.make(scenarios)
+    bench = workbench.make(scenarios, {})
     if specification.seed is not None:
         bench = bench.seeded(specification.seed)
     return EvaluationProblem(specification, bench, parameter_set, notes_off_grid(values, workbench.function))

@@ -1,7 +1,7 @@
 """The resolved specification of a started campaign: enough to read its results, whatever is installed today."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pydantic import TypeAdapter
@@ -10,8 +10,10 @@ from drivecal.analysis.goals import Goals
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.spaces import fixed_from_document, space_from_document
 from drivecal.campaigns.resolve.workbench import BundleSource, installed_bundles
-from drivecal.contracts.input_errors import validated
+from drivecal.contracts.input_errors import nearest, validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, ReplicatesSpecification
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import ParameterSpace
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.storage.campaigns import StoredCampaign
@@ -33,6 +35,18 @@ class ResolvedSpec:
     goals: Goals | None = None
     """None for the weighted mean of the score."""
     replicates: ReplicatesSpecification = field(default_factory=ReplicatesSpecification)
+    variants: Mapping[str, Goals] = field(default_factory=dict)
+    """Objective and constraints of each variant."""
+
+    def of_variant(self, name: str | None) -> "ResolvedSpec":
+        """Returns the specification of a variant alone; itself for None. Raises InvalidInputError for an unknown variant."""
+        if name is None:
+            return self
+        if name not in self.variants:
+            remedy = nearest(name, list(self.variants)) if self.variants else "leave it out: the campaign has none"
+            raise InvalidInputError(Problem("variant", f"the campaign has no variant {shown(name)}", remedy))
+        goals = self.variants[name]
+        return replace(self, weights=goals.objectives[0].shares, goals=goals, variants={})
 
 
 def problem_of(campaign: StoredCampaign, bundles: BundleSource = installed_bundles) -> CalibrationProblem | EvaluationProblem:
@@ -55,7 +69,8 @@ def resolved_spec(campaign: StoredCampaign) -> ResolvedSpec:
     weights, setups = resolution.get("weights", {}), resolution["setups"]
     scale, goals = stored_scale(resolution), stored_goals(resolution)
     wanted = validated(ReplicatesSpecification, campaign.spec.get("replicates") or {})
-    return ResolvedSpec(resolution["evaluator"], space, weights, setups, scale, goals, wanted)
+    variants = {name: Goals.from_json(document) for name, document in resolution.get("variants", {}).items()}
+    return ResolvedSpec(resolution["evaluator"], space, weights, setups, scale, goals, wanted, variants)
 
 
 def stored_goals(resolution: Mapping[str, Any] | None) -> Goals | None:

@@ -28,6 +28,7 @@ from drivecal.contracts.specification import (
 from drivecal.domain.constraints import Constraint as Allows
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.parameters import Parameter, Setting
+from drivecal.domain.setups import base_of
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins import registry
 from drivecal.plugins.ports import ConstrainedFunction, DrivingFunction, Evaluator, SeriesEvaluator
@@ -99,8 +100,10 @@ class Workbench:
     varied: tuple[VehicleParameter, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
     """Values of the side conditions."""
-    make: Callable[[Collection[str]], Bench] | None = None
-    """Makes the bench of some scenarios."""
+    vehicles: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """The same by variant."""
+    make: Callable[[Collection[str], Mapping[str, Mapping[str, float]]], Bench] | None = None
+    """Makes the bench of some scenarios, with the values of those where they are others."""
     baseline: Mapping[str, Setting] | None = None
     """The problem's own baseline."""
     notes: tuple[str, ...] = ()
@@ -138,29 +141,35 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
     if manifest.is_driven:
         drives = wanted.driving_function or section["controller"]["driving_function"]
         plugin = diagnostics.attempt(lambda: registry.driving_function(drives))
-        varied, values = _vehicle(wanted.vehicle, manifest, section, diagnostics)
+        varied, values, known = _vehicle(wanted.vehicle, manifest, section, diagnostics)
         function = None if plugin is None else _driven(manifest, section, plugin)
         if plugin is not None:
             section["controller"]["driving_function"] = plugin.name
     else:
         _refuse_driving_settings(wanted, manifest.problem, diagnostics)
         varied = manifest.varied_parameters  # the vehicle, if there is one, is the problem's own
-        _check_parameters(wanted.vehicle, manifest.problem, {each.name: each for each in varied}, diagnostics)
+        known = {each.name: each for each in varied}
+        _check_parameters(wanted.vehicle.parameters, manifest.problem, known, diagnostics)
         values = {name: entry.nominal for name, entry in manifest.varied.items()} | wanted.vehicle.parameters
         function = _declared(manifest)
+    vehicles = {}
+    for name, variant in wanted.variants.items() if isinstance(wanted, CampaignSpecification) else ():
+        _check_parameters(variant.vehicle.parameters, manifest.problem, known, diagnostics, f"variants.{name}.vehicle")
+        vehicles[name] = values | variant.vehicle.parameters
     if scored is None or function is None:
-        return Workbench({"problem": bundle.digest}, tuple(data), function, varied, values, notes=_notes(bundle))
+        return Workbench({"problem": bundle.digest}, tuple(data), function, varied, values, vehicles, notes=_notes(bundle))
     score, evaluator = scored
     rates_series = isinstance(evaluator, SeriesEvaluator)
     if rates_series and evaluator is not None and not manifest.is_driven:
         diagnostics.add("evaluator", f"{evaluator.name} rates time series of drivecal's own runs", "name another evaluator")
     parameters = next(iter(function.spaces.values()))
 
-    def make(chosen: Collection[str]) -> Bench:
-        listed = {name: data[name] for name in chosen}
-        name, driven = function.name, manifest.is_driven
-        seed = 1 if manifest.simulator.random else 0
-        return Bench(bundle, score, name, parameters, listed, section, varied, values, evaluator, seed=seed, is_driven=driven)
+    def make(chosen: Collection[str], others: Mapping[str, Mapping[str, float]]) -> Bench:
+        listed = {name: data[base_of(name)] for name in chosen}
+        seed, simulated = 1 if manifest.simulator.random else 0, (section, varied, values, others)
+        return Bench(
+            bundle, score, function.name, parameters, listed, *simulated, evaluator, seed=seed, is_driven=manifest.is_driven
+        )
 
     settled: dict[str, Any] = {"problem": bundle.digest, "evaluator": score}
     if evaluator is not None and evaluator.name != manifest.scores[score].evaluator:
@@ -180,6 +189,7 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
         function,
         varied,
         values,
+        vehicles,
         make,
         baseline=manifest.start,
         notes=_notes(bundle),
@@ -209,32 +219,38 @@ def _driven(manifest: Manifest, section: Mapping[str, Any], plugin: DrivingFunct
 
 def _vehicle(
     wanted: VehicleSpecification, manifest: Manifest, section: dict[str, Any], diagnostics: Diagnostics
-) -> tuple[tuple[VehicleParameter, ...], dict[str, float]]:
-    """Returns the varied parameters of the planner's vehicle, and the values of all its parameters. Puts its model into the section."""
+) -> tuple[tuple[VehicleParameter, ...], dict[str, float], dict[str, VehicleParameter]]:
+    """Returns the varied parameters of the planner's vehicle, the values of all its parameters, and all that can be given, by name. Puts
+    its model into the section."""
     own = section["vehicle"]
     vehicle = diagnostics.attempt(lambda: registry.vehicle(wanted.model or model_of(own)))
     if vehicle is None:
-        return (), {}
+        return (), {}, {}
     section["vehicle"] = vehicle.name
     known = {parameter.name: parameter for parameter in vehicle.parameters}
     nominal = {name: parameter.nominal for name, parameter in known.items()}
     if vehicle.name != model_of(own):
-        _check_parameters(wanted, vehicle.name, known, diagnostics)
-        return vehicle.parameters, nominal | wanted.parameters
+        _check_parameters(wanted.parameters, vehicle.name, known, diagnostics)
+        return vehicle.parameters, nominal | wanted.parameters, known
     changes = (
         {} if isinstance(own, str) else {name: value for name, value in own.items() if value is not None and name in known}
     )
     varied = manifest.varied_parameters
-    _check_parameters(wanted, vehicle.name, known | {each.name: each for each in varied}, diagnostics)
-    return varied, nominal | changes | {each.name: each.nominal for each in varied} | wanted.parameters
+    known |= {each.name: each for each in varied}
+    _check_parameters(wanted.parameters, vehicle.name, known, diagnostics)
+    return varied, nominal | changes | {each.name: each.nominal for each in varied} | wanted.parameters, known
 
 
 def _check_parameters(
-    wanted: VehicleSpecification, owner: str, known: Mapping[str, VehicleParameter], diagnostics: Diagnostics
+    given: Mapping[str, float],
+    owner: str,
+    known: Mapping[str, VehicleParameter],
+    diagnostics: Diagnostics,
+    section: str = "vehicle",
 ) -> None:
     """Adds a problem for each given value whose parameter is unknown or whose range does not hold it."""
-    for name, value in wanted.parameters.items():
-        field, parameter = f"vehicle.parameters.{name}", known.get(name)
+    for name, value in given.items():
+        field, parameter = f"{section}.parameters.{name}", known.get(name)
         if parameter is None:
             remedy = f"one of {', '.join(known)}" if known else "leave it out"
             diagnostics.add(field, f"{owner} has no such parameter", remedy)

@@ -9,7 +9,7 @@ from operator import attrgetter
 import numpy as np
 
 from drivecal.analysis.front import WinningWeights, extremes, hypervolume, knee, non_dominated, scaled, winning_weights
-from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective, valued_by
+from drivecal.analysis.goals import Goals, valued_by, weighted_mean
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.domain.campaigns import StageName
@@ -108,11 +108,7 @@ class CampaignFront:
 
 def goals_of(resolved: ResolvedSpec) -> Goals:
     """Returns the goals of a campaign; without given ones the weighted mean of its score (Eq. 6)."""
-    if resolved.goals is not None:
-        return resolved.goals
-    scale = resolved.scale
-    worst = scale.lower if scale.sign > 0 else scale.upper
-    return Goals((Objective(scale.name, CellValue(scale), resolved.weights, Aggregate(), scale.sign, 0.0, worst, scale.unit),))
+    return weighted_mean(resolved.scale, resolved.weights) if resolved.goals is None else resolved.goals
 
 
 def front_of(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec) -> CampaignFront:

@@ -1,8 +1,9 @@
 """The answers of a search as it is told them, and the ranking of all sets so far."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
+from operator import gt
 from typing import Any
 
 import numpy as np
@@ -30,17 +31,38 @@ class SearchAnswers(ABC):
         self._problem, self._goals = problem, problem.goals
         self._sign = problem.bench.scale.sign
         wanted = problem.specification.replicates
-        self.ranking = Ranking(problem.weights, self._sign, problem.goals, problem.bench.scale.span, wanted)
+        scale = problem.bench.scale
+        self.ranking = Ranking(problem.weights, self._sign, problem.goals, scale.span, wanted)
+        self.variants = {
+            name: Ranking(goals.objectives[0].shares, self._sign, goals, scale.span, wanted)
+            for name, goals in problem.variants.items()
+        }
+        """Rankings for each variant alone."""
+        self._before = self._best_of_variants()
+
+    def add(self, answers: Sequence[CellScore]) -> None:
+        """Ranks answers."""
+        for ranking in (self.ranking, *self.variants.values()):
+            ranking.add(answers)
+
+    def has_better_variant(self) -> bool:
+        """Returns whether the answers that were read last give a variant a better set."""
+        return any(map(gt, self._best_of_variants(), self._before))
+
+    def _best_of_variants(self) -> list[tuple[float, float]]:
+        bests = [ranking.best() for ranking in self.variants.values()]
+        return [(-np.inf, 0.0) if best is None else (-best[0].violation, best[0].sign * best[0].objective) for best in bests]
 
     def take_in(self, connection: Connection, campaign: int, iterations: Collection[int]) -> None:
         """Reads the answers of iterations."""
         if not iterations:
             return
+        self._before = self._best_of_variants()
         only = next(iter(iterations)) if len(iterations) == 1 else None
         taken = [answer for answer in self.read(connection, campaign, only) if answer.iteration in iterations]
         for answer in taken:
             self._take(answer)
-        self.ranking.add(taken)
+        self.add(taken)
 
     def read(self, connection: Connection, campaign: int, iteration: int | None) -> list[CellScore]:
         """Returns the answered cells of one iteration, or of all, with the values that the goals need."""
@@ -89,6 +111,12 @@ class CellAnswers(SearchAnswers):
         if problem.bench.is_random:  # the mean of rounded scores has no steps
             scale = replace(scale, step=None)
         self.aim = WeightedScore(problem.weights, scale) if problem.goals is None else JudgedGoals(problem.goals, names)
+        self.aims_of_variants: list[WeightedScore | JudgedGoals] = [
+            JudgedGoals(goals, names, problem.goals)
+            if problem.goals is not None
+            else WeightedScore({name: goals.objectives[0].shares.get(name, 0.0) for name in names}, scale)
+            for goals in problem.variants.values()
+        ]
         self._rounds: dict[int, dict[tuple[int, str, int], CellScore]] = {}
 
     def _take(self, answer: CellScore) -> None:

@@ -208,7 +208,7 @@ class Calibration(Stage):
         plugin, settings = self._by_cell, self._optimization.settings
         if plugin is None or not isinstance(self._answers, CellAnswers):
             raise RuntimeError("the search is no search by the cell")
-        searched = task.search_task(self._database, self._view, self._problem, self._answers.aim)
+        searched = task.search_task(self._database, self._view, self._problem, self._answers)
         state = {} if last is None else (last.optimizer_state or {}).get("search", {})
         search = plugin.begin(settings, searched) if last is None else plugin.resume(settings, searched, rounds, answers, state)
         return CellAsker(search, self._search.room, self._problem.least_replicates)
@@ -403,7 +403,7 @@ class Calibration(Stage):
             else:
                 tried, taken = self._confirming.tried, len(self._confirming.tried) - 1
             for number in range(taken, len(tried)):
-                self._ranking.add(self._answers.read(connection, sequence, first + number))
+                self._answers.add(self._answers.read(connection, sequence, first + number))
             if tried:
                 self._leader.describe(connection)
             chosen = self._confirming.choose(self._ranking)
@@ -474,7 +474,7 @@ class Calibration(Stage):
                 self._error_rate = check_reuse(connection, self._view, number, self._problem.scenarios, self._error_rate)
                 if self._planner is not None:
                     self._released = self._planner.released(connection)
-            is_better = self._leader.describe(connection)
+            is_better = self._leader.describe(connection) or self._answers.has_better_variant()
             figures = self._figures(connection, number, asked, objectives)
             is_new = self._ranking.sets > sets
             self._search = task.progressed(

@@ -59,13 +59,16 @@ class Replication:
             room: cells of a round, about.
             tracker: the cells of the stage.
         """
-        ranking, scenarios = self._answers.ranking, self._problem.scenarios
         last, cells_after = evaluations.cells_from(connection, campaign, StageName.CALIBRATION, first)
         for number in range(max(first, self._taken + 1), last + 1):
-            ranking.add(self._answers.read(connection, campaign, number))
+            self._answers.add(self._answers.read(connection, campaign, number))
         self._taken = last
-        left = max(0, self._left(tracker, cells_after)) // len(scenarios)
-        chosen = next_runs(ranking, self._problem.specification.replicates, room, left)
+        left = max(0, self._left(tracker, cells_after))
+        for ranking in (self._answers.ranking, *self._answers.variants.values()):
+            scenarios = [name for name in self._problem.scenarios if name in ranking.scenarios]
+            chosen = next_runs(ranking, self._problem.specification.replicates, room, left // len(scenarios))
+            if chosen:
+                break
         sets = parameter_sets.load(connection, list({number for number, _ in chosen}))
         numbers = list(dict.fromkeys(number for number, _ in chosen))
         cells = [

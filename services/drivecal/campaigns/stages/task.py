@@ -15,6 +15,7 @@ from drivecal.campaigns.cells.earlier import place_in
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.optimizer import Optimization
 from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.stages.answers import CellAnswers
 from drivecal.campaigns.stages.asking import WINDOW, AskedRound, PopulationAsker
 from drivecal.contracts.campaign import GenerationCounts, SearchState
 from drivecal.domain.campaigns import StageName
@@ -54,7 +55,7 @@ def progressed(
     return search.model_copy(update={"simulated": simulated, "better_at": better_at, "stood_still_at": at, "stale": stale})
 
 
-def search_task(database: Database, view: View, problem: CalibrationProblem, aim: WeightedScore | JudgedGoals) -> SearchTask:
+def search_task(database: Database, view: View, problem: CalibrationProblem, answers: CellAnswers) -> SearchTask:
     """Returns the task of a campaign's search. It depends on what was stored when the campaign began, and on nothing later."""
     chosen = problem.optimization
     if chosen is None:
@@ -72,9 +73,10 @@ def search_task(database: Database, view: View, problem: CalibrationProblem, aim
 
     limit = problem.search_simulations
     is_cut_off = problem.specification.reduction.mode == "off"
+    aim, variants = answers.aim, answers.aims_of_variants
     known = [] if is_cut_off else _known(database, view, problem, aim)
     start, changes = problem.start_indices, {} if problem.goals is None else problem.goals.changes
-    best = [indices for indices in best_known(aim, known) if list(indices) not in start.tolist()]
+    best = [indices for indices in best_known((aim, *variants), known) if list(indices) not in start.tolist()]
     first = {*best, *map(tuple, start.tolist())}  # asked all the same, so that the campaign ranks them
     return SearchTask(
         n_values=space.n_values,
@@ -93,6 +95,7 @@ def search_task(database: Database, view: View, problem: CalibrationProblem, aim
         else 1,
         given=(lambda rows: aim.given(constraints.entries(rows))) if changes and isinstance(aim, JudgedGoals) else None,
         references=np.unique([each.row(space) for each in changes.values()], axis=0) if changes else None,
+        variants=variants,
     )
 
 
@@ -159,27 +162,27 @@ def affordable(
     return within
 
 
-def best_known(aim: Aim, known: Sequence[CellAnswer]) -> list[tuple[int, ...]]:
+def best_known(aims: Sequence[Aim], known: Sequence[CellAnswer]) -> list[tuple[int, ...]]:
     """Returns the best stored sets, which a search asks for first: the table answers them, so that the campaign ranks them.
 
     Args:
-        aim: the campaign's aim.
+        aims: the campaign's aim, and the aims of its variants.
         known: stored answers.
 
     Returns:
         grid indices of the MOST_BEST best sets by each objective; constraints on results come first.
     """
-    sets: dict[tuple[int, ...], Floats] = {}
+    sets, aim = dict[tuple[int, ...], Floats](), aims[0]
     for answer in known:
         cells = sets.setdefault(answer.cell.indices, np.full((aim.scenarios, aim.values), np.nan))
         cells[answer.cell.scenario] = answer.values
-    whole = [indices for indices, cells in sets.items() if not np.isnan(cells).any()]
-    if not whole:
-        return []
-    objectives, violations = aim.judge(np.array([sets[indices] for indices in whole]))
-    best: dict[tuple[int, ...], None] = {}
-    for objective in objectives.T:
-        best |= dict.fromkeys(whole[place] for place in np.lexsort((-objective, violations))[:MOST_BEST].tolist())
+    listed, best = list(sets), dict[tuple[int, ...], None]()
+    for each in aims if listed else ():
+        objectives, violations = each.judge(np.array(list(sets.values())))
+        whole = np.flatnonzero(np.isfinite(violations) & np.isfinite(objectives).all(axis=1))
+        for objective in objectives[whole].T:
+            order = np.lexsort((-objective, violations[whole]))[:MOST_BEST]
+            best |= dict.fromkeys(listed[place] for place in whole[order].tolist())
     return list(best)
 
 

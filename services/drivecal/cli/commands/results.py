@@ -34,6 +34,8 @@ ScoreOption = Annotated[
     ),
 ]
 
+VariantOption = Annotated[str | None, typer.Option(metavar="NAME", help="Rank for this variant of the campaign.")]
+
 
 @app.command()
 def solutions(
@@ -43,6 +45,7 @@ def solutions(
         typer.Option(metavar="S1=2,S2=1", help="Rank by these weights instead; simulates nothing. Not named means weight 1."),
     ] = None,
     score: ScoreOption = None,
+    variant: VariantOption = None,
     limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, best first.")] = 20,
     url: UrlOption = None,
     as_json: JsonOption = False,
@@ -51,7 +54,7 @@ def solutions(
     if weights is not None:
         assignments(weights.split(","), "--weights")
     with connect(url) as client:
-        page = client.solutions(identifier, weights, limit, score)
+        page = client.solutions(identifier, weights, limit, score, variant)
     print_answer(page, as_json, lambda page: print_solutions(page.items))
 
 
@@ -121,6 +124,7 @@ def export(
         ),
     ] = None,
     score: ScoreOption = None,
+    variant: VariantOption = None,
     measures: Annotated[
         bool, typer.Option("--measures", help="Of the table evaluations: the measures of each run as further columns.")
     ] = False,
@@ -139,11 +143,13 @@ def export(
     form = "json" if as_json else form or _format_of(output if output != "-" or base is None else base.name)
     if weights is not None and table not in {"solutions", "front"}:
         raise typer.BadParameter("--weights needs --table solutions or front")
-    if score is not None and table != "solutions":
-        raise typer.BadParameter("--score needs --table solutions")
+    for option, chosen in {"--score": score, "--variant": variant}.items():
+        if chosen is not None and table != "solutions":
+            raise typer.BadParameter(f"{option} needs --table solutions")
     if measures and table != "evaluations":
         raise typer.BadParameter("--measures needs --table evaluations")
-    given = {"where": where, "weights": weights, "score": score, "measures": "true" if measures else None, "base": base}
+    given = {"where": where, "weights": weights, "score": score, "variant": variant, "base": base}
+    given |= {"measures": "true" if measures else None}
     query = {name: value for name, value in given.items() if value}
     with connect(url) as client:
         campaign_id = client.full_id(identifier)
@@ -187,7 +193,7 @@ def _calibration_file(
     labels = {} if names is None else labels_of(read_document(names))
     rank, front = (None, row) if table == "front" else (row, None)
     kind = cast("CalibrationFormat", form)
-    given = {name: value for name, value in query.items() if name in {"weights", "score", "base"}}
+    given = {name: value for name, value in query.items() if name in {"weights", "score", "variant", "base"}}
     return client.calibration_file(identifier, kind, rank, front, labels=labels, **given)
 
 

@@ -23,6 +23,7 @@ from drivecal.cli.views.sections import (
     shortened,
     solutions_table,
     trust_blocks,
+    variants_table,
 )
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts
@@ -180,6 +181,7 @@ def print_results(results: CampaignResults) -> None:
     typer.echo("")
     print_blocks(
         [
+            *variants_table(results.variants),
             *trust_blocks(results.trust),
             *audits_table(campaign.error_rate, campaign.scale),
             *lots_table(campaign.released),

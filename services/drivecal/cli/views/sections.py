@@ -7,7 +7,7 @@ from typing import Literal
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Baseline, Best, ErrorRate, Released
 from drivecal.contracts.evaluation import FailureCause
-from drivecal.contracts.results import FrontBaseline, ResultTrust
+from drivecal.contracts.results import FrontBaseline, ResultTrust, VariantResult
 from drivecal.contracts.tables import FrontRow, Solution, ValidationRow
 from drivecal.domain.scales import Scale, objective_text, told
 
@@ -163,6 +163,23 @@ def solutions_table(solutions: Sequence[Solution]) -> list[Block]:
         caption += ". *: the score is that of a reference, this very set was not simulated there"
     header = ["rank", "objective", "rating", *broken, *first.constraints, *first.scores, *first.parameters]
     return [Table(header, rows, caption)]
+
+
+def variants_table(variants: Sequence[VariantResult]) -> list[Block]:
+    """Returns the best set of each variant and its value under the common set; nothing without variants."""
+    if not variants:
+        return []
+    names = list(next((row.best.parameters for row in variants if row.best is not None), {}))
+    rows = [
+        [
+            *(row.name, None if row.best is None else objective_number(row.best.objective), objective_number(row.common)),
+            *(objective_number(row.cost), "breaks its constraints" if row.violation else ""),
+            *(None if row.best is None else row.best.parameters[name] for name in names),
+        ]
+        for row in variants
+    ]
+    caption = "Variants: the best set of each, its value under the best common set, and what commonality costs"
+    return [Table(["variant", "own best", "common", "cost", "", *names], rows, caption)]
 
 
 def validation_tables(rows: Sequence[ValidationRow], scale: Scale) -> list[Block]:

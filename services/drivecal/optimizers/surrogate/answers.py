@@ -142,23 +142,24 @@ class Answers:
         answered: Bools = self._answered[begun.number] > 0
         return answered
 
-    def missing(self, begun: BegunSet) -> Indices:
-        """Returns the scenarios that a set was not asked in under its newest replicate, rising."""
-        return np.flatnonzero(self._asked[begun.number] < begun.replicate)
+    def missing(self, begun: BegunSet, needs: Bools | None = None) -> Indices:
+        """Returns the scenarios that a set was not asked in under its newest replicate, rising, of an aim's `needs`."""
+        missing = self._asked[begun.number] < begun.replicate
+        return np.flatnonzero(missing if needs is None else missing & needs)
 
     def pending(self, begun: BegunSet) -> int:
         """Returns the number of cells of a set that are under way."""
         return int((self._asked[begun.number] - self._answered[begun.number]).sum())
 
-    @property
-    def complete(self) -> list[BegunSet]:
-        """The sets with an answer in every scenario."""
-        return [self.sets[number] for number in np.flatnonzero(self._answered[: len(self.sets)].all(axis=1)).tolist()]
+    def complete(self, needs: Bools | None = None) -> list[BegunSet]:
+        """Returns the sets with an answer in every scenario, or in the scenarios of an aim."""
+        answered = (self._answered[: len(self.sets)] > 0) | (False if needs is None else ~needs)
+        return [self.sets[number] for number in np.flatnonzero(answered.all(axis=1)).tolist()]
 
     def repeatable(self, most: int) -> list[BegunSet]:
         """Returns the complete sets that may be asked again, at most `most` times in all."""
         return [
-            each for each in self.complete if each.replicate < most and not len(self.missing(each)) and not self.pending(each)
+            each for each in self.complete() if each.replicate < most and not len(self.missing(each)) and not self.pending(each)
         ]
 
     @property

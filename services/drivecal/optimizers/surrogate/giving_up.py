@@ -16,7 +16,9 @@ LEAST = 0.0001
 """The same, whatever the first value was."""
 
 
-def beaten(aim: Aim, answers: Answers, sets: Sequence[BegunSet], standing: Standing, best: Floats) -> npt.NDArray[np.bool_]:
+def beaten(
+    aim: Aim, answers: Answers, sets: Sequence[BegunSet], standing: Standing, best: Floats, needs: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.bool_]:
     """Returns which sets cannot be better than the best complete ones, even with the best value in every scenario left, shape (n,).
 
     Args:
@@ -25,17 +27,18 @@ def beaten(aim: Aim, answers: Answers, sets: Sequence[BegunSet], standing: Stand
         sets: n sets that are not complete.
         standing: the complete sets.
         best: the best values to be expected of each set, shape (n, n_scenarios, n_values).
+        needs: the scenarios of the aim, shape (n_scenarios,).
     """
     values = answers.values(sets)
     missing = ~np.stack([answers.answered(begun) for begun in sets])
     with np.errstate(invalid="ignore"):
         objectives, violations = aim.judge(np.where(missing[:, :, np.newaxis], best, values))
-    return standing.beats(objectives, violations) | without_result(answers, sets)
+    return standing.beats(objectives, violations) | without_result(answers, sets, needs)
 
 
-def without_result(answers: Answers, sets: Sequence[BegunSet]) -> npt.NDArray[np.bool_]:
-    """Returns which sets have an answer without a result, shape (n,)."""
-    answered = np.stack([answers.answered(begun) for begun in sets])
+def without_result(answers: Answers, sets: Sequence[BegunSet], needs: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Returns which sets have an answer without a result in a needed scenario, shape (n,)."""
+    answered = np.stack([answers.answered(begun) for begun in sets]) & needs
     dead: npt.NDArray[np.bool_] = np.any(answered & np.isnan(answers.values(sets)).any(axis=2), axis=1)
     return dead
 

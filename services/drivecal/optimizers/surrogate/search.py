@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import ndtri
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]  # it ships no types
 
@@ -20,7 +21,7 @@ from drivecal.optimizers.surrogate.giving_up import beaten, improbable, without_
 from drivecal.optimizers.surrogate.merits import Merit, Standing
 from drivecal.optimizers.surrogate.models import ScenarioModel
 from drivecal.plugins.ports import Floats
-from drivecal.plugins.search import AskedCell, CellAnswer, SearchTask
+from drivecal.plugins.search import Aim, AskedCell, CellAnswer, SearchTask
 
 FEWEST_FIRST, MOST_FIRST = 4, 5
 """Sets of the first design."""
@@ -70,7 +71,10 @@ class SurrogateSearch:
         ]
         self._learned: list[tuple[int, ...]] = [() for _ in self._models]
         """Basis of each model: number of answers, and pending sets."""
-        self._standing = Standing.of(task.aim, np.empty((0, task.aim.scenarios, task.aim.values)))
+        self._aims = (task.aim, *task.variants)
+        self._needs = [np.ones(task.aim.scenarios, dtype=np.bool_), *map(_needed, task.variants)]
+        """Masks of the scenarios of each aim, shape (n_scenarios,)."""
+        self._standings: list[Standing] = []
         self._merits: dict[int, Merit] = {}
         self._spent = 0
         for answer in task.known:
@@ -82,7 +86,7 @@ class SurrogateSearch:
     def _begin_first_sets(self) -> None:
         cells = self._task.cells
         size = int(np.clip(DESIGN_SHARE * (cells or np.inf) / self._aim.scenarios, FEWEST_FIRST, MOST_FIRST))
-        size = max(0, size - len(self._answers.complete) - len(self._task.start))
+        size = max(0, size - len(self._answers.complete()) - len(self._task.start))
         drawn = self._task.sample(size, self._generator(DESIGN)) if size else self._task.start[:0]
         for row in np.concatenate([self._task.start, drawn]).tolist():
             self._answers.begin(tuple(row)).whole = True
@@ -151,20 +155,23 @@ class SurrogateSearch:
         for scenario in self._answers.missing(begun)[: room - len(cells)].tolist():
             self._ask(begun, scenario, cells)
 
-    def _ask_deciding(self, begun: BegunSet, drawn: Floats, count: int, cells: list[AskedCell]) -> None:
+    def _ask_deciding(self, begun: BegunSet, drawn: Floats, aim: int, count: int, cells: list[AskedCell]) -> None:
         if count > 0:
-            for scenario in self._deciding(begun, drawn)[:count].tolist():
+            for scenario in self._deciding(begun, drawn, aim)[:count].tolist():
                 self._ask(begun, scenario, cells)
 
     def _search(self, room: int, at_once: int, cells: list[AskedCell]) -> None:
         """Fills the room: sets that may still win are asked on, then new ones begin; at the end nothing that cannot be completed."""
         self._learn()
-        self._standing = Standing.of(self._aim, self._values(self._answers.complete))
+        self._standings = [
+            Standing.of(aim, self._values(self._answers.complete(needs)))
+            for aim, needs in zip(self._aims, self._needs, strict=True)
+        ]
         self._merits = {}
         promising = self._promising()
-        for begun, drawn in promising:
+        for begun, drawn, aim in promising:
             wanted = min(room - len(cells), at_once - self._answers.pending(begun))
-            self._ask_deciding(begun, drawn, wanted, cells)
+            self._ask_deciding(begun, drawn, aim, wanted, cells)
         first = True
         while len(cells) < room and self._may_begin():
             wanted = -(-(room - len(cells)) // at_once)
@@ -172,14 +179,15 @@ class SurrogateSearch:
             if not first:
                 self._learn()
             first = False
+            aim = self._turn(len(self._answers.sets))
             sets = self._proposed(min(wanted, together))
             if not sets:
                 break
             for begun, drawn in zip(sets, self._drawn(sets), strict=True):
-                self._ask_deciding(begun, drawn, min(room - len(cells), at_once), cells)
+                self._ask_deciding(begun, drawn, aim, min(room - len(cells), at_once), cells)
         if len(cells) < room:
             given_up = [begun for begun in self._answers.sets if begun.improbable and len(self._answers.missing(begun))]
-            for begun in [begun for begun, _ in promising] + sorted(given_up, key=lambda begun: -(begun.promise or 0.0)):
+            for begun in [begun for begun, *_ in promising] + sorted(given_up, key=lambda begun: -(begun.promise or 0.0)):
                 left = self._left
                 if left is None or len(self._answers.missing(begun)) <= left or not begun.improbable:
                     begun.improbable = False
@@ -189,7 +197,11 @@ class SurrogateSearch:
         """Returns whether enough cells are left for a new set. Half of the cells of open sets are reserved: some are given up."""
         left = self._left
         reserved = sum(len(self._answers.missing(begun)) for begun in self._answers.open) // 2
-        return left is None or left - reserved >= self._aim.scenarios
+        return left is None or left - reserved >= self._needs[self._turn(len(self._answers.sets))].sum()
+
+    def _turn(self, number: int) -> int:
+        """Returns the place of the aim that a set is begun for: they take turns."""
+        return number % len(self._aims)
 
     def _learn(self) -> None:
         pending = self._answers.unanswered[-PENDING:]
@@ -200,13 +212,15 @@ class SurrogateSearch:
                 model.learn(*self._answers.known(scenario), self._answers.features(numbers))
                 self._learned[scenario] = basis
 
-    def _merit(self, number: int) -> Merit:
-        """Returns what makes one number of objectives for a set; with several, each set has a direction of its own."""
-        key = number if self._aim.objectives > 1 else 0
+    def _merit(self, number: int, aim: int | None = None) -> Merit:
+        """Returns what makes one number of objectives for a set; with several, each set has a direction of its own. `aim`: the place of an
+        aim, by default of that which it is begun for."""
+        place = self._turn(number) if aim is None else aim
+        key = number if self._aim.objectives > 1 else place
         if key not in self._merits:
             direction = self._generator(DIRECTION, key).dirichlet(np.ones(self._aim.objectives))
-            self._merits[key] = merit = Merit(self._aim, self._standing, direction)
-            if self._task.random and (complete := self._answers.complete):
+            self._merits[key] = merit = Merit(self._aims[place], self._standings[place], direction)
+            if self._task.random and (complete := self._answers.complete(self._needs[place])):
                 best = complete[int(np.argmax(merit(self._values(complete))))]
                 merit.noise = self._noise(best, merit)
         return self._merits[key]
@@ -231,27 +245,36 @@ class SurrogateSearch:
         merits = merit(self._task.with_given(self._rows([begun]), np.stack(runs, axis=2))[:, 0])
         return float(merits[np.isfinite(merits)].std()) if np.isfinite(merits).any() else 0.0
 
-    def _promising(self) -> list[tuple[BegunSet, Floats]]:
-        """Gives sets up; returns the remaining open sets, the most promising first, with draws of their values."""
+    def _promising(self) -> list[tuple[BegunSet, Floats, int]]:
+        """Gives sets up that win for no aim; returns the remaining open sets, the most promising first, with draws of their values and the
+        place of an aim: first the aim of its turn, then the most promising aim."""
         sets = [
             begun for begun in self._answers.sets if not begun.beaten and not begun.whole and len(self._answers.missing(begun))
         ]
         if sets:
             best = self._task.with_given(self._rows(sets), np.stack([self._answers.best] * len(sets)))
-            lost = beaten(self._aim, self._answers, sets, self._standing, best)
-            if self._task.random:  # a sample bounds nothing
-                lost = without_result(self._answers, sets)
-            for begun, is_lost in zip(sets, lost, strict=True):
+            lost = [
+                without_result(self._answers, sets, needs)  # a sample bounds nothing
+                if self._task.random
+                else beaten(aim, self._answers, sets, standing, best, needs)
+                for aim, standing, needs in zip(self._aims, self._standings, self._needs, strict=True)
+            ]
+            for begun, is_lost in zip(sets, np.all(lost, axis=0), strict=True):
                 begun.beaten = bool(is_lost)
-        ranked: list[tuple[float, BegunSet, Floats]] = []
+        ranked: list[tuple[float, BegunSet, Floats, int]] = []
         left = self._answers.open
         for begun, drawn in zip(left, self._drawn(left), strict=True):
-            merit = self._merit(begun.number)
-            chance = merit.beaten_by(merit(drawn))
-            begun.improbable = improbable(chance, begun.promise or 0.0)
-            if not begun.improbable:
-                ranked.append((chance, begun, drawn))
-        return [(begun, drawn) for _, begun, drawn in sorted(ranked, key=lambda each: -each[0])]
+            chances = list[tuple[bool, float, int]]()
+            for aim, needs in enumerate(self._needs):
+                merit, is_open = self._merit(begun.number, aim), not self._answers.answered(begun)[needs].all()
+                chance = merit.beaten_by(merit(drawn)) if is_open else 0.0
+                if is_open and not improbable(chance, begun.promise or 0.0):
+                    chances.append((aim == self._turn(begun.number), chance, aim))
+            begun.improbable = not chances
+            if chances:
+                _, chance, aim = max(chances)
+                ranked.append((chance, begun, drawn, aim))
+        return [each[1:] for each in sorted(ranked, key=lambda each: -each[0])]
 
     def _rows(self, sets: Sequence[BegunSet]) -> Indices:
         return np.array([begun.indices for begun in sets], dtype=np.int64)
@@ -278,14 +301,16 @@ class SurrogateSearch:
         known = np.stack([self._answers.answered(begun) for begun in sets])[:, np.newaxis, :, np.newaxis]
         return np.where(known, self._answers.values(sets)[:, np.newaxis], drawn)
 
-    def _deciding(self, begun: BegunSet, drawn: Floats) -> Indices:
-        """Returns the missing scenarios, first the one whose draws alone change the merit most."""
-        missing = self._answers.missing(begun)
+    def _deciding(self, begun: BegunSet, drawn: Floats, aim: int) -> Indices:
+        """Returns the scenarios that an aim misses, first the one whose draws alone change the merit most."""
+        missing = self._answers.missing(begun, self._needs[aim])
+        if not len(missing):
+            return missing
         values = np.repeat(np.median(drawn, axis=0)[np.newaxis], len(missing) * DRAWS, axis=0)
         values = values.reshape(len(missing), DRAWS, *values.shape[1:])
         for place, scenario in enumerate(missing.tolist()):
             values[place, :, scenario] = drawn[:: OPEN_DRAWS // DRAWS, scenario]
-        merits = self._merit(begun.number)(values.reshape(-1, *values.shape[2:])).reshape(len(missing), DRAWS)
+        merits = self._merit(begun.number, aim)(values.reshape(-1, *values.shape[2:])).reshape(len(missing), DRAWS)
         spreads = np.where(np.isfinite(merits), merits, np.nanmin(np.where(np.isfinite(merits), merits, 0.0))).std(axis=1)
         return missing[np.argsort(-spreads, kind="stable")]
 
@@ -307,7 +332,7 @@ class SurrogateSearch:
         begun = self._begun_before(merit)
         if begun is not None and (not len(rows) or begun[0] > improvements.max()):
             if len(self._answers.missing(begun[1])):
-                begun[1].promise = begun[2]
+                begun[1].promise, begun[1].whole = begun[2], len(self._aims) > 1
             else:
                 begun[1].replicate, begun[1].whole = begun[1].replicate + 1, True
             return [begun[1]]
@@ -324,13 +349,13 @@ class SurrogateSearch:
 
     def _least_gain(self, number: int, merit: Merit) -> float:
         """Returns what the next set must promise: a notable gain if the search stands still and the set's number is even, else anything."""
-        complete = self._answers.complete
-        if number % 2 or self._aim.objectives > 1 or not complete:
+        complete = self._answers.complete(self._needs[self._turn(number)])
+        if number // len(self._aims) % 2 or self._aim.objectives > 1 or not complete:
             return 0.0
         notable = NOTABLE * merit.unit
         as_good = merit(self._values(complete)) >= merit.best - notable
         first = min(begun.number for begun, is_as_good in zip(complete, as_good, strict=True) if is_as_good)
-        return notable if number - first >= STANDING_STILL else 0.0
+        return notable if number - first >= STANDING_STILL * len(self._aims) else 0.0
 
     def _merits_of(self, rows: Indices, merit: Merit, number: int) -> Floats:
         """Returns merits of draws, shape (DRAWS, n)."""
@@ -342,17 +367,18 @@ class SurrogateSearch:
     def _begun_before(self, merit: Merit) -> tuple[float, BegunSet, float] | None:
         """Returns the most promising set that is known in part, or that may have another replicate: its expected improvement for the cost
         of a new set, itself, its chance."""
-        sets = self._dormant(merit)
+        needs = self._needs[self._turn(len(self._answers.sets))]
+        sets = [begun for begun in self._dormant(merit) if len(self._answers.missing(begun, needs))]
         repeatable = self._answers.repeatable(self._task.replicates)
         first = min(BEFORE_REPEATS, (self._task.cells or np.inf) // self._aim.scenarios // 4)
-        if len(self._answers.complete) >= first and repeatable:
+        if len(self._answers.complete()) >= first and repeatable:
             order = np.argsort(-merit(self._values(repeatable)), kind="stable")[:PARENTS]
             sets += [repeatable[place] for place in order.tolist()]
         ranked: list[tuple[float, BegunSet, float]] = []
         for begun, drawn in zip(sets, self._drawn(sets), strict=True):
             merits = merit(drawn)
             gain = float(merit.improvements(merits[:, np.newaxis])[0])
-            share = (len(self._answers.missing(begun)) or self._aim.scenarios) / self._aim.scenarios
+            share = (len(self._answers.missing(begun, needs)) or needs.sum()) / needs.sum()
             ranked.append((gain / share if gain > 0 else gain, begun, merit.beaten_by(merits)))
         return max(ranked, key=lambda each: each[0], default=None)
 
@@ -381,7 +407,7 @@ class SurrogateSearch:
 
     def _parents(self) -> Indices:
         """Returns the best complete sets, the best first; without any what a design would be."""
-        complete = self._answers.complete
+        complete = self._answers.complete(self._needs[self._turn(len(self._answers.sets))])
         if not complete:
             return self._task.sample(PARENTS, self._generator(DESIGN, 1))
         merits = self._merit(len(self._answers.sets))(self._values(complete))
@@ -389,3 +415,11 @@ class SurrogateSearch:
 
     def _children(self, parents: Indices, count: int, generator: np.random.Generator) -> Indices:
         return children(parents, count, self._task.n_values, self._task.kinds, generator)
+
+
+def _needed(aim: Aim) -> npt.NDArray[np.bool_]:
+    """Returns the mask of the scenarios without whose values an aim has no result, shape (n_scenarios,)."""
+    values = np.zeros((aim.scenarios, aim.scenarios, aim.values))
+    values[np.arange(aim.scenarios), np.arange(aim.scenarios)] = np.nan
+    objectives, violations = aim.judge(values)
+    return np.isnan(objectives).any(axis=1) | np.isnan(violations)

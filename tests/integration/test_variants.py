@@ -1,0 +1,87 @@
+"""Campaigns for several variants: shared simulations, the best set of each, and what the best common one costs."""
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.computed import ComputedBackend, computed
+from tests.support.databases import migrated
+from tests.support.deaths import Killed
+from tests.support.runs import dispatcher, everything, finish, get, submit
+
+from drivecal.api.tables.ranking import ranking, variants_of
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.stages.calibration import Calibration
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.storage import results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+
+HEAVY = {"vehicle": {"parameters": {"mass": 1500.0}}}
+VARIANTS = {"eu": {"scenarios": ["S1", "S2"]}, "us": {"weights": {"S3": 3.0}, **HEAVY}, "jp": {"scenarios": ["S2"], **HEAVY}}
+SHARES = {"eu": {"S1": 0.5, "S2": 0.5}, "us": {"S1@us": 0.2, "S2@us": 0.2, "S3@us": 0.6}, "jp": {"S2@us": 1.0}}
+SURROGATE: dict[str, Any] = {"optimizer": {"kind": "surrogate"}, "budget": {"simulations": 91}, "reduction": {"mode": "exact"}}
+GENETIC: dict[str, Any] = {"optimizer": {"kind": "genetic", "population": 20, "iterations": 4}, "reduction": {"mode": "exact"}}
+
+
+def by_mass(setup: Any, cell: Cell) -> CellResult:
+    shift = 0.25 * (setup.varied["mass"] == 1500.0)
+    return computed(setup.scenario, Cell(cell.id, {**cell.parameters, "P1": (cell.parameters["P1"] + shift) % 1.0}))
+
+
+def carried_out(database: Database, workers: int = 1, **changes: Any) -> StoredCampaign:
+    campaign = submit(database, variants=VARIANTS, likeness="a", **changes)
+    while not get(database, campaign).state.ended:
+        with suppress(Killed):
+            finish(database, campaign, dispatcher(database, ComputedBackend(workers, driven=by_mass, count=workers)))
+    return get(database, campaign)
+
+
+@pytest.mark.parametrize("common", ["mean", "worst"])
+@pytest.mark.parametrize("search", [SURROGATE, GENETIC])
+def test_each_variant_has_its_best_set_and_the_common_one_its_cost(
+    database: Database, common: str, search: dict[str, Any]
+) -> None:
+    ended = carried_out(database, common=common, **search)
+    resolved = resolved_spec(ended)
+    by_set: dict[int, dict[str, float]] = {}
+    assert list(resolved.weights) == ["S1", "S1@us", "S2", "S2@us", "S3@us"], "jp shares the vehicle of us"
+    with database.read() as connection:
+        for row in results.stream(connection, ended.sequence):
+            by_set.setdefault(row.parameter_set_id, {})[row.scenario] = float(row.score or 0)
+    known = {
+        name: {each: sum(w * cells[s] for s, w in own.items()) for each, cells in by_set.items() if own.keys() <= cells.keys()}
+        for name, own in SHARES.items()
+    }
+    combined = [[own[each] for own in known.values()] for each, cells in by_set.items() if len(cells) == 5]
+    assert ended.best is not None
+    assert ended.best.objective == pytest.approx(max(min(each) if common == "worst" else sum(each) / 3 for each in combined))
+    for found in variants_of(database, ended, resolved):
+        assert found.scenarios == pytest.approx(SHARES[found.name])
+        assert found.best is not None
+        assert found.best.objective == pytest.approx(max(known[found.name].values()))
+        assert found.cost == pytest.approx(found.best.objective - (found.common or 0))
+        assert ranking(database, ended, resolved.of_variant(found.name), None).solutions(0, 1) == [found.best]
+
+
+def test_variants_depend_on_no_worker_and_no_kill_and_use_the_budget_exactly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcomes, left, close = [], [0], Calibration._close
+
+    def die(stage: Calibration, number: int) -> None:
+        close(stage, number)
+        if left[0] and number > 4 - left[0]:
+            left[0] -= 1
+            raise Killed("between two rounds")
+
+    monkeypatch.setattr(Calibration, "_close", die)
+    for workers, left[0] in ((1, 0), (2, 0), (8, 2)):
+        database = migrated(f"sqlite:///{tmp_path / f'{workers}.db'}")
+        ended = carried_out(database, workers, **SURROGATE)
+        outcomes.append(everything(database, ended))
+        again = carried_out(database, **SURROGATE).cells
+        assert (ended.cells.requested, again.runs, again.repeated, left) == (91, 0, 91, [0])
+        database.dispose()
+    assert outcomes[0] == outcomes[1] == outcomes[2]
