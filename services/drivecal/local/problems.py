@@ -285,8 +285,8 @@ def inexact_baseline(manifest: Manifest) -> list[str]:
     """Returns a warning for each curve or map of the baseline that its coefficients cannot give exactly."""
     warnings = []
     for name, shape in manifest.shapes.items():
-        given, nearest = (manifest.baseline or {}).get(name), shape.values(manifest.start or {}) if manifest.start else None
-        off = 0.0 if nearest is None else float(np.abs(np.subtract(np.asarray(given), nearest)).max())
+        given = (manifest.baseline or {}).get(name)  # None: given by its coefficients
+        off = 0.0 if given is None else float(np.abs(np.asarray(given) - shape.values(manifest.start or {})).max())
         if off > INEXACT:
             taken = f"{len(shape.names)} coefficients give no such values; the nearest ones are taken, off by at most {off:.3g}"
             warnings.append(f"baseline.{name}: {taken}")

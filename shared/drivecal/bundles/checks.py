@@ -47,6 +47,8 @@ _SECRET = re.compile(r"(?!.*_LICENSE).*(PASSWORD|PASSWD|PASSPHRASE|TOKEN|SECRET|
 """Names of variables that usually hold secrets. Variables for licences stay allowed."""
 MOST_PARAMETERS = 200
 """Numbers that a search moves, as many as entries of `parameters`."""
+LONGEST_NAME = 64
+"""Characters of a name, as of `Identifier`."""
 WITH_FILES = (PythonSimulator, FmuSimulator, PythonController, FmuController)
 """Sections that name a Python file or an FMU."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
@@ -146,6 +148,9 @@ def _parameters(manifest: Manifest) -> Iterator[Problem]:
     owner = {coefficient: name for name, shape in manifest.shapes.items() for coefficient in shape.names}
     for name in owner.keys() & manifest.parameters.keys():
         yield Problem(f"parameters.{name}", f"{owner[name]} has a coefficient of this name", "give it another name")
+    for name in {owner[each] for each in owner if len(each) > LONGEST_NAME}:
+        message = f"names of its coefficients are longer than {LONGEST_NAME} characters"
+        yield Problem(f"parameters.{name}", message, "give it a shorter name")
     if len(manifest.scalars) > MOST_PARAMETERS:
         message = f"with each coefficient there are {len(manifest.scalars)} numbers to search"
         yield Problem("parameters", message, f"give fewer `coefficients`: at most {MOST_PARAMETERS} in all")

@@ -27,6 +27,8 @@ DEGREE = 2
 DECIMALS = 9
 """Decimals of values at support points, as of all parameters."""
 MOST_COEFFICIENTS = 200
+LINKS = 24
+"""Most comparisons of one constraint on the course."""
 
 
 def _rising(axis: list[float]) -> list[float]:
@@ -235,11 +237,12 @@ class Shape:
         return dict(zip(self.names, given.ravel().tolist(), strict=True))
 
     def _fitted(self, values: Floats) -> Floats:
-        """Returns the coefficients of the nearest curve or map, along each axis in order."""
-        for weights, course in zip(self.weights, self.courses, strict=False):
+        """Returns the coefficients of the nearest curve or map, then along each axis in order: to order one keeps the order of another."""
+        for weights in self.weights:
             fitted: Floats = np.linalg.lstsq(weights, values.reshape(len(values), -1), rcond=None)[0].astype(np.float64)
-            ordered: Floats = _in_order(fitted, course).reshape(-1, *values.shape[1:])
-            values = np.moveaxis(ordered, 0, -1)  # the next axis comes first
+            values = np.moveaxis(fitted.reshape(-1, *values.shape[1:]), 0, -1)  # the next axis comes first
+        for course, _ in zip(self.courses, self.axes, strict=False):
+            values = np.moveaxis(_in_order(values, course), 0, -1)
         return values
 
     def _spread(self, coefficients: Floats) -> Floats:
@@ -276,8 +279,8 @@ def conditions(shape: Shape, entry: ShapeEntry) -> Iterator[str]:
     grid = np.array(shape.names, dtype=object).reshape(shape.counts)
     for axis, (places, course, slope) in enumerate(zip(shape.places, courses, slopes, strict=False)):
         for line in np.moveaxis(grid, axis, -1).reshape(-1, shape.counts[axis]).tolist():
-            if course is not None and len(line) > 1:
-                yield (" <= " if course == "increasing" else " >= ").join(line)
+            for first in range(0, len(line) - 1 if course is not None else 0, LINKS):  # an expression's length is limited
+                yield (" <= " if course == "increasing" else " >= ").join(line[first : first + LINKS + 1])
             for (lower, upper), width in zip(pairwise(line), np.diff(places).tolist(), strict=True):
                 if slope is not None:
                     yield f"{upper} - {lower} <= {_number(slope * width)}"
@@ -362,7 +365,8 @@ def with_points(
 def with_coefficients(given: Mapping[str, Given], shapes: Mapping[str, Shape], field: str) -> dict[str, Setting]:
     """Returns a user's set with coefficients in the place of curves and maps.
 
-    Raises InvalidInputError, at `field` and the name, for lists that do not fit an axis, and for one number in the place of a list.
+    Raises InvalidInputError, at `field` and the name, for lists that do not fit an axis, one number in the place of a list, and for
+    coefficients that a list gives as well.
     """
     settings: dict[str, Setting] = {}
     for name, value in given.items():
@@ -370,7 +374,12 @@ def with_coefficients(given: Mapping[str, Given], shapes: Mapping[str, Shape], f
         if isinstance(value, list):
             if name not in shapes:
                 raise InvalidInputError(Problem(where, f"{name} is no curve or map", "give one value"))
-            settings |= shapes[name].settings(value, where)
+            own = shapes[name].settings(value, where)
+            if twice := sorted(own.keys() & given.keys()):
+                raise InvalidInputError(
+                    Problem(where, f"{', '.join(twice)} is given as well", "give the list or its coefficients")
+                )
+            settings |= own
         elif name in shapes:
             raise InvalidInputError(Problem(where, "one value is no curve or map", "give a list of its values"))
         else:

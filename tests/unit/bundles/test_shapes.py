@@ -15,6 +15,7 @@ from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.installed import Bundle
 from drivecal.bundles.shapes import Shape, ShapeEntry, conditions, with_points
+from drivecal.campaigns.cells.earlier import earlier_version
 from drivecal.campaigns.resolve.problem import resolve, resolve_evaluation
 from drivecal.campaigns.resolve.workbench import constraints_of, parameters_of
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
@@ -176,6 +177,8 @@ def test_a_baseline_that_coefficients_cannot_give_is_told() -> None:
     exact = {"a": 0.5, "gain": [1] * 6, "torque": [[7, 7, 7]] * 4}
     few: tuple[dict[str, Any], dict[str, Any]] = ({"coefficients": 3}, {"coefficients": 4})
     assert inexact_baseline(checked(document(*few, baseline=exact))) == []
+    points = {f"gain_{number}": 1 for number in range(1, 4)}  # a curve may be given by its coefficients as well
+    assert inexact_baseline(checked(document(*few, baseline={"a": 0.5, "torque": exact["torque"]} | points))) == []
     [warning] = inexact_baseline(checked(document(*few, baseline=exact | {"gain": [1, 2, 1, 2, 1, 2]})))
     assert warning.startswith("baseline.gain:")
 
@@ -191,3 +194,40 @@ def test_conditions_of_a_map_run_along_its_axes() -> None:
         "torque_1_1 <= torque_1_2",
         "torque_2_1 <= torque_2_2",
     ]
+
+
+@given(st.lists(st.lists(st.floats(0, 20), min_size=3, max_size=3), min_size=4, max_size=4))
+def test_coefficients_of_a_rising_map_rise_along_each_axis(steps: list[list[float]]) -> None:
+    entry = ShapeEntry.model_validate(TORQUE | {"coefficients": 6, "monotone": {"x": "increasing", "y": "increasing"}})
+    shape = Shape.declared("torque", entry)
+    rising = np.cumsum(np.cumsum(steps, axis=0), axis=1).tolist()
+    coefficients = np.reshape(list(shape.settings(rising, "torque").values()), shape.counts)
+    assert all((np.diff(coefficients, axis=axis) >= 0).all() for axis in (0, 1))
+
+
+def test_a_curve_of_many_points_with_a_long_name_can_be_monotone() -> None:
+    many = {"curve": {"axis": list(range(190))}, "lower": 0, "upper": 1, "monotone": "increasing"}
+    manifest = checked(document({}, parameters={"g" * 60: many}))
+    [constraints] = [Constraints(ParameterSpace(parameters_of(manifest)), constraints_of(manifest))]
+    falls = np.arange(190)[::-1] * 10**6
+    assert not constraints.feasible(falls[np.newaxis])[0]
+    assert constraints.feasible(falls[np.newaxis, ::-1])[0]
+    with pytest.raises(InvalidInputError) as refused:  # a coefficient's name is one of `parameters` in stored campaigns
+        checked(document({}, parameters={"g" * 61: many}))
+    assert [problem.field for problem in refused.value.problems] == ["parameters." + "g" * 61]
+
+
+def test_a_coefficient_beside_its_list_is_refused() -> None:
+    both = {"a": 0.5, "gain": [1] * 6, "torque": [[0, 0, 0]] * 4, "gain_2": 2}
+    with pytest.raises(InvalidInputError) as refused:
+        checked(document({}, baseline=both))
+    assert [problem.field for problem in refused.value.problems] == ["baseline.gain"]
+
+
+def test_numbers_of_an_earlier_version_are_no_coefficients_of_a_curve_with_their_names() -> None:
+    plain = {"a": {"lower": 0, "upper": 1}} | {f"gain_{number}": {"lower": 0.2, "upper": 3.2} for number in (1, 2, 3)}
+    curve = {"a": plain["a"], "gain": GAIN | {"coefficients": 3}}
+    for before, now in ((plain, curve), (curve, plain)):
+        earlier = checked(document({}, parameters=before))
+        present = checked(document({}, parameters=now | {"new": plain["a"]}, added={"new": 0}))
+        assert earlier_version(present, earlier) is None

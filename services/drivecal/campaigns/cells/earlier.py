@@ -61,10 +61,11 @@ def earlier_version(manifest: Manifest, earlier: Manifest) -> EarlierVersion | N
     for name, shape in manifest.shapes.items():
         old = renamed.pop(name, name)
         renamed |= {each: old + each.removeprefix(name) for each in shape.names}
-        if old in earlier.shapes and earlier.shapes[old].document != shape.document:
-            return None
     kept = {name: renamed.get(name, name) for name in names}
     kept = {name: name if name in before else old for name, old in kept.items() if name in before or old in before}
+    now, then = _owners(manifest), _owners(earlier)
+    if any(now.get(new) != then.get(old) for new, old in kept.items()):  # a coefficient has no other meaning
+        return None
     added, removed = set(names) - kept.keys(), before - set(kept.values())
     if not (added or removed or any(new != old for new, old in kept.items())):
         return None
@@ -76,6 +77,10 @@ def earlier_version(manifest: Manifest, earlier: Manifest) -> EarlierVersion | N
     if len(set(kept.values())) < len(kept) or not (added <= new.keys() and removed <= gone.keys()):
         return None
     return EarlierVersion(manifest=earlier, kept=kept, added=_exact(new, added), removed=_exact(gone, removed))
+
+
+def _owners(manifest: Manifest) -> dict[str, Mapping[str, object]]:
+    return {each: shape.document for shape in manifest.shapes.values() for each in shape.names}
 
 
 def _exact(claimed: Mapping[str, Setting], names: set[str]) -> dict[str, Value]:
