@@ -13,14 +13,12 @@ import numpy.typing as npt
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.explanation import Difference, Explanation, InspectedLot, Prediction, Reference, Region
 from drivecal.domain.influence import Influence, InfluenceMap
-from drivecal.domain.parameters import billionths, code
 from drivecal.domain.scales import told
 from drivecal.domain.values import TEXTS
+from drivecal.reduction.keys import MapColumns
 
 Integers = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
-
-_NONE_BELOW, _NONE_ABOVE = np.iinfo(np.int64).min, np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,39 +56,17 @@ class CellComparison:
         """`values` are the cell's, coded by `keys.billionths_matrix`, in the order of `names`, shape (n_p,). `ranges` are the parameters'
         extents in billionths, positive, shape (n_p,): the units of distances."""
         self._names = tuple(names)
-        self._influences = [influence_map.influence(scenario, name) for name in names]
+        self._map = MapColumns(influence_map, scenario, names)
         self._values = values
         self._ranges = ranges
-        covered = [influence_map.ranges.get(name) for name in names]
-        self._lowest = np.array([_NONE_BELOW if effect is None else billionths(effect[0]) for effect in covered])
-        self._highest = np.array([_NONE_ABOVE if effect is None else billionths(effect[1]) for effect in covered])
-        self._choices = {
-            column: np.array([code(choice) for choice in influence_map.choices[name]], dtype=np.int64)
-            for column, name in enumerate(names)
-            if name in influence_map.choices
-        }
-        self._matters = np.array([influence.influential for influence in self._influences])
-        self._lower = np.array(
-            [_NONE_BELOW if influence.lower is None else billionths(influence.lower) for influence in self._influences]
-        )
-        self._upper = np.array(
-            [_NONE_ABOVE if influence.upper is None else billionths(influence.upper) for influence in self._influences]
-        )
 
     def blocking(self, stored: Integers) -> npt.NDArray[np.bool_]:
         """Returns the parameters of stored sets that forbid reuse, for `stored` coded as the cell's values; both of shape (n, n_p)."""
-        both_below = (stored < self._lower) & (self._values < self._lower)
-        both_above = (stored > self._upper) & (self._values > self._upper)
-        covered = self._covers(stored) & self._covers(self._values)
-        blocks: npt.NDArray[np.bool_] = (stored != self._values) & ~(covered & (~self._matters | both_below | both_above))
+        both_below = (stored < self._map.lower) & (self._values < self._map.lower)
+        both_above = (stored > self._map.upper) & (self._values > self._map.upper)
+        covered = self._map.covers(stored) & self._map.covers(self._values)
+        blocks: npt.NDArray[np.bool_] = (stored != self._values) & ~(covered & (~self._map.matters | both_below | both_above))
         return blocks
-
-    def _covers(self, values: Integers) -> npt.NDArray[np.bool_]:
-        """Returns whether values lie inside the map's space."""
-        covered: npt.NDArray[np.bool_] = (values >= self._lowest) & (values <= self._highest)
-        for column, analysed in self._choices.items():
-            covered[..., column] = np.isin(values[..., column], analysed)
-        return covered
 
     def distances(self, stored: Integers, blocking: npt.NDArray[np.bool_]) -> Floats:
         """Euclidean, of the blocking parameters alone, each in units of its range, shape (n,): what differs elsewhere does not matter.
@@ -123,31 +99,18 @@ class CellComparison:
     def differences(self, stored: Integers) -> list[ParameterDifference]:
         """Returns the parameters that differ between a stored set, shape (n_p,), and the cell, in the order of the names."""
         blocking = self.blocking(stored[np.newaxis, :])[0]
+        own, others = self._regions(self._values), self._regions(stored)
         return [
-            ParameterDifference(
-                parameter=name,
-                region=self._region(column, int(self._values[column])),
-                reference_region=self._region(column, int(stored[column])),
-                influence=self._influences[column],
-                blocks=bool(blocking[column]),
-            )
+            ParameterDifference(name, own[column], others[column], self._map.influences[column], blocks=bool(blocking[column]))
             for column, name in enumerate(self._names)
             if stored[column] != self._values[column]
         ]
 
-    def _is_covered(self, column: int, value: int) -> bool:
-        if column in self._choices:
-            return value in self._choices[column]
-        return bool(self._lowest[column] <= value <= self._highest[column])
-
-    def _region(self, column: int, value: int) -> Region:
-        if not self._is_covered(column, value):
-            return "outside"
-        if not self._matters[column]:
-            return "anywhere"
-        if value < self._lower[column]:
-            return "below"
-        return "above" if value > self._upper[column] else "influential"
+    def _regions(self, values: Integers) -> list[Region]:
+        """Returns the regions of a set's values, shape (n_p,)."""
+        conditions = [~self._map.covers(values), ~self._map.matters, values < self._map.lower, values > self._map.upper]
+        regions: list[Region] = np.select(conditions, ["outside", "anywhere", "below", "above"], "influential").tolist()
+        return regions
 
 
 def sentence(explanation: Explanation) -> str:

@@ -7,6 +7,7 @@ value if it is influential, `below` or `above` if it is not, and `any` if the pa
 
 import hashlib
 from collections.abc import Sequence
+from decimal import Decimal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,29 +19,43 @@ BELOW, ANY, ABOVE = np.iinfo(np.int64).min, np.iinfo(np.int64).min + 1, np.iinfo
 """Codes that neither a value in billionths nor a text can take."""
 
 
+class MapColumns:
+    """Limits of the parameters `names` in a scenario of a map: arrays of shape (n_p,), coded as by `billionths_matrix`."""
+
+    def __init__(self, influence_map: InfluenceMap, scenario: str, names: Sequence[str]) -> None:
+        self.influences = [influence_map.influence(scenario, name) for name in names]
+        self.matters = np.array([influence.influential for influence in self.influences])
+        self.lower = _limits([influence.lower for influence in self.influences], BELOW)
+        self.upper = _limits([influence.upper for influence in self.influences], ABOVE)
+        ranges = [influence_map.ranges.get(name, (None, None)) for name in names]
+        self._lowest = _limits([lowest for lowest, _ in ranges], BELOW)
+        self._highest = _limits([highest for _, highest in ranges], ABOVE)
+        self._choices = {
+            column: np.array([code(choice) for choice in influence_map.choices[name]], dtype=np.int64)
+            for column, name in enumerate(names)
+            if name in influence_map.choices
+        }
+
+    def covers(self, values: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+        """Returns whether values, shape (..., n_p), lie inside the map's space: of others it says nothing."""
+        covered: npt.NDArray[np.bool_] = (values >= self._lowest) & (values <= self._highest)
+        for column, analysed in self._choices.items():
+            covered[..., column] = np.isin(values[..., column], analysed)
+        return covered
+
+
+def _limits(values: Sequence[Decimal | None], unlimited: int) -> npt.NDArray[np.int64]:
+    return np.array([unlimited if value is None else billionths(value) for value in values], dtype=np.int64)
+
+
 class ReferenceKeys:
     """Computes the keys of an influence map and scenario, for sets of the parameters `names`."""
 
     def __init__(self, influence_map: InfluenceMap, scenario: str, names: Sequence[str]) -> None:
         self._order = np.argsort(np.array(names))
         ordered = [names[position] for position in self._order]
-        influences = [influence_map.influence(scenario, name) for name in ordered]
+        self._map = MapColumns(influence_map, scenario, ordered)
         self._header = "\0".join([scenario, *ordered]).encode()
-        ranges = [influence_map.ranges.get(name) for name in ordered]
-        self._lowest = np.array([BELOW if bounds is None else billionths(bounds[0]) for bounds in ranges], dtype=np.int64)
-        self._highest = np.array([ABOVE if bounds is None else billionths(bounds[1]) for bounds in ranges], dtype=np.int64)
-        self._choices = {
-            column: np.array([code(choice) for choice in influence_map.choices[name]], dtype=np.int64)
-            for column, name in enumerate(ordered)
-            if name in influence_map.choices
-        }
-        self._matters = np.array([influence.influential for influence in influences])
-        self._lower = np.array(
-            [BELOW if influence.lower is None else billionths(influence.lower) for influence in influences], dtype=np.int64
-        )
-        self._upper = np.array(
-            [ABOVE if influence.upper is None else billionths(influence.upper) for influence in influences], dtype=np.int64
-        )
 
     def codes(self, values: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """The class of every value, shape (n, n_p), for `values` as `billionths_matrix` codes them, in the order of `names`.
@@ -48,11 +63,8 @@ class ReferenceKeys:
         Columns of the result are sorted by parameter name.
         """
         ordered = values[:, self._order]
-        codes = np.where(ordered < self._lower, BELOW, np.where(ordered > self._upper, ABOVE, ordered))
-        covered = (ordered >= self._lowest) & (ordered <= self._highest)  # of other values the map says nothing
-        for column, analysed in self._choices.items():
-            covered[:, column] = np.isin(ordered[:, column], analysed)
-        return np.where(covered, np.where(self._matters, codes, ANY), ordered)
+        codes = np.where(ordered < self._map.lower, BELOW, np.where(ordered > self._map.upper, ABOVE, ordered))
+        return np.where(self._map.covers(ordered), np.where(self._map.matters, codes, ANY), ordered)
 
     def keys(self, values: npt.NDArray[np.int64]) -> list[bytes]:
         """Returns a key of 16 bytes per row of `values`, shape (n, n_p), as `codes` takes them."""

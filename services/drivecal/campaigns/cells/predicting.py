@@ -141,10 +141,7 @@ class LotPlanner:
                 rated = earlier.rated(connection, view.bench, view.earlier, scenario, view.watermark, MOST_KNOWN)
                 known = [run for run in rated if self._features.holds(run.parameters)]
                 if known:
-                    scores, ratings = (
-                        np.array([getattr(run, name) for run in known], dtype=np.float64) for name in ("score", "rating")
-                    )
-                    learner.learn(self._features([run.parameters for run in known]), scores, ratings)
+                    self._learn(learner, known)
         answers, self._newest = lots.known_answers(connection, self._view.campaign, list(setups.values()), self._newest)
         by_scenario: dict[str, list[KnownAnswer]] = defaultdict(list)
         for answer in answers:
@@ -191,11 +188,15 @@ class LotPlanner:
         cells, microseconds = self._occupied.get(scenario, (0, 0))
         return microseconds / cells / 1e6 if cells else self._recent_seconds
 
+    def _learn(self, learner: ScenarioLearner, answers: Sequence[KnownAnswer | runs.RatedRun]) -> Floats:
+        """Returns the scores of the answers, shape (n,)."""
+        scores: Floats = np.array([each.score for each in answers], dtype=np.float64)
+        ratings = np.array([each.rating for each in answers], dtype=np.float64)
+        learner.learn(self._features([each.parameters for each in answers]), scores, ratings)
+        return scores
+
     def _take(self, learner: ScenarioLearner, batch: Sequence[KnownAnswer]) -> None:
-        scores, ratings = (
-            np.array([getattr(answer, name) for answer in batch], dtype=np.float64) for name in ("score", "rating")
-        )
-        learner.learn(self._features([answer.parameters for answer in batch]), scores, ratings)
+        scores = self._learn(learner, batch)
         asked = [place for place, answer in enumerate(batch) if answer.predicted_score is not None]
         if asked:
             predicted = np.array([batch[place].predicted_score for place in asked], dtype=np.float64)
