@@ -23,8 +23,7 @@ from drivecal.domain.scenarios import Scenario, TrafficVehicle
 from drivecal.highway import sumo
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive import geometry
-from drivecal.highway.drive.tasks import TaskRunner, road_of
-from drivecal.highway.drive.trace import NEIGHBOUR_COLUMNS
+from drivecal.highway.drive.tasks import NEIGHBOUR_COLUMNS, TaskRunner, road_of
 from drivecal.highway.drive.traffic import Traffic, TrafficError
 from drivecal.highway.scenarios.highway import HIGHWAY, RANDOM_FOLDER
 from drivecal.highway.sumo import EGO

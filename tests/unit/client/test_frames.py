@@ -13,7 +13,7 @@ import pytest
 from pyarrow import parquet
 from tests.support.scripted import campaign, server
 
-from drivecal.cli.views.time_series import save
+from drivecal.cli.commands.evaluate import save_series
 from drivecal.client import Client, DownloadedTable
 from drivecal.contracts.campaign import Campaign, CampaignPage
 from drivecal.contracts.evaluation import SeriesAnswer
@@ -83,7 +83,7 @@ def test_time_series_of_a_bundle_are_those_of_its_simulator() -> None:
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".json"])
 def test_series_of_different_lengths_are_saved(tmp_path: Path, suffix: str) -> None:
     file = tmp_path / f"series{suffix}"
-    save(SeriesAnswer(measures={}, failure=None, series={"v": [1.0, 2.0], "gap": [3.0]}), file)
+    save_series(SeriesAnswer(measures={}, failure=None, series={"v": [1.0, 2.0], "gap": [3.0]}), file)
     if suffix == ".csv":
         assert file.read_text().splitlines() == ["v,gap", "1.0,3.0", "2.0,"]
     elif suffix == ".parquet":

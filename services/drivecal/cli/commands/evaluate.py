@@ -1,13 +1,13 @@
 """`drivecal evaluate`: drives one parameter set."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, tell
-from drivecal.cli.views import time_series
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_evaluation
 from drivecal.cli.views.progress import attached, pauses
 from drivecal.client.client import Client
@@ -15,11 +15,14 @@ from drivecal.contracts.assignments import assignments, settings
 from drivecal.contracts.evaluation import Evaluation, SeriesAnswer
 from drivecal.contracts.explanation import Difference, Explanation
 from drivecal.contracts.specification import DEFAULT_PROBLEM
+from drivecal.contracts.tables import csv_text
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import NotFoundError
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, file_faults
 from drivecal.domain.scales import told
 
 SECONDS_BETWEEN_QUESTIONS = 0.3
+SUFFIXES = (".csv", ".parquet", ".json")
+"""Endings of files of time series."""
 
 
 @app.command()
@@ -58,15 +61,15 @@ def evaluate(
     }
     if scenario is not None:
         specification["scenario"] = scenario
-    if trace is not None and (scenario is None or trace.suffix not in time_series.SUFFIXES):
-        raise typer.BadParameter(f"--trace needs one --scenario and a file that ends in {', '.join(time_series.SUFFIXES)}")
+    if trace is not None and (scenario is None or trace.suffix not in SUFFIXES):
+        raise typer.BadParameter(f"--trace needs one --scenario and a file that ends in {', '.join(SUFFIXES)}")
     with connect(url) as client:
         queued = client.evaluate(specification)
         tell(f"evaluation {queued.id} is queued; `drivecal show {queued.id}` prints it as well")
         asking = pauses(SECONDS_BETWEEN_QUESTIONS, timeout)
         evaluation = ended(client, queued, timeout, asking)
         if trace is not None:
-            time_series.save(trace_of(client, evaluation.id, timeout, asking), trace)
+            save_series(trace_of(client, evaluation.id, timeout, asking), trace)
             tell(f"time series: {trace}")
     print_answer(evaluation, as_json, print_evaluation)
     raise typer.Exit(code_of_state(evaluation.state))
@@ -161,3 +164,30 @@ def _line(difference: Difference) -> list[object]:
         difference.reference_region,
         "yes" if difference.blocks else "no",
     ]
+
+
+def save_series(trace: SeriesAnswer, file: Path) -> None:
+    """Writes a table with a row per step (.csv, .parquet), or everything with plans and metrics (.json).
+
+    Raises InvalidInputError if the file cannot be written.
+    """
+    columns = trace.series
+    if not columns:
+        raise InvalidInputError(Problem("--trace", "the run has no time series", "declare some under `series` in problem.yaml"))
+    with file_faults(file, "written", "give another file"):
+        if file.suffix == ".json":
+            file.write_text(trace.model_dump_json(indent=1), encoding="utf-8")
+        elif file.suffix == ".parquet":
+            import pyarrow as pa  # not installed with the client alone
+            import pyarrow.parquet as pq
+
+            pq.write_table(pa.table(_filled(columns)), file)
+        else:
+            with file.open("w", newline="", encoding="utf-8") as out:
+                out.write(csv_text([columns, *zip_longest(*columns.values())]))
+
+
+def _filled(columns: Mapping[str, Sequence[float]]) -> dict[str, list[float | None]]:
+    """Returns columns of one length: a simulator's series may have different lengths."""
+    longest = max(map(len, columns.values()), default=0)
+    return {name: [*values, *[None] * (longest - len(values))] for name, values in columns.items()}
