@@ -256,20 +256,16 @@ class Dispatcher:
         with self._database.read() as connection:
             headings = campaigns.active(connection)
         running = (CampaignState.RUNNING, CampaignState.CANCELLING)
-        self._drop_all_but({heading.sequence for heading in headings if heading.state in running})
+        for sequence in self._active.keys() - {heading.sequence for heading in headings if heading.state in running}:
+            active = self._active.pop(sequence)  # the commit that paused or ended it succeeded, and only its answer was lost
+            self._pool.withdraw(active.tag)
+            self._pool.give_back(active.unwritten)
         # campaigns that ran before a restart keep their places; all others follow in order
         for campaign in sorted(headings, key=lambda heading: heading.state not in running):
             with logs.about(campaign=campaign.id, campaign_name=campaign.name):
                 self._look_at(campaign)
         waiting = [heading for heading in headings if heading.sequence not in self._active and _waits_for_a_place(heading)]
         self._in_line = waiting if self._is_full else []
-
-    def _drop_all_but(self, running: Collection[int]) -> None:
-        """Drops campaigns whose rows do not run: the commit that paused or ended them succeeded, and only its answer was lost."""
-        for sequence in self._active.keys() - running:
-            active = self._active.pop(sequence)
-            self._pool.withdraw(active.tag)
-            self._pool.give_back(active.unwritten)
 
     def _look_at(self, campaign: CampaignHeading) -> None:
         active = self._active.get(campaign.sequence)

@@ -310,7 +310,8 @@ class ParameterSet:
     def to_json(self) -> str:
         """Returns exact, readable JSON: `{"P1": 0.5, "mode": "eco", ...}`."""
         pairs = zip(self.names, self.billionths, strict=True)
-        return "{" + ", ".join(f"{json.dumps(name)}: {_stored_text(value)}" for name, value in pairs) + "}"
+        texts = ((name, json.dumps(value) if isinstance(value, str) else billionths_text(value)) for name, value in pairs)
+        return "{" + ", ".join(f"{json.dumps(name)}: {text}" for name, text in texts) + "}"
 
     @property
     def key(self) -> bytes:
@@ -319,10 +320,6 @@ class ParameterSet:
         # A text is quoted, so that no text reads like a number or like further parameters.
         canonical = ";".join(f"{name}={json.dumps(value) if isinstance(value, str) else value}" for name, value in pairs)
         return hashlib.blake2b(canonical.encode(), digest_size=16).digest()
-
-
-def _stored_text(value: int | str) -> str:
-    return json.dumps(value) if isinstance(value, str) else billionths_text(value)
 
 
 @dataclass(frozen=True)

@@ -329,7 +329,9 @@ class CellTracker:
         orphans: list[StoredEvaluation] = []
         if not completion.shared:
             self._return_unstarted(completion)
-        detail = None if completion.result.detail is None else _storable(completion.result.detail)
+        detail = completion.result.detail
+        if detail is not None:  # every database can store it so
+            detail = detail[:LONGEST_DETAIL].encode(errors="replace").decode().replace("\0", "\ufffd")
         if self.broken is None:
             self.broken = f"{cell.scenario}: {completion.result.breakdown}: {detail or 'no message'} ({_place(cell)})"
         for other in (cell, *self._copies.pop(cell.id, ())):
@@ -398,8 +400,3 @@ def _place(cell: StoredEvaluation) -> str:
     shown = [f"{name}={value_text(value)}" for name, value in cell.parameters.floats.items()]
     more = f" and {len(shown) - MOST_NAMED} more" if len(shown) > MOST_NAMED else ""
     return f"evaluation {cell.id}, {' '.join(shown[:MOST_NAMED])}{more}"
-
-
-def _storable(words: str) -> str:
-    """Makes a worker's message storable in every database."""
-    return words[:LONGEST_DETAIL].encode(errors="replace").decode().replace("\0", "\ufffd")

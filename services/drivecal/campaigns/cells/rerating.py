@@ -3,7 +3,6 @@
 import logging
 
 from drivecal.campaigns.cells.planning import View, ensure_setups
-from drivecal.campaigns.resolve.bench import Bench
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets, ratings
@@ -21,8 +20,9 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
     none. Failed runs are worth the scale's `failed` with every evaluator. Runs that lack the evaluator's metrics stay unrated and are
     simulated when needed; so do successful runs if it needs time series. Resumable: rated runs are skipped.
     """
+    fingerprints = [setup.fingerprint for setup in view.bench.setups.values()]
     with database.transaction() as connection:
-        if ratings.are_all_by(connection, view.bench.evaluator_id, _fingerprints(view.bench)):
+        if ratings.are_all_by(connection, view.bench.evaluator_id, fingerprints):
             return 0
         setup_ids = ensure_setups(connection, view.bench)
         number = None if only is None else parameter_sets.ensure(connection, [only])[0]
@@ -52,7 +52,3 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
     if total or missing:
         log.info("%s rated %d stored runs; %d lack what it asks for", evaluator_id, total, missing)
     return total
-
-
-def _fingerprints(bench: Bench) -> list[str]:
-    return [setup.fingerprint for setup in bench.setups.values()]

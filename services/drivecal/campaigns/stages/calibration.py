@@ -135,18 +135,14 @@ class Calibration(Stage):
         asked = None if self._problem.bench.is_random else self._confirm()
         if asked is None:
             asked = self._replicate()
-        if asked is None:
-            self._refuse_nothing()
+        if asked is None and self._ranking.best() is None:
+            failed = CellCounts(**self._tracker.counts).failed
+            raise NoResultError(f"no parameter set has a result in every scenario; {failed:,} cells failed{self._causes()}")
         return asked
 
     def _tell(self, asked: Round) -> None:
         if asked.number < self._next and not self._batches:
             self._close(asked.number)
-
-    def _refuse_nothing(self) -> None:
-        if self._ranking.best() is None:
-            failed = CellCounts(**self._tracker.counts).failed
-            raise NoResultError(f"no parameter set has a result in every scenario; {failed:,} cells failed{self._causes()}")
 
     def _is_ready(self) -> bool:
         """Returns whether the search has computed the next round, and what predicts its answers is loaded."""

@@ -117,7 +117,11 @@ class Sensitivity(Stage):
             campaigns.set_influence_map(connection, self._campaign.sequence, stored.id)
             self._give_keys(connection, influence_map)
             self._tell_progress(connection)
-            data = {"id": stored.id, "influential": _influential(influence_map)}
+            influential = {
+                scenario: [name for name, influence in parameters.items() if influence.influential]
+                for scenario, parameters in influence_map.scenarios.items()
+            }
+            data = {"id": stored.id, "influential": influential}
             events.add(connection, self._campaign.sequence, EventKind.INFLUENCE_MAP, data)
 
     def _give_keys(self, connection: Connection, influence_map: InfluenceMap) -> None:
@@ -142,11 +146,3 @@ class Sensitivity(Stage):
 
     def _snapshot(self, connection: Connection) -> Snapshot:
         return replace(super()._snapshot(connection), notes=(*self._problem.notes, *self._score_notes()))
-
-
-def _influential(influence_map: InfluenceMap) -> dict[str, list[str]]:
-    """The influential parameters by scenario."""
-    return {
-        scenario: [name for name, influence in parameters.items() if influence.influential]
-        for scenario, parameters in influence_map.scenarios.items()
-    }

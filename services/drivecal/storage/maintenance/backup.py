@@ -212,7 +212,9 @@ def write(database: Database, file: Path, progress: Progress) -> Copied:
                 rows = count_rows(connection, tables_of(connection))
                 _copy_pages(connection, partial, progress)
             else:
-                rows = _copy_into_new(connection, partial, revision, progress)
+                with _opened(partial, _trust) as opened, opened.transaction() as target:
+                    schema.upgrade(target, opened.name, revision)
+                    rows = copy_rows(connection, target, progress)
             _check_file(partial, rows)
             _refuse_target(file)
             _publish(partial, file)
@@ -302,12 +304,6 @@ def _copy_pages(source: Connection, target: Path, progress: Progress) -> None:
     driver: Any = source.connection.driver_connection
     with translated(str(target)), closing(sqlite3.connect(target, timeout=30)) as copy:
         driver.backup(copy, pages=PAGES, progress=lambda _, left, total: progress("pages", total - left, total))
-
-
-def _copy_into_new(source: Connection, partial: Path, revision: str, progress: Progress) -> dict[str, int]:
-    with _opened(partial, _trust) as opened, opened.transaction() as target:
-        schema.upgrade(target, opened.name, revision)
-        return copy_rows(source, target, progress)
 
 
 def _trust(connection: sqlite3.Connection, _record: object) -> None:
