@@ -10,6 +10,7 @@ from playwright.sync_api import Browser, CDPSession, Locator, Page, expect
 from tests.browser.conftest import PHONE, Opening, too_wide, unfold
 from tests.support.runs import SMALL, run, submit
 from tests.support.server import RunningApi, serving
+from tests.support.values import present
 
 from drivecal.storage.campaigns import StoredCampaign
 
@@ -44,14 +45,12 @@ def touched(browser: Browser) -> Iterator[Page]:
 
 def on_screen(place: Locator) -> bool:
     """Returns whether a part of the page lies within the screen's width."""
-    box = place.bounding_box()
-    assert box is not None
+    box = present(place.bounding_box())
     return box["x"] >= 0 and box["x"] + box["width"] <= PHONE["width"]
 
 
 def middle(place: Locator) -> tuple[float, float]:
-    box = place.bounding_box()
-    assert box is not None
+    box = present(place.bounding_box())
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
@@ -99,10 +98,8 @@ def test_the_start_of_a_form_is_always_in_sight_and_hides_nothing(shown: Shown, 
         expect(start).to_be_in_viewport(ratio=1)
         assert on_screen(start)
     card, under = page.get_by_role("heading", name="Maximum cost").locator("xpath=ancestor::section[1]"), bar.bounding_box()
-    above = card.bounding_box()
-    assert above is not None
-    assert under is not None
-    assert above["y"] + above["height"] <= under["y"]
+    above = present(card.bounding_box())
+    assert above["y"] + above["height"] <= present(under)["y"]
     unfold(page, "Search")
     page.get_by_label("kind").select_option("genetic")
     page.get_by_label("population").fill("-3")

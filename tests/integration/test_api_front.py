@@ -16,6 +16,7 @@ from tests.integration.test_objectives import JERK, NSGA2, TWO, backend
 from tests.support.command import command
 from tests.support.runs import SMALL, run_posted
 from tests.support.server import RunningApi, serving
+from tests.support.values import present
 
 from drivecal.client import Client
 
@@ -90,9 +91,8 @@ def test_the_summary_tells_the_whole(ended: Ended) -> None:
 def test_a_campaign_without_objectives_has_a_front_of_its_best(ended: Ended) -> None:
     with Client(ended.api.url) as client:
         (row,), best = client.front(ended.plain), client.campaign(ended.plain).best
-    assert best is not None
-    assert row.objectives["comfort"] == pytest.approx(best.objective)
-    assert row.alternatives == best.alternatives
+    assert row.objectives["comfort"] == pytest.approx(present(best).objective)
+    assert row.alternatives == present(best).alternatives
 
 
 def test_every_evaluated_set_is_listed_by_its_objectives(ended: Ended) -> None:
@@ -120,8 +120,7 @@ def test_the_summary_has_the_baseline_as_it_was_evaluated(ended: Ended) -> None:
         assert client.front_summary(ended.plain).baseline is None
         trust = client.results(ended.first).trust
     assert baseline is not None
-    assert own is not None
-    assert baseline.objectives["comfort"] == own.objective
+    assert baseline.objectives["comfort"] == present(own).objective
     own_light = next(each.light for each in trust.verdicts if each.code in {"front_beats_baseline", "front_not_better"})
     assert (own_light == "amber") is (baseline.rank is not None)
     [first] = [each for each in listed if (each["iteration"], each["individual"]) == (0, 0)]
@@ -147,9 +146,8 @@ def test_the_command_prints_the_front(ended: Ended, tmp_path: Path) -> None:
     assert f"best {JERK}" in shown.stdout
     with Client(ended.api.url) as client:
         baseline = client.front_summary(ended.first).baseline
-    assert baseline is not None
     (line,) = (line for line in shown.stdout.splitlines() if line.strip().startswith("baseline:"))
-    assert all(f"{name} {amount:.6g}" in line for name, amount in baseline.objectives.items())
+    assert all(f"{name} {amount:.6g}" in line for name, amount in present(baseline).objectives.items())
     answer = json.loads(command("front", ended.first, "--url", ended.api.url, "--json").stdout)
     assert answer["summary"]["size"] == len(answer["items"])
     target = tmp_path / "front.parquet"

@@ -8,6 +8,7 @@ import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, influenced, run
 from tests.support.server import RunningApi, new_database, serving
+from tests.support.values import present
 
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.results import CampaignResults, ResultTrust
@@ -64,8 +65,7 @@ def test_every_cell_can_be_explained(ended: Ended) -> None:
         assert (result.evaluation, result.outcome, result.score) == (row["id"], row["outcome"], row["score"])
         assert result.sentence
         if row["reference"] is not None:
-            assert result.reference is not None
-            assert result.reference.evaluation == row["reference"]
+            assert present(result.reference).evaluation == row["reference"]
         reasons.add(result.reason)
     assert reasons >= {"reused", "simulated"}
 
@@ -83,8 +83,7 @@ def results_of(ended: Ended, campaign: dict[str, Any]) -> CampaignResults:
 
 
 def test_the_account_adds_up(ended: Ended) -> None:
-    result = results_of(ended, ended.first).accounting
-    assert result is not None
+    result = present(results_of(ended, ended.first).accounting)
     cells, analysis = ended.first["cells"], ended.first["sensitivity_cells"]
     assert (result.requested, result.simulated, result.audited) == (cells["requested"], cells["simulated"], cells["audited"])
     assert result.answered_without_simulation == cells["repeated"] + cells["reused"]
@@ -98,21 +97,17 @@ def test_the_account_adds_up(ended: Ended) -> None:
     assert result.net_seconds == pytest.approx(result.saved_seconds - result.sensitivity.seconds - planned)
     assert result.simulated_seconds + result.sensitivity.seconds == pytest.approx(ended.first["seconds"]["simulating"])
     assert [scenario.scenario for scenario in result.scenarios] == ["S1", "S2"]
-    assert result.map is not None
-    assert result.map.paid_here
-    assert result.break_even is not None
+    assert present(result.map).paid_here
     saving = (cells["reused"] - confirmed) / result.requested
-    assert result.break_even.requested_cells == pytest.approx(analysis["simulated"] / saving, abs=1)
+    assert present(result.break_even).requested_cells == pytest.approx(analysis["simulated"] / saving, abs=1)
 
 
 def test_a_rerun_reports_what_it_saved_and_who_paid_for_the_map(ended: Ended) -> None:
-    result = results_of(ended, ended.rerun).accounting
-    assert result is not None
+    result = present(results_of(ended, ended.rerun).accounting)
     assert result.sensitivity.requested == 0
     assert {item.name for item in result.balance} <= {"repeated", "reused", "dispatcher"}
     assert result.saved_seconds > 0
-    assert result.map is not None
-    assert (result.map.made_by, result.map.paid_here) == (ended.first["id"], False)
+    assert (present(result.map).made_by, present(result.map).paid_here) == (ended.first["id"], False)
     assert result.share_without_simulation is not None
     assert result.share_without_simulation > 0.5
 

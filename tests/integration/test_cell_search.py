@@ -14,6 +14,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import Killed
 from tests.support.runs import dispatcher, everything, finish, get, submit
+from tests.support.values import present
 
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.stages.calibration import Calibration
@@ -52,8 +53,7 @@ def test_what_is_asked_for_does_not_depend_on_the_order_of_answers(tmp_path: Pat
 def test_a_budget_of_simulations_is_used_up_exactly(database: Database) -> None:
     ended = carried_out(database, budget={"simulations": 101}, **BY_CELL)
     assert (ended.state, ended.cells.runs, ended.cells.simulated) == (CampaignState.SUCCEEDED, 101, 101)
-    assert ended.search is not None
-    assert ended.search.ended_by == "budget"
+    assert present(ended.search).ended_by == "budget"
     assert ended.best is not None
 
 
@@ -62,8 +62,7 @@ def test_a_generational_search_ends_within_its_budget(database: Database, mode: 
     optimizer = {"kind": "genetic", "population": 24, "seed": 3}
     ended = carried_out(database, optimizer=optimizer, budget={"simulations": 200}, **WITH_SIX | {"reduction": {"mode": mode}})
     assert 180 <= ended.cells.runs <= 200
-    assert ended.search is not None
-    assert ended.search.ended_by == "budget"
+    assert present(ended.search).ended_by == "budget"
 
 
 def test_a_search_that_stands_still_ends(database: Database) -> None:
@@ -122,10 +121,9 @@ def test_a_repaired_set_that_was_asked_before_is_no_requested_cell(tmp_path: Pat
         outcomes.append(everything(database, campaign))
         cells, search = get(database, campaign).cells, get(database, campaign).search
         database.dispose()
-        assert search is not None
-        assert search.repaired.proposed > 5
+        assert present(search).repaired.proposed > 5
         assert (cells.simulated, cells.proposed) == (6 * 3, 12 * 5 * 3)
-        assert cells.requested == (12 + search.repaired.distinct) * 3, "only the first population is requested whole"
+        assert cells.requested == (12 + present(search).repaired.distinct) * 3, "only the first population is requested whole"
     assert outcomes[0] == outcomes[1]
 
 

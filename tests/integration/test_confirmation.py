@@ -7,6 +7,7 @@ import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.runs import post_map, rows_of, run, submit
+from tests.support.values import present
 
 from drivecal.analysis.verdicts import confirmation_verdict
 from drivecal.campaigns.results.explanation import explain
@@ -83,8 +84,7 @@ def test_the_best_set_is_simulated_and_the_ranking_made_anew(
     assert campaign.best.objective < plain.best.objective
     cells = {name: spoiled(name, Cell(1, campaign.best.parameters)).score for name in campaign.best.scores}
     assert campaign.best.scores == cells
-    known = campaign.confirmation
-    assert known is not None
+    known = present(campaign.confirmation)
     assert (known.state, known.objective, known.believed) == ("confirmed", campaign.best.objective, plain.best.objective)
     assert told(database, campaign, "note")[-1] == confirmation_verdict(known).text
     with database.read() as connection:
@@ -112,10 +112,8 @@ def test_a_cell_that_confirmed_is_explained_and_found_in_the_place_of_the_refere
         other = next(row for row in rows if row.iteration == 0)
         assert results.number_at(connection, campaign.sequence, 0, other.individual, other.scenario) == other.id
     assert result.reason == "checked"
-    assert result.reference is not None
-    assert result.reference.evaluation == copy.reference
-    assert result.check is not None
-    assert (result.score, result.check.expected) == (own.score, by_number[copy.reference or 0].score)
+    assert present(result.reference).evaluation == copy.reference
+    assert (result.score, present(result.check).expected) == (own.score, by_number[copy.reference or 0].score)
     assert ranked_by == own.id
 
 
@@ -123,12 +121,10 @@ def test_a_cell_that_confirmed_is_explained_and_found_in_the_place_of_the_refere
 def test_no_more_sets_are_tried_than_asked_for_and_failing_ones_once(database: Database) -> None:
     cut = run(database, ask(database, 1), ComputedBackend(answer=spoiled))
     assert {row.iteration for row in rows_of(database, cut) if row.iteration >= ITERATIONS} == {ITERATIONS}
-    assert cut.confirmation is not None
-    assert cut.confirmation.tried == 1
+    assert present(cut.confirmation).tried == 1
     failing = run(database, ask(database, 50, seed=5), ComputedBackend(answer=unreliable))
     tried = [row for row in rows_of(database, failing) if row.iteration >= ITERATIONS]
     assert Outcome.FAILED in {row.outcome for row in tried}
     assert len({(row.parameter_set_id, row.scenario) for row in tried}) == len(tried)
-    assert failing.confirmation is not None
-    assert failing.confirmation.failed
+    assert present(failing.confirmation).failed
     assert [check for check in verify(database) if check.problems] == []

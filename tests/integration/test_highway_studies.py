@@ -9,6 +9,7 @@ import pytest
 from tests.support.motorways import PYTHON, motorway
 from tests.support.networks import entrance
 from tests.support.serve import serving
+from tests.support.values import present
 
 from drivecal.client import Client
 from drivecal.contracts.campaign import Campaign
@@ -75,8 +76,7 @@ def test_the_map_of_an_analysis_says_which_parameter_matters_where(client: Clien
     assert rows.keys() == {(scenario, name) for scenario in MANIFEST["scenarios"] for name in MANIFEST["parameters"]}
     assert [rows["free", name] for name in ("v0", "T", "unused")] == [True, False, False]
     assert [rows["behind", name] for name in ("T", "unused")] == [True, False]
-    known = client.map_of(studied)
-    assert known is not None
+    present(client.map_of(studied))
 
 
 def test_references_answer_cells_by_the_map_and_the_validation_agrees(client: Client, studied: Campaign) -> None:
@@ -94,8 +94,7 @@ def test_the_trace_of_a_cell_has_its_measures_and_the_roads_that_it_was_driven_o
         time.sleep(0.5)
     assert isinstance(trace, SeriesAnswer)
     assert trace.series == {}, "the problem declares none"
-    replay = trace.replay
-    assert replay is not None
+    replay = present(trace.replay)
     assert [vehicle.id for vehicle in replay.others] == ["leader"]
     assert replay.ego.position_m[-1] - replay.ego.position_m[0] == pytest.approx(trace.measures["distance_m"], abs=0.5)
     assert len(replay.route.lanes) == 3

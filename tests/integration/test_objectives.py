@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.support.computed import ComputedBackend, rating_of
 from tests.support.runs import get, nothing_matters, post_map, run, submit
+from tests.support.values import present
 
 from drivecal.analysis.solutions import Ranking
 from drivecal.api.tables.front import front_table
@@ -56,8 +57,7 @@ def test_a_score_and_a_measure_are_searched_together(database: Database) -> None
     assert len(front) > 2
     assert front == sorted(front, key=lambda each: -each[0])
     assert [each[1] for each in front] == sorted((each[1] for each in front), reverse=True)
-    assert ended.best is not None
-    assert ended.best.objective == pytest.approx(front[0][0])
+    assert present(ended.best).objective == pytest.approx(front[0][0])
     with database.read() as connection:
         rows = list(results.stream(connection, ended.sequence))
     by_set: dict[int, dict[str, results.StoredEvaluation]] = {}
@@ -75,17 +75,14 @@ def test_one_score_in_several_scenarios_is_answered_by_references_and_confirmed(
     spec: dict[str, Any] = {"objectives": SPLIT, "optimizer": NSGA2, "reduction": {"mode": "influence", "confirm": 500}}
     ended = run(database, submit(database, stored_map=stored_map, **spec), backend())
     assert ended.cells.reused > 0
-    assert ended.confirmation is not None
-    assert ended.confirmation.state == "confirmed"
+    assert present(ended.confirmation).state == "confirmed"
     front = ranking_of(database, ended).front()
     assert not any(member.solution.reused for member in front)
     answers = answers_of(database, ended, [member.solution for member in front])
     assert "confirmed" in {answer for each in answers.values() for answer in each.values()}
-    best = ranking_of(database, ended).best()
-    assert best is not None
+    best = present(ranking_of(database, ended).best())
     assert best[0].reused == ()
-    assert ended.best is not None
-    assert ended.best.objective == best[0].objective
+    assert present(ended.best).objective == best[0].objective
 
 
 def test_one_score_in_several_scenarios_is_predicted_and_no_set_of_the_front_is_a_prediction(database: Database) -> None:
@@ -118,8 +115,7 @@ def test_the_robustness_of_every_set_of_the_front_is_examined(database: Database
     with database.read() as connection:
         sets = parameter_sets.load(connection, sorted(front))
         study = studies.get(connection, ended.sequence, StageName.ROBUSTNESS)
-    assert study is not None
-    examined = [item["parameters"] for item in study["items"]]
+    examined = [item["parameters"] for item in present(study)["items"]]
     assert len(examined) == len(front) > 1
     assert all(each.floats in examined for each in sets.values())
     rows = front_table(database, ended, front_of(database, ended, resolved_spec(ended)))
@@ -139,9 +135,8 @@ def test_sets_that_share_the_best_objective_and_keep_the_constraints_are_examine
     with database.read() as connection:
         study = studies.get(connection, ended.sequence, StageName.ROBUSTNESS)
         sets = parameter_sets.load(connection, [each.parameter_set for each in good])
-    assert study is not None
     assert 1 <= len(good) < len(listed)
-    examined = {tuple(item["parameters"].values()): item["objective"] for item in study["items"]}
+    examined = {tuple(item["parameters"].values()): item["objective"] for item in present(study)["items"]}
     expected = {tuple(sets[each.parameter_set].floats.values()): pytest.approx(each.objective) for each in good}
     assert examined == expected
 
@@ -160,9 +155,8 @@ def test_the_recommended_set_has_the_best_objective_and_keeps_the_constraints(da
     with database.read() as connection:
         study = studies.get(connection, ended.sequence, StageName.ROBUSTNESS)
     assert study is not None
-    assert ended.best is not None
     [recommended] = [item for item in study["items"] if item["recommended"]]
-    assert recommended["objective"] == min(recommended["scores"].values()) == ended.best.objective
+    assert recommended["objective"] == min(recommended["scores"].values()) == present(ended.best).objective
     assert recommended["parameters"] != named
     assert all(item["objective"] == min(item["scores"].values()) for item in study["items"])
     [also] = [item for item in study["items"] if item["parameters"] == named]

@@ -14,6 +14,7 @@ from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
 from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, influenced, rows_of, run, step_until, submit
 from tests.support.storage import new_evaluation
+from tests.support.values import present
 
 from drivecal.analysis.verdicts import confirmation_verdict
 from drivecal.api import submission
@@ -96,12 +97,11 @@ def test_sizes_of_errors_are_those_in_the_samples_of_released_lots(predicted: tu
 
 def test_the_best_set_has_no_predicted_score(predicted: tuple[Database, StoredCampaign]) -> None:
     database, campaign = predicted
-    assert campaign.best is not None
-    best = Cell(1, campaign.best.parameters)
-    assert campaign.best.scores == {name: slowly(name, best).score for name in ("S1", "S2")}
+    best = Cell(1, present(campaign.best).parameters)
+    assert present(campaign.best).scores == {name: slowly(name, best).score for name in ("S1", "S2")}
     predicted_sets = {row.parameter_set_id for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED}
     with database.read() as connection:
-        answers = [row for row in rows_of(database, campaign) if row.parameters.floats == campaign.best.parameters]
+        answers = [row for row in rows_of(database, campaign) if row.parameters.floats == present(campaign.best).parameters]
         known, _ = lots.known_answers(connection, campaign.sequence, {row.setup_id for row in answers}, 0)
     assert not {row.parameter_set_id for row in answers} & predicted_sets
     own = {(row.iteration, row.individual, row.scenario): row.outcome for row in rows_of(database, campaign)}
@@ -168,9 +168,8 @@ def test_released_predictions_are_simulated_afterwards_by_a_study(predicted: tup
         from drivecal.storage import studies
 
         document = studies.get(connection, ended.sequence, StageName.VALIDATION)
-    assert document is not None
     released = [row for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED]
-    for row in document["items"]:
+    for row in present(document)["items"]:
         here = [cell for cell in released if cell.scenario == row["scenario"]]
         differences = [(cell.score or 0) - (slowly(cell.scenario, Cell(1, cell.parameters.floats)).score or 0) for cell in here]
         assert (row["released"], row["compared"]) == (len(here), len(here))
@@ -191,8 +190,7 @@ def test_a_simulation_that_confirms_a_predicted_set_is_explained_by_its_predicti
     assert (explanation.reason, explanation.reference) == ("checked", None)
     assert explanation.prediction is not None
     assert (explanation.prediction.score, explanation.prediction.confidence) == (believed.predicted_score, believed.confidence)
-    assert explanation.prediction.lot is not None
-    assert explanation.prediction.lot.id == believed.lot
+    assert present(explanation.prediction.lot).id == believed.lot
 
 
 def simple(scenario: str, cell: Cell) -> CellResult:
@@ -234,18 +232,13 @@ def test_a_set_that_was_dismissed_on_a_prediction_gets_a_last_look(tmp_path: Pat
 
     monkeypatch.setattr(LotPlanner, "worth_a_look", look)
     (campaign, whole), (killed, _) = ended("a.db", 0), ended("b.db", 3)
-    assert campaign.search is not None
-    assert killed.search is not None
-    assert campaign.search.last_look
-    assert set(campaign.search.last_look) <= whole
+    last = present(campaign.search).last_look
+    assert last
+    assert set(last) <= whole
     assert campaign.confirmation is not None
     assert campaign.confirmation.dismissed > 0
     assert f"{campaign.confirmation.dismissed:,} sets dismissed" in confirmation_verdict(campaign.confirmation).text
-    assert (killed.best, killed.confirmation, killed.search.last_look) == (
-        campaign.best,
-        campaign.confirmation,
-        campaign.search.last_look,
-    )
+    assert (killed.best, killed.confirmation, present(killed.search).last_look) == (campaign.best, campaign.confirmation, last)
 
 
 def test_a_search_whose_scenarios_are_known_ends_with_a_set_that_was_simulated(database: Database) -> None:
@@ -264,8 +257,7 @@ def test_a_search_whose_scenarios_are_known_ends_with_a_set_that_was_simulated(d
     searched(1)
     ended = searched(2)
     assert ended.cells.predicted > 0.8 * ended.cells.requested
-    assert ended.best is not None
-    assert ended.best.objective == 6.0
+    assert present(ended.best).objective == 6.0
 
 
 def test_a_rerun_predicts_from_what_the_first_campaign_simulated(database: Database) -> None:
@@ -280,9 +272,8 @@ def test_a_rerun_predicts_from_what_the_first_campaign_simulated(database: Datab
         row.individual for row in rows_of(database, ended) if row.outcome is Outcome.PREDICTED and row.iteration == 0
     )
     assert earliest < slice_size(400), "the first batch waits for no answer of its own"
-    assert ended.best is not None
-    best = Cell(1, ended.best.parameters)
-    assert ended.best.scores == {name: slowly(name, best).score for name in ("S1", "S2")}
+    best = Cell(1, present(ended.best).parameters)
+    assert present(ended.best).scores == {name: slowly(name, best).score for name in ("S1", "S2")}
 
 
 @pytest.mark.slow
@@ -302,8 +293,7 @@ def test_runs_of_a_comparison_predict_and_their_best_sets_were_simulated(databas
     for compared_run, campaign in zip(answer.runs, campaigns, strict=True):
         rows = rows_of(database, campaign)
         assert compared_run.simulations == sum(row.outcome is Outcome.SIMULATED for row in rows)
-        assert campaign.best is not None
-        best = Cell(1, campaign.best.parameters)
-        assert campaign.best.scores == {name: slowly(name, best).score for name in ("S1", "S2")}
+        best = Cell(1, present(campaign.best).parameters)
+        assert present(campaign.best).scores == {name: slowly(name, best).score for name in ("S1", "S2")}
     assert all(more.simulations > less.simulations for more, less in zip(answer.runs[0::2], answer.runs[1::2], strict=True))
     assert [check for check in verify(database) if check.problems] == []

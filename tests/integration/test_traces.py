@@ -14,7 +14,7 @@ from tests.support.computed import ComputedBackend, computed
 from tests.support.problems import REPLAY, ROADS, replayed, store
 from tests.support.runs import dispatcher, get, run, submit
 from tests.support.server import RunningApi, serving
-from tests.support.values import MIDDLE
+from tests.support.values import MIDDLE, present
 
 from drivecal.client import Client
 from drivecal.contracts.evaluation import SeriesAnswer
@@ -110,8 +110,7 @@ def test_a_cell_of_a_campaign_is_driven_in_the_very_vehicle_that_it_had(api: Run
         row = next(item for item in results.stream(connection, campaign.sequence) if item.scenario == "S3")
     assert ask(api, row.id).status_code == 202
     with api.database.read() as connection:
-        wanted = traces.find(connection, row.id)
-        assert wanted is not None
+        wanted = present(traces.find(connection, row.id))
         made = campaigns.by_sequence(connection, wanted.campaign_sequence)
     work(api)
     assert ask(api, row.id).status_code == 200
@@ -148,8 +147,7 @@ def test_traces_are_forgotten_after_a_while_and_made_anew(api: RunningApi) -> No
     with api.database.transaction() as connection:
         traces.prune(connection, now() + timedelta(days=1), 0)
         assert all(traces.find(connection, number) for number in numbers), "they are still being made"
-        made = traces.find(connection, numbers[0])
-        assert made is not None
+        made = present(traces.find(connection, numbers[0]))
         cancelled = campaigns.by_sequence(connection, made.campaign_sequence)
         campaigns.request_action(connection, cancelled.id, "cancel")
     assert ask(api, numbers[0]).status_code == 202, "somebody else cancelled it"
@@ -176,6 +174,5 @@ def test_a_run_on_a_road_network_has_a_replay_with_its_lanes(api: RunningApi) ->
     with Client(api.url) as client:
         trace = client.trace(str(number))
     assert isinstance(trace, SeriesAnswer)
-    assert trace.replay is not None
-    assert trace.replay.model_dump() == REPLAY
+    assert present(trace.replay).model_dump() == REPLAY
     assert (trace.series, trace.measures["distance_m"]) == ({}, 25.0)

@@ -1,7 +1,15 @@
-"""Values of parameter sets as tests compute with them."""
+"""Values as tests compute with them, and as they expect them."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import pytest
 
 from drivecal.cli.commands.demo import BASELINE
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import ParameterSet
+
+T = TypeVar("T")
 
 MIDDLE = BASELINE
 """Middle of the highway's parameter space, but for P1, which is 0 dB."""
@@ -10,3 +18,16 @@ MIDDLE = BASELINE
 def numbers(parameters: ParameterSet) -> dict[str, float]:
     """The floats of a set without choices, by name."""
     return {name: float(value) for name, value in parameters.floats.items()}
+
+
+def present(value: T | None) -> T:
+    """The value; fails if there is none."""
+    assert value is not None
+    return value
+
+
+def faults_of(call: Callable[..., object], *arguments: Any, **named: Any) -> tuple[Problem, ...]:
+    """The faults with which a call is refused; fails if it is not."""
+    with pytest.raises(InvalidInputError) as refused:
+        call(*arguments, **named)
+    return refused.value.problems

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from sqlalchemy.exc import IntegrityError
 from tests.support.storage import campaign, cell, sample_set_ids, sample_sets, setup_id, simulate
+from tests.support.values import present
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NotFoundError
@@ -36,8 +37,7 @@ def test_a_copy_of_a_stored_result_has_its_answer_at_once(database: Database) ->
         first, second = campaign(connection).sequence, campaign(connection).sequence
         setup, sets = setup_id(connection), sample_set_ids(connection, 3)
         (simulated,) = simulate(connection, first, [cell(0, setup, sets[0])], score=6, rating=5.75)
-        run = results.by_id(connection, simulated).run_id
-        assert run is not None
+        run = present(results.by_id(connection, simulated).run_id)
         donor = Donor(simulated, run, 6, 5.75, "collision")
         cells = [cell(0, setup, sets[0], plan=REPEATED, donor=donor), cell(1, setup, sets[1], plan=REUSED, donor=donor)]
         audited = cell(2, setup, sets[2], donor=donor, inspected=True)
@@ -112,8 +112,7 @@ def test_own_references_are_the_first_simulated_answers_in_the_order_of_the_camp
         later = cell(1, setup, sets[0], iteration=1, reference_key=key)
         first = cell(3, setup, sets[1], iteration=0, reference_key=key)
         ids = simulate(connection, sequence, [later, first], score=4, rating=4.5)
-        run = results.by_id(connection, ids[0]).run_id
-        assert run is not None
+        run = present(results.by_id(connection, ids[0]).run_id)
         copy = cell(0, setup, sets[2], plan=REUSED, reference_key=key, donor=Donor(ids[0], run, 4, 4.5, None))
         pending = cell(1, setup, sets[3], reference_key=key)
         failed = cell(2, setup, sets[4], reference_key=key)

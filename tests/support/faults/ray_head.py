@@ -14,6 +14,7 @@ import psutil
 from tests.support.faults import cage
 from tests.support.serve import environment
 from tests.support.server import free_port
+from tests.support.values import present
 
 START_SECONDS = 60.0
 
@@ -56,8 +57,7 @@ class RayHead:
 
     def kill(self) -> None:
         """SIGKILL to all its processes, the workers on it included."""
-        assert self._cage is not None
-        for process in psutil.Process(self._cage.pid).children(recursive=True):
+        for process in psutil.Process(present(self._cage).pid).children(recursive=True):
             with suppress(psutil.NoSuchProcess):
                 process.kill()
         self.close()
@@ -65,8 +65,7 @@ class RayHead:
     def close(self) -> None:
         """Ends what is left of it."""
         if self._cage is not None:
-            assert self._cage.stdin is not None
-            self._cage.stdin.close()
+            present(self._cage.stdin).close()
             self._cage.wait(60)
             self._cage = None
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.values import present
 
 from drivecal.analysis.confirmation import Confirming
 from drivecal.analysis.solutions import Ranking
@@ -22,8 +23,7 @@ def confirmed(answers: list[CellScore], truth: dict[int, int | None], limit: int
     """Carried out to its end; `truth` is what simulations give."""
     ranking = Ranking({"S1": 1})
     ranking.add(answers)
-    best = ranking.best()
-    assert best is not None
+    best = present(ranking.best())
     confirmation = Confirming(limit, best[0].objective)
     while (chosen := confirmation.choose(ranking)) is not None:
         confirmation.tried.append(chosen.parameter_set)
@@ -66,8 +66,7 @@ def test_sets_that_are_believed_to_be_better_and_were_not_tried_are_named(believ
     confirmation = Confirming(1, 5.0, [2])
     ranking.add([replace(copied(2, 4, own=True), iteration=LATER)])
     assert confirmation.choose(ranking) is None
-    untried = ranking.doubtful(confirmation.tried)
-    assert untried is not None
+    untried = present(ranking.doubtful(confirmation.tried))
     assert untried.parameter_set == 3
     outcome = confirmation.outcome(ranking.ranking()[0], untried)
     assert (outcome.state, outcome.reach) == (state, 7.0 if state == "untried" else None)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.values import present
 
 from drivecal.analysis.confirmation import Confirming, front_outcome
 from drivecal.analysis.goals import Aggregate, Bound, CellValue, Goals, Objective
@@ -76,8 +77,7 @@ def test_constraints_of_one_name_are_told_apart() -> None:
     cells = {name: cell(1, name, 6.0, gap) for name, gap in (("S1", 4.0), ("S2", 60.0))}
     judged = goals.judge(cells)
     assert goals.named_bounds(judged) == {"gap": 4.0, "gap 2": 4.0, "gap 2 2": 4.0}
-    assert judged is not None
-    assert judged.violation == pytest.approx(2 * (5.0 - 4.0) / 5.0)
+    assert present(judged).violation == pytest.approx(2 * (5.0 - 4.0) / 5.0)
 
 
 def test_values_of_equal_names_are_told_apart_and_equal_values_named_once() -> None:
@@ -110,8 +110,7 @@ def test_goals_are_the_same_after_they_were_stored() -> None:
 def test_the_front_lists_each_vector_once_best_first_objective_first() -> None:
     ranking = ranked(Goals((COMFORTABLE, GAP)), (3.0, 9.0), (6.0, 2.0), (3.0, 9.0), (5.0, 1.0), (5.0, 5.0))
     assert numbers(ranking) == [(2, 1), (5, 1), (1, 2)]
-    best = ranking.best()
-    assert best is not None
+    best = present(ranking.best())
     assert (best[0].parameter_set, best[0].objective) == (2, 6.0)
 
 
@@ -126,8 +125,7 @@ def test_a_set_that_keeps_the_constraints_is_better_than_every_set_that_does_not
     ranking = ranked(goals, (7.0, 2.0), (6.0, 4.0))
     assert numbers(ranking) == [(2, 1)], "less is missing"
     ranking.add(cell(3, name, 1.0, 5.0) for name in EVEN)
-    best = ranking.best()
-    assert best is not None
+    best = present(ranking.best())
     assert (best[0].parameter_set, best[1]) == (3, 1)
     assert [solution.parameter_set for solution in ranking.ranking()] == [3, 2, 1]
 
@@ -143,14 +141,12 @@ def test_copied_sets_that_would_be_on_the_front_are_confirmed_until_none_is_left
     ranking = ranked(Goals((COMFORTABLE, GAP)), (3.0, 9.0), (5.0, 5.0))
     ranking.add(cell(number, name, 6.0, gap, own=False) for number, gap in ((7, 7.0), (8, 1.0)) for name in EVEN)
     confirmation = Confirming(5, 6.0)
-    chosen = confirmation.choose(ranking)
-    assert chosen is not None
+    chosen = present(confirmation.choose(ranking))
     assert (chosen.parameter_set, chosen.reused) == (7, ("S1", "S2"))
     assert front_outcome(ranking.front(), [7]).state == "unconfirmed"
     ranking.add(cell(7, name, 4.0, 4.0) for name in EVEN)
     confirmation.tried.append(7)
-    second = confirmation.choose(ranking)
-    assert second is not None
+    second = present(confirmation.choose(ranking))
     assert second.parameter_set == 8
     ranking.add(cell(8, name, 6.0, 0.5) for name in EVEN)
     confirmation.tried.append(8)
@@ -176,16 +172,13 @@ def test_the_best_set_is_doubtful_if_it_is_a_copy_of_equal_objectives_that_ranks
         for number, rating, own in [(1, 3.2, True), (2, 3.4, False)]
         for name in EVEN
     )
-    best = ranking.best()
-    assert best is not None
+    best = present(ranking.best())
     assert best[0].parameter_set == 2
     assert numbers(ranking) == [(1, 2)]
-    doubtful = ranking.doubtful()
-    assert doubtful is not None
+    doubtful = present(ranking.doubtful())
     assert doubtful.parameter_set == 2
     assert ranking.doubtful({2}) is None
     ranking.add(cell(2, name, 2.0, 5.0) for name in EVEN)
     assert ranking.doubtful({2}) is None
-    best = ranking.best()
-    assert best is not None
+    best = present(ranking.best())
     assert best[0].parameter_set == 1

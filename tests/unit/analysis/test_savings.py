@@ -3,6 +3,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.values import present
 
 from drivecal.analysis.savings import MapOrigin, account, break_even
 from drivecal.contracts.accounting import BreakEven
@@ -110,15 +111,13 @@ def test_a_rerun_pays_nothing_for_the_map_and_counts_what_answered_it() -> None:
     assert result.scenarios[0].mean_seconds == pytest.approx(0.02)
     assert result.saved_seconds == result.net_seconds == pytest.approx(8.0)
     assert result.share_without_simulation == 1.0
-    assert result.map is not None
-    assert (result.map.paid_here, result.map.seconds) == (False, 10.0)
+    assert (present(result.map).paid_here, present(result.map).seconds) == (False, 10.0)
     assert result.break_even == BreakEven(requested_cells=2000, campaigns=5, reruns=4)
 
 
 def test_a_map_of_a_user_costs_nothing_and_has_no_break_even() -> None:
     result = account("c", "running", ["S1", "S2"], CALIBRATION, MapOrigin("m", None))
-    assert result.map is not None
-    assert (result.map.made_by, result.map.seconds, result.break_even) == (None, 0.0, None)
+    assert (present(result.map).made_by, present(result.map).seconds, result.break_even) == (None, 0.0, None)
     assert result.map_net_seconds == sum(scenario.saved["reused"] for scenario in result.scenarios)
 
 
@@ -140,8 +139,7 @@ def test_a_map_that_saves_nothing_never_pays() -> None:
 
 @given(st.floats(0.01, 1e6), st.floats(0.01, 1e6), st.integers(1, 10**6))
 def test_from_the_break_even_on_the_map_has_paid_and_not_before(cost: float, saved: float, requested: int) -> None:
-    result = break_even(cost, saved, requested)
-    assert result is not None
+    result = present(break_even(cost, saved, requested))
     assert result.requested_cells is not None
     assert result.campaigns is not None
     assert result.campaigns * saved >= cost * (1 - 1e-6)
@@ -169,8 +167,7 @@ def test_a_simulator_that_waits_is_accounted_by_the_wall_clock() -> None:
     assert result.scenarios[0].mean_seconds == pytest.approx(90.0)
     assert result.simulated_seconds == pytest.approx(360.0)
     assert {item.name: item.seconds for item in result.balance} == pytest.approx({"repeated": 540.0, "sensitivity": -180.0})
-    assert result.map is not None
-    assert result.map.seconds == pytest.approx(180.0)
+    assert present(result.map).seconds == pytest.approx(180.0)
     assert result.net_seconds == pytest.approx(360.0)
     assert (result.cpu_seconds, result.wall_seconds) == pytest.approx((0.12, 1080.0))
     assert "waits, or shares its processors" in result.sentence

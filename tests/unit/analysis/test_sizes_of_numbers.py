@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
+from tests.support.values import present
 
 from drivecal.analysis.aims import JudgedGoals
 from drivecal.analysis.convergence import CoursePoint, changes, converged_at, improved_last, last_change, stood_still
@@ -68,9 +69,7 @@ def test_ranks_fronts_and_constraints_do_not_depend_on_the_unit(
     assert [each.parameter_set for each in usual.ranking()] == [each.parameter_set for each in other.ranking()]
     assert [each.violation > 0 for each in usual.ranking()] == [each.violation > 0 for each in other.ranking()]
     first, same = usual.best(), other.best()
-    assert first is not None
-    assert same is not None
-    assert first[1] == same[1]
+    assert present(first)[1] == present(same)[1]
     fronts = [[(member.solution.parameter_set, member.alike) for member in each.front()] for each in (usual, other)]
     assert fronts[0] == fronts[1]
     assert fronts[0], "a front is never empty"
@@ -145,11 +144,9 @@ def learned(offset: float = 0.0, size: float = 1.0) -> tuple[Floats, Floats]:
 @pytest.mark.parametrize(("size", "offset"), LEARNED)
 def test_importances_do_not_depend_on_the_unit(size: float, offset: float) -> None:
     usual = importances(*learned())
-    other = importances(np.array([1e-7, 0.01]) * learned()[0] + np.array([0.0, 1e5]), learned(offset, size)[1])
-    assert usual is not None
-    assert other is not None
-    assert other.mean == pytest.approx(usual.mean, abs=0.02)
-    assert other.r2 == pytest.approx(usual.r2, abs=0.01)
+    other = present(importances(np.array([1e-7, 0.01]) * learned()[0] + np.array([0.0, 1e5]), learned(offset, size)[1]))
+    assert other.mean == pytest.approx(present(usual).mean, abs=0.02)
+    assert other.r2 == pytest.approx(present(usual).r2, abs=0.01)
 
 
 @pytest.mark.parametrize(("size", "offset"), LEARNED)
@@ -161,8 +158,7 @@ def test_predictions_do_not_depend_on_the_unit(size: float, offset: float, kind:
     for scores, unit in ((usual, 1.0), (other, size)):
         learner = ScenarioLearner(partial(kind, unit), unit)
         learner.learn(features[:200], scores[:200], scores[:200])
-        predicted = learner.predict(features[200:])
-        assert predicted is not None
+        predicted = present(learner.predict(features[200:]))
         answers.append((predicted[0].scores, predicted[0].confidence, predicted[1], learner.is_wrong(scores[:-1], scores[1:])))
     (scores, *rest), (same, *same_rest) = answers
     assert (same - offset) / size == pytest.approx(scores, abs=1e-6)

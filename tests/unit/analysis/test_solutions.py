@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.values import present
 
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.domain.evaluations import CellScore
@@ -41,8 +42,7 @@ def test_equal_objectives_are_ordered_by_rating_then_by_discovery() -> None:
     ranking = Ranking({"S1": 1})
     ranking.add(cells)
     assert [item.parameter_set for item in ranking.ranking()] == [2, 3, 1, 4]
-    result = ranking.best()
-    assert result is not None
+    result = present(ranking.best())
     assert (result[0].parameter_set, result[1]) == (2, 3)
 
 
@@ -109,6 +109,4 @@ def test_lower_objectives_are_better_on_a_scale_that_is_minimised() -> None:
     ranking.add(cells)
     assert [item.parameter_set for item in ranking.ranking()] == [4, 3, 2, 1], "of equal ones the better rating first"
     surest, doubtful = ranking.surest(), ranking.doubtful()
-    assert surest is not None
-    assert doubtful is not None
-    assert (surest.parameter_set, doubtful.parameter_set) == (2, 4)
+    assert (present(surest).parameter_set, present(doubtful).parameter_set) == (2, 4)

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.classified import classified
 from tests.support.effort import examples
+from tests.support.values import present
 
 from drivecal.analysis.validation import MOST_EXACT, Differences, _kept, coverage, design, generator
 from drivecal.optimizers.built_in import GENETIC, GeneticSettings
@@ -54,8 +55,7 @@ def test_where_nothing_can_be_reduced_there_is_nothing_to_validate() -> None:
 @settings(max_examples=examples(30))
 def test_variants_differ_inside_their_regions_only(seed: int, references: int) -> None:
     classes = [EVERY, LOW, BOTH, FREE]
-    result = design(classified(classes), 16, references, seed, 4096)
-    assert result is not None
+    result = present(design(classified(classes), 16, references, seed, 4096))
     assert result.variants.shape == (len(result.bases), references, 4)
     for base, variants in zip(result.bases, result.variants, strict=True):
         for variant in variants:
@@ -65,20 +65,17 @@ def test_variants_differ_inside_their_regions_only(seed: int, references: int) -
 
 
 def test_samples_grow_until_every_effect_is_covered() -> None:
-    result = design(classified([LOW, LOW, LOW, LOW]), 4, 3, 1, 100_000)
-    assert result is not None
+    result = present(design(classified([LOW, LOW, LOW, LOW]), 4, 3, 1, 100_000))
     assert result.coverage.complete
     assert result.coverage.effects == 15
     assert result.drawn > 4
-    smaller = design(classified([LOW, LOW, LOW, LOW]), result.drawn // 2, 3, 1, result.drawn // 2)
-    assert smaller is not None
+    smaller = present(design(classified([LOW, LOW, LOW, LOW]), result.drawn // 2, 3, 1, result.drawn // 2))
     assert not smaller.coverage.complete
 
 
 def test_a_large_hypercube_is_kept_as_far_as_it_is_needed() -> None:
     space = classified([LOW, LOW, LOW, LOW])
-    result = design(space, 4, 3, 1, 100_000)
-    assert result is not None
+    result = present(design(space, 4, 3, 1, 100_000))
     assert result.drawn > 4
     assert len(result.bases) == 4
     assert space.variable(result.bases).all(axis=1).sum() == 1, "one varies in all four, and covers every effect"
@@ -95,8 +92,7 @@ def test_what_is_kept_covers_what_all_did(rows: list[list[bool]]) -> None:
 
 
 def test_the_cap_is_kept_and_what_is_missing_is_told() -> None:
-    result = design(classified([LOW] * 10), 8, 1, 1, 20)
-    assert result is not None
+    result = present(design(classified([LOW] * 10), 8, 1, 1, 20))
     assert result.drawn == 20
     assert result.coverage.covered < result.coverage.effects == 1023
 
@@ -113,8 +109,7 @@ def test_differences_without_a_score_count_for_no_base() -> None:
 def test_the_sets_are_others_than_those_of_a_start_population_with_the_same_seed(seed: int) -> None:
     """A hypercube of the search's own start would find its answers there, and test nothing new."""
     searched = [np.arange(100)] * 3 + [np.zeros(100, dtype=np.int64)]
-    drawn = design(classified(searched), 50, 2, seed, 50)
-    assert drawn is not None
+    drawn = present(design(classified(searched), 50, 2, seed, 50))
     settings = GeneticSettings(population=50, seed=seed)
     start = GENETIC.create(settings, np.full(4, 100)).ask().population
     assert not {tuple(base) for base in drawn.bases.tolist()} & {tuple(individual) for individual in start.tolist()}

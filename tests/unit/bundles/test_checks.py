@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.changes import with_change
 from tests.support.effort import examples
+from tests.support.values import faults_of
 
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import score_id, setup_document
@@ -64,10 +65,9 @@ def document(**changes: Any) -> dict[str, Any]:
 
 def faults(given: object, files: dict[str, bool] | None = None) -> set[str]:
     """Fields that are refused."""
-    with pytest.raises(InvalidInputError) as refusal:
-        checked(given, files)
-    assert all(problem.message and problem.remedy for problem in refusal.value.problems)
-    return {problem.field for problem in refusal.value.problems}
+    refusal = faults_of(checked, given, files)
+    assert all(problem.message and problem.remedy for problem in refusal)
+    return {problem.field for problem in refusal}
 
 
 @pytest.mark.parametrize(("section", "slip"), [("measures", "mesures"), ("scores", "score"), ("scenarios", "scenario")])
@@ -222,9 +222,7 @@ def test_all_faults_of_all_sections_are_named_at_once() -> None:
 
 def test_a_formula_that_yaml_cut_at_a_comma_is_recognised() -> None:
     score = yaml.safe_load("{formula: max(energy_kwh, min_ttc_s), direction: maximise, range: [0, 1]}")
-    with pytest.raises(InvalidInputError) as refusal:
-        checked(document(scores={"cost": score}))
-    [problem] = refusal.value.problems
+    [problem] = faults_of(checked, document(scores={"cost": score}))
     assert problem.field == "scores.cost.min_ttc_s)"
     assert "quotes" in problem.remedy
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
+from tests.support.values import faults_of
 
 from drivecal.bundles.expressions import Constraint, Formula, UndefinedError
 from drivecal.domain.errors import InvalidInputError
@@ -96,18 +97,15 @@ def test_a_formula_has_the_value_of_its_arithmetic(text: str, value: float) -> N
     ],
 )
 def test_anything_else_is_refused_at_its_column(text: str, column: int | None) -> None:
-    with pytest.raises(InvalidInputError) as refusal:
-        Formula(text, MEASURES, "scores.cost.formula")
-    for problem in refusal.value.problems:
+    refusal = faults_of(Formula, text, MEASURES, "scores.cost.formula")
+    for problem in refusal:
         assert problem.field == "scores.cost.formula"
         assert problem.remedy
-    assert column is None or refusal.value.problems[0].message.startswith(f"column {column}:")
+    assert column is None or refusal[0].message.startswith(f"column {column}:")
 
 
 def test_every_fault_of_a_formula_is_named_with_the_nearest_name() -> None:
-    with pytest.raises(InvalidInputError) as refusal:
-        Formula("energy_kw + 2*min_tcc_s + floor(y)", MEASURES)
-    remedies = [problem.remedy for problem in refusal.value.problems]
+    remedies = [problem.remedy for problem in faults_of(Formula, "energy_kw + 2*min_tcc_s + floor(y)", MEASURES)]
     assert len(remedies) == 3
     assert "energy_kwh" in remedies[0]
     assert "min_ttc_s" in remedies[1]

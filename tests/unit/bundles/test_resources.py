@@ -3,11 +3,11 @@
 from typing import Any
 
 import pytest
+from tests.support.values import faults_of
 
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.manifest import Manifest
-from drivecal.domain.errors import InvalidInputError
 
 
 def document(simulator: Any = None, city: Any = None) -> dict[str, Any]:
@@ -39,9 +39,5 @@ def test_resources_change_no_identity_of_a_run() -> None:
 
 @pytest.mark.parametrize("counts", [{"carmaker": -1}, {"carmaker": "two"}, {"carmaker": True}, ["carmaker"], {"a b": 1}])
 def test_faulty_resources_are_named_where_they_stand(counts: Any) -> None:
-    with pytest.raises(InvalidInputError) as refused:
-        checked(document(city=counts))
-    assert [problem.field for problem in refused.value.problems] == ["scenarios.city.resources"]
-    with pytest.raises(InvalidInputError) as refused:
-        checked(document(counts))
-    assert all(problem.field.startswith("simulator") for problem in refused.value.problems)
+    assert [problem.field for problem in faults_of(checked, document(city=counts))] == ["scenarios.city.resources"]
+    assert all(problem.field.startswith("simulator") for problem in faults_of(checked, document(counts)))

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import yaml
+from tests.support.values import present
 
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway_catalogue import MEASURES as CATALOGUE
@@ -228,8 +229,7 @@ def test_a_single_evaluation_stays_in_the_space(name: str, value: float | str) -
 
 
 def test_the_problem_s_baseline_is_the_default() -> None:
-    baseline = resolved().baseline
-    assert baseline is not None
+    baseline = present(resolved().baseline)
     assert baseline.floats["warning"] == "sound"
     narrow = [{"name": "jerk", "lower": 40, "upper": 80, "step": 2}]
     held = {"trigger_ttc": 2, "deceleration": 7, "confirmations": 2, "warning": "sound"}
@@ -257,9 +257,8 @@ def test_constraints_on_results_name_scores_and_measures_of_the_bundle() -> None
     search = {"kind": "optuna", "sampler": "nsga2", "population": 10, "iterations": 2}
     limits = [{"measure": "min_gap_m", "at_least": 2.0}, {"score": "discomfort", "at_most": 50.0}]
     problem = resolved(constraints=limits, optimizer=search)
-    assert problem.goals is not None
-    assert [objective.name for objective in problem.goals.objectives] == ["discomfort"]
-    assert [(bound.aggregate.kind, bound.span) for bound in problem.goals.bounds] == [("min", 2.0), ("max", 100.0)]
+    assert [objective.name for objective in present(problem.goals).objectives] == ["discomfort"]
+    assert [(bound.aggregate.kind, bound.span) for bound in present(problem.goals).bounds] == [("min", 2.0), ("max", 100.0)]
     assert fields(constraints=[{"measure": "gap", "at_least": 2.0}], optimizer=search) == {"constraints[0].measure"}
 
 
@@ -280,6 +279,5 @@ def test_an_installed_evaluator_may_give_a_score_of_any_problem() -> None:
     metrics = dict.fromkeys(("peak_lateral_acceleration_mps2", "peak_lateral_jerk_mps3"), 0.0)
     metrics |= dict.fromkeys(("peak_longitudinal_acceleration_mps2", "peak_longitudinal_jerk_mps3"), 0.0)
     scenarios = {"wet": {"rated_as": "lane_change"}}
-    rating = bench_of(bundle(scores=scores, scenarios=scenarios), "comfort").rate("wet", dict(metrics), None)
-    assert rating is not None
+    rating = present(bench_of(bundle(scores=scores, scenarios=scenarios), "comfort").rate("wet", dict(metrics), None))
     assert (rating.score, rating.rating) == (7, 7.0)

@@ -5,13 +5,12 @@ from decimal import Decimal
 from typing import Any
 
 import pytest
-from tests.support.values import MIDDLE
+from tests.support.values import MIDDLE, faults_of
 
 from drivecal.campaigns.resolve.maps import map_from_document, resolve_map
 from drivecal.campaigns.resolve.optimizer import UNLIMITED
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, Given, InfluenceMapSpecification
-from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.influence import Influence
 
 
@@ -20,9 +19,8 @@ def _resolve(**document: Any) -> CalibrationProblem:
 
 
 def _problems(**document: Any) -> dict[str, str]:
-    with pytest.raises(InvalidInputError) as caught:
-        _resolve(**document)
-    return {problem.field: str(problem) for problem in caught.value.problems}
+    caught = faults_of(_resolve, **document)
+    return {problem.field: str(problem) for problem in caught}
 
 
 def test_the_default_campaign_is_the_papers_problem() -> None:
@@ -140,14 +138,9 @@ def test_a_single_evaluation_takes_values_between_the_grid_points() -> None:
 def test_a_single_evaluation_names_what_is_missing_unknown_or_forbidden() -> None:
     given: dict[str, Given] = {name: value for name, value in MIDDLE.items() if name != "P4"}
     given |= {"P2": -1.0, "P12": 3.0}
-    with pytest.raises(InvalidInputError) as caught:
-        resolve_evaluation(EvaluationSpecification(parameters=given, scenario="S9"))
-    assert {problem.field for problem in caught.value.problems} == {
-        "parameters.P4",
-        "parameters.P2",
-        "parameters.P12",
-        "scenario",
-    }
+    assert {
+        problem.field for problem in faults_of(resolve_evaluation, EvaluationSpecification(parameters=given, scenario="S9"))
+    } == {"parameters.P4", "parameters.P2", "parameters.P12", "scenario"}
 
 
 def _map(**scenarios: Any) -> InfluenceMapSpecification:
@@ -172,8 +165,6 @@ def test_a_posted_map_survives_storage_exactly() -> None:
     ],
 )
 def test_map_bounds_off_the_grid_are_refused_by_field(scenarios: Any, field: str, says: str) -> None:
-    with pytest.raises(InvalidInputError) as caught:
-        resolve_map(_map(**scenarios))
-    result = {problem.field: str(problem) for problem in caught.value.problems}
+    result = {problem.field: str(problem) for problem in faults_of(resolve_map, _map(**scenarios))}
     assert field in result, result
     assert says in result[field]

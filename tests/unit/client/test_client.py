@@ -11,6 +11,7 @@ from typing import Any
 import httpx
 import pytest
 from tests.support.scripted import Answer, campaign, problem, server
+from tests.support.values import faults_of
 
 from drivecal.client import Client, transport
 from drivecal.contracts.specification import CampaignSpecification
@@ -27,9 +28,7 @@ from drivecal.domain.errors import (
 
 def test_fields_and_remedies_come_back_as_they_were() -> None:
     with server(problem(422, errors=[{"field": "weights.S1", "message": "-1", "remedy": "give 1"}])) as (client, _):
-        with pytest.raises(InvalidInputError) as caught:
-            client.submit({})
-        assert caught.value.problems == (Problem("weights.S1", "-1", "give 1"),)
+        assert faults_of(client.submit, {}) == (Problem("weights.S1", "-1", "give 1"),)
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,10 @@ import stat
 from pathlib import Path
 
 import pytest
+from tests.support.values import faults_of
 
 from drivecal.configuration.pushing import FILE, Pushing, create_secret, read_secret, sign, signed_digest
 from drivecal.configuration.settings import load_settings
-from drivecal.domain.errors import InvalidInputError
 
 
 def test_a_secret_is_made_once_and_only_its_user_can_read_it(tmp_path: Path) -> None:
@@ -43,9 +43,7 @@ def test_a_link_or_a_short_file_is_no_secret(tmp_path: Path) -> None:
 
 def test_where_no_secret_can_be_written_the_place_is_named(tmp_path: Path) -> None:
     (tmp_path / FILE).mkdir()
-    with pytest.raises(InvalidInputError) as refused:
-        create_secret(tmp_path)
-    assert [problem.field for problem in refused.value.problems] == [str(tmp_path / FILE)]
+    assert [problem.field for problem in faults_of(create_secret, tmp_path)] == [str(tmp_path / FILE)]
 
 
 def test_a_signature_is_of_one_content_and_one_secret() -> None:

@@ -4,13 +4,13 @@ from typing import Any
 
 import pytest
 from pydantic import BaseModel
+from tests.support.values import faults_of
 
 from drivecal.bundles.manifest import Manifest
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.organising import CampaignChanges
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification, RerunSpecification
-from drivecal.domain.errors import InvalidInputError
 
 STEERING = ["\x7f", "\x80", "\x9b", "\x9f", "\u2028", "\u2029", "\u202a", "\u202e", "\u2066", "\u2069"]
 CHOICES = {"parameters": [{"name": "x", "choices": ["one", "two *"]}]}
@@ -55,10 +55,9 @@ def test_what_steers_a_terminal_or_reverses_text_is_refused_at_its_field(
     model: type[BaseModel], document: dict[str, Any], field: str
 ) -> None:
     for character in STEERING:
-        with pytest.raises(InvalidInputError) as caught:
-            validated(model, with_character(document, character))
-        assert [problem.field for problem in caught.value.problems] == [field]
-        assert all(str(problem).isprintable() for problem in caught.value.problems)
+        caught = faults_of(validated, model, with_character(document, character))
+        assert [problem.field for problem in caught] == [field]
+        assert all(str(problem).isprintable() for problem in caught)
 
 
 @pytest.mark.parametrize(("model", "document", "field"), DOCUMENTS)
@@ -83,10 +82,9 @@ def test_letters_of_any_script_are_taken(model: type[BaseModel], document: dict[
 def test_a_name_that_shows_nothing_is_refused_at_its_field(
     model: type[BaseModel], document: dict[str, Any], field: str, text: str
 ) -> None:
-    with pytest.raises(InvalidInputError) as caught:
-        validated(model, with_character(document, text))
-    assert [problem.field for problem in caught.value.problems] == [field]
-    assert all(str(problem).isprintable() for problem in caught.value.problems)
+    caught = faults_of(validated, model, with_character(document, text))
+    assert [problem.field for problem in caught] == [field]
+    assert all(str(problem).isprintable() for problem in caught)
 
 
 def test_the_schema_shows_what_is_refused() -> None:

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
+from tests.support.values import faults_of
 
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
@@ -13,9 +14,8 @@ from drivecal.domain.errors import InvalidInputError
 
 
 def complaints(document: object, model: type[BaseModel] = CampaignSpecification) -> list[str]:
-    with pytest.raises(InvalidInputError) as caught:
-        validated(model, document)
-    return [str(problem) for problem in caught.value.problems]
+    caught = faults_of(validated, model, document)
+    return [str(problem) for problem in caught]
 
 
 @pytest.mark.parametrize(
@@ -99,10 +99,9 @@ def test_any_document_is_either_accepted_or_refused_with_reasons(document: objec
 
 def test_of_very_many_wrong_values_the_first_ones_are_told() -> None:
     document = {"scenarios": {f"S{item}": {f"P{other}": 1 for other in range(100)} for item in range(100)}}
-    with pytest.raises(InvalidInputError) as caught:
-        validated(InfluenceMapSpecification, document)
-    assert len(caught.value.problems) == 500
-    assert caught.value.problems[0].field == "scenarios.S0.P0"
+    caught = faults_of(validated, InfluenceMapSpecification, document)
+    assert len(caught) == 500
+    assert caught[0].field == "scenarios.S0.P0"
 
 
 def test_a_large_document_that_fits_is_read_whole() -> None:

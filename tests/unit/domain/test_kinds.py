@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.values import faults_of
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import BILLION, Parameter, ParameterSet, ParameterSpace, code, from_billionths
@@ -58,25 +59,19 @@ def test_a_continuous_parameter_has_all_decimals_of_nine_places(parameter: Param
 
 @pytest.mark.parametrize(("lower", "upper", "field"), [("0.5", "2", "P.lower"), ("0", "2.5", "P.upper"), ("2", "2", "P.upper")])
 def test_an_integer_has_whole_bounds(lower: str, upper: str, field: str) -> None:
-    with pytest.raises(InvalidInputError) as refused:
-        Parameter.integer("P", Decimal(lower), Decimal(upper))
-    assert [problem.field for problem in refused.value.problems] == [field]
+    assert [problem.field for problem in faults_of(Parameter.integer, "P", Decimal(lower), Decimal(upper))] == [field]
 
 
 @pytest.mark.parametrize("choices", [[], ["eco"], ["eco", "eco"]])
 def test_a_choice_needs_two_different_texts(choices: list[str]) -> None:
-    with pytest.raises(InvalidInputError) as refused:
-        Parameter.choice("mode", choices)
-    assert [problem.field for problem in refused.value.problems] == ["mode.choices"]
+    assert [problem.field for problem in faults_of(Parameter.choice, "mode", choices)] == ["mode.choices"]
 
 
 def test_a_choice_is_its_text_and_nothing_else() -> None:
     assert [MODES.named(index) for index in range(3)] == list(MODES.choices)
     assert [MODES.index(text) for text in MODES.choices] == [0, 1, 2]
     for wrong in ("fast", Decimal(1), Decimal("2.5e-16"), Decimal("Infinity")):
-        with pytest.raises(InvalidInputError) as refused:
-            MODES.index(wrong, "baseline.mode")
-        (problem,) = refused.value.problems
+        (problem,) = faults_of(MODES.index, wrong, "baseline.mode")
         assert problem.field == "baseline.mode"
         assert "eco, sport" in problem.remedy
 

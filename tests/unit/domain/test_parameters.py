@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.values import faults_of
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import (
@@ -115,9 +116,7 @@ def test_a_value_between_two_of_the_grid_is_refused_with_both_of_them(parameter:
     if high - low < 2:
         return
     between = from_billionths(data.draw(st.integers(low + 1, high - 1)))
-    with pytest.raises(InvalidInputError) as refused:
-        parameter.index(between, "baseline.P")
-    (problem,) = refused.value.problems
+    (problem,) = faults_of(parameter.index, between, "baseline.P")
     assert problem.field == "baseline.P"
     assert str(between) in problem.message
     assert f"{text(parameter.value(index))} or {text(parameter.value(index + 1))}" in problem.remedy
@@ -227,10 +226,9 @@ def test_an_individual_off_the_grid_is_refused(row: list[int]) -> None:
 
 def test_everything_wrong_with_values_is_said_at_once() -> None:
     space = ParameterSpace((A, B, C), {"C": Decimal(5)})
-    with pytest.raises(InvalidInputError) as refused:
-        space.indices({"A": Decimal("0.15"), "D": Decimal(1), "C": Decimal(6)}, "baseline")
-    assert {problem.field for problem in refused.value.problems} == {f"baseline.{name}" for name in "ABCD"}
-    remedies = {problem.field: problem.remedy for problem in refused.value.problems}
+    refused = faults_of(space.indices, {"A": Decimal("0.15"), "D": Decimal(1), "C": Decimal(6)}, "baseline")
+    assert {problem.field for problem in refused} == {f"baseline.{name}" for name in "ABCD"}
+    remedies = {problem.field: problem.remedy for problem in refused}
     assert "A, B, C" in remedies["baseline.D"]
     assert "0.1 or 0.2" in remedies["baseline.A"]
     assert "5" in remedies["baseline.C"]

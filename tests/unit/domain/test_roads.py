@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.frenet import project
 from tests.support.roads import CurvatureKnot, RoadDesign, line_of, to_cartesian
+from tests.support.values import faults_of
 
-from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.roads import pose_on, reference_line, resampled
 from drivecal.domain.scenarios import Road
 
@@ -31,9 +31,7 @@ def test_a_line_with_the_rows_wanted_stays_what_it_is() -> None:
 
 @pytest.mark.parametrize(("length", "spacing"), [(0.0, 0.5), (float("nan"), 0.5), (600.0, 0.0)])
 def test_a_line_without_length_or_rows_is_refused(length: float, spacing: float) -> None:
-    with pytest.raises(InvalidInputError) as refused:
-        resampled(LINE, length, spacing)
-    assert [problem.field for problem in refused.value.problems] == ["road.length"]
+    assert [problem.field for problem in faults_of(resampled, LINE, length, spacing)] == ["road.length"]
 
 
 @given(st.floats(0.0, 600.0))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.values import present
 
 from drivecal.contracts.explanation import Explanation, Reason, Reference
 from drivecal.domain.influence import EVERYWHERE, Influence, InfluenceMap
@@ -73,8 +74,7 @@ def test_the_nearest_is_the_one_that_a_scan_by_hand_finds(
     if not table:
         assert result is None
     else:
-        assert result is not None
-        assert result.evaluation == 100 + _scan(influence_map, cell, table)
+        assert present(result).evaluation == 100 + _scan(influence_map, cell, table)
 
 
 @given(maps, values, tables)
@@ -97,8 +97,7 @@ def test_chunks_give_what_one_pass_gives(
     parts: list[Nearest] = []
     for start in range(0, len(table), size):
         portion = slice(start, start + size)
-        result = comparison.nearest(rows[portion], places[portion], ids[portion])
-        assert result is not None
+        result = present(comparison.nearest(rows[portion], places[portion], ids[portion]))
         parts.append(result)
     assert min(parts, key=lambda one: one.order) == whole
 

@@ -6,6 +6,7 @@ from contextlib import suppress
 
 import pytest
 from tests.support.networks import entrance
+from tests.support.values import faults_of
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.roads import documents
@@ -16,9 +17,7 @@ NAME = "road.net.xml"
 
 def refused(content: bytes) -> str:
     """The message of the refusal, which names the file and has a remedy."""
-    with pytest.raises(InvalidInputError) as error:
-        read_network(content, NAME)
-    (problem,) = error.value.problems
+    (problem,) = faults_of(read_network, content, NAME)
     assert problem.field == NAME
     assert problem.remedy
     return problem.message
@@ -137,8 +136,6 @@ def test_an_index_that_stands_twice_in_an_edge_is_named() -> None:
     edge = content.index('<edge id="beside"')
     place = content.index('index="1"', edge)
     twice = f'{content[:place]}index="0"{content[place + 9 :]}'.encode()
-    with pytest.raises(InvalidInputError) as error:
-        read_network(twice, "road.net.xml")
-    (problem,) = error.value.problems
+    (problem,) = faults_of(read_network, twice, "road.net.xml")
     assert "index 0" in problem.message
     assert "1" in problem.remedy

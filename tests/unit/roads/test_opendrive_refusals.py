@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 from tests.support.mutations import outcome
+from tests.support.values import faults_of
 
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import Problem
 from drivecal.roads import conversion
 from drivecal.roads.conversion import Conversion, converted
 from drivecal.roads.network import read_network
@@ -37,9 +38,7 @@ def document(*parts: str, attributes: str = "", minor: str = 'revMinor="6"') -> 
 
 
 def refused(content: bytes) -> Problem:
-    with pytest.raises(InvalidInputError) as error:
-        converted(content, NAME)
-    (problem,) = error.value.problems
+    (problem,) = faults_of(converted, content, NAME)
     assert problem.field == NAME
     assert problem.remedy
     return problem

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
+from tests.support.values import faults_of
 
-from drivecal.domain.errors import InvalidInputError
 from drivecal.sensitivity.designs import Floats
 from drivecal.sensitivity.effects import measures
 from drivecal.sensitivity.thresholds import (
@@ -133,14 +133,10 @@ def test_settings_that_cannot_be_used_are_refused_by_name(field: str, value: obj
         "seed": 1,
         field: value,
     }
-    with pytest.raises(InvalidInputError) as refused:
-        SensitivitySettings(**given_settings)
-    (problem,) = refused.value.problems
+    (problem,) = faults_of(SensitivitySettings, **given_settings)
     assert problem.field == f"sensitivity.{reported}"
     assert problem.remedy
 
 
 def test_everything_that_is_wrong_is_named_at_once() -> None:
-    with pytest.raises(InvalidInputError) as refused:
-        SensitivitySettings("lines", 0, 1, MuSigmaThresholds(-1, -1), -1)
-    assert len(refused.value.problems) == 5
+    assert len(faults_of(SensitivitySettings, "lines", 0, 1, MuSigmaThresholds(-1, -1), -1)) == 5

@@ -5,10 +5,10 @@ from math import pi
 
 import pytest
 from tests.support.networks import built, edge, node
+from tests.support.values import faults_of
 
 from drivecal.bundles.traffic.elements import read_tree
 from drivecal.bundles.traffic.places import FilePlace, Map
-from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.network import read_network
 
 NODES = [
@@ -43,9 +43,7 @@ def placed(x: float, y: float, heading: float | None = None, route: list[str] = 
 
 
 def refused(*place: float, **options: bool | list[str]) -> str:
-    with pytest.raises(InvalidInputError) as refusal:
-        placed(*place, **options)  # type: ignore[arg-type]  # the coordinates are numbers
-    (problem,) = refusal.value.problems
+    (problem,) = faults_of(placed, *place, **options)
     assert "line 3" in problem.message or "line 3" in problem.field
     return problem.message
 

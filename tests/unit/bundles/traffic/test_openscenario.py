@@ -35,6 +35,7 @@ from tests.support.scenario_files import (
     when_time,
     with_events,
 )
+from tests.support.values import faults_of, present
 
 from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.highway_actions import Action, Brake, CutIn, Drift
@@ -42,7 +43,6 @@ from drivecal.bundles.highway_checks import declared_scenario
 from drivecal.bundles.highway_roads import files_read
 from drivecal.bundles.traffic.description import Description, described
 from drivecal.bundles.traffic.places import Map
-from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.conversion import converted
 from drivecal.roads.network import read_network
 from drivecal.roads.opendrive import read_opendrive
@@ -102,8 +102,7 @@ def test_places_by_other_means_are_the_same(position: str, same: str) -> None:
 
 def test_lanes_beside_a_vehicle_of_the_other_direction_are_counted_as_in_the_file() -> None:
     """Also if it is placed by coordinates: lane 3 lies outside of lane 2."""
-    road = maps()["maps/motorway.xodr"].file
-    assert road is not None
+    road = present(maps()["maps/motorway.xodr"].file)
     (point,) = road.roads["7"].centre(0, 2, np.array([500.0]))[0]
     world = f'<Position><WorldPosition x="{point[0]}" y="{point[1]}"/></Position>'
     beside = '<Position><RelativeLanePosition entityRef="Other" dLane="1" ds="30" offset="0.5"/></Position>'
@@ -138,8 +137,7 @@ def test_a_cut_in_has_the_file_s_speeds_lanes_and_conditions() -> None:
 
 def test_parameters_of_the_scenario_replace_those_of_the_file() -> None:
     near, far = (of_file(slower_cut_in(), parameters={"gap": gap}).scenario.traffic[0] for gap in (12, 60.5))
-    assert near.actions[0].when is not None
-    assert near.actions[0].when[0].below == 12.0
+    assert present(near.actions[0].when)[0].below == 12.0
     assert far.s - near.s == pytest.approx(3 * 48.5, abs=0.5)
     assert near.speed == 22.0
 
@@ -327,9 +325,7 @@ def test_a_road_without_limits_needs_the_scenario_s_default_limit() -> None:
             declared_scenario({"openscenario": "scenarios/a.xosc", **data}), files_read(files), roads.__getitem__, STEP
         )
 
-    with pytest.raises(InvalidInputError) as error:
-        found()
-    assert [problem.field for problem in error.value.problems] == ["default_limit"]
+    assert [problem.field for problem in faults_of(found)] == ["default_limit"]
     assert found(default_limit=30).scenario.default_limit == 30.0
 
 

@@ -5,6 +5,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 from tests.support.scenario_files import ROUTES, with_routes
+from tests.support.values import faults_of, present
 
 from drivecal.bundles.highway_checks import scenario_problems
 from drivecal.bundles.traffic.elements import Element
@@ -24,9 +25,7 @@ def file(content: str) -> bytes:
 
 def traffic(content: str | bytes, **data: Any) -> RouteTraffic:
     """The traffic of a file."""
-    routes = with_routes(file(content) if isinstance(content, str) else content, **data).routes
-    assert routes is not None
-    return routes
+    return present(with_routes(file(content) if isinstance(content, str) else content, **data).routes)
 
 
 def elements(content: str | bytes, **data: Any) -> list[ET.Element]:
@@ -46,9 +45,7 @@ def day(*times: float) -> str:
 
 def refusal(content: str | bytes, **data: Any) -> str:
     """The place that the refusal of a file names."""
-    with pytest.raises(InvalidInputError) as error:
-        traffic(content, **data)
-    (problem,) = error.value.problems
+    (problem,) = faults_of(traffic, content, **data)
     assert problem.field == "routes"
     assert problem.remedy
     return problem.message
@@ -161,21 +158,17 @@ def test_everything_else_is_refused_with_line_and_element(content: str, part: st
 def test_values_are_those_of_sumo_s_own_schema(content: str, part: str, right: str) -> None:
     """The line is the user's, also behind vehicles that are left out or in another order."""
     for before, line in (("", 3), (day(900, 5, 1) + "\n<person id='p' depart='0'/>\n", 5)):
-        with pytest.raises(InvalidInputError) as error:
-            traffic(before + content)
-        problem = error.value.problems[0]
+        problem = faults_of(traffic, before + content)[0]
         assert problem.message.startswith(f"a.rou.xml: line {line}, ")
         assert part in problem.message
         assert right in problem.message + problem.remedy
 
 
 def test_all_wrong_values_are_named_at_once() -> None:
-    with pytest.raises(InvalidInputError) as error:
-        traffic('<vType id="t" length="-3"/>\n' + day(0).replace('"20"', '"fast"'))
-    assert [problem.message.split(":")[1] for problem in error.value.problems] == [
-        " line 3, <vType id=t>",
-        " line 4, <vehicle id=v0>",
-    ]
+    assert [
+        problem.message.split(":")[1]
+        for problem in faults_of(traffic, '<vType id="t" length="-3"/>\n' + day(0).replace('"20"', '"fast"'))
+    ] == [" line 3, <vType id=t>", " line 4, <vehicle id=v0>"]
 
 
 def test_the_first_wrong_values_are_named_and_the_others_not_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -248,10 +241,9 @@ def test_actions_of_the_scenario_name_vehicles_of_the_file() -> None:
     actions = [{"do": "brake", "speed": 20, "when": [{"quantity": "gap", "to": "v0", "below": 9}]}]
     own = {"id": "lead", "lane": 1, "s": 160.0, "speed": 25.0, "actions": actions}
     described = with_routes(file(day(0)), traffic=[own])
-    assert described.routes is not None
     fields = {
         others: [problem.field for problem in scenario_problems("x", described.scenario, 0.1, is_whole=True, others=others)]
-        for others in (described.routes.vehicles, frozenset({"v1"}))
+        for others in (present(described.routes).vehicles, frozenset({"v1"}))
     }
     assert fields == {frozenset({"v0"}): [], frozenset({"v1"}): ["x.traffic[0].actions[0].when[0].to"]}
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 from tests.support.networks import real_corridor
 from tests.support.roads import to_cartesian
+from tests.support.values import present
 
 from drivecal.contracts.evaluation import ReplayAnswer
 from drivecal.domain.roads import Floats
@@ -53,8 +54,7 @@ def recorded(table: Floats, others: list[dict[str, float]]) -> ReplayAnswer | No
 
 def test_a_vehicle_that_comes_back_is_there_twice() -> None:
     near, far = {"a": 20.0, "b": 50.0}, {"a": 20.0, "b": REACH + 50.0}
-    replay = recorded(rows(np.arange(6) * STEP), [near, near, far, far, near, near])
-    assert replay is not None
+    replay = present(recorded(rows(np.arange(6) * STEP), [near, near, far, far, near, near]))
     assert [(vehicle.id, vehicle.first, len(vehicle.x_m)) for vehicle in replay.others] == [
         ("a", 0, 6),
         ("b", 0, 2),
@@ -66,14 +66,12 @@ def test_a_vehicle_that_comes_back_is_there_twice() -> None:
 
 
 def test_vehicles_on_other_levels_are_left_out() -> None:
-    replay = recorded(rows(np.arange(3) * STEP), [{"above": np.nan, "a": 20.0}] * 3)
-    assert replay is not None
+    replay = present(recorded(rows(np.arange(3) * STEP), [{"above": np.nan, "a": 20.0}] * 3))
     assert [vehicle.id for vehicle in replay.others] == ["a"]
 
 
 def test_a_run_that_ends_within_a_step_shows_the_others_at_its_end() -> None:
-    replay = recorded(rows(np.array([0.0, 0.1, 0.2, 0.25])), [{"a": 20.0}] * 3)
-    assert replay is not None
+    replay = present(recorded(rows(np.array([0.0, 0.1, 0.2, 0.25])), [{"a": 20.0}] * 3))
     (other,) = replay.others
     assert len(other.x_m) == len(replay.ego.x_m) == 4
     ways = np.hypot(np.diff(other.x_m), np.diff(other.y_m))
@@ -83,8 +81,7 @@ def test_a_run_that_ends_within_a_step_shows_the_others_at_its_end() -> None:
 def test_an_unstable_vehicle_is_shown_up_to_its_last_place() -> None:
     table = rows(np.arange(4) * STEP)
     table[3, 1:5] = np.nan
-    replay = recorded(table, [{}] * 4)
-    assert replay is not None
+    replay = present(recorded(table, [{}] * 4))
     assert len(replay.time_s) == 3
     table[1, 1] = np.inf
     assert recorded(table, [{}] * 4) is None
@@ -92,16 +89,13 @@ def test_an_unstable_vehicle_is_shown_up_to_its_last_place() -> None:
 
 def test_long_and_full_runs_are_shown_at_fewer_moments(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replays, "MOST_POSES", 40)
-    replay = recorded(rows(np.arange(51) * 0.02), [{"a": 20.0, "b": 40.0}] * 51)
-    assert replay is not None
+    replay = present(recorded(rows(np.arange(51) * 0.02), [{"a": 20.0, "b": 40.0}] * 51))
     assert replay.time_s == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
     monkeypatch.setattr(replays, "MOST_MOMENTS", 4)
-    fewer = recorded(rows(np.arange(51) * 0.02), [{}] * 51)
-    assert fewer is not None
+    fewer = present(recorded(rows(np.arange(51) * 0.02), [{}] * 51))
     assert fewer.time_s == pytest.approx([0.0, 0.4, 0.8, 1.0])
     monkeypatch.setattr(replays, "MOST_POSES", 5)
-    fuller = recorded(rows(np.arange(51) * 0.02), [{"a": 20.0, "b": 40.0}] * 51)
-    assert fuller is not None
+    fuller = present(recorded(rows(np.arange(51) * 0.02), [{"a": 20.0, "b": 40.0}] * 51))
     assert fuller.time_s == pytest.approx([0.0, 0.8, 1.0])
     assert [len(vehicle.x_m) for vehicle in fuller.others] == [3, 3]
 
@@ -109,8 +103,7 @@ def test_long_and_full_runs_are_shown_at_fewer_moments(monkeypatch: pytest.Monke
 @pytest.mark.parametrize(("step", "apart"), [(0.01, 0.1), (0.04, 0.12), (0.07, 0.14), (0.1, 0.1), (0.5, 0.5)])
 def test_moments_are_at_least_a_tenth_of_a_second_apart_but_for_the_last(step: float, apart: float) -> None:
     times = np.arange(50) * step
-    replay = recorded(rows(times), [{}] * len(times))
-    assert replay is not None
+    replay = present(recorded(rows(times), [{}] * len(times)))
     assert replay.time_s[-1] == pytest.approx(times[-1])
     assert np.diff(replay.time_s[:-1]) == pytest.approx(np.full(len(replay.time_s) - 2, apart))
 
