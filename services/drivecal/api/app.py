@@ -4,13 +4,13 @@ import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
+from typing import Any
 
 from fastapi import Depends, FastAPI
 
-from drivecal.api import openapi
 from drivecal.api.dependencies import Limits
 from drivecal.api.http import problems, queries
-from drivecal.api.http.authorisation import Authorisation
+from drivecal.api.http.authorisation import OPEN, Authorisation
 from drivecal.api.http.limits import BodyLimit
 from drivecal.api.http.requests import RequestRecords
 from drivecal.api.live.streams import EventHub
@@ -41,6 +41,8 @@ from drivecal.storage.admission import add_installed
 from drivecal.storage.engine.database import PROMPT, Database
 
 log = logging.getLogger(__name__)
+
+EVENTS = "text/event-stream"
 
 
 def store_installed(database: Database) -> None:
@@ -115,5 +117,51 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         app.include_router(noun.router, prefix=ROOT)
     app.include_router(page.router)
     app.include_router(health.router)
-    openapi.describe(app, asks_for_tokens=tokens is not None)
+    _describe(app, asks_for_tokens=tokens is not None)
     return app
+
+
+def _describe(app: FastAPI, *, asks_for_tokens: bool) -> None:
+    """Completes the OpenAPI document that `app` shows."""
+    made: dict[str, Any] = {}
+
+    def document() -> dict[str, Any]:
+        if not made:
+            made.update(FastAPI.openapi(app))
+            _complete(made)
+            if asks_for_tokens:
+                _ask_for_tokens(made)
+        return made
+
+    app.openapi = document  # type: ignore[method-assign]  # FastAPI's own way to extend it
+
+
+def _complete(node: object) -> None:
+    """Completes schemas: objects with patterned keys refuse others, and event streams describe their events."""
+    if isinstance(node, dict):
+        if "patternProperties" in node:
+            node.setdefault("additionalProperties", False)
+        if EVENTS in node:
+            node[EVENTS] = {"schema": _event(node[EVENTS].get("schema", {}))}
+        for inner in node.values():
+            _complete(inner)
+    elif isinstance(node, list):
+        for inner in node:
+            _complete(inner)
+
+
+def _event(data: dict[str, Any]) -> dict[str, Any]:
+    """Returns the schema of a stream's event, with JSON text as data; before OpenAPI 3.2 it stands for the stream."""
+    content = {key: value for key, value in data.items() if key not in {"type", "title"}}
+    text = {"type": "string"}
+    parts = {"id": text, "event": text, "data": text | {"contentMediaType": "application/json", "contentSchema": content}}
+    return {"type": "object", "properties": parts, "required": ["data"]}
+
+
+def _ask_for_tokens(document: dict[str, Any]) -> None:
+    scheme = {"type": "http", "scheme": "bearer", "description": "A token of the server's tokens file"}
+    document.setdefault("components", {})["securitySchemes"] = {"token": scheme}
+    document["security"] = [{"token": []}]
+    for path in OPEN & document["paths"].keys():
+        for operation in document["paths"][path].values():
+            operation["security"] = []
