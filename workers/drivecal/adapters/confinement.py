@@ -114,8 +114,8 @@ def keep_signals() -> bool:
     try:
         if not _allow(rules, "/", _REFER):  # else forbidden by all rules
             return False
-        _call(_library.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0))
-        _call(_library.syscall(_RESTRICT_SELF, rules, _QUIET if version() >= AUDITS_SINCE else 0))
+        check_call(_library.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0))
+        check_call(_library.syscall(_RESTRICT_SELF, rules, _QUIET if version() >= AUDITS_SINCE else 0))
     except OSError:
         return False
     finally:
@@ -125,19 +125,19 @@ def keep_signals() -> bool:
 
 def confine(rules: int | None) -> None:
     """Confines this process for good, and takes the right to gain privileges from it, and from root most capabilities. Raises OSError."""
-    _call(_library.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0))
+    check_call(_library.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0))
     _drop_capabilities()
     if rules is not None:
-        _call(_library.syscall(_RESTRICT_SELF, rules, 0))
+        check_call(_library.syscall(_RESTRICT_SELF, rules, 0))
 
 
 def _drop_capabilities() -> None:
     """Root may read the environment of all processes, load modules, set clocks. `no_new_privs` keeps it from getting that back."""
     header, sets = (ctypes.c_uint32 * 2)(_CAPABILITIES_3, 0), (_Capabilities * 2)()
-    _call(_library.capget(header, sets))
+    check_call(_library.capget(header, sets))
     for half, kept in zip(sets, (_KEPT & 0xFFFFFFFF, _KEPT >> 32), strict=True):
         half.effective, half.permitted, half.inheritable = half.effective & kept, half.permitted & kept, half.inheritable & kept
-    _call(_library.capset(header, sets))
+    check_call(_library.capset(header, sets))
 
 
 def _allow(rules: int, path: str, access: int) -> bool:
@@ -158,7 +158,8 @@ def _is_below(path: str, folders: Collection[str]) -> bool:
     return any(real.is_relative_to(folder) for folder in folders)
 
 
-def _call(result: int) -> None:
+def check_call(result: int) -> None:
+    """Raises OSError with the reason of a call of the C library, unless its result is 0."""
     if result:
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))

@@ -14,7 +14,7 @@ import os
 from collections.abc import Collection
 from pathlib import Path
 
-from drivecal.adapters.confinement import SHARED_MEMORY
+from drivecal.adapters.confinement import SHARED_MEMORY, check_call
 
 _NEW_USER, _NEW_MOUNTS, _NEW_IPC = 0x10000000, 0x00020000, 0x08000000
 _BIND, _RECURSIVE, _PRIVATE, _NO_SUID, _NO_DEVICES = 1 << 12, 1 << 14, 1 << 18, 1 << 1, 1 << 2
@@ -74,9 +74,9 @@ class Seclusion:
         `folder`: its working directory, which is lost otherwise.
         """
         if self._user is not None:
-            _call(_library.setns(self._user, _NEW_USER))
-        _call(_library.setns(self._mounts, _NEW_MOUNTS))
-        _call(_library.unshare(_NEW_IPC))
+            check_call(_library.setns(self._user, _NEW_USER))
+        check_call(_library.setns(self._mounts, _NEW_MOUNTS))
+        check_call(_library.unshare(_NEW_IPC))
         os.chdir(folder)
 
     def clear(self) -> None:
@@ -92,10 +92,10 @@ def _separate(writable: Collection[str], memory: int) -> None:
     """Makes namespaces for this process. Raises OSError."""
     if _library.unshare(_NEW_MOUNTS):
         user, group = os.geteuid(), os.getegid()
-        _call(_library.unshare(_NEW_USER | _NEW_MOUNTS))
+        check_call(_library.unshare(_NEW_USER | _NEW_MOUNTS))
         for name, text in (("setgroups", "deny"), ("uid_map", f"{user} {user} 1"), ("gid_map", f"{group} {group} 1")):
             Path("/proc/self", name).write_text(text)
-    _call(_library.mount(None, b"/", None, _RECURSIVE | _PRIVATE, None))
+    check_call(_library.mount(None, b"/", None, _RECURSIVE | _PRIVATE, None))
     granted = sorted({os.path.realpath(path) for path in writable if os.path.exists(path)})  # noqa: PTH110  # as below
     mounted = [line.split(" ")[4] for line in Path("/proc/self/mountinfo").read_text().splitlines()]
     below = [point for point in mounted if any(Path(point).is_relative_to(path) for path in granted)]
@@ -103,19 +103,13 @@ def _separate(writable: Collection[str], memory: int) -> None:
     _set("/", _Attributes(set=_READ_ONLY), _AT_RECURSIVE)
     if SHARED_MEMORY not in granted:
         options = f"size={memory},mode=1777".encode()
-        _call(_library.mount(b"tmpfs", SHARED_MEMORY.encode(), b"tmpfs", _NO_SUID | _NO_DEVICES, options))
+        check_call(_library.mount(b"tmpfs", SHARED_MEMORY.encode(), b"tmpfs", _NO_SUID | _NO_DEVICES, options))
     for path in granted:
-        _call(_library.mount(path.encode(), path.encode(), None, _BIND | _RECURSIVE, None))
+        check_call(_library.mount(path.encode(), path.encode(), None, _BIND | _RECURSIVE, None))
     for path in kept:
         _set(path, _Attributes(clear=_READ_ONLY))
 
 
 def _set(path: str, attributes: _Attributes, flags: int = 0) -> None:
     size = ctypes.c_size_t(ctypes.sizeof(attributes))
-    _call(_library.syscall(_MOUNT_SETATTR, _HERE, path.encode(), flags, ctypes.byref(attributes), size))
-
-
-def _call(result: int) -> None:
-    if result:
-        number = ctypes.get_errno()
-        raise OSError(number, os.strerror(number))
+    check_call(_library.syscall(_MOUNT_SETATTR, _HERE, path.encode(), flags, ctypes.byref(attributes), size))
