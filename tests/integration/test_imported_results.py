@@ -63,6 +63,7 @@ def test_results_from_elsewhere_stand_beside_simulations_and_answer_no_cell(api:
     assert len(table) == 5
 
 
+@pytest.mark.slow("sqlite")
 def test_a_cell_has_one_value_of_a_source_and_day_until_the_source_is_deleted(api: RunningApi) -> None:
     with Client(api.url) as client:
         client.import_results([row()], **HEAD)
@@ -74,6 +75,7 @@ def test_a_cell_has_one_value_of_a_source_and_day_until_the_source_is_deleted(ap
         assert client.imported("heater") == []
 
 
+@pytest.mark.slow("postgresql")
 def test_a_search_starts_with_the_sets_of_a_source_and_simulates_them(api: RunningApi) -> None:
     search = {"kind": "random", "population": 6, "iterations": 1, "start_results": "house 7"}
     spec = {"problem": "heater", "reduction": {"mode": "exact"}, "fixed": {"mode": "normal"}, "optimizer": search}
@@ -132,6 +134,7 @@ def test_results_that_do_not_fit_the_problem_are_refused_by_field(
         assert problem_of(refused, 422)["errors"][0]["field"] == field
 
 
+@pytest.mark.slow("postgresql")
 def test_a_look_up_finds_runs_that_another_score_has_rated(api: RunningApi) -> None:
     with Client(api.url) as client:
         with working(api.database, ComputedBackend(answer=heated)):

@@ -85,6 +85,7 @@ def test_one_score_in_several_scenarios_is_answered_by_references_and_confirmed(
     assert present(ended.best).objective == best[0].objective
 
 
+@pytest.mark.slow
 def test_one_score_in_several_scenarios_is_predicted_and_no_set_of_the_front_is_a_prediction(database: Database) -> None:
     smooth = [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.01} for i in range(1, 12)]
     spec: dict[str, Any] = {
@@ -107,6 +108,7 @@ def test_one_score_in_several_scenarios_is_predicted_and_no_set_of_the_front_is_
     assert not any(member.solution.reused for member in front)
 
 
+@pytest.mark.slow
 def test_the_robustness_of_every_set_of_the_front_is_examined(database: Database) -> None:
     robust = {"delta": 0.05, "steps": 2, "samples": 3, "solutions": 1000}
     spec: dict[str, Any] = {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}, "robustness": robust}

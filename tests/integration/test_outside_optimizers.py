@@ -171,6 +171,7 @@ def test_few_cells_are_asked_for_ahead_so_that_sets_can_be_cancelled(sqlite: Run
     assert not {row["key"] for row in page} & set(cancelled)
 
 
+@pytest.mark.slow("postgresql")
 def test_a_set_that_is_cancelled_while_its_round_is_planned_is_not_asked_for(
     api: RunningApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -220,6 +221,7 @@ def test_sets_outside_of_the_space_are_repaired_on_request(sqlite: RunningApi) -
     assert (changed["a"]["P1"], changed["a"]["P3"]) == (1, 0)
 
 
+@pytest.mark.slow("postgresql")
 def test_a_campaign_that_waits_for_sets_takes_no_place_and_says_so(api: RunningApi) -> None:
     fed, other = submitted(api), submitted(api, optimizer={"kind": "random", "population": 5, "iterations": 1})
     said: list[Waits] = []
@@ -276,6 +278,7 @@ def test_a_set_costs_one_transaction_of_the_api_and_four_of_the_dispatcher(
     assert len(written) == 5  # the cells of a round, their lease, their results, the end of the round
 
 
+@pytest.mark.slow
 def test_a_thousand_sets_go_in_one_request(sqlite: RunningApi) -> None:
     space = [{"name": name, "lower": 0, "upper": 1, "step": 0.001} for name in ("P1", "P3")]
     campaign = submitted(sqlite, parameters=space, catalogue=["S1"])
@@ -317,6 +320,7 @@ def test_a_dispatcher_that_is_killed_at_any_moment_loses_and_doubles_nothing(tmp
     assert all(end == ends[0] for end in ends)
 
 
+@pytest.mark.slow("optuna", "scipy")
 @pytest.mark.parametrize("name", ["optuna", "cma", "scipy"])
 def test_the_example_of_an_optimizer_uses_its_budget_and_the_same_again_is_free(
     sqlite: RunningApi, tmp_path: Path, name: str

@@ -200,6 +200,7 @@ def simple(scenario: str, cell: Cell) -> CellResult:
     return CellResult(cell.id, float(score), score, {"rating": float(score)}, None, 500.0)
 
 
+@pytest.mark.slow
 def test_a_set_that_was_dismissed_on_a_prediction_gets_a_last_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A predictor that finds every set bad hides the best ones; with all answers it sees them, also if the dispatcher was killed."""
     from drivecal.reduction.forest import Forest

@@ -11,7 +11,7 @@ from tests.support.runs import WITH_ANALYSIS, everything, influenced, run, submi
 from drivecal.domain.campaigns import StageName
 
 
-@pytest.mark.slow("random", "optuna")
+@pytest.mark.slow("random", "optuna", "swarm")
 @pytest.mark.parametrize(
     "optimizer",
     [{"kind": "genetic"}, {"kind": "surrogate"}, {"kind": "swarm"}, {"kind": "random"}, {"kind": "optuna", "sampler": "tpe"}],
@@ -32,6 +32,7 @@ def test_the_same_seed_gives_the_same_campaign(tmp_path: Path, optimizer: dict[s
     assert searched("other", 4)[0] != first[0]
 
 
+@pytest.mark.slow("surrogate-with lots", "genetic-without lots")
 @pytest.mark.parametrize("limit", [1, 0.2], ids=["without lots", "with lots"])
 @pytest.mark.parametrize("kind", ["genetic", "surrogate"])
 def test_the_same_campaign_again_simulates_nothing(tmp_path: Path, kind: str, limit: float) -> None:

@@ -100,6 +100,7 @@ def first(postgres: Database) -> StoredCampaign:
     return run(postgres, submit(postgres, **SMALL), ComputedBackend(answer=influenced))
 
 
+@pytest.mark.slow("study", "comparison_on_map")
 @USES
 def test_a_submission_waits_for_the_deletion_of_what_it_names_and_is_refused(
     postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor, use: Use
@@ -114,6 +115,7 @@ def test_a_submission_waits_for_the_deletion_of_what_it_names_and_is_refused(
         submitted.result(PATIENCE)
 
 
+@pytest.mark.slow("study", "comparison_on_map")
 @USES
 def test_a_deletion_waits_for_a_submission_that_was_checked_and_is_refused(
     postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor, use: Use, monkeypatch: pytest.MonkeyPatch

@@ -216,12 +216,14 @@ def test_look_ups_use_their_indexes(filled: Database, subtests: pytest.Subtests)
             assert scanned(plans(connection, lambda one: one.execute(query).all())) == {"runs"}
 
 
+@pytest.mark.slow("postgresql")
 def test_late_ratings_are_not_searched_for_among_all_runs(filled: Database) -> None:
     with filled.read() as connection:
         plan = plans(connection, lambda one: reference_keys._rated(one, 1, EVALUATOR, 0, 10**9, 100))
     assert "ix_ratings_since" in plan, plan
 
 
+@pytest.mark.slow("postgresql")
 def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, subtests: pytest.Subtests) -> None:
     with filled.transaction() as connection:
         sequence = campaign(connection).sequence

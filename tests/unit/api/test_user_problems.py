@@ -142,7 +142,9 @@ def test_a_pushed_problem_is_stored_once_listed_and_shown(serve: Serve) -> None:
     assert (first.status_code, first.headers["location"]) == (201, f"{PROBLEMS}/{body['digest']}")
     assert (body["name"], body["size"], body["latest"]) == ("acc", len(archive), True)
     assert body["parameters"]["x"]["step"] == 0.1
+    assert (body["parameters"]["mode"]["choices"], body["parameters"]["mode"]["step"]) == (["eco", "sport"], None)
     assert body["scenarios"] == {"city": {"gap": 30}}
+    assert list(client.get(f"{PROBLEMS}/highway").json()["scenarios"]) == ["S1", "S2", "S3", "S4", "S5", "S6"]
     assert (body["measures"], body["scores"]["cost"]["direction"]) == ({"energy": "kWh"}, "minimise")
     again = push(client, archive)
     assert (again.status_code, again.json()) == (200, body)
@@ -265,21 +267,3 @@ def test_only_a_few_archives_are_in_memory_at_a_time(serve: Serve) -> None:
             stack.enter_context(limits.archives.take())
         assert [client.get(f"{PROBLEMS}/acc/archive").status_code, push(client).status_code] == [429, 429]
     assert [client.get(f"{PROBLEMS}/acc/archive").status_code for _ in range(OPEN_ARCHIVES + 1)] == [200] * (OPEN_ARCHIVES + 1)
-
-
-def test_a_problem_is_shown_with_its_parameters_and_scenarios(serve: Serve) -> None:
-    client = serve(tokens=True)
-    author = {"Authorization": f"Bearer {TOKENS['author']}"}
-    manifest = MANIFEST.format(name="acc").replace("  mode:", "  T: {lower: 0.8, upper: 2.5, unit: s}\n  mode:")
-    digest = client.post(PROBLEMS, content=packed(**{"problem.yaml": manifest}), headers=ZIP | author).json()["digest"]
-    for name in ("acc", digest):
-        shown = client.get(f"{PROBLEMS}/{name}", headers=author).json()
-        assert {parameter: entry["step"] for parameter, entry in shown["parameters"].items()} == {
-            "x": 0.1,
-            "T": None,
-            "mode": None,
-        }
-        assert shown["parameters"]["mode"]["choices"] == ["eco", "sport"]
-        assert shown["scenarios"] == {"city": {"gap": 30}}
-    assert client.get(f"{PROBLEMS}/none", headers=author).status_code == 404
-    assert list(client.get(f"{PROBLEMS}/highway", headers=author).json()["scenarios"]) == ["S1", "S2", "S3", "S4", "S5", "S6"]
