@@ -22,8 +22,6 @@ pytestmark = pytest.mark.slow
 
 SPEC: dict[str, Any] = {
     "problem": "heater",
-    "catalogue": "highway",
-    "parameters": "highway",
     "sensitivity": {"intervals": 3, "samples": 6, "threshold": "auto"},
     "optimizer": {"kind": "genetic", "population": 40, "iterations": 5, "seed": 2},
     "reduction": {"mode": "exact"},

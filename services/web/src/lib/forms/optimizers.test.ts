@@ -20,7 +20,7 @@ test("only optimizers that can search the problem are offered", () => {
 
 test("an optimizer's own settings are fields", () => {
   const section = describe(sectionOf({ default: { kind: "genetic" } }, OPTIMIZERS, { kind: "swarm" }), {});
-  expect([section.kind, section.optional, Object.keys(section.schema.properties ?? {})]).toEqual(["object", true, ["kind", "population", "inertia", "start_results"]]);
+  expect([section.kind, section.optional, Object.keys(section.schema.properties ?? {})]).toEqual(["object", true, ["kind", "population", "inertia", "start_sets", "start_results"]]);
   expect(describe(section.schema.properties?.["kind"] ?? {}, {}).kind).toBe("text");
   expect(sectionOf({ type: "object" }, OPTIMIZERS, { kind: "of a plug-in" })).toEqual({ type: "object" });
 });
@@ -34,7 +34,7 @@ test("each compared optimizer has its own settings, without those of the compari
 
 test("settings of another optimizer do not stay", () => {
   const before = { kind: "genetic", population: 20, mutation: 0.2 };
-  expect(withSettings(OPTIMIZERS, before, { ...before, kind: "swarm", start_results: "car" })).toEqual({ kind: "swarm", population: 20, start_results: "car" });
+  expect(withSettings(OPTIMIZERS, before, { ...before, kind: "swarm", start_sets: [{}], start_results: "car" })).toEqual({ kind: "swarm", population: 20, start_sets: [{}], start_results: "car" });
   expect(withSettings(OPTIMIZERS, before, { ...before, mutation: 0.5 })).toEqual({ ...before, mutation: 0.5 });
   expect(withSettings(OPTIMIZERS, before, null)).toBeNull();
 });

@@ -12,8 +12,11 @@ export function suiting(optimizers: readonly OptimizerAnswer[], shape: Shape | n
   return optimizers.filter(({ supports }) => needed.every((ability) => supports.includes(ability))).map(({ name }) => name);
 }
 
-/** All optimizers begin with imported results, if asked to; no plug-in knows of them. */
-const START_RESULTS: Schema = { anyOf: [{ type: "string", maxLength: 200 }, { type: "null" }], default: null };
+/** All optimizers begin with given sets and imported results, whether or not a plug-in declares them. */
+const START: Readonly<Record<string, Schema>> = {
+  start_sets: { type: "array", items: { type: "object" }, default: [] },
+  start_results: { anyOf: [{ type: "string", maxLength: 200 }, { type: "null" }], default: null },
+};
 
 /** The schema of the section for the chosen optimizer; that of all optimizers if it declares none. */
 export function sectionOf(general: Schema, optimizers: readonly OptimizerAnswer[], settings: unknown): Schema {
@@ -21,7 +24,8 @@ export function sectionOf(general: Schema, optimizers: readonly OptimizerAnswer[
   const kind = kindOf(chosen);
   const own = ownOf(optimizers, chosen);
   if (own?.properties === undefined) return general;
-  const section: Schema = { ...own, description: own.description ?? "", properties: { ...own.properties, kind: { type: "string", default: kind }, start_results: START_RESULTS } };
+  const undeclared = Object.fromEntries(Object.entries(START).filter(([name]) => !(name in (own.properties ?? {}))));
+  const section: Schema = { ...own, description: own.description ?? "", properties: { ...own.properties, kind: { type: "string", default: kind }, ...undeclared } };
   return { anyOf: [section, { type: "null" }], default: general.default };
 }
 
@@ -45,7 +49,7 @@ export function withSettings(optimizers: readonly OptimizerAnswer[], before: unk
   if (typeof after !== "object" || after === null || kindOf(before) === kindOf(after)) return after;
   const own = ownOf(optimizers, after);
   if (own?.properties === undefined) return after;
-  return Object.keys(after).filter((name) => !["kind", "start_results"].includes(name) && !(name in (own.properties ?? {}))).reduce<Settings>((left, name) => changed(left, name, undefined), after as Settings);
+  return Object.keys(after).filter((name) => !["kind", ...Object.keys(START)].includes(name) && !(name in (own.properties ?? {}))).reduce<Settings>((left, name) => changed(left, name, undefined), after as Settings);
 }
 
 function ownOf(optimizers: readonly OptimizerAnswer[], settings: unknown): Schema | undefined {
