@@ -101,6 +101,8 @@ def test_the_second_objective_is_the_distance_from_a_set_of_another_campaign(dat
     ended = carried_out(database, objectives=[{"score": "cost"}, {"distance": f"{first.id}#1"}], **small)
     assert ended.spec["objectives"][1]["distance"] == first.best.parameters
     front = front_of(database, ended, resolved_spec(ended))
+    with pytest.raises(InvalidInputError):
+        carried_out(database, objectives=[{"score": "cost"}, {"distance": f"{first.id}#best"}], **small)
     assert 0.0 in [each.solution.judgement.amounts[1] for each in front.members if each.solution.judgement is not None], (
         "the set itself, whose cells are stored"
     )

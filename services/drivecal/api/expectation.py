@@ -145,13 +145,13 @@ def _with_set(database: Database, goal: GoalSpecification) -> GoalSpecification:
     """Returns a goal with the values of the set of a campaign, `ID` or `ID#2`, from which it counts changes; unknown ones stay."""
     for name in ("changes", "distance"):
         if isinstance(given := getattr(goal, name), str) and given != "baseline":
-            identifier, _, rank = given.partition("#")
+            identifier, mark, rank = given.partition("#")
             try:
                 with database.read() as connection:
                     campaign = campaigns.get(connection, identifier)
             except NotFoundError:
                 return goal
-            place = int(rank) if rank.isdecimal() else 1
+            place = 1 if not mark else int(rank) if rank.isdecimal() else 0
             for solution in ranking(database, campaign, resolved_spec(campaign), None).solutions(max(0, place - 1), place):
                 return goal.model_copy(update={name: solution.parameters})
     return goal

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from math import isclose
 from pathlib import Path
 from typing import Annotated, Any, Self
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -26,6 +27,7 @@ from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, fi
 from drivecal.domain.scales import told
 
 Parameters = Mapping[str, Given]
+Axes = Mapping[str, Sequence[Sequence[float]]]
 CALIBRATION_FILES = (".dcm", ".cdfx")
 
 
@@ -140,11 +142,12 @@ def check(
     """Check whether a set keeps its limits in every scenario; exit status 1 if not. Only what changed is simulated."""
     wanted = [] if limits is None else validated(LimitsFile, dict(read_document(limits))).limits
     with connect(url) as client:
-        parameters, spec = _set(client, chosen, names)
+        parameters, spec, axes = _set(client, chosen, names)
         known = client.problem(problem or spec.get("problem", DEFAULT_PROBLEM))
         copied = DECIDING if problem is None else DECIDING - {"catalogue"}  # another push may have other scenarios
         settings = {name: spec[name] for name in copied if name in spec} | {"problem": known.digest}
         listed = settings.get("catalogue") or known.scenarios
+        _refuse_other_axes(axes, known.shapes)
         _refuse_unknown(wanted, known, () if isinstance(listed, str) else listed, has_baseline=baseline is not None)
         evaluators = _evaluators(known, spec.get("evaluator"), wanted)
         own = parameters if spec and problem is None else known.parameters  # a driving function has its own
@@ -152,7 +155,9 @@ def check(
         compared: dict[str, dict[str, EvaluatedCell]] = {}
         differing = 0
         if baseline is not None:
-            values = _values(_set(client, baseline, names)[0], own, known.shapes)
+            before, _, theirs = _set(client, baseline, names)
+            _refuse_other_axes(theirs, known.shapes)
+            values = _values(before, own, known.shapes)
             compared, differing = _evaluated(client, settings | {"parameters": values}, evaluators, wait, fresh=fresh)
         document = settings | {"parameters": _values(parameters, own, known.shapes)}
         cells, more = _evaluated(client, document, evaluators, wait, fresh=fresh)
@@ -174,19 +179,21 @@ def check(
     raise typer.Exit(ExitCode.FAILED if broken else ExitCode.OK)
 
 
-def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, Mapping[str, Any]]:
-    """Returns the values of a set, and the specification of its campaign, empty for a file."""
+def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, Mapping[str, Any], Axes]:
+    """Returns the values of a set, the specification of its campaign, empty for a file, and the points of its curves as far as known."""
     identifier, mark, rank = given.rpartition("#")
     if mark and rank.isdecimal() and int(rank) > 0:
         campaign = client.campaign(client.full_id(identifier))
         ranked = client.solutions(campaign.id, limit=int(rank)).items
         if len(ranked) < int(rank):
             raise NotFoundError("set", given, f"the campaign has {len(ranked)} ranked sets")
-        return ranked[int(rank) - 1].parameters, campaign.spec
+        shapes = client.setup(campaign.id).shapes
+        return ranked[int(rank) - 1].parameters, campaign.spec, {name: shape.axes for name, shape in shapes.items()}
     if Path(given).suffix.lower() not in CALIBRATION_FILES:
         document = dict(read_document(given))
-        return document.get("parameters", document), {}
+        return document.get("parameters", document), {}, {}
     from drivecal.calibration_data import files
+    from drivecal.calibration_data.characteristics import INDEX
     from drivecal.calibration_data.sections import axis_points, joined
 
     with file_faults(Path(given), "read", "give another file"):
@@ -194,8 +201,23 @@ def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, Map
     labels = {} if names is None else files.labels_of(dict(read_document(names)))
     by_label = {label: name for name, label in labels.items()}
     listed = joined([files.read(content, given).characteristics])
+    axes = {
+        by_label.get(each.name, each.name): [() if axis.kind == INDEX else axis.points for axis in each.axes]
+        for each in listed
+        if each.values
+    }
     listed += axis_points(listed)
-    return {by_label.get(each.name, each.name): each.given for each in listed if each.given is not None}, {}
+    return {by_label.get(each.name, each.name): each.given for each in listed if each.given is not None}, {}, axes
+
+
+def _refuse_other_axes(given: Axes, shapes: Mapping[str, ShapeAnswer]) -> None:
+    """Raises InvalidInputError if values belong to other points than in the problem; a parameter such as `gain.x` is such points."""
+    for name, shape in shapes.items():
+        for letter, own, points in zip("xy", given.get(name, ()), shape.axes, strict=False):
+            same = all(isclose(one, other, rel_tol=1e-6, abs_tol=1e-6) for one, other in zip(own, points, strict=False))
+            if not same and f"{name}.{letter}" not in shapes:
+                message = f"it has other points on axis {letter} than in the problem"
+                raise InvalidInputError(Problem(f"parameters.{name}", message, "give a set of this version of the problem"))
 
 
 def _refuse_unknown(limits: Sequence[SetLimit], problem: ProblemAnswer, known: Collection[str], *, has_baseline: bool) -> None:
