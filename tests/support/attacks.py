@@ -17,7 +17,8 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -109,17 +110,23 @@ def _fill(path: Path, most_mb: int) -> None:
             file.write(bytes(1 << 20))
 
 
-def writes_outside(data: Data) -> None:
+def _one_of(attempts: Iterable[Callable[[], object]]) -> None:
+    """Returns when an attempt succeeds. Raises the last refusal if none does."""
     refusal: OSError | None = None
-    for folder in ("/", "/etc", "/var/tmp", sys.prefix, data["home"], data["cache"], "/tmp"):
+    for attempt in attempts:
         try:
-            Path(folder, data["mark"]).touch()
+            attempt()
         except OSError as error:
             refusal = error
         else:
             return
     if refusal is not None:
         raise refusal
+
+
+def writes_outside(data: Data) -> None:
+    folders = ("/", "/etc", "/var/tmp", sys.prefix, data["home"], data["cache"], "/tmp")
+    _one_of(Path(folder, data["mark"]).touch for folder in folders)
 
 
 def answers_for_others(_data: Data) -> None:
@@ -192,19 +199,14 @@ def _sockets(data: Data) -> list[str]:
     return [str(path) for pattern in data["sockets"] for path in Path("/").glob(pattern.removeprefix("/"))]
 
 
+def _connect(path: str, kind: socket.SocketKind) -> None:
+    with socket.socket(socket.AF_UNIX, kind) as end:
+        end.connect(path)
+
+
 def connects_to_local_sockets(data: Data) -> None:
-    refusal: OSError | None = None
-    for path in _sockets(data):
-        for kind in (socket.SOCK_STREAM, socket.SOCK_SEQPACKET, socket.SOCK_DGRAM):
-            try:
-                with socket.socket(socket.AF_UNIX, kind) as end:
-                    end.connect(path)
-            except OSError as error:
-                refusal = error
-            else:
-                return
-    if refusal is not None:
-        raise refusal
+    kinds = (socket.SOCK_STREAM, socket.SOCK_SEQPACKET, socket.SOCK_DGRAM)
+    _one_of(partial(_connect, path, kind) for path in _sockets(data) for kind in kinds)
 
 
 def sends_to_local_sockets(data: Data) -> None:
@@ -218,7 +220,6 @@ def overwrites_shared_memory(data: Data) -> None:
 
 
 def changes_attributes(data: Data) -> None:
-    refusal: OSError | None = None
     home = Path(data["home"])
     changes: list[Callable[[], None]] = [
         lambda: home.chmod(0o755),
@@ -226,15 +227,7 @@ def changes_attributes(data: Data) -> None:
         lambda: os.utime(home, (1, 1)),
         lambda: os.setxattr(home, "user.x", b"1"),
     ]
-    for change in changes:
-        try:
-            change()
-        except OSError as error:
-            refusal = error
-        else:
-            return
-    if refusal is not None:
-        raise refusal
+    _one_of(changes)
 
 
 def reads_the_secret_of_another_server(data: Data) -> None:
@@ -272,16 +265,7 @@ def opens_sockets(data: Data) -> None:
 
 
 def reaches_others(data: Data) -> None:
-    refusal: OSError | None = None
-    for address in data["others"]:
-        try:
-            socket.create_connection(tuple(address), timeout=1).close()
-        except OSError as error:
-            refusal = error
-        else:
-            return
-    if refusal is not None:
-        raise refusal
+    _one_of(partial(socket.create_connection, tuple(address), timeout=1) for address in data["others"])
 
 
 ATTACKS: dict[str, Callable[[Data], None]] = {

@@ -29,7 +29,12 @@ POPULATIONS: dict[str, tuple[DeclaringOptimizerPlugin, dict[str, Any]]] = {
     "optuna random": (OPTUNA, {"sampler": "random"}),
 }
 GRID: Kind = "grid"
-LANDSCAPES = st.sampled_from(["bowl", "flat", "missing", "tiny", "huge", "offset"])
+searches = given(
+    sizes=st.sampled_from([[101], [2], [2, 2], [3, 50]]),
+    landscape=st.sampled_from(["bowl", "flat", "missing", "tiny", "huge", "offset"]),
+    seed=st.integers(0, 100),
+    one_is_feasible=st.booleans(),
+)
 
 
 def objective(population: Indices, n_values: Indices, landscape: str) -> Floats:
@@ -47,12 +52,7 @@ def objective(population: Indices, n_values: Indices, landscape: str) -> Floats:
 
 
 @pytest.mark.parametrize("kind", POPULATIONS)
-@given(
-    sizes=st.sampled_from([[101], [2], [2, 2], [3, 50]]),
-    landscape=LANDSCAPES,
-    seed=st.integers(0, 100),
-    one_is_feasible=st.booleans(),
-)
+@searches
 @settings(max_examples=examples(25), deadline=None)
 def test_every_optimizer_of_populations_searches_the_smallest_spaces(
     kind: str, sizes: list[int], landscape: str, seed: int, one_is_feasible: bool
@@ -71,12 +71,7 @@ def test_every_optimizer_of_populations_searches_the_smallest_spaces(
         optimizer.tell(values, values)
 
 
-@given(
-    sizes=st.sampled_from([[101], [2], [2, 2], [3, 50]]),
-    landscape=LANDSCAPES,
-    seed=st.integers(0, 100),
-    one_is_feasible=st.booleans(),
-)
+@searches
 @settings(max_examples=examples(15), deadline=None)
 def test_the_surrogate_searches_the_smallest_spaces(sizes: list[int], landscape: str, seed: int, one_is_feasible: bool) -> None:
     n_values, value = np.array(sizes), CellValue(measure="m")
