@@ -22,6 +22,8 @@ pytestmark = pytest.mark.slow
 
 SPEC: dict[str, Any] = {
     "problem": "heater",
+    **dict.fromkeys(("catalogue", "parameters", "driving_function")),
+    "vehicle": {},
     "sensitivity": {"intervals": 3, "samples": 6, "threshold": "auto"},
     "optimizer": {"kind": "genetic", "population": 40, "iterations": 5, "seed": 2},
     "reduction": {"mode": "exact"},
