@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from drivecal.contracts.assignments import settings
 from drivecal.contracts.inventory import ProblemAnswer
 from drivecal.domain.errors import InvalidInputError, Problem, file_faults
 
@@ -39,7 +40,9 @@ def read_results(path: Path, problem: ProblemAnswer) -> tuple[list[dict[str, Any
             kind, name = _kind(name, problem, str(path))
             if kind == "scenario":
                 row[kind] = str(value)
-            elif value not in {None, ""}:
+            elif kind == "parameters" and name in problem.shapes and value:
+                row[kind] |= settings([f"{name}={value}"], f"{path}, row {number}, {name}")  # a list, or its text
+            elif value not in (None, ""):
                 row[kind][name] = _value(value, is_choice=bool(problem.parameters.get(name, {}).get("choices")))
                 if row[kind][name] is None:
                     fault = Problem(
@@ -101,7 +104,7 @@ def _kind(name: str, problem: ProblemAnswer, path: str) -> tuple[str, str]:
     if name == "scenario":
         return name, name
     known_names: dict[str, Mapping[str, object]] = {
-        "parameters": problem.parameters,
+        "parameters": {**problem.parameters, **problem.shapes},
         "scores": problem.scores,
         "measures": problem.measures,
     }
@@ -111,7 +114,7 @@ def _kind(name: str, problem: ProblemAnswer, path: str) -> tuple[str, str]:
     for prefix, kind in PREFIXES.items():
         if name.startswith(prefix) and name.removeprefix(prefix) in known_names[kind]:
             return kind, name.removeprefix(prefix)
-    known = ", ".join(["scenario", *problem.parameters, *problem.scores, *problem.measures])
+    known = ", ".join(["scenario", *known_names["parameters"], *problem.scores, *problem.measures])
     raise InvalidInputError(Problem(path, f"{problem.name} knows no column {name!r}", f"one of {known}"))
 
 

@@ -15,6 +15,7 @@ from drivecal.domain.errors import InvalidInputError
 SECTIONS: dict[str, Any] = {
     "name": "heater",
     "parameters": {"gain": {}, "mode": {"choices": ["eco", "1"]}},
+    "shapes": {"torque": {}},
     "scores": {"cost": {}},
     "measures": {"energy": "kWh", "gain": "dB"},
 }
@@ -40,6 +41,18 @@ def test_json_and_parquet_are_read_alike(tmp_path: Path) -> None:
     parquet.write_table(pa.Table.from_pylist(LINES), tmp_path / "rig.parquet")
     for path in (written(tmp_path, "rig.json", json.dumps(LINES).lstrip("\ufeff")), tmp_path / "rig.parquet"):
         assert read_results(path, PROBLEM) == (ROWS, {})
+
+
+def test_a_curve_is_a_list_in_each_kind_of_file(tmp_path: Path) -> None:
+    lines: list[dict[str, Any]] = [{"scenario": "winter", "torque": [1.0, 2.5], "cost": 3}]
+    parquet.write_table(pa.Table.from_pylist(lines), tmp_path / "rig.parquet")
+    json_file = written(tmp_path, "rig.json", json.dumps(lines).lstrip("\ufeff"))
+    for path in (
+        json_file,
+        tmp_path / "rig.parquet",
+        written(tmp_path, "rig.csv", 'scenario,torque,cost\nwinter,"[1, 2.5]",3'),
+    ):
+        assert read_results(path, PROBLEM)[0][0]["parameters"] == {"torque": [1.0, 2.5]}
 
 
 def test_a_measure_with_the_name_of_a_parameter_has_a_prefix(tmp_path: Path) -> None:
