@@ -12,6 +12,7 @@ from tests.support.faults.coordinator import coordinator
 from tests.support.faults.lives import wait_until_ended
 from tests.support.faults.workload import submit
 from tests.support.misbehaviour import FOLDER, misbehaving_setup, plug_in
+from tests.support.values import present
 
 from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.evaluations import Breakdown
@@ -103,10 +104,8 @@ def test_poison_in_a_campaign_is_failed_with_its_cause_and_nothing_else_is(tmp_p
         server.start_ready()
         accepted = submit(server.url, {"poison": document})
         wait_until_ended(server, accepted, 600)
-        campaign = server.answers(f"/api/v1/campaigns/{accepted.campaigns['poison']}")
-        rows = server.answers(f"/api/v1/campaigns/{accepted.campaigns['poison']}/evaluations")
-        assert campaign is not None
-        assert rows is not None
+        campaign = present(server.answers(f"/api/v1/campaigns/{accepted.campaigns['poison']}"))
+        rows = present(server.answers(f"/api/v1/campaigns/{accepted.campaigns['poison']}/evaluations"))
         with server.database.read() as connection:
             attempts = {row.id: row.attempts for row in connection.execute(select(evaluations.c.id, evaluations.c.attempts))}
             details = {row.id: row.detail for row in connection.execute(select(evaluations.c.id, evaluations.c.detail))}

@@ -44,7 +44,7 @@ def _carry_out(api: RunningApi, campaign: dict[str, Any]) -> dict[str, Any]:
     return ended
 
 
-@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+@pytest.fixture(scope="module", params=["sqlite", pytest.param("postgresql", marks=pytest.mark.slow)])
 def ended(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
     changes = {"reduction": {"mode": "influence", "audit": 0.1, "max_error": 1}}
     with serving(new_database(request, request.param, tmp_path_factory.mktemp("reuse"))) as api:
@@ -55,7 +55,6 @@ def ended(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         yield Ended(api, first, _carry_out(api, again.json()))
 
 
-@pytest.mark.slow("postgresql")
 def test_every_cell_can_be_explained(ended: Ended) -> None:
     reasons = set()
     for row in ended.rows(ended.first)[::7]:

@@ -58,6 +58,7 @@ def test_each_optimizer_population_and_seed_is_a_campaign(compared: Compared) ->
     assert [check for check in verify(database) if check.problems] == []
 
 
+@pytest.mark.slow
 def test_common_cells_are_simulated_once_and_counted_by_each(compared: Compared) -> None:
     database, tag, backend = compared
     campaigns = runs_of(database, tag)

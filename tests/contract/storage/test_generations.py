@@ -1,6 +1,7 @@
 import pytest
 from sqlalchemy import select
 from tests.support.storage import campaign
+from tests.support.values import present
 
 from drivecal.contracts.campaign import GenerationCounts
 from drivecal.domain.errors import InvalidInputError
@@ -34,8 +35,7 @@ def test_a_generation_is_taken_up_as_it_was_asked_for(database: Database) -> Non
             optimizer_state={"bits": "0110", "generator": {"state": 2**127 + 1}},
         )
     with database.read() as connection:
-        stored = generations.last(connection, sequence)
-    assert stored is not None
+        stored = present(generations.last(connection, sequence))
     assert (stored.iteration, stored.figures, stored.finished, stored.objectives) == (0, ASKED, False, None)
     assert (stored.population, stored.changed) == ([[1, 2], [3, 4]], [True, False])
     assert stored.optimizer_state == {"bits": "0110", "generator": {"state": 2**127 + 1}}
@@ -49,10 +49,9 @@ def test_a_finished_generation_keeps_what_it_found(database: Database) -> None:
                 connection, sequence, iteration, figures=ASKED, population=[[0]], changed=[True], optimizer_state={}
             )
             generations.finish(connection, sequence, iteration, FOUND, [6.5, float("nan"), None])
-        stored = generations.last(connection, sequence)
+        stored = present(generations.last(connection, sequence))
         assert generations.page(connection, sequence) == ([(0, FOUND), (1, FOUND)], None)
         assert generations.course(connection, sequence) == [(6.5, FOUND.rating, FOUND.alternatives)] * 2
-    assert stored is not None
     assert (stored.iteration, stored.figures, stored.finished) == (1, FOUND, True)
     assert stored.objectives == [6.5, None, None]
 

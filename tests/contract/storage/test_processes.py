@@ -8,6 +8,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 from tests.contract.storage.conftest import Backend
+from tests.support.values import present
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
 from drivecal.storage import processes
@@ -27,8 +28,7 @@ def test_a_process_is_known_by_its_last_heartbeat(database: Database) -> None:
         processes.heartbeat(connection, "dispatcher", 1, began, {"workers": []})
         processes.heartbeat(connection, "dispatcher", 2, began, {"workers": [{"id": "w", "cells": 3}]})
     with database.read() as connection:
-        stored = processes.read(connection, "dispatcher")
-    assert stored is not None
+        stored = present(processes.read(connection, "dispatcher"))
     assert (stored.pid, stored.started_at, stored.detail) == (2, began, {"workers": [{"id": "w", "cells": 3}]})
     assert timedelta(0) <= datetime.now(UTC) - stored.heartbeat_at < timedelta(minutes=1)
 
@@ -48,8 +48,7 @@ def test_a_lock_names_the_server_that_a_user_stops_and_not_the_dispatcher_that_i
 
 def test_a_killed_server_leaves_no_lock_behind(empty_url: str) -> None:
     with subprocess.Popen([sys.executable, "-c", HOLD, empty_url], stdout=subprocess.PIPE, text=True) as server:
-        assert server.stdout is not None
-        assert server.stdout.readline() == "held\n"
+        assert present(server.stdout).readline() == "held\n"
         with pytest.raises(DatabaseError, match=rf"process {server.pid}\b"):
             locks.hold(empty_url)
         server.send_signal(signal.SIGKILL)
