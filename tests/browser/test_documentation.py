@@ -16,7 +16,7 @@ QUESTIONS = {
     "how long": "How long will it take",
     "why is a set the best": "Why is this set the best?",
     "add a parameter": "May I add a scenario or a parameter?",
-    "curve": "How do I calibrate a curve?",
+    "calibrate curve": "How do I calibrate a curve?",
     "random simulation": "What if my simulation is random?",
     "licence": "Licences and other scarce things",
     "license": "My simulator needs a licence",
