@@ -39,7 +39,7 @@ from drivecal.storage.references import influence_maps
 
 ROBUST: dict[str, Any] = {"delta": 0.05, "steps": 6, "samples": 8, "solutions": 5}
 STUDIES = (StageName.ROBUSTNESS, StageName.VALIDATION)
-STRIDE = tries(240, 30)
+STRIDE = tries(160, 30)
 NOMINAL_MASS, MASS_RANGE = 2060.0, 1400.0
 
 
