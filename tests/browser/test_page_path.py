@@ -70,6 +70,7 @@ def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, 
         page.get_by_role("link", name="compare", exact=True).click()
         expect(page.get_by_role("row", name="weights.S5")).to_contain_text("3")
         page.get_by_role("link", name="the whole way").last.click()
+        page.get_by_role("link", name="Overview", exact=True).click()
         expect(page.get_by_text("Finished.")).to_be_visible(timeout=180_000)
         assert first not in page.url
 

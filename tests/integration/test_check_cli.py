@@ -178,6 +178,8 @@ def test_the_curves_of_a_calibration_file_are_checked(checking: Checking) -> Non
     checked = checking(file, "--problem", "heater", "--names", checking.file("names.yaml", "tank: ACC_tank"))
     assert (checked.exit_code, seen) == (0, [[4.0, 2.5, 7.0]] * 2), checked.output
     assert "parameters.tank" in checking(file, "--problem", "heater").output
+    others = checking.file("four.json", MANIFEST["baseline"] | {f"tank_{number}": 1 for number in (1, 2, 3, 4)})
+    assert "parameters.tank" in checking(others, "--problem", "heater").output  # of four points or coefficients
     parameters["tank"] = tank | {"curve": {"axis": [0, 6, 9]}}  # values of other points are no values of these
     push(checking.api.database, checking.folder / "heater", parameters=parameters, baseline=baseline)
     moved = checking(file, "--problem", "heater", "--names", checking.file("names.yaml", "tank: ACC_tank"))

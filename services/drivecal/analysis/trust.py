@@ -42,6 +42,8 @@ LITTLE = 0.01
 """Largest gain of as many simulations again that is no reason to go on, as a share of the whole gain of the search."""
 AT_END = 0.005
 """Largest distance of a value at the end of its range, as a share of the range."""
+LEAST_RECORDED = 150
+"""Least simulations of a search for which the record holds; a search without any gain has none either."""
 RECORD = 0.95
 """Share of correct estimates by the optimizer `surrogate`: twice the simulations gained no more than expected. 38 of 40, after 150 and 300
 simulations (`economy --outlook --problems acc_curve monotone_curve cliff funnel few_matter --arms surrogate --seeds 4`)."""
@@ -323,12 +325,13 @@ def _ended(campaign: Campaign, course: Course) -> Iterator[ResultVerdict]:
     """Yields what ended a search with a budget. Its rounds are no generations, so that the paper's criteria say nothing."""
     if campaign.ended_by is not None and course:
         best = [each.best for each in course]
-        share = (last_change(best) + 1) / len(course)
+        share = last_change(best) / len(course)
         yield verdict("ended", "green" if campaign.ended_by == "stagnation" else "neutral", by=campaign.ended_by, share=share)
         if _has_outlook(campaign) and (gain := expected_gain(best)) is not None:
             known = [value for value in best if value is not None]
             tolerance = 0.0 if campaign.objective else campaign.scale.tolerance
-            light: Light = "green" if gain <= max(tolerance, LITTLE * abs(known[-1] - known[0])) else "amber"
+            whole, few = abs(known[-1] - known[0]), campaign.spent.simulations < LEAST_RECORDED
+            light: Light = "green" if gain <= max(tolerance, LITTLE * whole) and whole > 0 and not few else "amber"
             yield verdict("outlook", light, gain=gain, record=RECORD)
 
 

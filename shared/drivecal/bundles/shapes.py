@@ -222,7 +222,7 @@ class Shape:
     def settings(self, points: Points, field: str) -> dict[str, float]:
         """Returns the coefficients of the curve or map nearest to given values (least squares), or the values as single points.
 
-        Raises InvalidInputError naming `field` if the values have another shape.
+        Raises InvalidInputError naming `field` if the values have another shape, leave the range or break the course.
         """
         sizes = tuple(len(axis) for axis in self.axes)
         try:
@@ -233,8 +233,20 @@ class Shape:
             wanted = f"{sizes[0]} numbers" if len(sizes) == 1 else f"{sizes[0]} lists of {sizes[1]} numbers"
             raise InvalidInputError(Problem(field, f"the values do not fit the axes of {self.name}", f"give {wanted}"))
         if self.counts != sizes:
+            self._check(given, field)
             given = np.clip(self._on_grid(self._fitted(given)), self.lower, self.upper)
         return dict(zip(self.names, given.ravel().tolist(), strict=True))
+
+    def _check(self, values: Floats, field: str) -> None:
+        if values.min() < self.lower or values.max() > self.upper:
+            off = values.min() if values.min() < self.lower else values.max()
+            remedy = f"give values from {self.lower:g} to {self.upper:g}"
+            raise InvalidInputError(Problem(field, f"{off:g} lies outside the range", remedy))
+        for axis, course in zip(range(values.ndim), self.courses, strict=False):
+            steps = np.diff(values, axis=axis) * (-1 if course == "decreasing" else 1)
+            if course is not None and steps.min() < 0:
+                remedy = f"give {course} values" + (f" along {'xy'[axis]}" if values.ndim > 1 else "")
+                raise InvalidInputError(Problem(field, f"the values of {self.name} are not {course}", remedy))
 
     def _fitted(self, values: Floats) -> Floats:
         """Returns the coefficients of the nearest curve or map, then along each axis in order: to order one keeps the order of another."""

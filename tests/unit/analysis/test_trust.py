@@ -210,23 +210,26 @@ def test_a_campaign_without_a_search_has_no_answers() -> None:
 
 
 @pytest.mark.parametrize(
-    ("course", "gain", "light"),
+    ("course", "used", "gain", "light"),
     [
-        ([4.0, 5.0, 5.5, 7.0], 2.0, "amber"),
-        ([4.0, 5.0, 5.5, 6.0], 1.0, "green"),
-        ([4.0, 6.0, 6.0, 6.0, 6.0], 0.0, "green"),
-        ([None, None, 5.5, 6.0], None, None),
-        ([6.0], None, None),
+        ([4.0, 5.0, 5.5, 7.0], 200, 2.0, "amber"),
+        ([4.0, 5.0, 5.5, 6.0], 200, 1.0, "green"),
+        ([4.0, 6.0, 6.0, 6.0, 6.0], 200, 0.0, "green"),
+        ([4.0, 6.0, 6.0, 6.0, 6.0], 98, 0.0, "amber"),
+        ([4.0, 4.0, 4.0], 200, 0.0, "amber"),
+        ([None, None, 5.5, 6.0], 200, None, None),
+        ([6.0], 200, None, None),
     ],
 )
 def test_a_search_with_a_budget_says_what_more_would_bring(
-    course: list[float | None], gain: float | None, light: str | None
+    course: list[float | None], used: int, gain: float | None, light: str | None
 ) -> None:
-    subject = campaign(budget={"simulations": 100}, ended_by="budget", spent=Spent(simulations=98))
+    subject = campaign(budget={"simulations": 200}, ended_by="budget", spent=Spent(simulations=used))
     subject = subject.model_copy(update={"spec": subject.spec | {"optimizer": {"kind": "surrogate"}}})
     known = Evidence(search=SearchCourse(stalled(*((best, None) for best in course)), {}))
     by_code = {each.code: each for each in trust(subject, known).verdicts}
-    assert by_code["budget"].numbers == {"used": "98 of 100 simulations"}
+    assert by_code["budget"].numbers == {"used": f"{used} of 200 simulations"}
+    assert by_code["ended"].numbers["share"] <= 1
     assert (None if gain is None else by_code["outlook"].numbers["gain"]) == gain
     assert (trust(subject, known).light("search"), by_code["ended"].light) == (light, "neutral")
     assert lights(subject.model_copy(update={"ended_by": "stagnation"}), search=known.search)["ended"] == "green"

@@ -183,6 +183,14 @@ def test_a_baseline_that_coefficients_cannot_give_is_told() -> None:
     assert warning.startswith("baseline.gain:")
 
 
+@pytest.mark.parametrize("values", [[1, 1, 1, 1, 1, 9], [1, 1, 2, 1, 1, 1]])
+def test_coefficients_take_no_list_beyond_the_range_or_against_the_course(values: list[float]) -> None:
+    gain = checked(document({"coefficients": 3, "monotone": "decreasing"})).shapes["gain"]
+    with pytest.raises(InvalidInputError) as refused:
+        gain.settings(values, "fixed.gain")
+    assert refused.value.problems[0].field == "fixed.gain"
+
+
 def test_conditions_of_a_map_run_along_its_axes() -> None:
     entry = ShapeEntry.model_validate(TORQUE | {"coefficients": 4, "monotone": {"y": "increasing"}, "slope": {"x": 10}})
     listed = list(conditions(Shape.declared("torque", entry), entry))

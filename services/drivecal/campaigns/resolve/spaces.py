@@ -201,7 +201,10 @@ def free_values(given: Mapping[str, Given], function: Function, diagnostics: Dia
     """Values between grid points for a single evaluation: exact decimals and texts by name, in the driving function's order."""
     defaults = _default_space(function)
     names = tuple(defaults)
+    before = len(diagnostics.problems)
     given = _settled(given, function.shapes, "parameters", diagnostics)
+    if len(diagnostics.problems) > before:
+        return {}
     for name in given:
         if name not in names:
             diagnostics.add(f"parameters.{name}", f"{function.name} has no parameter {name!r}", _remedy(names))

@@ -1,5 +1,6 @@
 """`drivecal check`: is a set still good?"""
 
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -257,6 +258,11 @@ def _values(parameters: Parameters, names: Collection[str], shapes: Mapping[str,
     """Returns the values of the named parameters, of curves and maps in the place of their coefficients; `parameters` may hold others
     as well. Raises InvalidInputError if one is missing."""
     owners = {each: name for name, shape in shapes.items() for each in shape.names}
+    for name, shape in shapes.items():
+        given = {each for each in parameters if re.fullmatch(rf"{re.escape(name)}(_\d+)+", each)}
+        if given and name not in parameters and given != set(shape.names):
+            message = f"{len(given)} coefficients are given, and {name} has {len(shape.names)}"
+            raise InvalidInputError(Problem(f"parameters.{name}", message, f"give {name} as a list of its values"))
     names = dict.fromkeys(name if name in parameters else owners.get(name, name) for name in names)
     missing = [name for name in names if name not in parameters]
     if missing:
