@@ -62,7 +62,7 @@ class ClaimCheck(Stage):
             ]
         if self._sample and not answers:
             claims = ", ".join(dict.fromkeys(claim for cell in self._sample for claim in cell.version.claims))
-            raise NoResultError(f"no cell by which {claims} is checked gave a result{self._causes()}")
+            raise NoResultError(f"no cell of the check of {claims} gave a result{self._causes()}")
         for cell, answer in answers:
             difference = self._difference(cell, answer, *before[cell.run.evaluation])
             if difference is not None:
