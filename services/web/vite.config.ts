@@ -1,4 +1,5 @@
 import { svelte } from "@sveltejs/vite-plugin-svelte";
+import { resolve } from "node:path";
 import { defineConfig } from "vite";
 import { licences } from "./licences.ts";
 
@@ -6,6 +7,7 @@ import { licences } from "./licences.ts";
 export default defineConfig({
   base: "/page/",
   plugins: [svelte(), licences()],
+  resolve: { alias: { $lib: resolve(import.meta.dirname, "src/lib"), vitest: resolve(import.meta.dirname, "node_modules/vitest") } },
   build: {
     target: "es2022",
     emptyOutDir: true,

@@ -1,0 +1,20 @@
+import { expect, test } from "vitest";
+import { numbersOf, outline, reach, valueNear, type Frame, type Series } from "$lib/charts/plot";
+
+const FRAME: Frame = { width: 120, height: 70, left: 10, right: 10, top: 10, bottom: 10, x: [0, 10], y: [0, 5] };
+const line = (values: (number | null)[], more: Partial<Series> = {}): Series => ({ name: "a", values, colour: "#000000", ...more });
+
+test("a line goes through its values, leaves out what is not there, and marks a single value", () => {
+  expect(outline(line([0, null, 5]), [0, 5, 10], FRAME)).toBe("M10.0 60.0L110.0 10.0");
+  expect(outline(line([0, 5], { steps: true, x: [5, 10] }), [0, 1], FRAME)).toBe("M60.0 60.0L110.0 60.0L110.0 10.0");
+  expect(outline(line([null, 5]), [0, 5], FRAME)).toBe("M53.0 10.0L67.0 10.0");
+  expect([reach([[3], [null]]), reach([[1, 3], [2]], 0), reach([])]).toEqual([[2.5, 3.5], [1, 3], [0, 1]]);
+});
+
+test("lines with places of their own are read at those, and nowhere else", () => {
+  const longest = [0, 1, 2, 3, 4];
+  const own = line([5, 7], { name: "v", x: [0, 2] });
+  expect([0.9, 2.2, 3].map((moment) => valueNear(own, longest, moment))).toEqual([5, null, null]);
+  expect([valueNear(line([1, 2, 3, 4, 5]), longest, 2.6), valueNear(line([], { x: [] }), longest, 1)]).toEqual([4, null]);
+  expect(numbersOf([own], longest, "time / s", "m")).toEqual({ head: ["line", "time / s", "m"], rows: [["v", 0, 5], ["v", 2, 7]] });
+});

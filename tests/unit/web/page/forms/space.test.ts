@@ -1,0 +1,59 @@
+import { expect, test } from "vitest";
+import type { Shape, ShapeParameter } from "$lib/server/shape";
+import { parameterRows, pastedSet, scenarioRows, withBaselineOf, withProblem, withRange, withScenario, withWeight, type Wanted } from "$lib/forms/space";
+
+const parameter = (name: string, changes: Partial<ShapeParameter>): ShapeParameter => ({ name, kind: "continuous", unit: "1", description: "", lower: 0, upper: 2, step: null, choices: [], ...changes });
+const SHAPE: Shape = {
+  name: "heater", digest: "d", description: "", simulator: "command", driving: null, varied: false, constraints: [],
+  parameters: [
+    parameter("gain", { unit: "W/K" }), parameter("stage", { kind: "grid", lower: 0.5, upper: 2.5, step: 0.5 }),
+    parameter("rooms", { kind: "integer", lower: 1, upper: 6 }), parameter("mode", { kind: "choice", lower: 0, upper: 2, choices: ["eco", "normal", "boost"] }),
+  ],
+  baseline: { gain: 0.5, stage: 1, rooms: 3, mode: "normal" },
+  scenarios: [{ id: "winter", title: "" }, { id: "spring", title: "" }],
+  scores: [], goals: { scores: [], measures: [] },
+};
+
+test("a range is written only where it differs, and then with all parameters as they are", () => {
+  const narrow = withRange(SHAPE, {}, "gain", { upper: 1 });
+  expect(narrow["parameters"]).toEqual([
+    { name: "gain", lower: 0, upper: 1, unit: "W/K" }, { name: "stage", lower: 0.5, upper: 2.5, step: 0.5, unit: "1" },
+    { name: "rooms", lower: 1, upper: 6, integer: true, unit: "1" }, { name: "mode", choices: ["eco", "normal", "boost"], unit: "1" },
+  ]);
+  expect(parameterRows(SHAPE, narrow)[0]).toMatchObject({ lower: 0, upper: 1, baseline: 0.5 });
+  expect(withRange(SHAPE, narrow, "gain", { upper: 2 })).toEqual({});
+  const eco = withRange(SHAPE, {}, "mode", { choices: ["eco", "boost"] });
+  expect(parameterRows(SHAPE, eco)[3]?.choices).toEqual(["eco", "boost"]);
+  expect(withRange(SHAPE, eco, "mode", { choices: ["eco", "normal", "boost"] })).toEqual({});
+  expect(parameterRows(SHAPE, withRange(SHAPE, {}, "gain", { upper: undefined }))[0]?.upper).toBeUndefined();
+});
+
+test("scenarios and weights are written where they differ, and one scenario is always left", () => {
+  const winter = withScenario(SHAPE, withWeight({}, "spring", 3), "spring", false);
+  expect(winter).toEqual({ catalogue: ["winter"] });
+  expect(scenarioRows(SHAPE, winter).map((row) => row.used)).toEqual([true, false]);
+  expect(withScenario(SHAPE, winter, "winter", false)).toEqual(winter);
+  expect(withScenario(SHAPE, winter, "spring", true)).toEqual({});
+  expect(withWeight(withWeight({}, "winter", 0), "winter", 1)).toEqual({});
+});
+
+test("another problem begins without what belonged to the one before", () => {
+  const before: Wanted = { name: "a", problem: "x", weights: { S1: 2 }, fixed: { P1: 1 }, optimizer: { kind: "genetic", population: 20, start_sets: [{}] } };
+  expect(withProblem(before, "heater")).toEqual({ name: "a", problem: "heater", optimizer: { kind: "genetic", population: 20 } });
+  expect(withProblem(before, undefined)).toEqual({ name: "a", optimizer: { kind: "genetic", population: 20 } });
+});
+
+test("a baseline is pasted as lines, between commas, from a table or as JSON", () => {
+  const whole = { gain: 0.5, stage: 1, rooms: 3, mode: "boost" };
+  for (const text of ["gain=0.5\nstage = 1\nrooms: 3\nmode=boost\n", "gain=0.5, stage=1, rooms=3, mode=boost", "gain\t0.5\nstage\t1\nrooms\t3\r\nmode\tboost", JSON.stringify(whole), JSON.stringify(whole, null, 2), "parameter,value,unit\ngain,0.5,W/K\nstage,1,kW\nrooms,3,1\nmode,boost,1\n"]) {
+    expect(pastedSet(text, SHAPE.parameters)).toEqual({ values: whole, faults: [] });
+  }
+  expect(withBaselineOf({}, whole)).toEqual({ baseline: whole });
+  expect(withBaselineOf({ baseline: whole }, {})).toEqual({});
+});
+
+test("what is not of the problem is named, and the rest is read", () => {
+  const { values, faults } = pastedSet("gain=1e-1\nrooms=many\nstage=\nmode=fast\nwidth=2\nnonsense\nnonsense\ngain=0,5", SHAPE.parameters);
+  expect(values).toEqual({ gain: 0.1 });
+  expect(faults.map((fault) => fault.split(" ")[0])).toEqual(["rooms", "stage", "mode", "width", "nonsense", "gain"]);
+});

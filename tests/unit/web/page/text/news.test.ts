@@ -1,0 +1,35 @@
+import { expect, test } from "vitest";
+
+import { betterSince, needsOf, visitAt } from "$lib/text/news";
+import type { Campaign, ResultTrust } from "$lib/server/types";
+
+const HOUR = 3_600_000;
+const ended = (id: string, at: number, objective: number, best: object = {}): Campaign => ({
+  id, kind: "calibration", state: "succeeded", spec: { problem: "p", optimizer: { kind: "genetic" } }, scale: { direction: "maximise", tolerance: 0 }, started_at: "1970-01-01", ended_at: new Date(at).toISOString(),
+  best: { objective, violation: 0, undecided: false, scores: { S1: objective }, parameters: {}, ...best },
+}) as unknown as Campaign;
+const TRUST = { a: { verdicts: [{ code: "constraints_undecided", light: "amber", question: "scores", text: "not decided" }] } } as unknown as Record<string, ResultTrust>;
+
+test("a set whose rates are undecided is doubtful, and one that breaks constraints is not feasible", () => {
+  const kinds = (best: object): string[] => needsOf([ended("a", HOUR, 1, best)], 0, TRUST).map(({ kind }) => kind);
+  expect(kinds({ violation: 0.0009, undecided: true })).toEqual(["doubtful"]);
+  expect(kinds({ violation: 0.0009 })).toEqual(["nothing feasible"]);
+});
+
+test("a new campaign is better than older ones of its question, else than its baseline", () => {
+  const better = (...known: Campaign[]): unknown[] => betterSince(known, 10 * HOUR).map(({ campaign, before, of, scenario }) => [campaign.id, before, of?.id, scenario]);
+  const [old, fresh] = [ended("old", HOUR, 5), ended("new", 11 * HOUR, 6)];
+  expect(better(fresh, old, ended("worse", 11 * HOUR, 5.5), ended("older", HOUR, 4))).toEqual([["new", 5, "old", "S1"]]);
+  expect(better(ended("new", 11 * HOUR, 5), old)).toEqual([]);
+  expect(better({ ...fresh, spec: { ...fresh.spec, weights: { S1: 2 } } }, old)).toEqual([]);
+  expect(better({ ...fresh, baseline: { objective: 4, scores: { S1: 4 } } } as unknown as Campaign)).toEqual([["new", 4, undefined, "S1"]]);
+  expect(better({ ...fresh, scale: { ...fresh.scale, tolerance: 1 } }, { ...old, scale: { ...old.scale, tolerance: 1 } })).toEqual([]);
+  expect(better(...[fresh, old].map((campaign) => ({ ...campaign, scale: { ...campaign.scale, direction: "minimise" } }) as Campaign))).toEqual([]);
+});
+
+test("a visit goes on until an hour out of sight, and begins at the last sight", () => {
+  const now = 100 * HOUR;
+  expect(visitAt(`${now - HOUR} ${now - 1}`, now).since).toBe(now - HOUR);
+  expect(visitAt(`${now - 9 * HOUR} ${now - 2 * HOUR}`, now).since).toBe(now - 2 * HOUR);
+  expect(visitAt(null, now)).toMatchObject({ since: now - 24 * HOUR, known: false });
+});

@@ -1,0 +1,20 @@
+import { expect, test } from "vitest";
+import { possibleStudies, studySpecification } from "$lib/text/studies";
+import type { Campaign } from "$lib/server/types";
+
+const ENDED = { id: "abc", name: "mine (robustness)", kind: "calibration", spec: { optimizer: { kind: "genetic" }, vehicle: { model: "hybrid" }, validation: {} }, links: {}, best: {}, ended_at: "2026-01-01", cells: { predicted: 0 } } as unknown as Campaign;
+const MAPPED = { ...ENDED, links: { influence_map: "/api/v1/influence-maps/m1" } } as unknown as Campaign;
+
+test("studies are offered of an ended search with a result, if there is something to examine", () => {
+  expect(possibleStudies(ENDED, true)).toEqual(["robustness"]);
+  expect(possibleStudies(MAPPED, false)).toEqual(["validation"]);
+  expect(possibleStudies({ ...ENDED, cells: { ...ENDED.cells, predicted: 3 } }, false)).toEqual(["validation"]);
+  expect(possibleStudies({ ...MAPPED, ended_at: null }, true)).toEqual([]);
+  expect(possibleStudies({ ...MAPPED, best: null }, true)).toEqual([]);
+});
+
+test("a study is a campaign without a search, on the bench of its subject", () => {
+  expect(studySpecification(ENDED, "robustness")).toEqual({ vehicle: { model: "hybrid" }, optimizer: null, sensitivity: null, robustness: { of: "abc" }, validation: null, name: "mine (robustness)" });
+  expect(studySpecification(MAPPED, "validation")).toMatchObject({ sensitivity: { map: "m1" }, validation: {}, robustness: null });
+  expect(studySpecification(ENDED, "validation")).toMatchObject({ sensitivity: null, validation: { of: "abc" } });
+});
