@@ -24,13 +24,13 @@ from drivecal.contracts.campaign import OutcomeCounts
 from drivecal.contracts.comparison import LARGEST_RUNS, ComparedOptimizer, ComparedRun, Comparison, ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, ReductionSpecification
-from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import digest
 from drivecal.optimizers.external import EXTERNAL
 from drivecal.plugins import registry
 from drivecal.plugins.search import SearchPlugin
-from drivecal.storage import campaigns, generations, labels, results
+from drivecal.storage import campaigns, generations, labels
 from drivecal.storage.campaigns import StoredCampaign
 
 COMMON = {"population": "populations", "iterations": "iterations", "start": "start", "seed": "seeds"}
@@ -39,8 +39,6 @@ CONFIRMED = 100
 """Most sets of a campaign with references or predictions that are simulated after its search, unless `confirm` is given: a dozen is many.
 A campaign for which they were too few notes it."""
 MOST_GENERATIONS = 10_000
-MOST_REMEMBERED = 100_000
-"""Ended campaigns whose best simulated objective is cached."""
 _SHARED = {
     *("priority", "problem", "catalogue", "parameters", "fixed", "baseline", "weights"),
     *("driving_function", "vehicle", "evaluator", "sensitivity"),
@@ -260,35 +258,9 @@ def _course(connection: Connection, campaign: StoredCampaign, conditions: Condit
         means=[figure.mean for figure in figures],
         simulations=[_needed(counts) for counts in cells],
         reused=reused,
-        simulated_best=_best_simulated(connection, campaign) if reused else None,
+        simulated_best=campaign.search.surest if reused and campaign.search is not None else None,
         confirmations=_needed(campaign.cells) - sum(map(_needed, cells)) if searched else 0,
     )
-
-
-def _best_simulated(connection: Connection, campaign: StoredCampaign) -> float | None:
-    """See `results.best_simulated`; with objectives or constraints, the best set's if its scores are its own.
-
-    Looks up an ended campaign only once: clients that follow a comparison ask every few seconds.
-    """
-    if campaign.id in _ended:
-        return _ended[campaign.id]
-    resolved = resolved_spec(campaign)
-    if resolved.goals is not None:
-        tried = not campaign.cells.reused or campaign.spec["reduction"]["confirm"] > 0
-        own = campaign.state is CampaignState.SUCCEEDED and tried
-        if campaign.confirmation is not None:
-            own = campaign.confirmation.state != "unconfirmed"
-        return campaign.best.objective if own and campaign.best is not None else None
-    best = results.best_simulated(connection, campaign.sequence, resolved.weights, resolved.scale.sign)
-    if campaign.state.ended:
-        _ended[campaign.id] = best
-        if len(_ended) > MOST_REMEMBERED:
-            _ended.clear()
-    return best
-
-
-_ended: dict[str, float | None] = {}
-"""Best simulated objectives of ended campaigns, by their unique ids."""
 
 
 def _sign(resolved: ResolvedSpec) -> int:

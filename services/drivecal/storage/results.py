@@ -227,34 +227,6 @@ def answers(
         yield cell
 
 
-def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapping[str, float], sign: int = 1) -> float | None:
-    """The best weighted objective among the sets of a calibration that have a score of their own in every scenario: simulated or
-    repeated, none from a reference. None if there is no such set. `sign`: -1 if lower objectives are better."""
-    best = func.max if sign > 0 else func.min
-    table = evaluations.c
-    of_its_own = (
-        select(table.parameter_set_id, table.scenario, best(table.score).label("score"))
-        .where(
-            table.campaign_sequence == campaign_sequence,
-            table.stage == StageName.CALIBRATION,
-            table.outcome.in_((Outcome.SIMULATED, Outcome.REPEATED)),
-            table.score.is_not(None),
-            table.seed <= 1,  # the luckiest of several seeds says too much
-        )
-        .group_by(table.parameter_set_id, table.scenario)
-        .subquery()
-    )
-    weight = case(*((of_its_own.c.scenario == name, value) for name, value in weights.items()), else_=0.0)
-    objectives = (
-        select(func.sum(weight * of_its_own.c.score).label("objective"))
-        .group_by(of_its_own.c.parameter_set_id)
-        .having(func.count() == len(weights))
-        .subquery()
-    )
-    objective: float | None = connection.scalar(select(best(objectives.c.objective)))
-    return objective
-
-
 def sets_since(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> list[int]:
     """The parameter sets that a stage asked for since an iteration, one after the other: their ids, in that order."""
     table = evaluations.c

@@ -259,6 +259,8 @@ class SearchState(Answer):
     """First round after which the search had stood still for as long as the budget allows."""
     stale: int = 0
     """Closed generations without a new set, up to now."""
+    surest: float | None = None
+    """Objective of the best set whose scores are all its own: copied and predicted ones may be too good."""
     repaired: Repaired = Repaired()
     predictions_off: str | None = None
     """Why predictions are off; null while they are on, or too little is known."""

@@ -5,7 +5,7 @@ from tests.support.storage import EVALUATOR, campaign, new_evaluation, sample_se
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError
-from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
+from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.storage import evaluations, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.records import encode_cursor
@@ -100,25 +100,6 @@ def test_donors_are_the_simulated_cells_of_a_stage_with_their_sets(database: Dat
         asked = [results.is_requested(connection, sequence, StageName.SENSITIVITY, iteration) for iteration in (3, 4, 5)]
         assert asked == [False, True, True]
         assert not results.is_requested(connection, sequence, CALIBRATION, 4)
-
-
-def test_the_best_simulated_set_has_a_score_of_its_own_in_every_scenario(database: Database) -> None:
-    weights = {"S1": 0.25, "S2": 0.75}
-    with database.transaction() as connection:
-        sequence, setup, other = campaign(connection).sequence, setup_id(connection), setup_id(connection, "S2")
-        first, second, third = sample_set_ids(connection, 3)
-        assert results.best_simulated(connection, sequence, weights) is None
-
-        def cell(individual: int, scenario: str, one: int) -> RequestedCell:
-            return new_evaluation(
-                CALIBRATION, 0, individual, scenario, setup if scenario == "S1" else other, one, Outcome.SIMULATED
-            )
-
-        simulate(connection, sequence, [cell(0, "S1", first), cell(1, "S1", second)], score=4)
-        simulate(connection, sequence, [cell(0, "S2", first), cell(2, "S1", third)], score=6)
-        reused = evaluations.insert(connection, sequence, [cell(1, "S2", second)])
-        evaluations.answer(connection, [AnsweredCell(reused[0], Outcome.REUSED, 7, 7.0, 1)])
-        assert results.best_simulated(connection, sequence, weights) == pytest.approx(0.25 * 4 + 0.75 * 6)
 
 
 def test_a_copied_score_gives_way_to_the_run_of_the_very_cell(database: Database) -> None:

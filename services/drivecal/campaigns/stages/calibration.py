@@ -523,7 +523,9 @@ class Calibration(Stage):
         return replace(
             super()._snapshot(connection),
             iteration=self._next - 1 if self._next else None,
-            search=self._search.model_copy(update={"reuse_seconds": reuse, "spent_minutes": self._search.minutes(now())}),
+            search=self._search.model_copy(
+                update={"reuse_seconds": reuse, "spent_minutes": self._search.minutes(now()), "surest": self._leader.surest}
+            ),
             progress=self._progress(counts.requested, counts.requested + counts.pending),
             error_rate=self._error_rate,
             released=self._released,

@@ -19,12 +19,16 @@ class Leader:
     def __init__(self, campaign: StoredCampaign, problem: CalibrationProblem, ranking: Ranking) -> None:
         self._sequence, self._problem, self._ranking = campaign.sequence, problem, ranking
         self.best, self.baseline = campaign.best, campaign.baseline
+        self.surest = None if campaign.search is None else campaign.search.surest
+        """See `SearchState`."""
 
     def describe(self, connection: Connection) -> bool:
         """Notes and tells the best set; returns whether it is a better one than before."""
         best, is_better = self._ranking.best(), False
         if best is not None:
             solution, alternatives = best
+            surest = self._ranking.surest() if solution.reused else solution
+            self.surest = None if surest is None else surest.objective
             number, before, goals = solution.parameter_set, self.best, self._problem.goals
             parameters = parameter_sets.load(connection, [number])[number]
             self.best = Best(
