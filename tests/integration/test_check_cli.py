@@ -75,6 +75,8 @@ def test_a_set_is_checked_against_limits_and_baseline_in_every_scenario(checking
     assert failed.exit_code == 1, failed.output
     document = json.loads(failed.stdout)
     broken = {(each["scenario"], each["limit"]) for each in document["findings"] if each["broken"]}
+    [both, _] = [each["broken"] for each in document["findings"] if each["broken"] and "worse" in each["limit"]]
+    assert len(re.findall(r"\d", both)) == 2  # the set's score, and the baseline's
     worse = "comfort at most 0.5 worse than the baseline"
     assert broken == {("S4", f"{MEASURE} at most 2.7"), *((name, worse) for name in ("S5", "S6"))}
     suite = ET.fromstring(junit.read_bytes())
@@ -185,6 +187,12 @@ def test_the_curves_of_a_calibration_file_are_checked(checking: Checking) -> Non
     moved = checking(file, "--problem", "heater", "--names", checking.file("names.yaml", "tank: ACC_tank"))
     assert (moved.exit_code, len(seen)) == (2, 2)
     assert "parameters.tank" in moved.output
+    checking.backend.answer = heated
+    parameters["tank"] = tank | {"coefficients": 2}
+    push(checking.api.database, checking.folder / "heater", parameters=parameters, baseline=baseline)
+    chosen = (file, "--problem", "heater", "--names", checking.file("names.yaml", "tank: ACC_tank"))
+    noted = json.loads(checking(*chosen, "--baseline", file, "--json").stdout)["notes"]
+    assert [note.split(": ")[:-1] for note in noted] == [["baseline", "parameters.tank"], ["parameters.tank"]]
 
 
 @pytest.mark.parametrize(

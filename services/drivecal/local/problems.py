@@ -281,22 +281,6 @@ MOST_WARNINGS = 20
 """Files that are listed."""
 
 
-def inexact_baseline(manifest: Manifest) -> list[str]:
-    """Returns a warning for each curve or map of the baseline that its coefficients cannot give exactly."""
-    warnings = []
-    for name, shape in manifest.shapes.items():
-        given = (manifest.baseline or {}).get(name)  # None: given by its coefficients
-        off = 0.0 if given is None else float(np.abs(np.asarray(given) - shape.values(manifest.start or {})).max())
-        if off > INEXACT:
-            taken = f"{len(shape.names)} coefficients give no such values; the nearest ones are taken, off by at most {off:.3g}"
-            warnings.append(f"baseline.{name}: {taken}")
-    return warnings
-
-
-INEXACT = 1e-8
-"""Difference from a baseline's values that is reported: beyond the rounding of their decimals."""
-
-
 def cut_scores(manifest: Manifest, checked: Sequence[CheckedScenario]) -> list[str]:
     """Returns a warning for each score that is cut off, with its true value."""
     runs = [

@@ -12,7 +12,7 @@ from pydantic import Discriminator, Field, StringConstraints, Tag, TypeAdapter, 
 
 from drivecal.bundles.highway import HighwaySimulator, PlannerController
 from drivecal.bundles.highway_catalogue import MEASURES
-from drivecal.bundles.shapes import Shape, ShapeEntry, conditions, takes_elements, with_coefficients
+from drivecal.bundles.shapes import Shape, ShapeEntry, takes_elements, with_coefficients
 from drivecal.bundles.simulators import Command, File, Resources, SimulatorEntry, Text, Unit
 from drivecal.contracts.specification import Given, Model
 from drivecal.contracts.strict_json import Choice, Identifier, Number
@@ -301,8 +301,7 @@ class Manifest(Model):
     @cached_property
     def conditions(self) -> tuple[str, ...]:
         """The declared constraints, then the constraints that keep the form of curves and maps."""
-        entries = [(self.shapes[name], each) for name, each in self.parameters.items() if isinstance(each, ShapeEntry)]
-        return (*self.constraints, *(each for shape, entry in entries for each in conditions(shape, entry)))
+        return (*self.constraints, *(each for shape in self.shapes.values() for each in shape.conditions))
 
     @cached_property
     def start(self) -> dict[str, Setting] | None:

@@ -6,15 +6,17 @@ belongs to a place on the axis, its Greville abscissa. A map is the tensor produ
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, product
+from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, Field, model_validator
 
+from drivecal.bundles.expressions import Constraint
 from drivecal.bundles.simulators import Text, Unit
 from drivecal.contracts.specification import Given, Model
 from drivecal.contracts.strict_json import Number
@@ -22,11 +24,15 @@ from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.values import Argument, Points, Setting
 
 Floats = npt.NDArray[np.float64]
+Ranges = Mapping[str, tuple[float, float, float]]
+"""Lower and upper bound of parameters by name, and the distance of their values; 0: continuous."""
 DEGREE = 2
 """Degree of the splines: smooth, and a coefficient acts on few points."""
 DECIMALS = 9
 """Decimals of values at support points, as of all parameters."""
 MOST_COEFFICIENTS = 200
+INEXACT = 1e-8
+"""Difference from given values that is reported: beyond the rounding of their decimals."""
 LINKS = 24
 """Most comparisons of one constraint on the course."""
 
@@ -151,13 +157,16 @@ class Shape:
     step: float | None = None
     courses: tuple[Course | None, ...] = (None, None)
     """Course along each axis."""
+    conditions: tuple[str, ...] = ()
+    """Constraints that keep the form."""
 
     @classmethod
     def declared(cls, name: str, entry: ShapeEntry) -> Self:
         """Creates the shape of a manifest's entry."""
         sizes = tuple(len(axis) for axis in entry.axes)
         counts = _counts(sizes, entry.coefficients)
-        return cls(name, entry.axes, counts, entry.lower, entry.upper, entry.step, _along_axes(entry.monotone))
+        free = cls(name, entry.axes, counts, entry.lower, entry.upper, entry.step, _along_axes(entry.monotone))
+        return replace(free, conditions=tuple(_conditions(free, entry)))
 
     @classmethod
     def from_document(cls, name: str, document: Mapping[str, Any]) -> Self:
@@ -219,10 +228,15 @@ class Shape:
         coefficients = np.array([settings[name] for name in self.names], dtype=np.float64).reshape(self.counts)
         return self._listed(self._spread(coefficients))
 
-    def settings(self, points: Points, field: str) -> dict[str, float]:
-        """Returns the coefficients of the curve or map nearest to given values (least squares), or the values as single points.
+    def settings(self, points: Points, field: str, ranges: Ranges = MappingProxyType({})) -> dict[str, float]:
+        """Returns the coefficients of the nearest curve or map (least squares) of the form, or the values as single points.
 
         Raises InvalidInputError naming `field` if the values have another shape, leave the range or break the course.
+
+        Args:
+            points: the values at the support points.
+            field: name of the values for errors.
+            ranges: ranges of some coefficients by name, if they are not the shape's own.
         """
         sizes = tuple(len(axis) for axis in self.axes)
         try:
@@ -233,14 +247,16 @@ class Shape:
             wanted = f"{sizes[0]} numbers" if len(sizes) == 1 else f"{sizes[0]} lists of {sizes[1]} numbers"
             raise InvalidInputError(Problem(field, f"the values do not fit the axes of {self.name}", f"give {wanted}"))
         if self.counts != sizes:
-            self._check(given, field)
-            given = np.clip(self._on_grid(self._fitted(given)), self.lower, self.upper)
+            own = self.lower, self.upper, self.step or 0.0
+            lower, upper, step = np.array([ranges.get(name, own) for name in self.names]).T
+            self._check(given, lower.min(), upper.max(), field)
+            given = self._fitted(given, lower, upper, step)
         return dict(zip(self.names, given.ravel().tolist(), strict=True))
 
-    def _check(self, values: Floats, field: str) -> None:
-        if values.min() < self.lower or values.max() > self.upper:
-            off = values.min() if values.min() < self.lower else values.max()
-            remedy = f"give values from {self.lower:g} to {self.upper:g}"
+    def _check(self, values: Floats, lower: float, upper: float, field: str) -> None:
+        if values.min() < lower or values.max() > upper:
+            off = values.min() if values.min() < lower else values.max()
+            remedy = f"give values from {lower:g} to {upper:g}"
             raise InvalidInputError(Problem(field, f"{off:g} lies outside the range", remedy))
         for axis, course in zip(range(values.ndim), self.courses, strict=False):
             steps = np.diff(values, axis=axis) * (-1 if course == "decreasing" else 1)
@@ -248,14 +264,40 @@ class Shape:
                 remedy = f"give {course} values" + (f" along {'xy'[axis]}" if values.ndim > 1 else "")
                 raise InvalidInputError(Problem(field, f"the values of {self.name} are not {course}", remedy))
 
-    def _fitted(self, values: Floats) -> Floats:
-        """Returns the coefficients of the nearest curve or map, then along each axis in order: to order one keeps the order of another."""
-        for weights in self.weights:
-            fitted: Floats = np.linalg.lstsq(weights, values.reshape(len(values), -1), rcond=None)[0].astype(np.float64)
-            values = np.moveaxis(fitted.reshape(-1, *values.shape[1:]), 0, -1)  # the next axis comes first
-        for course, _ in zip(self.courses, self.axes, strict=False):
-            values = np.moveaxis(_in_order(values, course), 0, -1)
-        return values
+    def _fitted(self, values: Floats, lower: Floats, upper: Floats, step: Floats) -> Floats:
+        """Returns the coefficients between bounds whose curve or map has the form and is nearest to given values.
+
+        Least distance programming by nonnegative least squares: Lawson and Hanson, Solving Least Squares Problems, chapter 23.
+        """
+        from scipy.optimize import nnls  # a tenth of a second, which only curves take
+
+        span, (form, least), units = self.upper - self.lower, self._form, np.eye(len(self.names))
+        at_least = least - form.sum(axis=1) * self.lower
+        factor, target = np.eye(1), (values - self.lower) / span
+        for orthogonal, upper_right in (np.linalg.qr(weights) for weights in self.weights):
+            factor, target = np.kron(factor, upper_right), np.moveaxis(np.tensordot(orthogonal, target, axes=(0, 0)), 0, -1)
+        inverse = np.linalg.inv(factor)
+        free = inverse @ target.ravel()
+        for margin in (0.0, 10.0**-DECIMALS, span * 10.0**-DECIMALS):  # rounding may break a form that is kept exactly
+            limits = np.concatenate([lower - self.lower, self.lower - upper, at_least + margin * abs(form).sum(axis=1)]) / span
+            rows = np.concatenate([units, -units, form])
+            system, unit = np.vstack([(rows @ inverse).T, limits - rows @ free]), np.append(0 * free, 1.0)
+            residual = system @ nnls(system, unit)[0] - unit
+            away = (
+                0 * free if residual[-1] > -1e-12 else -residual[:-1] / residual[-1]
+            )  # nothing within the bounds has the form
+            fitted = self.lower + span * (free + inverse @ away)
+            fitted = np.clip(_on_grid(fitted, lower, step), lower, upper)
+            if (form @ fitted >= least - 1e-12).all():
+                break
+        return fitted
+
+    @cached_property
+    def _form(self) -> tuple[Floats, Floats]:
+        """Rows and limits of the conditions: a row times the coefficients is at least its limit."""
+        rows = [row for text in self.conditions for row in Constraint(text).inequalities]
+        factors = np.array([[-row.coefficients.get(name, 0.0) for name in self.names] for row in rows])
+        return factors.reshape(-1, len(self.names)), np.array([-row.bound for row in rows])
 
     def _spread(self, coefficients: Floats) -> Floats:
         for weights in self.weights:
@@ -264,41 +306,31 @@ class Shape:
         return coefficients
 
     def _listed(self, values: Floats) -> Points:
-        points: Points = self._on_grid(np.clip(values, self.lower, self.upper)).tolist()
+        points: Points = _on_grid(np.clip(values, self.lower, self.upper), self.lower, self.step or 0.0).tolist()
         return points
 
-    def _on_grid(self, values: Floats) -> Floats:
-        if self.step is not None:
-            values = self.lower + np.rint((values - self.lower) / self.step) * self.step
-        return np.round(values, DECIMALS) + 0.0  # never -0.0
+
+def _on_grid(values: Floats, lower: Floats | float, step: Floats | float) -> Floats:
+    """Returns values of a grid from `lower` on, with the decimals of parameters. A step of 0 is none."""
+    if np.any(step):
+        values = np.where(step, lower + np.rint((values - lower) / np.where(step, step, 1.0)) * step, values)
+    return np.round(values, DECIMALS) + 0.0  # never -0.0
 
 
-def _in_order(values: Floats, course: Course | None) -> Floats:
-    """Returns values with the course along the first axis: the mean of the least course above and the largest one below them."""
-    if course is None:
-        return values
-    sign = 1 if course == "increasing" else -1
-    above = np.maximum.accumulate(sign * values, axis=0)
-    below = np.minimum.accumulate(sign * values[::-1], axis=0)[::-1]
-    ordered: Floats = sign * (above + below) / 2
-    return ordered
-
-
-def conditions(shape: Shape, entry: ShapeEntry) -> Iterator[str]:
+def _conditions(shape: Shape, entry: ShapeEntry) -> Iterator[str]:
     """Yields constraints on the coefficients that keep the course, curvature and slope of a shape."""
-    courses = _along_axes(entry.monotone)
     slopes = _along_axes(entry.slope)
     grid = np.array(shape.names, dtype=object).reshape(shape.counts)
-    for axis, (places, course, slope) in enumerate(zip(shape.places, courses, slopes, strict=False)):
+    for axis, (places, course, slope) in enumerate(zip(shape.places, shape.courses, slopes, strict=False)):
+        widths = np.diff(places).tolist()
         for line in np.moveaxis(grid, axis, -1).reshape(-1, shape.counts[axis]).tolist():
             for first in range(0, len(line) - 1 if course is not None else 0, LINKS):  # an expression's length is limited
                 yield (" <= " if course == "increasing" else " >= ").join(line[first : first + LINKS + 1])
-            for (lower, upper), width in zip(pairwise(line), np.diff(places).tolist(), strict=True):
+            for (lower, upper), width in zip(pairwise(line), widths, strict=True):
                 if slope is not None:
                     yield f"{upper} - {lower} <= {_number(slope * width)}"
                     yield f"{lower} - {upper} <= {_number(slope * width)}"
             if entry.convex or entry.concave:
-                widths = np.diff(places).tolist()
                 for (first, middle, last), before, after in zip(
                     zip(line, line[1:], line[2:], strict=False), widths, widths[1:], strict=False
                 ):
@@ -374,7 +406,9 @@ def with_points(
     return arguments
 
 
-def with_coefficients(given: Mapping[str, Given], shapes: Mapping[str, Shape], field: str) -> dict[str, Setting]:
+def with_coefficients(
+    given: Mapping[str, Given], shapes: Mapping[str, Shape], field: str, ranges: Ranges = MappingProxyType({})
+) -> dict[str, Setting]:
     """Returns a user's set with coefficients in the place of curves and maps.
 
     Raises InvalidInputError, at `field` and the name, for lists that do not fit an axis, one number in the place of a list, and for
@@ -386,7 +420,7 @@ def with_coefficients(given: Mapping[str, Given], shapes: Mapping[str, Shape], f
         if isinstance(value, list):
             if name not in shapes:
                 raise InvalidInputError(Problem(where, f"{name} is no curve or map", "give one value"))
-            own = shapes[name].settings(value, where)
+            own = shapes[name].settings(value, where, ranges)
             if twice := sorted(own.keys() & given.keys()):
                 raise InvalidInputError(
                     Problem(where, f"{', '.join(twice)} is given as well", "give the list or its coefficients")
@@ -397,3 +431,23 @@ def with_coefficients(given: Mapping[str, Given], shapes: Mapping[str, Shape], f
         else:
             settings[name] = value
     return settings
+
+
+def inexact(
+    given: Mapping[str, Given], settings: Mapping[str, Setting], shapes: Mapping[str, Shape], field: str
+) -> Iterator[str]:
+    """Yields a note for each list that its coefficients give only nearly.
+
+    Args:
+        given: a user's set, at `field`.
+        settings: the set `with_coefficients`.
+        shapes: curves and maps by name.
+    """
+    for name, shape in shapes.items():
+        if isinstance(points := given.get(name), list):
+            off = float(np.abs(np.asarray(points) - shape.values(settings)).max())
+            if off > INEXACT * max(1.0, shape.upper - shape.lower):
+                taken = (
+                    f"{len(shape.names)} coefficients give no such values; the nearest ones are taken, off by at most {off:.3g}"
+                )
+                yield f"{field}.{name}: {taken}"

@@ -1,20 +1,22 @@
 """Curves and maps: their values keep the declared form, and sets of users become coefficients."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
 from drivecal import local
 from drivecal.bundles.checks import checked
+from drivecal.bundles.expressions import Constraint
 from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.installed import Bundle
-from drivecal.bundles.shapes import Shape, ShapeEntry, conditions, with_points
+from drivecal.bundles.shapes import Shape, ShapeEntry, inexact, with_coefficients, with_points
 from drivecal.campaigns.cells.earlier import earlier_version
 from drivecal.campaigns.resolve.problem import resolve, resolve_evaluation
 from drivecal.campaigns.resolve.workbench import constraints_of, parameters_of
@@ -22,7 +24,6 @@ from drivecal.contracts.specification import CampaignSpecification, EvaluationSp
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import ParameterSpace
-from drivecal.local.problems import inexact_baseline
 
 AXIS = [0.0, 5.0, 10.0, 20.0, 40.0, 45.0]
 GAIN: dict[str, Any] = {"curve": {"axis": AXIS, "axis_unit": "m/s"}, "lower": 0.2, "upper": 3.2, "unit": "1/s"}
@@ -173,14 +174,56 @@ def test_a_simulator_gets_lists(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert cell.metrics == pytest.approx({"error": 0.25 + 0.25 + 1 + 2.25 + 4 + 4, "corner": 4})
 
 
-def test_a_baseline_that_coefficients_cannot_give_is_told() -> None:
-    exact = {"a": 0.5, "gain": [1] * 6, "torque": [[7, 7, 7]] * 4}
-    few: tuple[dict[str, Any], dict[str, Any]] = ({"coefficients": 3}, {"coefficients": 4})
-    assert inexact_baseline(checked(document(*few, baseline=exact))) == []
-    points = {f"gain_{number}": 1 for number in range(1, 4)}  # a curve may be given by its coefficients as well
-    assert inexact_baseline(checked(document(*few, baseline={"a": 0.5, "torque": exact["torque"]} | points))) == []
-    [warning] = inexact_baseline(checked(document(*few, baseline=exact | {"gain": [1, 2, 1, 2, 1, 2]})))
-    assert warning.startswith("baseline.gain:")
+def test_a_list_that_coefficients_cannot_give_is_noted() -> None:
+    exact: dict[str, Any] = {"a": 0.5, "gain": [1] * 6, "torque": [[7, 7, 7]] * 4}
+    manifest = checked(document({"coefficients": 3}, {"coefficients": 4}))
+    assert list(inexact(exact, with_coefficients(exact, manifest.shapes, ""), manifest.shapes, "")) == []
+    wavy = exact | {"gain": [1, 2, 1, 2, 1, 2]}
+    bundle = Bundle("d", "f", checked(document({"coefficients": 3}, {"coefficients": 4}, baseline=wavy)))
+    sets = {"optimizer": {"kind": "surrogate", "start_sets": [wavy]}, "constraints": [{"changes": wavy, "at_most": 2}]}
+    wanted = CampaignSpecification.model_validate({"problem": "shaped"} | sets)
+    problem = resolve(wanted, lambda _: bundle)
+    for notes in problem.notes, resolve(problem.specification, lambda _: bundle).notes:  # the dispatcher resolves it again
+        fields = [note.partition(":")[0] for note in notes if "nearest" in note]
+        assert sorted(fields) == ["baseline.gain", "constraints[0].changes.gain", "optimizer.start_sets[0].gain"]
+    single = EvaluationSpecification(problem="shaped", parameters=wavy)
+    [note] = resolve_evaluation(single, lambda _: bundle).notes
+    off = np.abs(np.array(manifest.shapes["gain"].values(with_coefficients(wavy, manifest.shapes, ""))) - wavy["gain"]).max()
+    assert {"parameters.gain:", f"{off:.3g}"} <= set(note.split())
+
+
+@given(seed=st.integers(0, 2**32 - 1), form=st.sampled_from(FORMS), n=st.integers(2, 5))
+@settings(max_examples=20)
+def test_no_feasible_curve_is_nearer_to_a_list_than_its_coefficients(seed: int, form: str, n: int) -> None:
+    declared = {"monotone": form} if form.endswith("ing") else {form: 0.05 if form == "slope" else True}
+    manifest = checked(document({"coefficients": n} | declared))
+    constraints = Constraints(ParameterSpace(parameters_of(manifest)), constraints_of(manifest))
+    generator, shape = np.random.default_rng(seed), manifest.shapes["gain"]
+    wanted = np.sort(generator.uniform(0.2, 3.2, 6))[:: -1 if form == "decreasing" else 1]
+    nearest = shape.settings(wanted.tolist(), "gain")
+    assert all(Constraint(text).holds(nearest) for text in shape.conditions)
+
+    def distance(settings: Mapping[str, Any]) -> float:
+        return float(np.sum((shape.weights[0] @ [settings[name] for name in shape.names] - wanted) ** 2))
+
+    for row in constraints.whole_region.sample(20, generator):
+        other = constraints.space.parameter_set(row.tolist()).floats
+        between = {name: nearest[name] + 0.01 * (float(other[name]) - nearest[name]) for name in shape.names}
+        assert distance(nearest) <= distance(between) + 1e-8
+
+
+def test_a_list_becomes_the_nearest_curve_of_a_narrowed_space() -> None:
+    bundle = Bundle("d", "f", checked(document({"coefficients": 3}, {"coefficients": 4})))
+    own = [{"name": "gain", "lower": 1, "upper": 2, "step": 0.25}]
+    fixed = {"a": 0.5, "torque": [[7, 7, 7]] * 4}
+    wanted = {"problem": "shaped", "parameters": own, "fixed": fixed, "baseline": fixed | {"gain": [1, 2, 1, 2, 1, 2]}}
+    baseline = resolve(CampaignSpecification.model_validate(wanted), lambda _: bundle).baseline
+    assert baseline is not None
+    assert all(baseline.floats[f"gain_{place}"] in (1, 1.25, 1.5, 1.75, 2) for place in (1, 2, 3))
+    beyond = CampaignSpecification.model_validate(wanted | {"baseline": fixed | {"gain": [0.9] * 6}})
+    with pytest.raises(InvalidInputError) as refused:
+        resolve(beyond, lambda _: bundle)
+    assert [problem.field for problem in refused.value.problems] == ["baseline.gain"]
 
 
 @pytest.mark.parametrize("values", [[1, 1, 1, 1, 1, 9], [1, 1, 2, 1, 1, 1]])
@@ -193,7 +236,7 @@ def test_coefficients_take_no_list_beyond_the_range_or_against_the_course(values
 
 def test_conditions_of_a_map_run_along_its_axes() -> None:
     entry = ShapeEntry.model_validate(TORQUE | {"coefficients": 4, "monotone": {"y": "increasing"}, "slope": {"x": 10}})
-    listed = list(conditions(Shape.declared("torque", entry), entry))
+    listed = list(Shape.declared("torque", entry).conditions)
     assert listed == [
         "torque_2_1 - torque_1_1 <= 40",
         "torque_1_1 - torque_2_1 <= 40",

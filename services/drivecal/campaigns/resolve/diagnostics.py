@@ -11,10 +11,11 @@ MOST_FINDINGS = 1_000
 
 
 class Diagnostics:
-    """Problems in order of discovery."""
+    """Problems in order of discovery, and notes."""
 
     def __init__(self) -> None:
         self.problems: list[Problem] = []
+        self.notes: list[str] = []
 
     def add(self, field: str, message: str, remedy: str = "") -> None:
         """Adds a problem, up to a limit."""

@@ -26,7 +26,6 @@ from drivecal.campaigns.resolve.spaces import (
     notes_off_grid,
     search_parameters,
     search_space,
-    settled,
     space_to_document,
 )
 from drivecal.campaigns.resolve.variants import find_variants, goals_of_variants
@@ -206,8 +205,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     """
     diagnostics = Diagnostics()
     workbench = find_workbench(specification, bundles, diagnostics)
-    if workbench.function is not None:
-        specification = settled(specification, workbench.function, diagnostics)
+    shapes = {} if workbench.function is None else workbench.function.shapes
     weights, notes = resolvers.normalise_weights(specification.weights, workbench.scenarios, diagnostics)
     variants = find_variants(specification, weights, workbench, diagnostics)
     weights = dict(variants.weights)
@@ -219,10 +217,10 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     space = None if workbench.function is None else search_space(specification, workbench.function, diagnostics)
     constraints = None if space is None else resolvers.find_constraints(workbench.function, space, diagnostics)
     if specification.baseline is None:
-        baseline, more = resolvers.own_baseline(workbench.baseline, constraints)
+        baseline, more = resolvers.own_baseline(workbench.baseline, constraints, shapes)
         notes += more
     else:
-        baseline = given_set(specification.baseline, constraints, "baseline", diagnostics)
+        baseline = given_set(specification.baseline, constraints, "baseline", diagnostics, shapes)
     known = replace(workbench.known, constraints=constraints, baseline=baseline)
     goals = find_goals(specification, known, weights, diagnostics) if known.scores and weights else None
     own_goals: dict[str, Goals] = {}
@@ -235,8 +233,8 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     notes += note_search(optimization, constraints)
     population = None if optimization is None or optimization.by_cell is not None else optimization.population
     within = replace(constraints, limits=goals.limits) if constraints is not None and goals is not None else constraints
-    start_sets = resolvers.find_start_sets(specification, baseline, within, diagnostics, population)
-    robust_sets = resolvers.find_robust_sets(specification, workbench.varied, constraints, diagnostics)
+    start_sets = resolvers.find_start_sets(specification, baseline, within, diagnostics, population, shapes)
+    robust_sets = resolvers.find_robust_sets(specification, workbench.varied, constraints, diagnostics, shapes)
     resolvers.check_validation(specification, diagnostics)
     analysed = specification.sensitivity
     if constraints is not None and isinstance(analysed, SensitivitySpecification):
@@ -254,7 +252,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     )
     _check_rates(problem, diagnostics)
     diagnostics.raise_if_any()
-    return replace(problem, notes=(*notes, *problem.doubts_about_map()))
+    return replace(problem, notes=(*notes, *diagnostics.notes, *problem.doubts_about_map()))
 
 
 def _check_rates(problem: CalibrationProblem, diagnostics: Diagnostics) -> None:
@@ -305,7 +303,8 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
     bench = workbench.make(scenarios, {})
     if specification.seed is not None:
         bench = bench.seeded(specification.seed)
-    return EvaluationProblem(specification, bench, parameter_set, notes_off_grid(values, workbench.function))
+    notes = (*diagnostics.notes, *notes_off_grid(values, workbench.function))
+    return EvaluationProblem(specification, bench, parameter_set, notes)
 
 
 def trial() -> Batch:

@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 
+from drivecal.bundles.shapes import Shape
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Function, given_set
-from drivecal.contracts.specification import CampaignSpecification, SensitivitySpecification, SeparateThresholds
+from drivecal.contracts.specification import CampaignSpecification, Given, SensitivitySpecification, SeparateThresholds
 from drivecal.domain.constraints import Constraints
-from drivecal.domain.parameters import ParameterSet, ParameterSpace, Setting
+from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.vehicles import VehicleParameter
@@ -59,13 +60,13 @@ def note_threshold(specification: CampaignSpecification) -> tuple[str, ...]:
 
 
 def own_baseline(
-    given: Mapping[str, Setting] | None, constraints: Constraints | None
+    given: Mapping[str, Given] | None, constraints: Constraints | None, shapes: Mapping[str, Shape]
 ) -> tuple[ParameterSet | None, tuple[str, ...]]:
-    """The problem's baseline, and a note if this campaign's space does not hold it."""
+    """The problem's baseline, and notes if this campaign's space does not hold it, or holds it nearly."""
     diagnostics = Diagnostics()
-    baseline = given_set(given, constraints, "baseline", diagnostics)
+    baseline = given_set(given, constraints, "baseline", diagnostics, shapes)
     if not diagnostics.problems:
-        return baseline, ()
+        return baseline, tuple(diagnostics.notes)
     return None, (f"the problem's baseline is left out: {'; '.join(str(problem) for problem in diagnostics.problems)}",)
 
 
@@ -75,6 +76,7 @@ def find_start_sets(
     constraints: Constraints | None,
     diagnostics: Diagnostics,
     population: int | None,
+    shapes: Mapping[str, Shape],
 ) -> tuple[ParameterSet, ...]:
     """Returns the sets that a search begins with, each once: the baseline, then sets from expert knowledge. `population`: the most."""
     wanted = specification.optimizer
@@ -83,7 +85,7 @@ def find_start_sets(
     for index, given in enumerate(listed):
         if len(diagnostics.problems) > MOST_WRONG_SETS:
             break  # enough for one message
-        start_sets.append(given_set(given, constraints, f"optimizer.start_sets[{index}]", diagnostics))
+        start_sets.append(given_set(given, constraints, f"optimizer.start_sets[{index}]", diagnostics, shapes))
     together = tuple(dict.fromkeys(parameter_set for parameter_set in (baseline, *start_sets) if parameter_set is not None))
     if population is not None and len(together) > population:
         message = f"{len(together)} sets, the baseline included, do not fit into a population of {population}"
@@ -96,6 +98,7 @@ def find_robust_sets(
     varied: Sequence[VehicleParameter],
     constraints: Constraints | None,
     diagnostics: Diagnostics,
+    shapes: Mapping[str, Shape],
 ) -> tuple[ParameterSet, ...]:
     """The sets that the robustness stage always examines; adds the stage's problems."""
     wanted = specification.robustness
@@ -111,7 +114,10 @@ def find_robust_sets(
     if not varied:
         remedy = "leave it out, declare `varied` in problem.yaml, or give the conditions to be robust against as scenarios"
         diagnostics.add("robustness", "the problem has no varied parameters", remedy)
-    named = [given_set(given, constraints, f"robustness.sets[{index}]", diagnostics) for index, given in enumerate(wanted.sets)]
+    named = [
+        given_set(given, constraints, f"robustness.sets[{index}]", diagnostics, shapes)
+        for index, given in enumerate(wanted.sets)
+    ]
     return tuple(dict.fromkeys(parameter_set for parameter_set in named if parameter_set is not None))
 
 

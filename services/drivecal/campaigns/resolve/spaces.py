@@ -7,12 +7,15 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from drivecal.bundles.shapes import Shape, with_coefficients
+from drivecal.bundles.shapes import Ranges, Shape, inexact, with_coefficients
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.contracts.specification import CampaignSpecification, Given, ParameterSpecification
 from drivecal.domain.constraints import Constraint, Constraints
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, Setting, Value, billionths, decimal, text
+
+MOST_NOTES = 20
+"""Lists that are met nearly, in notes."""
 
 
 @dataclass(frozen=True)
@@ -31,40 +34,6 @@ class Function:
     """Curves and maps, whose coefficients are parameters."""
 
 
-def settled(specification: CampaignSpecification, function: Function, diagnostics: Diagnostics) -> CampaignSpecification:
-    """Returns a specification with coefficients in the place of curves and maps; adds a problem for each list that does not fit."""
-    shapes = function.shapes
-    changes: dict[str, Any] = {"fixed": _settled(specification.fixed, shapes, "fixed", diagnostics)}
-    if specification.baseline is not None:
-        changes["baseline"] = _settled(specification.baseline, shapes, "baseline", diagnostics)
-    if specification.optimizer is not None:
-        sets = specification.optimizer.start_sets
-        start = [_settled(each, shapes, f"optimizer.start_sets[{place}]", diagnostics) for place, each in enumerate(sets)]
-        changes["optimizer"] = specification.optimizer.model_copy(update={"start_sets": start} if start else {})
-    if specification.robustness is not None:
-        sets = specification.robustness.sets
-        robust = [_settled(each, shapes, f"robustness.sets[{place}]", diagnostics) for place, each in enumerate(sets)]
-        changes["robustness"] = specification.robustness.model_copy(update={"sets": robust} if robust else {})
-    for section in ("objectives", "constraints"):
-        for place, goal in enumerate(getattr(specification, section) or ()):
-            given = {name: each for name in ("changes", "distance") if isinstance(each := getattr(goal, name), dict)}
-            own = {name: _settled(each, shapes, f"{section}[{place}].{name}", diagnostics) for name, each in given.items()}
-            changes.setdefault(section, []).append(goal.model_copy(update=own))
-    if isinstance(specification.parameters, list):
-        changes["parameters"] = [
-            listed.model_copy(update={"name": name})
-            for listed in specification.parameters
-            for name in (shapes[listed.name].names if listed.name in shapes else (listed.name,))
-        ]
-    return specification.model_copy(update=changes)
-
-
-def _settled(
-    given: Mapping[str, Given], shapes: Mapping[str, Shape], field: str, diagnostics: Diagnostics
-) -> dict[str, Setting]:
-    return diagnostics.attempt(lambda: with_coefficients(given, shapes, field)) or {}
-
-
 def search_parameters(parameters: str | Sequence[ParameterSpecification] | None, function: Function) -> tuple[Parameter, ...]:
     """The grid of each listed parameter, or of the function's own.
 
@@ -79,8 +48,12 @@ def search_parameters(parameters: str | Sequence[ParameterSpecification] | None,
     diagnostics = Diagnostics()
     grids: list[Parameter] = []
     known = tuple(_default_space(function))
-    for index, listed in enumerate(parameters):
-        where = f"parameters[{index}]"
+    singles = [
+        (f"parameters[{index}]", listed.model_copy(update={"name": name}))
+        for index, listed in enumerate(parameters)
+        for name in (function.shapes[listed.name].names if listed.name in function.shapes else (listed.name,))
+    ]
+    for where, listed in singles:
         if listed.name not in known:
             diagnostics.add(f"{where}.name", f"{function.name} has no parameter {listed.name!r}", _remedy(known))
             continue
@@ -152,9 +125,9 @@ def search_space(specification: CampaignSpecification, function: Function, diagn
     fixed: dict[str, Value] = {}
     defaults = _default_space(function)
     names = tuple(defaults)
-    for name, given in specification.fixed.items():
+    for name, given in (_settled(specification.fixed, function.shapes, "fixed", diagnostics) or {}).items():
         where = f"fixed.{name}"
-        value = _value(given, where)
+        value = _value(given)
         if name not in names:
             diagnostics.add(where, f"{function.name} has no parameter {name!r}", _remedy(names))
         elif name in by_name:
@@ -181,14 +154,27 @@ def search_space(specification: CampaignSpecification, function: Function, diagn
 
 
 def given_set(
-    given: Mapping[str, Given] | None, constraints: Constraints | None, field: str, diagnostics: Diagnostics
+    given: Mapping[str, Given] | None,
+    constraints: Constraints | None,
+    field: str,
+    diagnostics: Diagnostics,
+    shapes: Mapping[str, Shape],
 ) -> ParameterSet | None:
-    """A user's set on the grid that keeps the constraints; None if it is missing or invalid, with its problems in `diagnostics`."""
+    """A user's set on the grid that keeps the constraints; None if it is missing or invalid, with its problems in `diagnostics`. Curves
+    and maps become the nearest ones of their coefficients in the space."""
     if given is None or constraints is None:
         return None
     space = constraints.space
+    steps = {each.name: each.upper - each.lower for each in space.parameters if each.kind == "grid"}
+    ranges = {
+        each.name: (float(each.lower), float(each.upper), float(steps.get(each.name, 0)) / max(1, each.n_values - 1))
+        for each in space.parameters
+    }
+    settings = _settled(given, shapes, field, diagnostics, ranges)
+    if settings is None:
+        return None
     try:
-        values = {name: _value(value, f"{field}.{name}") for name, value in given.items()}
+        values = {name: _value(value) for name, value in settings.items()}
         made = space.parameter_set(space.indices(values, field).tolist())
         constraints.check(made, field)
     except InvalidInputError as error:
@@ -197,24 +183,33 @@ def given_set(
     return made
 
 
+def _settled(
+    given: Mapping[str, Given], shapes: Mapping[str, Shape], field: str, diagnostics: Diagnostics, ranges: Ranges | None = None
+) -> dict[str, Setting] | None:
+    """Returns a set `with_coefficients`, None with problems; adds a note for each list that is met nearly, up to a limit."""
+    settings = diagnostics.attempt(lambda: with_coefficients(given, shapes, field, ranges or {}))
+    if settings is not None and len(diagnostics.notes) < MOST_NOTES:
+        diagnostics.notes += inexact(given, settings, shapes, field)
+    return settings
+
+
 def free_values(given: Mapping[str, Given], function: Function, diagnostics: Diagnostics) -> dict[str, Value]:
     """Values between grid points for a single evaluation: exact decimals and texts by name, in the driving function's order."""
     defaults = _default_space(function)
     names = tuple(defaults)
-    before = len(diagnostics.problems)
-    given = _settled(given, function.shapes, "parameters", diagnostics)
-    if len(diagnostics.problems) > before:
+    settings = _settled(given, function.shapes, "parameters", diagnostics)
+    if settings is None:
         return {}
-    for name in given:
+    for name in settings:
         if name not in names:
             diagnostics.add(f"parameters.{name}", f"{function.name} has no parameter {name!r}", _remedy(names))
     values: dict[str, Value] = {}
     for name in names:
         where = f"parameters.{name}"
-        if name not in given:
+        if name not in settings:
             diagnostics.add(where, "the value is missing", "give one value per parameter")
             continue
-        values[name] = _value(given[name], where)
+        values[name] = _value(settings[name])
         _check_free(function, defaults[name], values[name], where, diagnostics)
     return values
 
@@ -230,9 +225,7 @@ def notes_off_grid(values: Mapping[str, Value], function: Function) -> tuple[str
     return tuple(notes)
 
 
-def _value(given: Given, field: str) -> Value:
-    if isinstance(given, list):
-        raise InvalidInputError(Problem(field, "a list is no value of a number or choice", "give one value"))
+def _value(given: Setting) -> Value:
     return given if isinstance(given, str) else decimal(given)
 
 

@@ -22,12 +22,13 @@ from drivecal.campaigns.resolve.spaces import Function
 from drivecal.contracts.specification import (
     CampaignSpecification,
     EvaluationSpecification,
+    Given,
     ProblemSpecification,
     VehicleSpecification,
 )
 from drivecal.domain.constraints import Constraint as Allows
 from drivecal.domain.errors import NotFoundError
-from drivecal.domain.parameters import Parameter, Setting
+from drivecal.domain.parameters import Parameter
 from drivecal.domain.setups import base_of
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins import registry
@@ -104,7 +105,7 @@ class Workbench:
     """The same by variant."""
     make: Callable[[Collection[str], Mapping[str, Mapping[str, float]]], Bench] | None = None
     """Makes the bench of some scenarios, with the values of those where they are others."""
-    baseline: Mapping[str, Setting] | None = None
+    baseline: Mapping[str, Given] | None = None
     """The problem's own baseline."""
     notes: tuple[str, ...] = ()
     known: KnownValues = field(default_factory=KnownValues)
@@ -191,9 +192,9 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
         values,
         vehicles,
         make,
-        baseline=manifest.start,
+        baseline=manifest.baseline,
         notes=_notes(bundle),
-        known=KnownValues(scores, manifest.reported),
+        known=KnownValues(scores, manifest.reported, shapes=function.shapes),
     )
 
 

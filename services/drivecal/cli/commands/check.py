@@ -85,6 +85,7 @@ class CheckedSet:
     problem: ProblemAnswer
     differing: int = 0
     """New runs that gave another result than the stored ones."""
+    notes: Sequence[str] = ()
 
     @property
     def scenarios(self) -> Mapping[str, EvaluatedCell]:
@@ -117,6 +118,8 @@ class CheckedSet:
                 return f"the baseline has no value of {limit.label}"
             sign = -1 if self.problem.scores[limit.score or ""]["direction"] == "minimise" else 1
             holds = sign * (before - value) <= limit.worse_by_at_most
+            if not holds:
+                return f"{limit.label} is {told(value)}, and {told(before)} in the baseline"
         return None if holds else f"{limit.label} is {told(value)}"
 
     def _value(self, cells: Mapping[str, Mapping[str, EvaluatedCell]], limit: SetLimit, scenario: str) -> float | None:
@@ -154,15 +157,16 @@ def check(
         own = parameters if spec and problem is None else known.parameters  # a driving function has its own
         wait = partial(ended, client, timeout=timeout, asking=pauses(SECONDS_BETWEEN_QUESTIONS, timeout))
         compared: dict[str, dict[str, EvaluatedCell]] = {}
-        differing = 0
+        differing, notes = 0, list[str]()
         if baseline is not None:
             before, _, theirs = _set(client, baseline, names)
             _refuse_other_axes(theirs, known.shapes)
             values = _values(before, own, known.shapes)
-            compared, differing = _evaluated(client, settings | {"parameters": values}, evaluators, wait, fresh=fresh)
+            compared, differing, noted = _evaluated(client, settings | {"parameters": values}, evaluators, wait, fresh=fresh)
+            notes += [f"baseline: {note}" for note in noted]
         document = settings | {"parameters": _values(parameters, own, known.shapes)}
-        cells, more = _evaluated(client, document, evaluators, wait, fresh=fresh)
-    checked = CheckedSet(cells, compared, known, differing + more)
+        cells, more, noted = _evaluated(client, document, evaluators, wait, fresh=fresh)
+    checked = CheckedSet(cells, compared, known, differing + more, [*notes, *noted])
     findings = list(checked.findings(wanted))
     if junit is not None:
         with file_faults(junit, "written", "give another file"):
@@ -175,6 +179,8 @@ def check(
         print_json(_document(checked, findings))
     else:
         print_columns(["scenario", "score", "baseline", "obtained", "broken"], _rows(checked, findings))
+        for note in checked.notes:
+            tell(f"note: {note}")
         for finding in broken:
             tell(f"{finding.scenario}: {finding.limit}: {finding.broken}")
     raise typer.Exit(ExitCode.FAILED if broken else ExitCode.OK)
@@ -278,19 +284,20 @@ def _evaluated(
     wait: Callable[[Evaluation], Evaluation],
     *,
     fresh: bool = False,
-) -> tuple[dict[str, dict[str, EvaluatedCell]], int]:
-    """Returns the cells of a set by score and scenario, and the number of new runs that differ from stored ones.
+) -> tuple[dict[str, dict[str, EvaluatedCell]], int, list[str]]:
+    """Returns the cells of a set by score and scenario, the number of new runs that differ from stored ones, and notes.
 
     With `fresh`, further scores rate the stored runs if the new ones are equal, and else new runs of their own.
     """
     cells: dict[str, dict[str, EvaluatedCell]] = {}
-    differing = 0
+    differing, notes = 0, dict[str, None]()
     for score, evaluator in evaluators.items():
         simulates = fresh and (not cells or differing > 0)
         evaluation = wait(client.evaluate({**document, "evaluator": evaluator, "fresh": simulates}))
         cells[score] = _cells(evaluation)
         differing += evaluation.unrepeatable
-    return cells, differing
+        notes |= dict.fromkeys(evaluation.notes)
+    return cells, differing, list(notes)
 
 
 def _cells(evaluation: Evaluation) -> dict[str, EvaluatedCell]:
@@ -311,6 +318,7 @@ def _document(checked: CheckedSet, findings: Sequence[Finding]) -> dict[str, Any
     names = ("scenario", "score", "baseline", "obtained", "broken")
     return {
         "passed": all(finding.broken is None for finding in findings),
+        "notes": list(checked.notes),
         "scenarios": [dict(zip(names, row, strict=True)) for row in _rows(checked, findings)],
         "findings": [{"scenario": finding.scenario, "limit": finding.limit, "broken": finding.broken} for finding in findings],
     }

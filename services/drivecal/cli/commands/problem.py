@@ -82,11 +82,11 @@ def check(
     }
     checked: list[CheckedScenario] = []
     if not offline:
+        from drivecal.bundles.shapes import inexact
         from drivecal.local.problems import (
             ask_probe,
             cut_scores,
             doubtful_ranges,
-            inexact_baseline,
             other_set,
             run_problem,
             trial_set,
@@ -103,7 +103,8 @@ def check(
             checked.append(result)
         if not any(result.other for result in checked):
             report["other_parameters"] = None  # no scenario came to it
-        report["warnings"] = [*inexact_baseline(manifest), *doubtful_ranges(manifest, checked), *cut_scores(manifest, checked)]
+        report["warnings"] = [*inexact(manifest.baseline or {}, manifest.start or {}, manifest.shapes, "baseline")]
+        report["warnings"] += [*doubtful_ranges(manifest, checked), *cut_scores(manifest, checked)]
         report["warnings"] += [*_doubts_elsewhere(manifest, checked), *undeclared(manifest, checked)]
     report["scenarios"] = [asdict(result) | {"opened": sorted(result.opened)} for result in checked]
     if as_json:
