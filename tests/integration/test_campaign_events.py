@@ -45,7 +45,7 @@ def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(databa
     with database.read() as connection:
         figures, _ = generations.page(connection, ended.sequence)
     assert [(member["iteration"], member["best"], member["simulated"]) for member in by_kind["generation"]] == [
-        (iteration, one.best, one.cells.simulated) for iteration, one in figures
+        (each.iteration, each.best, each.simulated) for each in figures
     ]
     objectives = [item["objective"] for item in by_kind["best"]]
     assert objectives == sorted(set(objectives))

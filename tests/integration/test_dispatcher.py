@@ -57,8 +57,8 @@ def test_a_campaign_runs_to_its_end_and_every_cell_has_its_answer(database: Data
         rows = list(results.stream(connection, ended.sequence))
         figures, _ = generations.page(connection, ended.sequence)
     assert len(rows) == ended.cells.requested
-    assert sum(one.cells.simulated for _, one in figures) == ended.cells.simulated
-    best = max(one.best or 0 for _, one in figures)
+    assert sum(each.simulated for each in figures) == ended.cells.simulated
+    best = max(each.best or 0 for each in figures)
     assert best == ended.best.objective
 
 

@@ -44,7 +44,7 @@ def test_the_search_minimises_and_a_failed_run_never_wins(database: Database) ->
         ranking = Ranking({"S1": 1.0, "S2": 1.0, "S3": 1.0}, COST.sign)
         ranking.add(results.answers(connection, ended.sequence, StageName.CALIBRATION))
         ranked = ranking.ranking()
-        figures = [each for _, each in generations.page(connection, ended.sequence)[0]]
+        figures = generations.course(connection, ended.sequence)
         told = [event.data["objective"] for event in events.since(connection, ended.sequence, 0, 1_000) if event.kind == "best"]
     assert ended.best is not None
     assert [each.objective for each in ranked] == sorted(each.objective for each in ranked)

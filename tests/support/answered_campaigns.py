@@ -12,9 +12,10 @@ from tests.support.values import numbers
 from drivecal.campaigns.resolve.maps import analysis_to_document, smallest_s_rel
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.spaces import fixed_to_document, space_to_document
-from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, GenerationCounts, Progress
+from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
+from drivecal.contracts.tables import Generation
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome, RequestedCell
 from drivecal.domain.parameters import ParameterSet
@@ -48,19 +49,11 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
         sets = [problem.space.parameter_set(row) for row in population]
         _simulate(connection, campaign, problem, sets)
         cells = len(sets) * len(problem.scenarios)
-        figures = generations.Figures(
-            GenerationCounts(proposed=cells, requested=cells, simulated=cells), best=3.5, mean=3.0, minimum=2.5
-        )
+        figures = Generation(iteration=0, proposed=cells, requested=cells, simulated=cells, best=3.5, mean=3.0, minimum=2.5)
         generations.insert(
-            connection,
-            campaign.sequence,
-            0,
-            figures=figures,
-            population=population,
-            changed=[True] * individuals,
-            optimizer_state={},
+            connection, campaign.sequence, figures, population=population, changed=[True] * individuals, optimizer_state={}
         )
-        generations.finish(connection, campaign.sequence, 0, figures, [3.0] * individuals)
+        generations.finish(connection, campaign.sequence, figures, [3.0] * individuals)
         best = Best(objective=3.5, parameters=numbers(sets[-1]), scores=dict.fromkeys(problem.scenarios, 3), alternatives=1)
         snapshot = Snapshot(
             stage=StageName.CALIBRATION,

@@ -7,7 +7,9 @@ from statistics import fmean
 from typing import Any, NamedTuple
 
 from drivecal.analysis.convergence import alternatives_at, best_at
+from drivecal.contracts.campaign import OutcomeCounts
 from drivecal.contracts.comparison import ComparedGroup, Improvement
+from drivecal.contracts.tables import Generation
 from drivecal.domain.rounding import grain, same
 
 
@@ -33,34 +35,35 @@ class Conditions(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """Course of a run by finished iteration: the best objective by then, the rating of the best set, how many sets shared the objective,
-    the population's mean, and cells that had to be simulated, for they had no answer among the run's own."""
+    """Course of a run by finished iteration."""
 
     campaign: str
     """The id of the run's campaign."""
     conditions: Conditions
-    best: Sequence[float | None]
-    ratings: Sequence[float | None]
-    alternatives: Sequence[int]
-    means: Sequence[float | None]
-    simulations: Sequence[int]
-    reused: bool = False
-    """True if references or predictions answered any cell."""
-    simulated_best: float | None = None
-    """If `reused`, the best objective of a set whose scores were all simulated."""
+    iterations: Sequence[Generation]
+    surest: float | None = None
+    """Best objective of a set whose scores are all its own."""
     confirmations: int = 0
     """Simulations after the search that confirm its best set."""
+
+    @property
+    def best(self) -> list[float | None]:
+        """The best objective by each iteration."""
+        return [each.best for each in self.iterations]
+
+    @property
+    def simulations(self) -> list[int]:
+        """Cells of each iteration that had to be simulated, for they had no answer among the run's own."""
+        return [needed(each) for each in self.iterations]
 
     @property
     def optimum(self) -> float | None:
         """The best objective of the whole run whose scores were simulated; None before any result. Scores of references do not count here:
         they may be wrong, and a search prefers sets with an error upwards. For a confirmed run, this is the objective of the first set of
         its ranking; for others, it is a lower bound."""
-        believed = self.best[-1] if self.best else None
-        if not self.reused:
-            return believed
-        simulated = self.simulated_best
-        return believed if simulated is not None and same(simulated, believed) else simulated
+        believed = self.iterations[-1].best if self.iterations else None
+        is_surest = self.surest is not None and same(self.surest, believed)
+        return believed if is_surest or not any(each.reused or each.predicted for each in self.iterations) else self.surest
 
     @property
     def simulated(self) -> int:
@@ -77,10 +80,10 @@ class Course:
         """The first iteration with a result, each iteration that improved the best set, and the last iteration."""
         listed: list[Improvement] = []
         taken = accumulate(self.simulations)
-        for iteration, (simulations, best, rating) in enumerate(zip(taken, self.best, self.ratings, strict=True), start=1):
-            changed = not listed or (best, rating) != (listed[-1].best, listed[-1].rating)
-            if best is not None and (changed or iteration == len(self.best)):
-                listed.append(Improvement(iteration=iteration, simulations=simulations, best=best, rating=rating))
+        for number, (simulations, each) in enumerate(zip(taken, self.iterations, strict=True), start=1):
+            changed = not listed or (each.best, each.rating) != (listed[-1].best, listed[-1].rating)
+            if each.best is not None and (changed or number == len(self.iterations)):
+                listed.append(Improvement(iteration=number, simulations=simulations, best=each.best, rating=each.rating))
         return listed
 
     @property
@@ -91,13 +94,18 @@ class Course:
     @property
     def alternatives_converged_at(self) -> int | None:
         """Table 7, counted from 1."""
-        return alternatives_at(self.best, self.alternatives)
+        return alternatives_at(self.best, [each.alternatives for each in self.iterations])
 
     @property
     def simulations_to_converge(self) -> int | None:
         """Number of simulations to the end of the iteration `converged_at`."""
         at = self.converged_at
         return None if at is None else sum(self.simulations[:at])
+
+
+def needed(cells: OutcomeCounts) -> int:
+    """Returns the requested cells without an answer from the campaign's own: simulated, by this or another campaign, or failed."""
+    return cells.requested - cells.repeated - cells.reused - cells.predicted
 
 
 def best_of_all(courses: Iterable[Course], sign: int = 1) -> float | None:
@@ -122,7 +130,7 @@ def groups(courses: Sequence[Course], sign: int = 1) -> list[ComparedGroup]:
     for course in courses:
         conditions = course.conditions
         courses_by_group.setdefault((conditions.optimizer, conditions.population, conditions.reduction), []).append(course)
-    common = min((sum(course.simulations) for course in courses if course.best), default=0)
+    common = min((sum(course.simulations) for course in courses if course.iterations), default=0)
     marks = sorted({mark for mark in (common // 4, common // 2, common) if mark})
     return [_group(*key, members, best, sign, marks) for key, members in courses_by_group.items()]
 
@@ -137,7 +145,8 @@ def _group(
     marks: Sequence[int],
 ) -> ComparedGroup:
     optima = [member.optimum for member in members if member.optimum is not None]
-    begun = [member for member in members if member.best]
+    begun = [member for member in members if member.iterations]
+    last = [member.iterations[-1] for member in begun]
     converged = [member for member in members if member.converged_at is not None]
     return ComparedGroup(
         optimizer=optimizer,
@@ -147,8 +156,8 @@ def _group(
         best=best_of(optima, sign),
         mean=_mean(optima),
         minimum=best_of(optima, -sign),
-        rating=_mean([run.ratings[-1] for run in begun if run.ratings[-1] is not None]),
-        alternatives=_mean([run.alternatives[-1] for run in begun]),
+        rating=_mean([each.rating for each in last if each.rating is not None]),
+        alternatives=_mean([each.alternatives for each in last]),
         simulations=_mean([run.simulated for run in begun]),
         converged=len(converged),
         iterations_to_converge=_mean([course.converged_at or 0 for course in converged]),

@@ -1,23 +1,13 @@
 """Iterations at which an optimization had its final result (Tables 5 and 7 of the paper)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
+from drivecal.contracts.tables import Generation
 from drivecal.domain.rounding import same
 
-
-@dataclass(frozen=True, slots=True)
-class CoursePoint:
-    """The best set after a finished iteration: its objective, None before the first, its rating, and the number of sets that share it."""
-
-    best: float | None
-    rating: float | None = None
-    alternatives: int = 0
-
-
-Course = Sequence[CoursePoint]
-"""Points by finished iteration."""
+Course = Sequence[Generation]
+"""Finished iterations, in order."""
 UNCHANGED_BEST = 10
 """Table 5: iterations for which the best solution stays as it is."""
 UNCHANGED_ALTERNATIVES = 5

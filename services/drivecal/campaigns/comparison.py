@@ -20,10 +20,10 @@ from drivecal.campaigns.resolve.optimizer import BEGINNINGS
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.campaigns.resolve.workbench import BundleSource, installed_bundles
-from drivecal.contracts.campaign import OutcomeCounts
 from drivecal.contracts.comparison import LARGEST_RUNS, ComparedOptimizer, ComparedRun, Comparison, ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, ReductionSpecification
+from drivecal.contracts.tables import Generation
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import digest
@@ -38,7 +38,6 @@ COMMON = {"population": "populations", "iterations": "iterations", "start": "sta
 CONFIRMED = 100
 """Most sets of a campaign with references or predictions that are simulated after its search, unless `confirm` is given: a dozen is many.
 A campaign for which they were too few notes it."""
-MOST_GENERATIONS = 10_000
 _SHARED = {
     *("priority", "problem", "catalogue", "parameters", "fixed", "baseline", "weights"),
     *("driving_function", "vehicle", "evaluator", "sensitivity"),
@@ -244,22 +243,14 @@ def _conditions(stored: Sequence[StoredCampaign]) -> list[Conditions]:
 
 
 def _course(connection: Connection, campaign: StoredCampaign, conditions: Conditions) -> Course:
-    page, _ = generations.page(connection, campaign.sequence, limit=MOST_GENERATIONS)
-    figures = [figures for _, figures in page]
-    cells = [figure.cells for figure in figures]
-    reused = any(counts.reused or counts.predicted for counts in cells)
+    iterations = generations.course(connection, campaign.sequence)
     searched = campaign.search is not None and campaign.search.ended_by is not None  # what follows confirms the best set
     return Course(
         campaign=campaign.id,
         conditions=conditions,
-        best=[figure.best for figure in figures],
-        ratings=[figure.rating for figure in figures],
-        alternatives=[figure.alternatives for figure in figures],
-        means=[figure.mean for figure in figures],
-        simulations=[_needed(counts) for counts in cells],
-        reused=reused,
-        simulated_best=campaign.search.surest if reused and campaign.search is not None else None,
-        confirmations=_needed(campaign.cells) - sum(map(_needed, cells)) if searched else 0,
+        iterations=iterations,
+        surest=None if campaign.search is None else campaign.search.surest,
+        confirmations=analysis.needed(campaign.cells) - sum(map(analysis.needed, iterations)) if searched else 0,
     )
 
 
@@ -268,28 +259,24 @@ def _sign(resolved: ResolvedSpec) -> int:
     return resolved.scale.sign if resolved.goals is None else resolved.goals.objectives[0].sign
 
 
-def _needed(cells: OutcomeCounts) -> int:
-    """Returns the requested cells without an answer from the campaign's own: simulated, by this or another campaign, or failed."""
-    return cells.requested - cells.repeated - cells.reused - cells.predicted
-
-
 def _run(campaign: StoredCampaign, course: Course, *, success: bool) -> ComparedRun:
     analysed = campaign.counts(StageName.SENSITIVITY)
+    last = course.iterations[-1] if course.iterations else Generation(iteration=0)
     return ComparedRun(
         campaign=campaign.id,
         name=campaign.name,
         **course.conditions._asdict(),
         state=campaign.state,
-        iterations=len(course.best),
+        iterations=len(course.iterations),
         requested=campaign.cells.requested,
         simulations=course.simulated,
         confirmations=course.confirmations,
         analysis=analysed.requested - analysed.repeated,
-        best=course.best[-1] if course.best else None,
+        best=last.best,
         simulated_best=course.optimum,
-        rating=course.ratings[-1] if course.ratings else None,
-        alternatives=course.alternatives[-1] if course.alternatives else 0,
-        mean=course.means[-1] if course.means else None,
+        rating=last.rating,
+        alternatives=last.alternatives,
+        mean=last.mean,
         converged_at=course.converged_at,
         simulations_to_converge=course.simulations_to_converge,
         alternatives_converged_at=course.alternatives_converged_at,

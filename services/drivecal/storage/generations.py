@@ -1,32 +1,14 @@
 """Generations: the iterations of a campaign's calibration stage."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import Connection, func, select, update
 
-from drivecal.contracts.campaign import GenerationCounts
+from drivecal.contracts.tables import Generation
 from drivecal.storage.engine.records import page_by, record
 from drivecal.storage.engine.tables import generations
-from drivecal.storage.engine.types import finite
-
-
-@dataclass(frozen=True, slots=True)
-class Figures:
-    """Requests and results of a generation; `alternatives` as in `contracts.tables.Generation`."""
-
-    cells: GenerationCounts = field(default_factory=GenerationCounts)
-    best: float | None = None
-    rating: float | None = None
-    mean: float | None = None
-    minimum: float | None = None
-    alternatives: int = 0
-
-    @property
-    def flat(self) -> dict[str, Any]:
-        """The figures by name, counters included."""
-        return self.cells.model_dump() | {name: value for name, value in asdict(self).items() if name != "cells"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +20,7 @@ class StoredGeneration:
     """
 
     iteration: int
-    figures: Figures
+    figures: Generation
     population: list[list[int]]
     changed: list[bool]
     optimizer_state: Mapping[str, Any] | None
@@ -49,9 +31,8 @@ class StoredGeneration:
 def insert(
     connection: Connection,
     campaign_sequence: int,
-    iteration: int,
+    figures: Generation,
     *,
-    figures: Figures,
     population: Sequence[Sequence[int]],
     changed: Sequence[bool],
     optimizer_state: Mapping[str, Any],
@@ -65,12 +46,12 @@ def insert(
     connection.execute(
         generations.insert().values(
             campaign_sequence=campaign_sequence,
-            iteration=iteration,
+            iteration=figures.iteration,
+            figures=figures,
             population=[list(individual) for individual in population],
             changed=list(changed),
             optimizer_state=dict(optimizer_state),
             finished=False,
-            **finite(asdict(figures)),
         )
     )
 
@@ -100,14 +81,12 @@ def number(connection: Connection, campaign_sequence: int) -> int:
     return int(connection.scalar(query) or 0)
 
 
-def finish(
-    connection: Connection, campaign_sequence: int, iteration: int, figures: Figures, objectives: Sequence[float | None]
-) -> None:
+def finish(connection: Connection, campaign_sequence: int, figures: Generation, objectives: Sequence[float | None]) -> None:
     """Stores the results of a generation; NaN among `objectives` becomes None."""
     connection.execute(
         update(generations)
-        .where(generations.c.campaign_sequence == campaign_sequence, generations.c.iteration == iteration)
-        .values(objectives=list(objectives), finished=True, **finite(asdict(figures)))
+        .where(generations.c.campaign_sequence == campaign_sequence, generations.c.iteration == figures.iteration)
+        .values(objectives=list(objectives), finished=True, figures=figures)
     )
 
 
@@ -120,28 +99,21 @@ def last(connection: Connection, campaign_sequence: int) -> StoredGeneration | N
         .limit(1)
     )
     row = connection.execute(query).one_or_none()
-    return None if row is None else record(StoredGeneration, row, figures=record(Figures, row))
+    return None if row is None else record(StoredGeneration, row)
 
 
-def course(connection: Connection, campaign_sequence: int) -> list[tuple[float | None, float | None, int]]:
-    """Returns objective and rating of the best set so far, and the number of sets that share it, by finished iteration."""
-    query = (
-        select(generations.c.best, generations.c.rating, generations.c.alternatives)
-        .where(generations.c.campaign_sequence == campaign_sequence, generations.c.finished)
-        .order_by(generations.c.iteration)
-    )
-    return [(row.best, row.rating, row.alternatives) for row in connection.execute(query)]
+def course(connection: Connection, campaign_sequence: int) -> list[Generation]:
+    """Returns the finished iterations, in order."""
+    query = select(generations.c.figures).where(generations.c.campaign_sequence == campaign_sequence, generations.c.finished)
+    return list(connection.scalars(query.order_by(generations.c.iteration)))
 
 
 def page(
     connection: Connection, campaign_sequence: int, *, limit: int = 100, cursor: str | None = None
-) -> tuple[list[tuple[int, Figures]], str | None]:
-    """At most `limit` finished iterations with their figures, in order, and the cursor of the next page (None on the last).
-
-    Raises InvalidInputError.
-    """
-    query = select(generations.c.iteration, *(generations.c[each.name] for each in fields(Figures))).where(
+) -> tuple[list[Generation], str | None]:
+    """At most `limit` finished iterations, in order, and the cursor of the next page (None on the last). Raises InvalidInputError."""
+    query = select(generations.c.iteration, generations.c.figures).where(
         generations.c.campaign_sequence == campaign_sequence, generations.c.finished
     )
     rows, following = page_by(connection, query, generations.c.iteration, limit, cursor, newest_first=False)
-    return [(row.iteration, record(Figures, row)) for row in rows], following
+    return [row.figures for row in rows], following

@@ -229,13 +229,13 @@ class _Iteration(Answer):
 class Generation(GenerationCounts, _Iteration):
     """An iteration of the calibration stage. `mean` and `minimum` (the worst) are over all its sets, also sets that break constraints."""
 
-    best: float | None
+    best: float | None = None
     """The best objective so far."""
     rating: float | None = None
-    """The weighted continuous rating of the best set so far; null in campaigns of releases that did not keep it."""
-    mean: float | None
-    minimum: float | None
-    alternatives: int
+    """The weighted continuous rating of the best set so far."""
+    mean: float | None = None
+    minimum: float | None = None
+    alternatives: int = 0
     """Distinct parameter sets seen so far whose objective equals the best so far."""
 
 

@@ -3,21 +3,26 @@ from sqlalchemy import select
 from tests.support.storage import campaign
 from tests.support.values import present
 
-from drivecal.contracts.campaign import GenerationCounts
+from drivecal.contracts.tables import Generation
 from drivecal.domain.errors import InvalidInputError
 from drivecal.storage import generations
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
-from drivecal.storage.generations import Figures
 
-ASKED = Figures(GenerationCounts(proposed=4, carried_over=1))
-FOUND = Figures(
-    GenerationCounts(proposed=4, carried_over=1, requested=3, repeated=1, simulated=2, audited=1),
-    best=6.5,
-    mean=4.25,
-    minimum=0.0,
-    alternatives=2,
-)
+FOUND = {
+    "requested": 3,
+    "repeated": 1,
+    "simulated": 2,
+    "audited": 1,
+    "best": 6.5,
+    "mean": 4.25,
+    "minimum": 0.0,
+    "alternatives": 2,
+}
+
+
+def asked(iteration: int = 0, **found: float) -> Generation:
+    return Generation(iteration=iteration, **{"proposed": 4, "carried_over": 1} | found)
 
 
 def test_a_generation_is_taken_up_as_it_was_asked_for(database: Database) -> None:
@@ -28,15 +33,14 @@ def test_a_generation_is_taken_up_as_it_was_asked_for(database: Database) -> Non
         generations.insert(
             connection,
             sequence,
-            0,
-            figures=ASKED,
+            asked(),
             population=[[1, 2], [3, 4]],
             changed=[True, False],
             optimizer_state={"bits": "0110", "generator": {"state": 2**127 + 1}},
         )
     with database.read() as connection:
         stored = present(generations.last(connection, sequence))
-    assert (stored.iteration, stored.figures, stored.finished, stored.objectives) == (0, ASKED, False, None)
+    assert (stored.iteration, stored.figures, stored.finished, stored.objectives) == (0, asked(), False, None)
     assert (stored.population, stored.changed) == ([[1, 2], [3, 4]], [True, False])
     assert stored.optimizer_state == {"bits": "0110", "generator": {"state": 2**127 + 1}}
 
@@ -45,23 +49,22 @@ def test_a_finished_generation_keeps_what_it_found(database: Database) -> None:
     with database.transaction() as connection:
         sequence = campaign(connection).sequence
         for iteration in range(2):
-            generations.insert(
-                connection, sequence, iteration, figures=ASKED, population=[[0]], changed=[True], optimizer_state={}
-            )
-            generations.finish(connection, sequence, iteration, FOUND, [6.5, float("nan"), None])
+            generations.insert(connection, sequence, asked(iteration), population=[[0]], changed=[True], optimizer_state={})
+            generations.finish(connection, sequence, asked(iteration, **FOUND), [6.5, float("nan"), None])
         stored = present(generations.last(connection, sequence))
-        assert generations.page(connection, sequence) == ([(0, FOUND), (1, FOUND)], None)
-        assert generations.course(connection, sequence) == [(6.5, FOUND.rating, FOUND.alternatives)] * 2
-    assert (stored.iteration, stored.figures, stored.finished) == (1, FOUND, True)
+        known = [asked(0, **FOUND), asked(1, **FOUND)]
+        assert generations.page(connection, sequence) == (known, None)
+        assert generations.course(connection, sequence) == known
+    assert (stored.iteration, stored.figures, stored.finished) == (1, known[1], True)
     assert stored.objectives == [6.5, None, None]
 
 
 def test_figures_that_are_no_numbers_are_null(database: Database) -> None:
     with database.transaction() as connection:
         sequence = campaign(connection).sequence
-        generations.insert(connection, sequence, 0, figures=ASKED, population=[], changed=[], optimizer_state={})
-        generations.finish(connection, sequence, 0, Figures(best=float("nan"), mean=float("-inf")), [])
-        ((_, figures),), _ = generations.page(connection, sequence)
+        generations.insert(connection, sequence, asked(), population=[], changed=[], optimizer_state={})
+        generations.finish(connection, sequence, asked(best=float("nan"), mean=float("-inf")), [])
+        (figures,), _ = generations.page(connection, sequence)
     assert (figures.best, figures.mean, figures.minimum) == (None, None, None)
 
 
@@ -69,9 +72,7 @@ def test_only_the_newest_generation_keeps_the_optimizers_state(database: Databas
     with database.transaction() as connection:
         sequence, other = campaign(connection).sequence, campaign(connection).sequence
         for one, iteration in ((other, 0), (sequence, 0), (sequence, 1)):
-            generations.insert(
-                connection, one, iteration, figures=ASKED, population=[], changed=[], optimizer_state={"at": iteration}
-            )
+            generations.insert(connection, one, asked(iteration), population=[], changed=[], optimizer_state={"at": iteration})
         table = tables.generations.c
         query = select(table.campaign_sequence, table.iteration, table.optimizer_state).order_by(
             table.campaign_sequence, table.iteration
@@ -84,12 +85,12 @@ def test_iterations_are_paged_in_order(database: Database) -> None:
     with database.transaction() as connection:
         sequence = campaign(connection).sequence
         for iteration in (2, 0, 1):
-            generations.insert(connection, sequence, iteration, figures=ASKED, population=[], changed=[], optimizer_state={})
-            generations.finish(connection, sequence, iteration, ASKED, [])
-        generations.insert(connection, sequence, 3, figures=ASKED, population=[], changed=[], optimizer_state={})
+            generations.insert(connection, sequence, asked(iteration), population=[], changed=[], optimizer_state={})
+            generations.finish(connection, sequence, asked(iteration), [])
+        generations.insert(connection, sequence, asked(3), population=[], changed=[], optimizer_state={})
         first, cursor = generations.page(connection, sequence, limit=2)
         second, end = generations.page(connection, sequence, limit=2, cursor=cursor)
         with pytest.raises(InvalidInputError):
             generations.page(connection, sequence, cursor="?")
-    assert [iteration for iteration, _ in first + second] == [0, 1, 2]
+    assert [each.iteration for each in first + second] == [0, 1, 2]
     assert end is None

@@ -5,21 +5,26 @@ from dataclasses import replace
 from typing import Any
 
 from drivecal.analysis.comparison import Conditions, Course, best_of_all, groups, labels, succeeds
+from drivecal.contracts.tables import Generation
 
 
 def course(
     best: Sequence[float | None], optimizer: str = "genetic", seed: int = 1, reduction: str = "exact", simulations: int = 10
 ) -> Course:
     """A run that simulated the same number in every iteration."""
-    return Course(
-        f"{optimizer}-{seed}-{reduction}",
-        Conditions(optimizer, 50, seed, reduction),
-        best=best,
-        ratings=[None if item is None else item + 0.25 for item in best],
-        alternatives=list(range(1, len(best) + 1)),
-        means=best,
-        simulations=[simulations] * len(best),
-    )
+    iterations = [
+        Generation(
+            iteration=place,
+            requested=simulations,
+            simulated=simulations,
+            best=each,
+            rating=None if each is None else each + 0.25,
+            mean=each,
+            alternatives=place + 1,
+        )
+        for place, each in enumerate(best)
+    ]
+    return Course(f"{optimizer}-{seed}-{reduction}", Conditions(optimizer, 50, seed, reduction), iterations)
 
 
 def test_a_group_sums_its_seeds_up_and_counts_convergence_as_table_5_does() -> None:
@@ -52,13 +57,13 @@ def test_success_is_judged_over_all_optimizers_with_rounding_errors_forgiven() -
 
 
 def test_the_optimum_is_what_was_confirmed_and_what_that_took_counts() -> None:
-    confirmed = replace(
-        course([6.0, 7.0], reduction="influence", simulations=6), reused=True, simulated_best=6.25, confirmations=3
-    )
+    run = course([6.0, 7.0], reduction="influence", simulations=6)
+    copied = [each.model_copy(update={"requested": 7, "reused": 1}) for each in run.iterations]
+    confirmed = replace(run, iterations=copied, surest=6.25, confirmations=3)
     assert confirmed.optimum == 6.25
     assert groups([confirmed])[0].simulations == 15
     assert confirmed.simulations_to_converge is None
-    rounded = replace(confirmed, simulated_best=7.0 - 1e-15)
+    rounded = replace(confirmed, surest=7.0 - 1e-15)
     assert rounded.optimum == 7.0, "what differs by rounding alone is no other belief"
 
 

@@ -11,12 +11,13 @@ from tests.support.effort import examples
 from tests.support.values import present
 
 from drivecal.analysis.aims import JudgedGoals
-from drivecal.analysis.convergence import CoursePoint, changes, converged_at, improved_last, last_change, stood_still
+from drivecal.analysis.convergence import changes, converged_at, improved_last, last_change, stood_still
 from drivecal.analysis.front import hypervolume, knee, winning_weights
 from drivecal.analysis.goals import Aggregate, Bound, CellValue, Goals, Objective
 from drivecal.analysis.importance import importances
 from drivecal.analysis.robustness import RobustnessSettings, deviation, holds
 from drivecal.analysis.solutions import Ranking
+from drivecal.contracts.tables import Generation
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.scales import Direction, Scale
 from drivecal.optimizers.population import ranking
@@ -108,7 +109,7 @@ def test_courses_populations_and_conditions_do_not_depend_on_the_unit(values: li
     courses = [np.maximum.accumulate(each).tolist() for each in (usual, other)]
     for summary in (last_change, lambda each: converged_at(each, 3), lambda each: changes(each, [1] * len(each))):
         assert summary(courses[0]) == summary(courses[1])
-    points = [[CoursePoint(best, best, 1) for best in each] for each in courses]
+    points = [[Generation(iteration=0, best=best, rating=best, alternatives=1) for best in each] for each in courses]
     assert improved_last(points[0]) == improved_last(points[1])
     assert stood_still(points[0], courses[0][-1]) == stood_still(points[1], courses[1][-1])
     shares = [(usual, 1.0), (other, size[0])]

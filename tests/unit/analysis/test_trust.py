@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 from tests.support.scales import COST
 
-from drivecal.analysis.convergence import CoursePoint
 from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidence, SearchCourse, trust
 from drivecal.analysis.verdicts import SENTENCES, sentence
 from drivecal.contracts.campaign import (
@@ -22,7 +21,7 @@ from drivecal.contracts.campaign import (
     Study,
 )
 from drivecal.contracts.results import ResultVerdict, StudyResult
-from drivecal.contracts.tables import RobustnessRow, ValidationRow
+from drivecal.contracts.tables import Generation, RobustnessRow, ValidationRow
 
 BEST = Best(objective=6.0, parameters={"P1": 0.5}, scores={"S1": 6}, alternatives=1)
 CONFIRMED = Confirmation(state="confirmed", tried=1, objective=6.0, believed=6.0)
@@ -72,8 +71,12 @@ def lights(subject: Campaign, **known: Any) -> dict[str, str]:
     return {code: each.light for code, each in verdicts(subject, **known).items()}
 
 
-def stalled(*course: tuple[float | None, float | None]) -> list[CoursePoint]:
-    return [CoursePoint(*point, alternatives=1) for point in course]
+def point(best: float | None, rating: float | None, alternatives: int = 1) -> Generation:
+    return Generation(iteration=0, best=best, rating=rating, alternatives=alternatives)
+
+
+def stalled(*course: tuple[float | None, float | None]) -> list[Generation]:
+    return [point(*each) for each in course]
 
 
 @pytest.mark.parametrize(
@@ -281,7 +284,7 @@ def test_the_highest_score_in_steps_is_not_doubted() -> None:
 
 
 def test_convergence_is_told_by_both_criteria_of_the_paper() -> None:
-    rising = [CoursePoint(4.0, 4.0, 1), CoursePoint(6.0, 6.0, 1), *[CoursePoint(6.0, 6.0, 3)] * 8, CoursePoint(6.0, 6.0, 4)]
+    rising = [point(4.0, 4.0, 1), point(6.0, 6.0, 1), *[point(6.0, 6.0, 3)] * 8, point(6.0, 6.0, 4)]
     result = [
         each
         for each in trust(campaign(), Evidence(search=SearchCourse(rising, {}))).verdicts
@@ -291,7 +294,7 @@ def test_convergence_is_told_by_both_criteria_of_the_paper() -> None:
         ("not_converged", "best objective", 2),
         ("not_converged", "number of alternative optima", 11),
     ]
-    rested = [*rising, *[CoursePoint(6.0, 6.0, 4)] * 6]
+    rested = [*rising, *[point(6.0, 6.0, 4)] * 6]
     result = [
         each for each in trust(campaign(), Evidence(search=SearchCourse(rested, {}))).verdicts if each.code == "converged"
     ]

@@ -10,7 +10,6 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from drivecal.analysis.convergence import CoursePoint
 from drivecal.analysis.goals import Objective
 from drivecal.analysis.savings import MapOrigin, account
 from drivecal.analysis.solutions import EvaluatedSet
@@ -235,7 +234,7 @@ def _search(connection: Connection, campaign: StoredCampaign) -> SearchCourse | 
     if is_exact:
         scenario = next(iter(begun_with.weights))
         requested = results.number_of_sets(connection, campaign.sequence, StageName.CALIBRATION, scenario)
-    return SearchCourse([CoursePoint(*each) for each in course], ranges, requested, grid, is_exact)
+    return SearchCourse(course, ranges, requested, grid, is_exact)
 
 
 def _searched(parameter: Parameter, fixed: Mapping[str, Value], descriptions: Mapping[str, str]) -> SearchedParameter:

@@ -55,7 +55,7 @@ def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDepe
     def pages(limit: int, cursor: str | None) -> tuple[list[Row], str | None]:
         with database.read() as connection:
             page, following = generations.page(connection, campaign.sequence, limit=limit, cursor=cursor)
-        return [{"iteration": iteration, **figures.flat} for iteration, figures in page], following
+        return [figures.model_dump() for figures in page], following
 
     return table_answer(f"generations-{campaign.id}", query, accept, lambda: columns_of(Generation), pages)
 

@@ -15,13 +15,13 @@ from drivecal.analysis.solutions import Ranking, over_seeds
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.asking import AskedRound, cells_of
 from drivecal.contracts.campaign import GenerationCounts
+from drivecal.contracts.tables import Generation
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import Indices
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import CellAnswer
 from drivecal.storage import results
-from drivecal.storage.generations import Figures
 
 
 class SearchAnswers(ABC):
@@ -72,11 +72,12 @@ class SearchAnswers(ABC):
         sign = self._sign if self._goals is None else self._goals.objectives[0].sign
         return float(sign * np.min(sign * known)) if known.size else None
 
-    def figures(self, cells: GenerationCounts, objectives: Floats) -> Figures:
+    def figures(self, number: int, cells: GenerationCounts, objectives: Floats) -> Generation:
         """Returns the figures of a round with these counts and objectives, shape (n,), NaN without a result."""
         best, known = self.ranking.best(), objectives[~np.isnan(objectives)]
-        return Figures(
-            cells,
+        return Generation(
+            **cells.model_dump(),
+            iteration=number,
             best=None if best is None else best[0].objective,
             rating=None if best is None else best[0].rating,
             mean=float(known.mean()) if known.size else None,

@@ -35,7 +35,8 @@ from drivecal.campaigns.stages.asking import (
 from drivecal.campaigns.stages.leader import Leader
 from drivecal.campaigns.stages.replication import Replication, SeededBenches
 from drivecal.campaigns.stages.stage import Round, Stage
-from drivecal.contracts.campaign import CellCounts, ErrorRate, GenerationCounts, Released, Repaired, SearchEnd, SearchState
+from drivecal.contracts.campaign import CellCounts, ErrorRate, Released, Repaired, SearchEnd, SearchState
+from drivecal.contracts.tables import Generation
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import RequestedCell
@@ -49,7 +50,7 @@ from drivecal.storage import evaluations, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.generations import Figures, StoredGeneration
+from drivecal.storage.generations import StoredGeneration
 from drivecal.storage.references import parameter_sets
 
 ENDLESS = 20
@@ -371,8 +372,7 @@ class Calibration(Stage):
         generations.insert(
             connection,
             self._campaign.sequence,
-            asked.number,
-            figures=Figures(GenerationCounts(carried_over=self._carried_over(round_))),
+            Generation(iteration=asked.number, carried_over=self._carried_over(round_)),
             population=round_.population.tolist(),
             changed=round_.changed.tolist(),
             optimizer_state=round_.state,
@@ -474,22 +474,22 @@ class Calibration(Stage):
             figures = self._figures(connection, number, asked, objectives)
             is_new = self._ranking.sets > sets
             self._search = task.progressed(
-                self._search, figures.cells, self._optimization, number, is_better=is_better, is_new=is_new
+                self._search, figures, self._optimization, number, is_better=is_better, is_new=is_new
             )
-            generations.finish(connection, self._campaign.sequence, number, figures, objectives.tolist())
+            generations.finish(connection, self._campaign.sequence, figures, objectives.tolist())
             self._closed = number + 1
             self._save(connection)
-            data = {"iteration": number, "iterations": self._optimization.iterations, **figures.flat}
+            data = {"iterations": self._optimization.iterations, **figures.model_dump()}
             events.add(connection, self._campaign.sequence, EventKind.GENERATION, data)
         self._go_on()
         if self._by_cell is None and self._computation is None:
             self._asked.pop(number)
 
-    def _figures(self, connection: Connection, number: int, asked: AskedRound, objectives: Floats) -> Figures:
+    def _figures(self, connection: Connection, number: int, asked: AskedRound, objectives: Floats) -> Generation:
         cells = evaluations.counts(connection, self._campaign.sequence, self.name, number)
         carried_over = self._carried_over(asked)
         cells = cells.model_copy(update={"carried_over": carried_over, "proposed": cells.requested + carried_over})
-        return self._answers.figures(cells, objectives)
+        return self._answers.figures(number, cells, objectives)
 
     def _tell_beginning(self, connection: Connection) -> None:
         events.add(connection, self._campaign.sequence, EventKind.STAGE, {"stage": self.name, "cells": self._at_most})

@@ -15,17 +15,8 @@ from sqlalchemy import (
     text,
 )
 
-from drivecal.contracts.campaign import (
-    Baseline,
-    Best,
-    CellCounts,
-    Confirmation,
-    ErrorRate,
-    GenerationCounts,
-    Progress,
-    Released,
-    SearchState,
-)
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, Confirmation, ErrorRate, Progress, Released, SearchState
+from drivecal.contracts.tables import Generation
 from drivecal.storage.engine.types import Document, DocumentOf, Identity, Name, Score, StageNumber, UtcDateTime
 
 metadata = MetaData(
@@ -126,12 +117,7 @@ generations = Table(
     metadata,
     Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), primary_key=True),
     Column("iteration", Integer, primary_key=True),
-    Column("cells", DocumentOf(GenerationCounts), nullable=False),
-    Column("alternatives", Integer, nullable=False),
-    Column("best", Float),
-    Column("rating", Float),
-    Column("mean", Float),
-    Column("minimum", Float),
+    Column("figures", DocumentOf(Generation), nullable=False),
     Column("population", Document, nullable=False),
     Column("changed", Document, nullable=False),
     Column("optimizer_state", Document),

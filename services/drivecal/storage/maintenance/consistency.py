@@ -106,9 +106,9 @@ def check_counters(connection: Connection) -> Iterator[str]:
         cells[outcome or "pending"] = count
         if outcome == Outcome.SIMULATED:
             cells["audited"], cells["sampled"] = audits, samples
-    for sequence, cells in connection.execute(select(generations.c.campaign_sequence, generations.c.cells)):
+    for sequence, figures in connection.execute(select(generations.c.campaign_sequence, generations.c.figures)):
         calibrated = counted.setdefault((sequence, ORDER[StageName.CALIBRATION]), {})
-        calibrated["carried_over"] = calibrated.get("carried_over", 0) + cells.carried_over
+        calibrated["carried_over"] = calibrated.get("carried_over", 0) + figures.carried_over
     query = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(_WHOLE).order_by(campaigns.c.sequence)
     for row in connection.execute(query):
         for stage_of in StageName:
