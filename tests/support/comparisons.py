@@ -11,7 +11,7 @@ from drivecal.api import submission
 from drivecal.campaigns.comparison import compared
 from drivecal.contracts.comparison import Comparison, ComparisonSpecification
 from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.storage import campaigns, labels
+from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -36,7 +36,7 @@ def submit_comparison(database: Database, stored_map: str | None = None, **chang
 def runs_of(database: Database, tag: str) -> list[StoredCampaign]:
     """The campaigns of a comparison as they are now, in order."""
     with database.read() as connection:
-        return campaigns.page(connection, limit=1000, conditions=labels.having([tag]))[0][::-1]
+        return campaigns.page(connection, limit=1000, conditions=campaigns.having([tag]))[0][::-1]
 
 
 def read_comparison(database: Database, tag: str) -> Comparison:

@@ -30,7 +30,7 @@ from drivecal.domain.setups import digest
 from drivecal.optimizers.external import EXTERNAL
 from drivecal.plugins import registry
 from drivecal.plugins.search import SearchPlugin
-from drivecal.storage import campaigns, generations, labels
+from drivecal.storage import campaigns, generations
 from drivecal.storage.campaigns import StoredCampaign
 
 COMMON = {"population": "populations", "iterations": "iterations", "start": "start", "seed": "seeds"}
@@ -209,7 +209,7 @@ def _moved(problem: Problem, optimizer: int, reduction: int) -> Problem:
 
 def compared(connection: Connection, tag: str) -> Comparison:
     """Compares the campaigns with a tag that have an optimizer, as far as they are. Raises NotFoundError without such a campaign."""
-    page, _ = campaigns.page(connection, limit=LARGEST_RUNS, conditions=labels.having([tag]))
+    page, _ = campaigns.page(connection, limit=LARGEST_RUNS, conditions=campaigns.having([tag]))
     whole = [campaign if campaign.spec else campaigns.by_sequence(connection, campaign.sequence) for campaign in reversed(page)]
     stored = [campaign for campaign in whole if campaign.spec.get("optimizer")]
     if not stored:

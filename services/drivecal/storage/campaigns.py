@@ -1,5 +1,6 @@
 """Campaigns: submitted by the API, run by the dispatcher."""
 
+import json
 import uuid
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -32,10 +33,11 @@ from sqlalchemy.sql.functions import GenericFunction
 from sqlalchemy.types import TypeDecorator
 
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, Confirmation, ErrorRate, Progress, Released, SearchState
+from drivecal.contracts.specification import CampaignChanges
 from drivecal.domain.actions import Action
 from drivecal.domain.actions import change as change_by
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.errors import NotFoundError
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.events import EventKind
 from drivecal.storage import admission, events, leases
 from drivecal.storage.engine.bulk import insert as insert_into
@@ -95,6 +97,7 @@ def save_counts(connection: Connection, campaign_sequence: int, cells: Mapping[S
 
 
 Kind = Literal["calibration", "evaluation"]
+MOST_TAGS = 20
 LONGEST_LISTED = 20_000
 """Longest specification in a list, characters: a page of a thousand campaigns has at most 20 MB instead of a GB."""
 
@@ -291,6 +294,31 @@ def listed(
     wanted = campaigns.c.kind == kind if kind == "evaluation" else campaigns.c.kind != text("'evaluation'")
     query = select(*columns).where(wanted, campaigns.c.deleted_at.is_(None), *conditions)
     return query if state is None else query.where(campaigns.c.state == state)
+
+
+def change_labels(connection: Connection, campaign_id: str, changes: CampaignChanges) -> StoredCampaign:
+    """Changes labels, and returns the campaign. Of tags that are added and removed, none stays. The same labels again change nothing.
+
+    Raises NotFoundError, and InvalidInputError for too many tags.
+    """
+    before = get(connection, campaign_id, lock=True)
+    name = before.name if changes.name is None else changes.name
+    tags = {*(before.tags if changes.tags is None else changes.tags), *(changes.add_tags or ())} - {
+        *(changes.remove_tags or ())
+    }
+    if len(tags) > max(MOST_TAGS, len(before.tags)):
+        remedy = f"a campaign has at most {MOST_TAGS}; remove some of {sorted(before.tags)}"
+        raise InvalidInputError(Problem("add_tags", f"the campaign would have {len(tags)} tags", remedy))
+    if (name, tags) == (before.name, {*before.tags}):
+        return before
+    connection.execute(_of(before.sequence).values(name=name, tags=tuple(sorted(tags))))
+    return by_sequence(connection, before.sequence)
+
+
+def having(tags: Sequence[str]) -> list[ColumnElement[bool]]:
+    """Returns the conditions of a list of the campaigns with all of the `tags`."""
+    stored = cast(campaigns.c.tags, Text)  # LIKE would ignore case on SQLite
+    return [func.replace(stored, json.dumps(tag), "") != stored for tag in tags]
 
 
 def named(connection: Connection, sequences: Collection[int]) -> dict[int, tuple[str, str]]:

@@ -135,50 +135,29 @@ def occupied(connection: Connection, campaign_sequence: int, after: int) -> tupl
     return {name: (cells, int(sum_of)) for name, cells, sum_of, _ in rows}, max((row[3] for row in rows), default=after)
 
 
-def own_references(
+def own_answers(
     connection: Connection,
     campaign_sequence: int,
     scenario: str,
     setup_id: int,
-    keys: Sequence[bytes],
+    wanted: Sequence[Any],
     before: int | None = None,
-) -> dict[bytes, Donor]:
-    """Returns the campaign's own first answers by reference key.
+    *,
+    by_key: bool = False,
+) -> dict[Any, Donor]:
+    """Returns the campaign's own first answers by parameter set.
 
     Args:
         connection: where to read.
         campaign_sequence: number of the campaign.
         scenario: the scenario of the cells.
         setup_id: number of the setup in the database.
-        keys: reference keys under the campaign's influence map.
+        wanted: numbers of parameter sets.
         before: answers of the calibration from this iteration on are not seen; None to see all.
+        by_key: `wanted` has reference keys under the campaign's influence map instead, and so has the result.
     """
-    return _own(connection, campaign_sequence, scenario, setup_id, evaluations.c.reference_key, keys, before)
-
-
-def own_exact(
-    connection: Connection,
-    campaign_sequence: int,
-    scenario: str,
-    setup_id: int,
-    parameter_set_ids: Sequence[int],
-    before: int | None = None,
-) -> dict[int, Donor]:
-    """Returns the campaign's own first answers by parameter set, as `own_references`."""
-    ids = [int(identifier) for identifier in parameter_set_ids]
-    return _own(connection, campaign_sequence, scenario, setup_id, evaluations.c.parameter_set_id, ids, before)
-
-
-def _own(
-    connection: Connection,
-    campaign_sequence: int,
-    scenario: str,
-    setup_id: int,
-    column: Column[Any],
-    values: Sequence[Any],
-    before: int | None,
-) -> dict[Any, Donor]:
     table = evaluations.c
+    column: Column[Any] = table.reference_key if by_key else table.parameter_set_id
     place = (type_coerce(table.stage, SmallInteger), table.iteration, table.individual)  # by number, stages sort as they run
     query = select(column, *place, table.id, table.run_id, table.score, table.rating, table.failure).where(
         table.campaign_sequence == campaign_sequence,
@@ -190,7 +169,7 @@ def _own(
     if before is not None:
         query = query.where((table.stage != StageName.CALIBRATION) | (table.iteration < before))
     first: dict[Any, tuple[tuple[int, int, int], Donor]] = {}
-    for value, stage, iteration, individual, *donor in rows_among(connection, query, column, values):
+    for value, stage, iteration, individual, *donor in rows_among(connection, query, column, wanted):
         at = (stage, iteration, individual)
         if value not in first or at < first[value][0]:
             first[value] = at, Donor(*donor)

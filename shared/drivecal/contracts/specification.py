@@ -20,6 +20,7 @@ from pydantic import (
 )
 
 from drivecal.contracts.strict_json import UNIQUE, Choice, Identifier, Name, Number, ProblemName
+from drivecal.contracts.strict_json import Tag as CampaignTag
 from drivecal.domain.scales import Scale
 
 DEFAULT_PROBLEM = "highway"
@@ -535,3 +536,23 @@ class EvaluationSpecification(Model):
 
 DECIDING = CampaignSpecification.model_fields.keys() & EvaluationSpecification.model_fields.keys() - {"parameters"}
 """Settings of a campaign that decide the score of a set, and that an evaluation of the set takes from it."""
+
+
+Tags = Annotated[list[CampaignTag], Field(max_length=20)]
+
+
+class CampaignChanges(Model):
+    """Changes of a campaign's labels; fields that are left out stay. `tags` replaces all tags, `add_tags` and `remove_tags` leave others
+    as they are: give these or `tags`. A campaign has at most 20 tags."""
+
+    name: Name | None = None
+    tags: Tags | None = None
+    add_tags: Tags | None = None
+    remove_tags: Tags | None = None
+
+    @field_validator("add_tags", "remove_tags")
+    @classmethod
+    def _not_with_tags(cls, value: list[str] | None, info: ValidationInfo) -> list[str] | None:
+        if value is not None and info.data.get("tags") is not None:
+            raise ValueError("`tags` replaces all tags already; leave one of them out")
+        return value

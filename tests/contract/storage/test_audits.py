@@ -17,7 +17,7 @@ def audited(connection: Connection) -> tuple[int, list[int]]:
     sequence, setup = campaign(connection).sequence, setup_id(connection)
     sets = sample_set_ids(connection, 6)
     simulate(connection, sequence, [cell(0, setup, sets[0])], score=5)
-    donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
+    donor = evaluations.own_answers(connection, sequence, "S1", setup, sets)[sets[0]]
     ids: list[int] = []
     for number, (iteration, score) in enumerate([(1, 5), (1, 4), (2, 2)], 1):
         one = cell(number, setup, sets[number], iteration=iteration, donor=donor, inspected=True)
@@ -56,7 +56,7 @@ def test_a_donor_of_the_campaigns_own_counts_as_it_was_answered_whatever_is_stor
         sets = sample_set_ids(connection, 2)
         simulate(connection, faster, [cell(0, setup, sets[0])], score=5)
         simulate(connection, sequence, [cell(0, setup, sets[0])], score=2)
-        donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
+        donor = evaluations.own_answers(connection, sequence, "S1", setup, sets)[sets[0]]
         simulate(connection, sequence, [cell(1, setup, sets[1], donor=donor, inspected=True)], score=2)
         assert audits.count(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=1, different=0, wrong=0)]
         audits.settle(connection, sequence, StageName.CALIBRATION, 0, EVALUATOR)
@@ -101,7 +101,7 @@ def test_scores_without_steps_are_compared_by_their_scale(database: Database) ->
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         sets = sample_set_ids(connection, 6)
         simulate(connection, sequence, [cell(0, setup, sets[0], reference_key=KEY)], score=50.25)
-        donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
+        donor = evaluations.own_answers(connection, sequence, "S1", setup, sets)[sets[0]]
         ids: list[int] = []
         for number, score in enumerate([50.25 + 1e-9, 50.26, 52.25, 47.0], 1):
             one = cell(

@@ -121,10 +121,10 @@ def test_own_references_are_the_first_simulated_answers_in_the_order_of_the_camp
         simulate(connection, sequence, [cell(9, setup, sets[5], scenario="S2", reference_key=other)])
         simulate(connection, campaign(connection).sequence, [cell(0, setup, sets[5], reference_key=other)])
 
-        result = evaluations.own_references(connection, sequence, "S1", setup, [key, other, b"x" * 16])
+        result = evaluations.own_answers(connection, sequence, "S1", setup, [key, other, b"x" * 16], by_key=True)
         assert {name: one.evaluation for name, one in result.items()} == {key: ids[1]}
         assert (result[key].score, result[key].rating, result[key].failure) == (4, 4.5, None)
-        exact = evaluations.own_exact(connection, sequence, "S1", setup, sets)
+        exact = evaluations.own_answers(connection, sequence, "S1", setup, sets)
         assert {one: donor.evaluation for one, donor in exact.items()} == {sets[0]: ids[0], sets[1]: ids[1]}
 
 
@@ -136,7 +136,7 @@ def test_the_sensitivity_stage_comes_before_calibration(database: Database) -> N
         calibration = cell(0, setup, sets[0], iteration=0, reference_key=key)
         sensitivity = cell(5, setup, sets[1], iteration=7, stage=StageName.SENSITIVITY, reference_key=key)
         ids = simulate(connection, sequence, [calibration, sensitivity])
-        assert evaluations.own_references(connection, sequence, "S1", setup, [key])[key].evaluation == ids[1]
+        assert evaluations.own_answers(connection, sequence, "S1", setup, [key], by_key=True)[key].evaluation == ids[1]
         assert [item.id for item in results.stream(connection, sequence)] == ids[::-1]
 
 

@@ -65,7 +65,7 @@ def test_a_lot_of_references_waits_is_drawn_as_audits_and_compared_with_its_refe
         (number,) = lots.insert(connection, sequence, [replace(LOT, kind=Outcome.REUSED, size=4, sample=3)])
         cell = new_evaluation(CALIBRATION, 0, 0, "S1", setup, sets[0], Outcome.SIMULATED, reference_key=b"key")
         (reference,) = simulate(connection, sequence, [cell], score=5, rating=5.25)
-        donor = evaluations.own_references(connection, sequence, "S1", setup, [b"key"])[b"key"]
+        donor = evaluations.own_answers(connection, sequence, "S1", setup, [b"key"], by_key=True)[b"key"]
         bare = replace(cell, iteration=2, plan=Outcome.REUSED, lot=number)
         leader = replace(bare, individual=4, parameter_set_id=sets[5], plan=Outcome.SIMULATED, lot=None)
         members = [replace(bare, individual=place, parameter_set_id=sets[place + 1], donor=donor) for place in range(3)]
@@ -151,6 +151,6 @@ def test_predicted_answers_are_not_the_sets_own(database: Database, outcome: Out
         evaluations.insert(connection, sequence, [cell])
         (waiting,) = results.pending(connection, sequence)
         evaluations.answer(connection, [AnsweredCell(waiting.id, outcome, 4, 4.2, run_id=None)])
-        assert evaluations.own_exact(connection, sequence, "S1", setup, [own]) == {}
+        assert evaluations.own_answers(connection, sequence, "S1", setup, [own]) == {}
         (answer,) = results.answers(connection, sequence, CALIBRATION)
     assert (answer.own, answer.predicted) == (False, outcome is Outcome.PREDICTED)

@@ -9,11 +9,11 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, get, influenced, run, submit
 from tests.support.storage import EVALUATOR, campaign, new_evaluation, new_run, sample_set_ids, setup_id
 
-from drivecal.contracts.organising import CampaignChanges
+from drivecal.contracts.specification import CampaignChanges
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import campaigns, evaluations, labels
+from drivecal.storage import campaigns, evaluations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
@@ -41,7 +41,7 @@ def deleted(database: Database, stored: StoredCampaign) -> None:
 
 def listed(database: Database, *tags: str) -> list[str]:
     with database.read() as connection:
-        page, _ = campaigns.page(connection, conditions=labels.having(tags))
+        page, _ = campaigns.page(connection, conditions=campaigns.having(tags))
     return [stored.name for stored in page]
 
 
@@ -59,9 +59,9 @@ def runs(database: Database) -> int:
 def test_labels_are_changed_one_by_one_and_again_without_effect(database: Database) -> None:
     with database.transaction() as connection:
         first = campaign(connection, "first")
-        changed = labels.change(connection, first.id, CampaignChanges(tags=["b", "a", "b"]))
-        again = labels.change(connection, first.id, CampaignChanges(tags=["a", "b"]))
-        renamed = labels.change(connection, first.id, CampaignChanges(name="other"))
+        changed = campaigns.change_labels(connection, first.id, CampaignChanges(tags=["b", "a", "b"]))
+        again = campaigns.change_labels(connection, first.id, CampaignChanges(tags=["a", "b"]))
+        renamed = campaigns.change_labels(connection, first.id, CampaignChanges(name="other"))
     assert (changed.tags, changed.name) == (("a", "b"), "first")
     assert again == changed
     assert (renamed.name, renamed.tags, renamed.revision) == ("other", ("a", "b"), changed.revision + 1)
@@ -69,32 +69,32 @@ def test_labels_are_changed_one_by_one_and_again_without_effect(database: Databa
 
 def test_tags_are_added_and_removed_beside_those_of_others(database: Database) -> None:
     with database.transaction() as connection:
-        first = labels.change(connection, campaign(connection).id, CampaignChanges(tags=["theirs", "old"]))
-        changed = labels.change(
+        first = campaigns.change_labels(connection, campaign(connection).id, CampaignChanges(tags=["theirs", "old"]))
+        changed = campaigns.change_labels(
             connection, first.id, CampaignChanges(add_tags=["mine", "both"], remove_tags=["old", "both", "never"])
         )
         assert changed.tags == ("mine", "theirs")
-        assert labels.change(connection, first.id, CampaignChanges(add_tags=["mine"], remove_tags=["old"])) == changed
-        many = [f"tag-{number}" for number in range(labels.MOST_TAGS - 1)]
+        assert campaigns.change_labels(connection, first.id, CampaignChanges(add_tags=["mine"], remove_tags=["old"])) == changed
+        many = [f"tag-{number}" for number in range(campaigns.MOST_TAGS - 1)]
         with pytest.raises(InvalidInputError) as refused:
-            labels.change(connection, first.id, CampaignChanges(add_tags=many))
+            campaigns.change_labels(connection, first.id, CampaignChanges(add_tags=many))
         assert refused.value.problems[0].field == "add_tags"
-        assert labels.change(connection, first.id, CampaignChanges(add_tags=many, remove_tags=["mine"])).tags == tuple(
-            sorted([*many, "theirs"])
-        )
+        assert campaigns.change_labels(
+            connection, first.id, CampaignChanges(add_tags=many, remove_tags=["mine"])
+        ).tags == tuple(sorted([*many, "theirs"]))
 
 
 def test_tags_are_told_apart_by_case(database: Database) -> None:
     with database.transaction() as connection:
         for name, tag in {"one": "Good", "two": "good"}.items():
-            labels.change(connection, campaign(connection, name).id, CampaignChanges(tags=[tag]))
+            campaigns.change_labels(connection, campaign(connection, name).id, CampaignChanges(tags=[tag]))
     assert (listed(database, "good"), listed(database, "Good"), listed(database, "GOOD")) == (["two"], ["one"], [])
 
 
 def test_lists_take_campaigns_with_all_tags(database: Database) -> None:
     with database.transaction() as connection:
         for name, tags in {"one": ["new", "a_b"], "two": ["new"], "three": ["ä"], "four": ["a%b", 'a"']}.items():
-            labels.change(connection, campaign(connection, name).id, CampaignChanges(tags=tags))
+            campaigns.change_labels(connection, campaign(connection, name).id, CampaignChanges(tags=tags))
     assert listed(database) == ["four", "three", "two", "one"]
     assert listed(database, "new") == ["two", "one"]
     assert listed(database, "new", "a_b") == ["one"]

@@ -149,11 +149,11 @@ LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
         "uq_runs_setup_id_parameter_set_id|sqlite_autoindex_runs_1",
     ),
     "own reference keys": (
-        lambda connection: evaluations.own_references(connection, 1, "S1", 1, KEYS[: some(connection)]),
+        lambda connection: evaluations.own_answers(connection, 1, "S1", 1, KEYS[: some(connection)], by_key=True),
         "ix_evaluations_campaign_sequence_scenario_reference_key_plan",
     ),
     "own parameter sets": (
-        lambda connection: evaluations.own_exact(connection, 1, "S1", 1, list(range(1, some(connection)))),
+        lambda connection: evaluations.own_answers(connection, 1, "S1", 1, list(range(1, some(connection)))),
         "ix_evaluations_campaign_sequence_scenario_parameter_set_id_plan",
     ),
     "parameter sets by key": (
@@ -227,7 +227,7 @@ def test_late_ratings_are_not_searched_for_among_all_runs(filled: Database) -> N
 def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, subtests: pytest.Subtests) -> None:
     with filled.transaction() as connection:
         sequence = campaign(connection).sequence
-        donor = evaluations.own_references(connection, 1, "S1", 1, KEYS[1:2])[KEYS[1]]
+        donor = evaluations.own_answers(connection, 1, "S1", 1, KEYS[1:2], by_key=True)[KEYS[1]]
         cells = [
             new_evaluation(
                 StageName.CALIBRATION,

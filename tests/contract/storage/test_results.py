@@ -63,7 +63,7 @@ def test_answers_say_whether_they_are_the_sets_own(database: Database) -> None:
         sets = sample_set_ids(connection, 3)
         first = new_evaluation(CALIBRATION, 0, 5, "S1", setup, sets[0], Outcome.SIMULATED)
         simulate(connection, sequence, [first], score=5)
-        donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
+        donor = evaluations.own_answers(connection, sequence, "S1", setup, sets)[sets[0]]
         copies = [
             new_evaluation(CALIBRATION, 0, 6, "S1", setup, sets[1], Outcome.REUSED, donor=donor),
             new_evaluation(CALIBRATION, 1, 0, "S1", setup, sets[0], Outcome.REPEATED, donor=donor),
@@ -108,7 +108,7 @@ def test_a_copied_score_gives_way_to_the_run_of_the_very_cell(database: Database
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         sets = sample_set_ids(connection, 3)
         simulate(connection, sequence, [new_evaluation(CALIBRATION, 0, 0, "S1", setup, sets[0], Outcome.SIMULATED)], score=5)
-        donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
+        donor = evaluations.own_answers(connection, sequence, "S1", setup, sets)[sets[0]]
         reused = new_evaluation(CALIBRATION, 0, 1, "S1", setup, sets[1], Outcome.REUSED, donor=donor)
         predicted = new_evaluation(CALIBRATION, 0, 2, "S1", setup, sets[2], Outcome.PREDICTED)
         evaluations.insert(connection, sequence, [reused, predicted])

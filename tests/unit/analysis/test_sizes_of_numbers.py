@@ -24,9 +24,8 @@ from drivecal.optimizers.population import ranking
 from drivecal.optimizers.surrogate.merits import Standing
 from drivecal.optimizers.surrogate.models import ScenarioModel
 from drivecal.plugins.ports import Floats
-from drivecal.reduction.forest import Forest
+from drivecal.reduction.forest import Forest, RegressionForest
 from drivecal.reduction.prediction import ScenarioLearner
-from drivecal.reduction.regression_forest import RegressionForest
 
 WEIGHTS = {"S1": 0.6, "S2": 0.4}
 SIZES = st.sampled_from(

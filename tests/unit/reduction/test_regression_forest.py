@@ -6,9 +6,8 @@ import numpy as np
 from tests.support.scales import COST
 
 from drivecal.domain.scales import COMFORT
-from drivecal.reduction.forest import Forest
+from drivecal.reduction.forest import Forest, RegressionForest, predictor_on
 from drivecal.reduction.prediction import Floats
-from drivecal.reduction.regression_forest import RegressionForest, predictor_on
 
 SETS = np.random.default_rng(3).random((600, 4))
 COSTS: Floats = 10.0 + 40.0 * np.abs(SETS[:, 0] - 0.4) + 20.0 * SETS[:, 1] ** 2

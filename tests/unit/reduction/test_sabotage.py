@@ -10,9 +10,9 @@ from tests.support.inspected_lots import Tally, inspect, inspect_references, pla
 from tests.support.scales import COST
 
 from drivecal.contracts.campaign import ErrorRate
+from drivecal.reduction.forest import predictor_on
 from drivecal.reduction.lots import outgoing_errors
 from drivecal.reduction.prediction import Bools, Floats, Predictions, ScenarioLearner
-from drivecal.reduction.regression_forest import predictor_on
 
 REPLAYS = tries(50, 1000)
 """Replays of each sabotage."""

@@ -12,10 +12,9 @@ from drivecal.api.http.queries import CampaignsQuery, SubmissionQuery
 from drivecal.api.live.dispatcher_health import silence
 from drivecal.api.responses import ROOT, SECONDS_BETWEEN_POLLS, campaign_answer, etag, list_etag, matches
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
-from drivecal.contracts.organising import CampaignChanges
-from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
+from drivecal.contracts.specification import CampaignChanges, CampaignSpecification, RerunSpecification
 from drivecal.domain.actions import Action
-from drivecal.storage import campaigns, labels, revision_queries
+from drivecal.storage import campaigns, revision_queries
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -49,7 +48,7 @@ def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_
     """Campaigns, newest first. The page has an `ETag`, as a campaign has."""
     moment = now()
     page_of: dict[str, Any] = {"state": query.state, "limit": query.limit, "cursor": query.cursor}
-    page_of["conditions"] = labels.having(query.tag)
+    page_of["conditions"] = campaigns.having(query.tag)
     with database.read() as connection:
         seen = revision_queries.page(connection, kind="calibration", **page_of)
         silent = silence(revision_queries.heartbeat(connection), moment)
@@ -85,7 +84,7 @@ def change(
     """Changes name or tags of a campaign. Fields that are left out stay."""
     with database.transaction() as connection:
         refuse_others(request, campaign_id, campaigns.get(connection, campaign_id).owner)
-        stored = labels.change(connection, campaign_id, changes)
+        stored = campaigns.change_labels(connection, campaign_id, changes)
     return accepted(response, database, stored)
 
 

@@ -97,7 +97,7 @@ def plan_cells(
     wanted: Sequence[RequestedCell],
     before: int | None = None,
 ) -> list[RequestedCell]:
-    """Returns the planned answer of each requested cell, in order. `before`: see `storage.evaluations.own_references`."""
+    """Returns the planned answer of each requested cell, in order. `before`: see `storage.evaluations.own_answers`."""
     setup_ids = ensure_setups(connection, view.bench)
     sets = list(dict.fromkeys(cell.parameters for cell in wanted))
     set_ids = dict(zip(sets, parameter_sets.ensure(connection, sets), strict=True))
@@ -117,7 +117,7 @@ def plan_cells(
             if policy.mode != "off" and setup_id in stocked:
                 by_id = {set_ids[parameter_set]: parameter_set for parameter_set in here}
                 asked, evaluator = list(by_id), view.bench.evaluator_id
-                known = evaluations.own_exact(connection, view.campaign, scenario, setup_id, asked, before)
+                known = evaluations.own_answers(connection, view.campaign, scenario, setup_id, asked, before)
                 known |= runs.look_up_exact(
                     connection, setup_id, asked, evaluator, view.watermark
                 )  # earlier campaigns' come first
@@ -149,7 +149,7 @@ def plan_cells(
 def _references(
     connection: Connection, view: View, scenario: str, setup_id: int, keys: Sequence[bytes], before: int | None
 ) -> dict[bytes, Donor]:
-    own = evaluations.own_references(connection, view.campaign, scenario, setup_id, keys, before)
+    own = evaluations.own_answers(connection, view.campaign, scenario, setup_id, keys, before, by_key=True)
     if view.influence_map_sequence is None:
         return own
     return own | reference_keys.look_up(

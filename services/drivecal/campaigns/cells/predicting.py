@@ -78,15 +78,13 @@ class _Forecast:
     seconds: float
 
 
-_LOADING = threading.Thread(
-    target=import_module, args=("drivecal.reduction.regression_forest",), name="predictors", daemon=True
-)
+_LOADING = threading.Thread(target=import_module, args=("drivecal.reduction.forest",), name="predictors", daemon=True)
 """Loads the default predictors: scikit-learn takes seconds, which other campaigns do not wait for."""
 
 
 def _predictor(scale: Scale, tolerance: float) -> Predictor:
     """Returns an untrained predictor."""
-    from drivecal.reduction.regression_forest import predictor_on
+    from drivecal.reduction.forest import predictor_on
 
     return predictor_on(scale, tolerance)()
 
