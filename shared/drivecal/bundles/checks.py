@@ -457,7 +457,7 @@ def _file(field: str, path: str, files: Executables | None) -> Iterator[Problem]
 
 
 def _placeholders(command: list[str]) -> Iterator[Problem]:
-    known = ("{parameters}", "{scenario}", "{results}")
+    known = ("{parameters}", "{scenario}", "{results}", "{seed}")
     for index, word in enumerate(command):
         for placeholder in re.findall(r"\{[A-Za-z_]+\}", word):
             if placeholder not in known:

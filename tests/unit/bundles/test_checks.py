@@ -80,7 +80,10 @@ def test_a_misspelt_section_is_not_missing_too(section: str, slip: str) -> None:
 changed = partial(with_change, VALID)
 
 
-@pytest.mark.parametrize("simulator", [VALID["simulator"], COMMAND, PYTHON, PYTHON | {"wheels": "wheels"}, FMU])
+@pytest.mark.parametrize(
+    "simulator",
+    [VALID["simulator"], COMMAND | {"command": [*COMMAND["command"], "{seed}"]}, PYTHON, PYTHON | {"wheels": "wheels"}, FMU],
+)
 def test_a_valid_manifest_of_each_kind_passes(simulator: dict[str, Any]) -> None:
     assert checked(document(simulator=simulator), FILES).problem == "my-acc"
 

@@ -16,7 +16,7 @@ from drivecal.calibration_data.characteristics import LARGEST_FILE
 from drivecal.calibration_data.sections import Sections, axis_points, chosen_by, joined, sections_of
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_json, print_page, when
-from drivecal.client.problem_templates import write_problem
+from drivecal.client.problem_templates import KINDS, write_problem
 from drivecal.configuration.documents import read_document
 from drivecal.configuration.problems import read_bundle_with_notes
 from drivecal.contracts.inventory import ProblemAnswer
@@ -37,10 +37,7 @@ FolderArgument = Annotated[str, typer.Argument(metavar="DIR", help="The folder w
 
 @problems.command()
 def init(
-    kind: Annotated[
-        str,
-        typer.Argument(metavar="KIND", help="The kind of simulation: process, command, python, fmu, highway, highway-planner."),
-    ],
+    kind: Annotated[str, typer.Argument(metavar="KIND", help=f"The kind of simulation: {', '.join(KINDS)}.")],
     name: Annotated[str, typer.Argument(metavar="NAME", help="The problem's name.")],
     folder: Annotated[str | None, typer.Option(metavar="DIR", help="The new folder; else one called NAME.")] = None,
     as_json: JsonOption = False,
