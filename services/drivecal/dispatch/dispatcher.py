@@ -217,7 +217,7 @@ class Dispatcher:
         """Returns why campaigns wait to be started or to go on, by number."""
         most, count = self._running_campaigns, len(self._in_line)
         why = f"{most} campaigns run, the most at a time on this server (DRIVECAL_RUNNING_CAMPAIGNS)"
-        if self._busy < most:
+        if self._begun >= MOST_BEGUN * most:
             why = f"{self._begun:,} campaigns have begun, and most wait for sets of other programs: finish or cancel some"
         order = "higher priorities first, then the order of submission"
         return {
