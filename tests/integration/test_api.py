@@ -10,6 +10,8 @@ from tests.support.answered_campaigns import METRICS, carry_out, carry_out_evalu
 from tests.support.server import RunningApi, problem_of
 from tests.support.values import MIDDLE
 
+from drivecal.api import expectation
+
 SMALL: dict[str, Any] = {"name": "small", "sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
 
 
@@ -31,6 +33,13 @@ def test_a_submitted_campaign_is_accepted_and_found_at_its_location(api: Running
     assert result["spec"]["optimizer"]["population"] == 10
     assert result["spec"]["reduction"]["audit"] == 0.02, "defaults are filled in"
     assert set(result["cells"]) >= {"proposed", "carried_over", "pending", "requested", "repeated", "reused", "certified"}
+
+
+def test_an_expected_time_holds_the_choice_of_cells(api: RunningApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(expectation, "pace", lambda *_: expectation.Pace(2.0, measured=True, workers=2))
+    url = "/api/v1/campaigns?validate_only=true"
+    seconds = [api.http.post(url, json={"optimizer": {"kind": kind}}).json()["seconds"] for kind in ("surrogate", "random")]
+    assert seconds == [pytest.approx(600 * (0.001 + 0.02)), pytest.approx(37.92)]
 
 
 def test_an_etag_spares_what_has_not_changed(api: RunningApi) -> None:

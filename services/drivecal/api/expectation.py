@@ -71,10 +71,11 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     runs = runs.model_copy(update={"validation": runs.validation + of_predictions})
     at_most = runs.sensitivity_at_most + runs.calibration_at_most + sum(getattr(runs, study) for study in STUDIES)
     guessed = not known.measured and not problem.bench.is_driven  # nothing is known of a simulator that never ran
-    time = (
-        {} if guessed else {"milliseconds": known.milliseconds, "measured": known.measured, "seconds": known.seconds(at_most)}
-    )
-    notes = [*warnings, *runs.notes, *([] if guessed else advice(problem, runs.calibration_at_most, known.milliseconds))]
+    seconds, chosen = known.seconds(at_most), problem.optimization
+    if seconds is not None and chosen is not None and chosen.plugin.name == "surrogate":
+        seconds += runs.calibration_at_most * CELL_MILLISECONDS / 1000
+    time = {} if guessed else {"milliseconds": known.milliseconds, "measured": known.measured, "seconds": seconds}
+    notes = [*warnings, *runs.notes, *(advice(problem, runs.calibration_at_most, known.milliseconds) if known.measured else [])]
     return runs.model_copy(update={"notes": notes, "workers": known.workers, **time})
 
 

@@ -388,8 +388,8 @@ class ExpectedRuns(Answer):
     workers: int | None = None
     """Workers at this moment; null if the dispatcher is silent."""
     seconds: float | None = None
-    """Upper limit of the simulations' time on the `workers`, without planning, optimizer and predictions. Null if time or workers are
-    unknown."""
+    """Upper limit of the simulations' time on the `workers`, with 20 ms for each cell that `surrogate` chooses, without planning and
+    predictions. Null if time or workers are unknown."""
     notes: list[str] = []
 
 

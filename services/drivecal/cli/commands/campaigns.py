@@ -256,7 +256,7 @@ def _print_expected(expected: ExpectedRuns) -> None:
         how = "measured" if expected.measured else "assumed"
         typer.echo(
             f"about {duration(expected.seconds)} at most on {expected.workers} workers ({expected.milliseconds:.1f} ms of one each, {how})"
-            ", for the simulations alone: planning, the optimizer and predictions take further time"
+            "; planning, other optimizers and predictions take further time"
         )
     for note in expected.notes:
         typer.echo(f"note: {note}")
