@@ -76,7 +76,7 @@ SEARCH = {
     "still_rising": "The best set was improved in the last of {iterations} iterations: more may improve it further.",
     "stood_still": "No iteration after the first found a better objective ({tried} tried). More iterations, wider ranges or another "
     "optimizer may find one.",
-    "ended": "The search ended by its {by}; the best set was found after {share:.0%} of its rounds.",
+    "ended": "The search ended by its {by}; the best objective last changed after {share:.0%} of its rounds.",
     "outlook": "As many simulations again would probably improve the best objective by at most {gain:.3g}; of such estimates in the "
     "benchmark, after 150 and 300 simulations, {record:.0%} held.",
     "converged": "Converged by the paper's criterion for the {of}: found in iteration {iteration} of {iterations}, it then stayed as it "

@@ -53,3 +53,4 @@ def test_data_of_another_version_cannot_break_a_stream() -> None:
 def test_a_line_shows_scores_with_six_digits() -> None:
     text = event_text(EventKind.BEST, {"objective": 1.0, "iteration": 0, "scores": {"town": 59.740123456789, "road": 6}})
     assert text.endswith("town 59.7401  road 6")
+    assert event_text(EventKind.GENERATION, {"iteration": 0, "best": 1.0, "mean": None}).endswith(" 1.0000")

@@ -245,7 +245,8 @@ def _check_free(function: Function, usual: Parameter, value: Value, field: str, 
 
 def _within_limits(function: Function, name: str, value: Decimal, field: str, diagnostics: Diagnostics) -> None:
     smallest, largest = function.limits.get(name, (None, None))
+    or_else = ", or push the problem with a wider range" if function.name in function.spaces else ""
     if smallest is not None and value < decimal(smallest):
-        diagnostics.add(field, f"{value} is too small for {name}", f"give at least {text(decimal(smallest))}")
+        diagnostics.add(field, f"{value} is too small for {name}", f"give at least {text(decimal(smallest))}{or_else}")
     if largest is not None and value > decimal(largest):
-        diagnostics.add(field, f"{value} is too large for {name}", f"give at most {text(decimal(largest))}")
+        diagnostics.add(field, f"{value} is too large for {name}", f"give at most {text(decimal(largest))}{or_else}")

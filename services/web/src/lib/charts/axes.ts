@@ -38,10 +38,11 @@ export function parameterAxes(table: Table, parameters: readonly Ranged[]): Axis
   });
 }
 
-/** The axis of a score: its usual range, and what lies beyond. */
+/** The axis of a score: from the least to the largest value; its usual range if there is only one. */
 export function scoreAxis(table: Table, name: string, scale: Scale): Axis {
-  const seen = extent(table, name) ?? [scale.lower, scale.upper];
-  return { name, title: titled(name, scale.unit), lower: Math.min(scale.lower, seen[0]), upper: Math.max(scale.upper, seen[1]) };
+  const [low, high] = extent(table, name) ?? [scale.lower, scale.upper];
+  const { lower, upper } = low < high ? { lower: low, upper: high } : scale;
+  return { name, title: titled(name, scale.unit), lower, upper };
 }
 
 export function isMinimised(scale: Pick<Scale, "direction">): boolean {

@@ -4,7 +4,7 @@ import { grouped } from "../grouped";
 import { hasFront } from "../front/sets";
 import type { Campaign, ResultTrust } from "../server/types";
 import { evidenceOf } from "./evidence";
-import { percent } from "./format";
+import { count, percent } from "./format";
 import { changeOf, gain } from "./gain";
 import { calibrates } from "./studies";
 
@@ -86,5 +86,9 @@ export function needsOf(known: readonly Campaign[], since: number, trust: Readon
     const { view, query, title } = evidenceOf(doubt);
     return [{ campaign, kind: "doubtful", why: doubt.text, title: `See the ${title}`, path: ["campaigns", id, view], query }];
   });
-  return needs.sort((a, b) => KINDS.indexOf(a.kind) - KINDS.indexOf(b.kind));
+  // What the server lacks is one cause, however many campaigns wait for it.
+  const [first, others] = [needs.find(({ kind }) => kind === "degraded"), needs.filter(({ kind }) => kind !== "degraded")];
+  const degraded = needs.length - others.length;
+  if (first) others.push(degraded > 1 ? { ...first, why: `${first.why}; ${count(degraded - 1)} more campaigns` } : first);
+  return others.sort((a, b) => KINDS.indexOf(a.kind) - KINDS.indexOf(b.kind));
 }

@@ -47,8 +47,8 @@ test("a choice that is kept by words and by a range has the rows of both in a fi
   expect(both(["sport"], [0, 1])).toEqual(["mode="]);
 });
 
-test("the axis of a score holds what lies beyond its usual range, and less is brighter where less is better", () => {
-  expect(scoreAxis(table(), "score", COST)).toEqual({ name: "score", title: "score / EUR", lower: 0, upper: 120 });
+test("the axis of a score spans its values, and less is brighter where less is better", () => {
+  expect(scoreAxis(table(), "score", COST)).toEqual({ name: "score", title: "score / EUR", lower: 10, upper: 120 });
   expect(colouring("score", COST)).toEqual({ name: "score", worst: 100, best: 0 });
   expect(colouring("score", { ...COST, direction: "maximise" }, [3, 5])).toEqual({ name: "score", worst: 3, best: 5 });
   const bins = binned(numbered(4), Float64Array.of(120, 40, 10, 70), 100, 0, 4);

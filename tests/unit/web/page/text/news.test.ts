@@ -16,6 +16,11 @@ test("a set whose rates are undecided is doubtful, and one that breaks constrain
   expect(kinds({ violation: 0.0009 })).toEqual(["nothing feasible"]);
 });
 
+test("campaigns that one cause keeps are one need", () => {
+  const degraded = (id: string): Campaign => ({ ...ended(id, 0, 1), state: "queued", ended_at: null, degraded: "silent" }) as unknown as Campaign;
+  expect(needsOf([degraded("b"), degraded("a")], 0, {}).map(({ campaign, kind }) => [campaign.id, kind])).toEqual([["b", "degraded"]]);
+});
+
 test("a new campaign is better than older ones of its question, else than its baseline", () => {
   const better = (...known: Campaign[]): unknown[] => betterSince(known, 10 * HOUR).map(({ campaign, before, of, scenario }) => [campaign.id, before, of?.id, scenario]);
   const [old, fresh] = [ended("old", HOUR, 5), ended("new", 11 * HOUR, 6)];
