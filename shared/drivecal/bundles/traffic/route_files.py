@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
-from itertools import count, islice
+from itertools import count, islice, pairwise
 from math import inf
 from typing import Any, Final
 from xml.etree import ElementTree as ET
@@ -31,6 +31,8 @@ MOST_VEHICLES = 2000
 MOST_READ = 10_000
 """Elements that SUMO reads of a file: the time that its schema takes for wrong ones grows with the square."""
 MOST_FAULTS = 20
+MOST_SEARCHED = 200_000
+"""Edges that are looked at for ways of trips; SUMO says what is wrong with further ones."""
 OWN_TYPES = frozenset(f"DEFAULT_{kind}TYPE" for kind in ("VEH", "BIKE", "TAXI", "PED", "RAIL", "CONTAINER"))  # SUMO's
 LONG = 1e9
 SUBLANE: Final = "SL2015"
@@ -72,7 +74,18 @@ IGNORED = ("param", "person", "personFlow", "container", "containerFlow")
 """Elements that are listed and not passed on."""
 _REFERENCES = {"type": "type", "vTypes": "type", "route": "route", "routes": "route"}
 NAMES = frozenset({"id", "from", "to", "via", "edges", "edge", "lane", *_REFERENCES})
-_NUMBER = re.compile(r"(?i)\b(?:nan|inf(?:inity)?)\b|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
+_NUMBER = re.compile(r"(?i)\b(?:nan|inf(?:inity)?)\b|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d*)?")
+_BLANKS = re.compile(r"\s*([(),])\s*")
+LIMITS = {
+    ("vType", "tau"): (1e-3, LONG),
+    ("vType", "stepping"): (1e-3, LONG),
+    ("vType", "lcOvertakeDeltaSpeedFactor"): (-1.0, 1.0),
+}
+LIMITS |= {("flow", "vehsPerHour"): (1e-9, 3.6e6), ("flow", "perHour"): (1e-9, 3.6e6), ("flow", "period"): (1e-3, LONG)}
+LIMITS |= {("flow", "probability"): (1e-9, 1.0), ("flow", "number"): (1.0, LONG), ("vType", "speedDev"): (0.0, 1e3)}
+"""Limits that SUMO's schema does not have: beyond them SUMO does not start, or takes hours."""
+FASTEST: Mapping[str, float] = {"truck": 130 / 3.6, "trailer": 130 / 3.6, "bus": 100 / 3.6, "coach": 100 / 3.6}
+"""SUMO's `maxSpeed` (m/s) by class of vehicles; others have 200 km/h."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,10 +138,10 @@ class _Reader:
         self._begin, self._first = scenario.begin, scenario.begin - scenario.warm_up
         self._end = scenario.begin + duration
         self._notes = Notes(name)
-        self._given = {"type": set(OWN_TYPES), "route": set[str](), "vehicle": set[str]()}
+        self._given: dict[str, dict[str, Element | None]] = {"type": dict.fromkeys(OWN_TYPES), "route": {}, "vehicle": {}}
         own = {EGO, *(entry.id or f"vehicle{index}" for index, entry in enumerate(scenario.traffic))}
         self._taken = {"type": set(own), "route": {f"route-{name}" for name in own}, "vehicle": own}  # SUMO keeps them apart
-        self._numbers = count(1)
+        self._numbers, self._searched = count(1), 0
         self._times: list[float] = []
         self._early = 0
         self._departing: list[tuple[float, Element]] = []
@@ -208,11 +221,31 @@ class _Reader:
         if is_flow and (len(rates) > 1 or not (rates or ("number" in element.values and end < LONG))):
             message = f"how many vehicles come is said by {' and '.join(rates) or 'nothing'}"
             raise element.fault(message, "give one of vehsPerHour, period and probability, or number, begin and end")
-        for key in [*rates, "number"] if is_flow else ():
-            value = finite(element.values.get(key, "1").replace(" ", "").removeprefix("exp(").removesuffix(")")) or 0.0
-            if not 0.0 < value <= (1.0 if key == "probability" else LONG):
-                raise element.fault(f"{key} is {shown(element.values[key], 40)}", "give more than 0, and a probability up to 1")
+        self._check_start(element)
         self._departing.append((begin, element))
+
+    def _check_start(self, element: Element) -> None:
+        """Checks that a vehicle can start with its type's speed in its lane, and that a way leads to a trip's end."""
+        values, route = element.values, element.optional("route")
+        kind = self._given["type"].get(values.get("type", "DEFAULT_VEHTYPE"))
+        of_type = {} if kind is None else kind.values
+        fastest = finite(of_type.get("maxSpeed", "")) or FASTEST.get(of_type.get("vClass", ""), 200 / 3.6)
+        if (finite(values.get("departSpeed", "")) or 0.0) > fastest and (kind is None or kind.element == "vType"):
+            raise element.fault(f"departSpeed is above the {fastest:.4g} m/s of the type", "give less, or the type a maxSpeed")
+        route = route or self._given["route"].get(values.get("route", ""))
+        ways = [edge for key in ("from", "via", "to") for edge in values.get(key, "").split() if "from" in values]
+        edges = ways or ("" if route is None else route.values.get("edges", "")).split()
+        lane = values.get("departLane", "").strip()
+        if lane.isdigit() and edges and self._network.lane(f"{edges[0]}_{lane}") is None:
+            raise element.fault(f"{shown(edges[0], 80)} has no lane {lane}", "give a departLane from 0, the rightmost")
+        for begin, end in pairwise(ways):
+            reached, fresh = {begin}, [begin]
+            while fresh and end not in reached and self._searched < MOST_SEARCHED:
+                self._searched += 1
+                fresh += {link.end for link in self._network.connections.get(fresh.pop(), ())} - reached
+                reached.update(fresh)
+            if end not in reached and not fresh:
+                raise element.fault(f"no way leads from {shown(begin, 80)} to {shown(end, 80)}", "give edges that lead there")
 
     def _check(self, element: Element) -> None:
         """Checks the attributes of an element and of those inside of it, and its edges."""
@@ -226,8 +259,12 @@ class _Reader:
                 raise element.fault(f"the attribute {shown(key)} is not supported", remedy)
             if key in WORDS:
                 element.word(key, WORDS[key])
-            if key in known - NAMES and not all(float(text) < LONG for text in _NUMBER.findall(element.values[key])):
-                raise element.fault(f"{key} is {shown(element.values[key], 40)}", "give a number below 1e9")
+            if key in known - NAMES:
+                text = _BLANKS.sub(r"\1", element.values[key]).strip()
+                low, high = LIMITS.get((element.element, key), (-LONG, LONG)) if "exp" not in text else (1e-9, 1e3)
+                numbers = [finite(part) for part in (text.removeprefix("exp(").rstrip(")"), *_NUMBER.findall(text))]
+                if None in numbers[1:] or not all(low <= number <= high for number in numbers[:1] if number is not None):
+                    raise element.fault(f"{key} is {shown(text, 40)}", f"give a number from {low:g} to {high:g}")
         self._check_places(element)
         for key, kind in _REFERENCES.items():
             for name in element.values.get(key, "").split():
@@ -242,8 +279,9 @@ class _Reader:
         kind = "type" if tag.startswith("vType") else "route" if tag.startswith("route") else "vehicle"
         if name in self._taken[kind] or (kind == "vehicle" and name.rpartition(".")[0] in self._taken[kind]):
             raise element.fault(f"another {kind} has the same id, here or in the scenario", "rename one")
-        for names in (self._taken, self._given):
-            names[kind] |= {name} - {""}
+        if name:
+            self._taken[kind].add(name)
+            self._given[kind][name] = element
 
     def _check_places(self, element: Element) -> None:
         """Checks that the network has the edges and the lane of an element, and links from each edge of a route to the next."""
@@ -266,9 +304,10 @@ def _copied(element: Element, read: list[Element]) -> ET.Element:
     """Returns what SUMO reads of a checked element, and adds to `read` first the element, then those inside of it."""
     known = KNOWN[element.element]
     read.append(element)
-    copied = ET.Element(element.element, {key: text for key, text in element.values.items() if key in known})
-    if "speedFactor" in copied.attrib:  # SUMO takes blanks in there, its schema does not
-        copied.set("speedFactor", element.values["speedFactor"].replace(" ", ""))
+    texts = {key: text for key, text in element.values.items() if key in known}
+    # SUMO takes blanks in lists of numbers and not around them, its schema the other way round.
+    tidied = {key: text if key in NAMES else _BLANKS.sub(r"\1", text).strip() for key, text in texts.items()}
+    copied = ET.Element(element.element, tidied)
     copied.extend(_copied(child, read) for child in element.children if child.is_read and child.element in KNOWN)
     return copied
 

@@ -55,6 +55,8 @@ def test_sumo_reads_a_file_as_it_is_without_what_has_no_effect() -> None:
     car, lorry, through, *vehicles = elements(ROUTES)
     assert car.attrib.items() >= {"carFollowModel": "IDM", "lcAssertive": "2", "speedFactor": "normc(1,0.1,0.2,2)"}.items()
     assert "color" not in car.attrib
+    spaced = '<vType id="t" tau=" 1.5 " speedFactor="norm( 1, 0.1 )"/>'
+    assert {"tau": "1.5", "speedFactor": "norm(1,0.1)"}.items() <= elements(spaced + TYPED)[1].attrib.items()
     assert (lorry.get("vClass"), through.get("edges")) == ("truck", "before beside after")
     assert [element.get("id") for element in vehicles] == ["a.1", "stream", "joins", "others", "late"]
     assert [inner.tag for inner in vehicles[-1]] == ["route"]
@@ -78,7 +80,7 @@ def test_sumo_reads_a_file_as_it_is_without_what_has_no_effect() -> None:
         .replace("/>", '><stop lane="before_0" duration="3"/><route edges="before"/></vehicle>')
         .replace('route="r" ', ""),
         FLOW.format('begin="0" end="20" number="5"'),
-        '<vType id="t" apparentDecel="1e05"/><vType id="a"/>' + TYPED,
+        '<vType id="t" apparentDecel="1e05"/><vType id="a"/>' + TYPED + '<trip id="b" depart="0" from="before" to="after"/>',
         '<vType id="DEFAULT_BIKETYPE" length="2"/>' + VEHICLE.format(' type="DEFAULT_TAXITYPE"'),
     ],
 )
@@ -100,8 +102,6 @@ def test_what_sumo_drives_is_passed_on(content: str) -> None:
         ('<trip id="a" depart="0" from="before" to="nowhere"/>', "<trip id=a>"),
         ('<vTypeDistribution id="d"><include href="x"/></vTypeDistribution>', "<include>"),
         ('<include href="/etc/passwd"/>', "<include>"),
-        ('<vType id="t" carFollowModel="Wiedemann"/>' + TYPED, "<vType id=t>"),
-        ('<vType id="t" vClass="tram"/>' + TYPED, "<vType id=t>"),
         (VEHICLE.format(' type="none"'), "<vehicle id=a>"),
         (VEHICLE.format("").replace('route="r"', 'route="q"'), "<vehicle id=a>"),
         ('<vTypeDistribution id="d" vTypes="none" probabilities="1"/>', "none"),
@@ -113,12 +113,16 @@ def test_what_sumo_drives_is_passed_on(content: str) -> None:
         (VEHICLE.format("").replace("/>", '><stop lane="before_9" duration="3"/></vehicle>'), "before_9"),
         (VEHICLE.format("").replace("/>", '><stop duration="3"/></vehicle>'), "<stop>"),
         (VEHICLE.format("").replace("/>", '><stop lane="before_0" duration="-3"/></vehicle>'), "<stop>"),
-        (FLOW.format('begin="0"'), "<flow id=f>"),
-        (FLOW.format('period="2" vehsPerHour="3"'), "<flow id=f>"),
-        (FLOW.format('period="exp(-1)"'), "<flow id=f>"),
-        (FLOW.format('begin="0" end="9" number="0"'), "<flow id=f>"),
-        (FLOW.format('probability="1.5"'), "<flow id=f>"),
-        (FLOW.format('period="1e10"'), "<flow id=f>"),
+        *((FLOW.format(rate), "<flow id=f>") for rate in (
+            'begin="0"', 'period="2" vehsPerHour="3"', 'period="exp(-1)"', 'begin="0" end="9" number="0"', 'probability="1.5"',
+            'period="1e10"', 'period="exp(1e8)"', 'vehsPerHour="1e8"', 'period="1e-9"', 'period="2" departLane="2"')),
+        *((f'<vType id="t" {value}/>' + TYPED, "<vType id=t>") for value in (
+            'carFollowModel="Wiedemann"', 'vClass="tram"', 'tau="0"', 'carFollowModel="IDM" stepping="1e-9"', 'length="1e"',
+            'lcOvertakeDeltaSpeedFactor="2"', 'decel="9e9"')),
+        ('<vType id="t" vClass="bus"/>' + TYPED, "<vehicle id=a>: departSpeed"),
+        ('<vType id="t" maxSpeed="27"/>' + TYPED, "<vehicle id=a>: departSpeed"),
+        (VEHICLE.format(' departLane="2"'), "<vehicle id=a>: before has no lane 2"),
+        ('<trip id="a" depart="0" from="after" to="before"/>', "<trip id=a>: no way"),
         ('<vType id="t" apparentDecel="9e9"/>' + TYPED, "apparentDecel"),
         ('<vType id="t"/><vTypeDistribution id="t" vTypes="t" probabilities="1"/>' + TYPED, "<vTypeDistribution id=t>"),
         ('<vType id="ego"/>' + VEHICLE.format(' type="ego"'), "<vType id=ego>"),
