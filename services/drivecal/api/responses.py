@@ -50,7 +50,7 @@ def _search(stored: StoredCampaign) -> dict[str, Any]:
     minutes = 0.0 if search is None else search.spent_minutes or 0.0
     return {
         "budget": stored.spec.get("budget"),
-        "spent": Spent(simulations=stored.cells.runs, minutes=minutes),
+        "spent": Spent(simulations=stored.cells.runs - stored.cells.lost, minutes=minutes),
         "ended_by": end if end in {"cancelled", "failed"} and search is not None else ended_by,
         "repaired": Repaired() if search is None else search.repaired,
     }
