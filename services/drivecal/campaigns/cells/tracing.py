@@ -12,7 +12,7 @@ from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.domain.setups import Setup, base_of
+from drivecal.domain.setups import base_of
 from drivecal.storage import campaigns, results, traces
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.types import now
@@ -65,7 +65,7 @@ def _specification(connection: Connection, number: int) -> tuple[EvaluationSpeci
     stored = setups.by_id(connection, row.setup_id)
     document: dict[str, Any] = {"parameters": row.parameters.floats, "scenario": base_of(row.scenario)}
     document |= {name: spec[name] for name in ("problem", "evaluator", "driving_function")}
-    document["vehicle"] = spec["vehicle"] | {"parameters": dict(Setup(row.scenario, stored.document).varied)}
+    document["vehicle"] = spec["vehicle"] | {"parameters": dict(stored.varied)}
     if row.seed:
         document["seed"] = row.seed
     if "catalogue" in stored.document["data"]:

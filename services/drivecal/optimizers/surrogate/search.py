@@ -15,7 +15,6 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]  
 
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.surrogate.answers import Answers, BegunSet
-from drivecal.optimizers.surrogate.candidates import children
 from drivecal.optimizers.surrogate.gaussian_process import Encoding
 from drivecal.optimizers.surrogate.giving_up import beaten, improbable, without_result
 from drivecal.optimizers.surrogate.merits import Merit, Standing
@@ -37,6 +36,10 @@ FEW_DRAWS = 16
 """Draws for each of many sets that are known in part."""
 SPREAD, NEAR = 300, 500
 """Candidates over the whole space, and near the best sets."""
+CROSSED = 0.3
+"""Share of the children that have two parents."""
+SHORTEST, LONGEST = 0.005, 0.3
+"""Deviations of steps, in ranges; each child has its own, on a logarithmic scale."""
 PARENTS = 8
 REFINEMENTS, REFINED, REFINING = 2, 8, 150
 """How often the most promising candidates have children, how many of them, and how many children."""
@@ -414,7 +417,25 @@ class SurrogateSearch:
         return np.array([complete[place].indices for place in np.argsort(-merits, kind="stable")[:PARENTS]], dtype=np.int64)
 
     def _children(self, parents: Indices, count: int, generator: np.random.Generator) -> Indices:
-        return children(parents, count, self._task.n_values, self._task.kinds, generator)
+        """Returns rows near parents, shape (count, n_searched); the first parents have the most. Each child differs in one parameter or
+        more, on grids by a step at least; the values of choices have no order."""
+        n_values = self._task.n_values
+        last, width = n_values - 1, len(n_values)
+        first = parents[np.minimum((generator.random(count) ** 2 * len(parents)).astype(np.int64), len(parents) - 1)]
+        second = parents[generator.integers(len(parents), size=count)]
+        crossed = (generator.random((count, 1)) < CROSSED) & (generator.random((count, width)) < 0.5)
+        rows = np.where(crossed, second, first)
+        share = np.exp(generator.uniform(np.log(1.0 / width), 0.0, size=(count, 1)))
+        moved = generator.random((count, width)) < share
+        moved[np.arange(count), generator.integers(width, size=count)] = True
+        deviation = np.exp(generator.uniform(np.log(SHORTEST), np.log(LONGEST), size=(count, 1)))
+        steps = np.rint(generator.normal(size=(count, width)) * deviation * last).astype(np.int64)
+        steps = np.where(steps == 0, 2 * generator.integers(0, 2, size=(count, width)) - 1, steps)
+        stepped = np.abs(rows + steps)
+        stepped = np.clip(np.where(stepped > last, 2 * last - stepped, stepped), 0, last)
+        anywhere = generator.integers(0, n_values, size=(count, width))
+        unordered = np.array([kind == "choice" for kind in self._task.kinds])
+        return np.where(moved, np.where(unordered, anywhere, stepped), rows)
 
 
 def _needed(aim: Aim) -> npt.NDArray[np.bool_]:

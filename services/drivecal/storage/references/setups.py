@@ -13,14 +13,6 @@ from drivecal.storage.engine.tables import runs, setups
 
 
 @dataclass(frozen=True, slots=True)
-class StoredSetup:
-    """A setup as it is stored."""
-
-    fingerprint: str
-    document: Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
 class SetupCount:
     """Number of simulated results of a setup in the reference table."""
 
@@ -57,9 +49,9 @@ def counts(connection: Connection) -> list[SetupCount]:
     return [record(SetupCount, row) for row in connection.execute(query)]
 
 
-def by_id(connection: Connection, setup_id: int) -> StoredSetup:
+def by_id(connection: Connection, setup_id: int) -> Setup:
     """Returns an existing setup."""
-    return record(StoredSetup, connection.execute(select(setups).where(setups.c.id == setup_id)).one())
+    return Setup(*connection.execute(select(setups.c.scenario, setups.c.document).where(setups.c.id == setup_id)).one())
 
 
 def documents(connection: Connection, fingerprints: Sequence[str]) -> dict[str, Mapping[str, Any]]:
