@@ -9,7 +9,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +30,8 @@ from drivecal.plugins.search import AskedCell, CellAnswer, SearchTask
 
 HERE = Path(__file__).parent / "problems"
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples" / "problems"
-Run = Callable[[Mapping[str, Any], str], float | None]
-"""Returns the rating of a set in a scenario; None for a failed run."""
+Run = Callable[..., float | None]
+"""Returns the rating of a set in a scenario, under a seed if the simulator is random; None for a failed run."""
 
 
 @dataclass
@@ -86,12 +86,12 @@ class EconomyProblem:
         """The feasible sets."""
         return self.constraints.region(np.zeros_like(self.space.n_values), self.space.n_values - 1)
 
-    def answer(self, cell: AskedCell) -> CellAnswer:
-        """Returns the answer of a cell."""
-        key = (*cell.indices, cell.scenario)
+    def answer(self, cell: AskedCell, *seed: int) -> CellAnswer:
+        """Returns the answer of a cell; `seed` of a random simulator."""
+        key = (*cell.indices, cell.scenario, *seed)
         if key not in self._known:
             values = {p.name: _plain(p.named(index)) for p, index in zip(self.space.searched, cell.indices, strict=True)}
-            value = self._known[key] = self.run(values, self.scenarios[cell.scenario])
+            value = self._known[key] = self.run(values, self.scenarios[cell.scenario], *seed)
             if self.stored is not None:
                 self.stored.parent.mkdir(parents=True, exist_ok=True)
                 with self.stored.open("a") as file:
@@ -195,6 +195,30 @@ def motorway() -> EconomyProblem:
     return EconomyProblem("motorway", searched, tuple(HIGHWAY.scenarios), COMFORT, run, Constraints(searched))
 
 
+def random_motorway() -> EconomyProblem:
+    """The built-in random motorway, S1r to S6r."""
+    from tests.benchmarks.evaluation import runner_of
+
+    from drivecal.bundles.highway import TaskScenario
+    from drivecal.bundles.installed import installed_problems
+    from drivecal.highway.planner.frenet import FRENET
+    from drivecal.highway.scenarios.highway import RANDOM_FOLDER
+
+    declared = installed_problems()["highway-random"].manifest.scenarios
+
+    @lru_cache(240)
+    def runner(scenario: str, seed: int) -> Any:
+        task = TaskScenario.model_validate(declared[scenario])
+        return runner_of(replace(task.on(scenario, (RANDOM_FOLDER / task.network).read_bytes()), seed=seed))
+
+    def run(parameters: Mapping[str, Any], scenario: str, seed: int) -> float | None:
+        result = runner(scenario, seed).run(list(parameters.values()))
+        return None if result.failure else float(result.rating.rating)
+
+    searched = ParameterSpace(FRENET.spaces["highway"])
+    return EconomyProblem("random_motorway", searched, tuple(declared), COMFORT, run, Constraints(searched))
+
+
 UNIT = Scale("cost", Direction.MINIMISE, lower=0.0, upper=10.0, tolerance=0.1, failed=20.0)
 
 
@@ -250,6 +274,6 @@ PROBLEMS: Mapping[str, Callable[[], EconomyProblem]] = {
 
 @cache
 def problem(name: str, folder: Path | None = None) -> EconomyProblem:
-    """Returns a problem of `PROBLEMS`, with its answers stored in a folder."""
-    made = PROBLEMS[name]()
+    """Returns a problem of `PROBLEMS`, or `random_motorway`, with its answers stored in a folder."""
+    made = random_motorway() if name == "random_motorway" else PROBLEMS[name]()
     return made if folder is None else replace(made, stored=folder / f"{name}.jsonl")

@@ -295,13 +295,14 @@ def table(rows: Sequence[Mapping[str, Any]], arms: Sequence[str], names: Sequenc
             yield f"{name:20}" + "".join(f"{value:>16.4f}" for value in figures.mean(axis=0))
             if "surrogate" in arms and len(seeds) >= 6:
                 ours = figures[:, list(arms).index("surrogate")]
-                tests = [_p_value(ours - figures[:, place]) for place in range(len(arms))]
+                tests = [p_value(ours - figures[:, place]) for place in range(len(arms))]
                 yield f"{'  p':20}" + "".join(f"{test:>16}" for test in tests)
         if ranks:
             yield f"{'mean rank':20}" + "".join(f"{value:>16.2f}" for value in np.mean(ranks, axis=0))
 
 
-def _p_value(differences: Any) -> str:
+def p_value(differences: Any) -> str:
+    """Returns the sign of the mean and the p-value of Wilcoxon's signed-rank test."""
     if not np.any(differences):
         return "-"
     p = float(wilcoxon(differences).pvalue)

@@ -3,9 +3,10 @@
 - Synthetic campaigns through the allocation of the product: sets at distances of 1, the noise of a run, and as much noise that all sets
   have in common. `equal`: the same sets and the same rule to stop, but all sets get equally many runs. Runs that report are not counted.
   `--kinds`: `normal` noise; `steps`: noisy ratings in six scenarios, rounded to scores 0..7; `failures`: runs also score 0 by chance.
-- `--problems NAME ...`: problems of `economy` with noise, a share (`--noise`) of the quartiles' distance of random sets, half of its
-  variance common to all sets: the TRUE objective of the set that a campaign of `--cells` runs reports, over `--seeds` seeds, and in how
-  many it is at least as good as `single`, which calls the best single sample the best set. `after`: replicates after the search alone.
+- `--problems NAME ...`: problems of `economy`, whose objective has noise of `--noises` distances of the best and the tenth best of 100
+  random sets, and as much that all sets have in common, or `random_motorway`: the TRUE objective of the set that a campaign of `--cells`
+  runs reports, over `--seeds` seeds, how far the report is off in the mean, in how many seeds an arm is better or worse than the first
+  one, and how many 95 % intervals hold the truth. `single` believes single samples, `after` has replicates after the search alone.
 """
 
 import argparse
@@ -13,6 +14,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -21,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr
 from tests.benchmarks._economy_problems import EconomyProblem, problem
-from tests.benchmarks.economy import ARMS, FIRST_SEED, Ended, Run, surrogate
+from tests.benchmarks.economy import ARMS, Ended, Run, p_value, surrogate
 
 from drivecal.analysis.replicates import assess, choosing, kept_back
 from drivecal.analysis.solutions import Ranking
@@ -35,6 +37,8 @@ Drawn = tuple[Floats, Floats, Floats]
 TARGET = Path(".drivecal/bench/random.json")
 NOISES = (0.5, 1.0, 3.0)
 MANY, USUAL = ReplicatesSpecification(most=200), ReplicatesSpecification()
+SEEDS, FRESH, REPORTING = 10_000, range(1001, 1101), 8
+"""Number of a campaign's seeds, the seeds for the truth of its best set, and the number of seeds for its report."""
 ROOM = 8
 """Runs of a round."""
 DISTANCE, BEST, SCENARIOS = 0.2, 6.0, 6
@@ -125,55 +129,78 @@ def allocated(
         yield f"{kind:10}{sets:>5}{noise:>7}{right:>9.1%}{runs:>9.1f}{share:>12.0%}{held:>16.1%}"
 
 
-class NoisyRun(Run):
-    """Runs a problem of `economy` under seeds, and ranks its sets."""
+class RandomRun(Run):
+    """Runs a problem of `economy` under the seeds of a campaign, and ranks its sets."""
 
     def __init__(self, chosen: EconomyProblem, cells: int, noise: float, number: int) -> None:
+        """`noise`: deviation of a run's objective, and as much again for what all sets have in common."""
         super().__init__(chosen, cells)
-        self._number, self._numbers, self.spent = number, dict[tuple[int, ...], int](), 0
-        rows = chosen.task(None).sample(100, np.random.default_rng(1)).tolist()
-        self._noise = []
-        for scenario in range(len(chosen.scenarios)):
-            answers = [chosen.answer(AskedCell(tuple(row), scenario)) for row in rows]
-            values = [answer.values[0] for answer in answers if not answer.failed]
-            self._noise.append(noise * float(np.subtract(*np.percentile(values, [75, 25]))) / np.sqrt(2))
-        weights = dict.fromkeys(chosen.scenarios, 1.0)
-        self.ranking = Ranking(weights, chosen.scale.sign, span=chosen.scale.span, wanted=USUAL)
+        self._noise, self._number, self.sets = noise * len(chosen.scenarios) ** 0.5, number, dict[tuple[int, ...], int]()
+        self._answers: list[CellScore] = []
+        self.ranking = self._ranked()
+
+    def _ranked(self) -> Ranking:
+        scale = self.problem.scale
+        return Ranking(dict.fromkeys(self.problem.scenarios, 1.0), scale.sign, span=scale.span, wanted=USUAL)
+
+    def _sampled(self, cell: AskedCell) -> CellAnswer:
+        """Returns the answer of a cell under the seed of its replicate."""
+        if not self._noise:
+            return self.problem.answer(cell, SEEDS * self._number + cell.replicate)
+        answer, scale = self.problem.answer(cell), self.problem.scale
+        if answer.failed:
+            return answer
+        seed = (self._number, cell.scenario, cell.replicate)
+        drawn = np.random.default_rng([*seed, *cell.indices]).normal() + np.random.default_rng(seed).normal()
+        return CellAnswer(cell, (scale.worth(answer.values[0] + self._noise * drawn),))
+
+    def _scored(self, answer: CellAnswer) -> CellScore:
+        cell, (rating,) = answer.cell, answer.values
+        score = float(np.floor(rating + 0.5)) if self.problem.scale.step else rating
+        number, name = self.sets.setdefault(cell.indices, len(self.sets)), self.problem.scenarios[cell.scenario]
+        return CellScore(number, name, score, rating, True, 0, number, seed=cell.replicate, failed=answer.failed)
 
     def cell(self, cell: AskedCell) -> CellAnswer:
         """Returns the answer of a cell under the seed of its replicate. Raises Ended when the budget is spent."""
-        if self.spent >= self._cells:
+        if len(self._answers) >= self._cells:
             raise Ended
-        self.spent += 1
-        answer, scale = self.problem.answer(cell), self.problem.scale
-        if not answer.failed:
-            seed = (self._number, cell.scenario, cell.replicate)
-            drawn = np.random.default_rng([*seed, *cell.indices]).normal() + np.random.default_rng(seed).normal()
-            value = answer.values[0] + self._noise[cell.scenario] * drawn
-            answer = CellAnswer(cell, (scale.sign * max(scale.sign * value, scale.sign * scale.failed),))
-        number, value = self._numbers.setdefault(cell.indices, len(self._numbers)), answer.values[0]
-        name, failed = self.problem.scenarios[cell.scenario], answer.failed
-        self._values.setdefault(cell.indices, {}).setdefault(cell.scenario, value)
-        self.ranking.add([CellScore(number, name, value, value, True, 0, number, seed=cell.replicate, failed=failed)])
-        return answer
+        answer = self._sampled(cell)
+        self._values.setdefault(cell.indices, {}).setdefault(cell.scenario, answer.values[0])
+        self._answers.append(self._scored(answer))
+        self.ranking.add(self._answers[-1:])
+        return replace(answer, failed=self._answers[-1].score == self.problem.scale.failed)
 
     def replicate(self, cells: int) -> None:
         """Spends the rest of a budget of `cells` on the best sets."""
-        self._cells, sets, scenarios = cells, list(self._numbers), len(self.problem.scenarios)
-        while chosen := next_runs(self.ranking, USUAL, 2, (cells - self.spent) // scenarios):
+        self._cells, scenarios = cells, range(len(self.problem.scenarios))
+        sets = list(self.sets)
+        while chosen := next_runs(self.ranking, USUAL, 2, (cells - len(self._answers)) // len(scenarios)):
             for number, seed in chosen:
-                for scenario in range(scenarios):
+                for scenario in scenarios:
                     self.cell(AskedCell(sets[number], scenario, seed))
 
-    @property
-    def truth(self) -> float:
-        """The true objective of the best set, higher is better."""
-        best = self.ranking.best()
+    def result(self) -> tuple[float, float, list[bool]]:
+        """Returns the true objective of the best set, the reported one, higher is better, and whether intervals hold the truth: of the
+        campaign, and of every other 8 fresh seeds in the place of the report's."""
+        best, _ = self.ranking.best() or (None, 0)
         if best is None:
-            return -np.inf
-        indices = list(self._numbers)[best[0].parameter_set]
-        cells = [AskedCell(indices, scenario) for scenario in range(len(self.problem.scenarios))]
-        return self.problem.objective([self.problem.answer(cell).values[0] for cell in cells])
+            return -np.inf, np.nan, []
+        sign, scenarios = self.problem.scale.sign, range(len(self.problem.scenarios))
+        cells = [AskedCell(list(self.sets)[best.parameter_set], scenario) for scenario in scenarios]
+        if self._noise:
+            truth = self.problem.objective([self.problem.answer(cell).values[0] for cell in cells])
+            return truth, sign * best.objective, [] if best.lower is None else [best.lower <= sign * truth <= (best.upper or 0)]
+        fresh = [[self._scored(self._sampled(replace(cell, replicate=seed))) for cell in cells] for seed in FRESH]
+        means, last = np.array([[cell.score for cell in run] for run in fresh]).mean(axis=1), choosing(USUAL.most)
+        reports = [(best, float(means.mean()))]
+        for first in range(0, len(fresh) - REPORTING, REPORTING) if best.lower is not None else ():
+            again, block = self._ranked(), slice(first, first + REPORTING)
+            again.add(cell for cell in self._answers if cell.seed <= last)
+            again.add(replace(cell, seed=last + 1 + place) for place, run in enumerate(fresh[block]) for cell in run)
+            known = again.get(best.parameter_set)
+            reports += [] if known is None else [(known, float(np.delete(means, block).mean()))]
+        held = [each.lower <= truth <= (each.upper or 0) for each, truth in reports if each.lower is not None]
+        return float(means.mean()), best.objective, held
 
 
 SEARCHES: Mapping[str, Callable[[Run, int], None]] = {
@@ -184,28 +211,45 @@ SEARCHES: Mapping[str, Callable[[Run, int], None]] = {
 }
 
 
-def reported(name: str, arm: str, seed: int, cells: int, noise: float) -> float:
-    """Returns the true objective of the set that a campaign reports."""
-    chosen = problem(name)
+def reported(chosen: EconomyProblem, arm: str, seed: int, cells: int, noise: float) -> tuple[float, float, list[bool]]:
+    """Returns the result of a campaign."""
     kept = 0 if arm == "single" else kept_back(cells, len(chosen.scenarios), USUAL.most, by_cell=arm == "surrogate")
-    run = NoisyRun(chosen, cells - kept, noise, seed)
+    run = RandomRun(chosen, cells - kept, noise, seed)
     with suppress(Ended):
         SEARCHES[arm](run, seed)
     if kept:
         run.replicate(cells)
-    return run.truth
+    return run.result()
+
+
+def distance(chosen: EconomyProblem) -> float:
+    """Returns the distance of the best and the tenth best objective of 100 random sets, without failed ones."""
+    rows = chosen.task(None).sample(100, np.random.default_rng(1)).tolist()
+    answers = [[chosen.answer(AskedCell(tuple(row), place)) for place in range(len(chosen.scenarios))] for row in rows]
+    known = [chosen.objective([each.values[0] for each in row]) for row in answers if not any(each.failed for each in row)]
+    return float(np.subtract(*np.sort(known)[[-1, -10]]))
 
 
 def compared(options: Any, figures: dict[str, list[float]]) -> Iterator[str]:
-    """Yields a line for each problem and arm, and adds the true objectives by seed."""
-    yield f"{'':16}{'arm':>12}{'mean':>10}{'worst':>10}{'>= single':>11}"
-    for name in options.problems:
-        for arm in options.arms:
-            seeds = range(FIRST_SEED, FIRST_SEED + options.seeds)
-            truths = figures[f"{name} {arm}"] = [reported(name, arm, seed, options.cells, options.noise) for seed in seeds]
-            single = figures.get(f"{name} single", truths)
-            better = sum(ours >= theirs - 1e-9 for ours, theirs in zip(truths, single, strict=True))
-            yield f"{name:16}{arm:>12}{np.mean(truths):>10.3f}{min(truths):>10.3f}{better:>8} of {len(truths)}"
+    """Yields a line for each problem, noise, budget and arm, compared with the first arm, and adds the true objectives by seed."""
+    yield f"{'':16}{'noise':>6}{'runs':>6}{'arm':>11}{'true':>10}{'worst':>10}{'error':>9}{'too good':>9}{'better':>8}{'intervals':>11}"
+    for name, cells in product(options.problems, options.cells):
+        chosen = problem(name, options.cache)
+        for noise in [0.0] if name == "random_motorway" else options.noises:
+            deviation, seeds = noise * distance(chosen) if noise else 0.0, range(1, options.seeds + 1)
+            by_seed = [[reported(chosen, arm, seed, cells, deviation) for arm in options.arms] for seed in seeds]
+            for arm, results in zip(options.arms, zip(*by_seed, strict=True), strict=True):
+                truths = figures[f"{name} {noise} {cells} {arm}"] = [truth for truth, *_ in results]
+                off, held = (
+                    np.array([report - truth for truth, report, _ in results]),
+                    [each for *_, own in results for each in own],
+                )
+                others = np.subtract(truths, figures[f"{name} {noise} {cells} {options.arms[0]}"])
+                yield (
+                    f"{name:16}{noise:>6}{cells:>6}{arm:>11}{np.mean(truths):>10.3f}{min(truths):>10.3f}{np.abs(off).mean():>9.3f}"
+                    f"{off.mean():>9.3f}{sum(others > 1e-9):>4}:{sum(others < -1e-9):<3}{p_value(others):>14}"
+                    f"{sum(held):>7} of {len(held)}"
+                )
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -218,8 +262,8 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--problems", nargs="*", default=[])
     parser.add_argument("--arms", nargs="+", choices=SEARCHES, default=list(SEARCHES))
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--cells", type=int, default=600)
-    parser.add_argument("--noise", type=float, default=0.3)
+    parser.add_argument("--cells", type=int, nargs="+", default=[300, 600])
+    parser.add_argument("--cache", type=Path, help="folder of simulated answers")
     options, figures = parser.parse_args(arguments), dict[str, list[float]]()
     synthetic = allocated(options.kinds, options.sets, options.noises, options.campaigns, figures)
     for line in compared(options, figures) if options.problems else synthetic:

@@ -42,9 +42,10 @@ def choosing(most: int) -> int:
 
 
 def kept_back(budget: int, scenarios: int, most: int, shown: int = 0, *, by_cell: bool) -> int:
-    """Returns the simulations of a budget that are kept for the runs after the search; `shown`: seeds that rates need at least."""
+    """Returns the simulations of a budget that are kept for the runs after the search: at most a third, or a half if rates need `shown`
+    seeds at least."""
     share = KEPT_BY_CELL if by_cell else KEPT
-    return min(budget // 2, max(int(share * budget), fewest(scenarios, most, shown))) if most > 1 else 0
+    return min(budget // (2 if shown else 3), max(int(share * budget), fewest(scenarios, most, shown))) if most > 1 else 0
 
 
 def fewest(scenarios: int, most: int, shown: int = 0) -> int:

@@ -18,6 +18,9 @@ from drivecal.reduction.assignment import Policy
 from drivecal.storage import evaluations
 from drivecal.storage.references import parameter_sets
 
+FEWEST_REPORTING = 3
+"""Runs that report the best set, if the budget does not suffice for more."""
+
 
 class SeededBenches:
     """The benches of a problem by seed, each made once."""
@@ -109,7 +112,9 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
     choosing = replicates.choosing(wanted.most)
     fresh = range(choosing + 1, wanted.most + 1)
     chosen: dict[int, list[int]] = {}
-    for place in replicates.allocate(standing, min(room, affordable - len(fresh)), choosing, wanted.confidence):
+    # a small budget reports by fewer runs
+    report = len(fresh) if standing.is_known else min(len(fresh), max(FEWEST_REPORTING, affordable - replicates.FIRST))
+    for place in replicates.allocate(standing, min(room, affordable - report), choosing, wanted.confidence):
         tried = {*ranking.seeds(numbers[place]), *chosen.get(numbers[place], ())}
         seed = next((seed for seed in range(1, choosing + 1) if seed not in tried), None)
         if seed is not None:  # a seed without a result is not tried again
