@@ -97,10 +97,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         item.own_markers[:] = [mark for mark in item.own_markers if mark.name not in PARTIAL or holds(mark, item)]
     unwanted = [marker for marker in MARKERS if marker not in config.option.markexpr]
-    deselected = [item for item in items if any(map(item.get_closest_marker, unwanted))]
-    if deselected:
-        config.hook.pytest_deselected(items=deselected)
-        items[:] = [item for item in items if item not in deselected]
+    wanted: dict[bool, list[pytest.Item]] = {True: [], False: []}
+    for item in items:
+        wanted[not any(map(item.get_closest_marker, unwanted))].append(item)
+    config.hook.pytest_deselected(items=wanted[False])
+    items[:] = wanted[True]
     items.sort(
         key=lambda item: (item.path.name not in LONG_FILES, SUITES.index(item.path.relative_to(PROJECT / "tests").parts[0]))
     )

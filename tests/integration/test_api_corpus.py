@@ -142,12 +142,12 @@ def test_nothing_hostile_is_accepted_and_nothing_of_it_is_kept(api: ApiProcess) 
     assert api.http.get("/healthz").status_code == 200
 
 
-@pytest.mark.parametrize("encoding", ["gzip", "deflate", "br", "zstd", "identity, gzip", "x", "GZIP"])
 @pytest.mark.parametrize("path", [*POSTS, f"/api/v1/campaigns/{NOBODY}/rerun"])
-def test_a_compressed_body_is_not_unpacked(api: ApiProcess, path: str, encoding: str) -> None:
-    response = api.http.post(path, content=b"{}", headers=JSON | {"Content-Encoding": encoding})
-    assert refused(response)["status"] == 415
-    assert response.headers["accept-encoding"] == "identity"
+def test_a_compressed_body_is_not_unpacked(api: ApiProcess, path: str) -> None:
+    for encoding in ("gzip", "br", "identity, gzip", "x", "GZIP"):
+        response = api.http.post(path, content=b"{}", headers=JSON | {"Content-Encoding": encoding})
+        assert refused(response)["status"] == 415, encoding
+        assert response.headers["accept-encoding"] == "identity"
 
 
 TRAVERSALS = [
@@ -164,13 +164,13 @@ TRAVERSALS = [
 ]
 
 
-@pytest.mark.parametrize("identifier", TRAVERSALS)
 @pytest.mark.parametrize("path", ["campaigns/{}", "campaigns/{}/evaluations", "evaluations/{}", "influence-maps/{}"])
-def test_an_id_that_is_a_path_leads_nowhere(api: ApiProcess, path: str, identifier: str) -> None:
-    quoted = "".join(f"%{byte:02x}" for byte in identifier.encode())
-    response = api.http.get(f"/api/v1/{path.format(quoted)}")
-    assert refused(response)["status"] == 404
-    assert "root:" not in response.text
+def test_an_id_that_is_a_path_leads_nowhere(api: ApiProcess, path: str) -> None:
+    for identifier in TRAVERSALS:
+        quoted = "".join(f"%{byte:02x}" for byte in identifier.encode())
+        response = api.http.get(f"/api/v1/{path.format(quoted)}")
+        assert refused(response)["status"] == 404, identifier
+        assert "root:" not in response.text
 
 
 NAMES = [
@@ -199,13 +199,10 @@ FIELDS = {
 }
 
 
-@pytest.mark.parametrize("name", NAMES, ids=ascii)
 @pytest.mark.parametrize("field", FIELDS)
-def test_a_name_that_is_a_path_a_module_or_a_command_is_only_a_name_that_nothing_has(
-    api: ApiProcess, field: str, name: str
-) -> None:
+def test_a_name_that_is_a_path_a_module_or_a_command_is_only_a_name_that_nothing_has(api: ApiProcess, field: str) -> None:
     document, path = FIELDS[field]
-    errors = refused(api.http.post(path, content=compact(document).replace(b'"?"', json.dumps(name).encode()), headers=JSON))[
-        "errors"
-    ]
-    assert field in {error["field"] for error in errors}
+    for name in NAMES if field == "driving_function" else sample(NAMES, 6):
+        content = compact(document).replace(b'"?"', json.dumps(name).encode())
+        errors = refused(api.http.post(path, content=content, headers=JSON))["errors"]
+        assert field in {error["field"] for error in errors}, name

@@ -57,11 +57,10 @@ def database(tmp_path: Path) -> Iterator[Database]:
     ("parameters", "claims", "fixed"),
     [
         (BEFORE | JERK, {"added": {"jerk_max": 20}}, {"jerk_max": 20}),
-        (BEFORE | {"k": {"lower": 0, "upper": 9, "integer": True}}, {"added": {"k": 3}}, {"k": 3}),
         (BEFORE | GAIN, {"added": {"gain": [1, 1, 1]}}, {"gain": [1, 1, 1]}),
         ({"x": BEFORE["x"], "m": BEFORE["n"]}, {"renamed": {"m": "n"}}, {}),
     ],
-    ids=["number", "integer", "curve", "renamed"],
+    ids=["number", "curve", "renamed"],
 )
 def test_the_same_search_is_answered_by_runs_of_the_earlier_version(
     database: Database, parameters: dict[str, Any], claims: dict[str, Any], fixed: dict[str, Any]

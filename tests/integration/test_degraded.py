@@ -81,12 +81,3 @@ def test_a_campaign_whose_problem_no_worker_can_run_fails_at_once_with_the_cause
     assert cause in (failed.error or "")
     assert backend.replaced == []
     assert backend.now < 5.0
-
-
-def test_a_bad_worker_among_good_ones_costs_a_campaign_no_cell(database: Database) -> None:
-    campaign = _submit(database)
-    backend = FakeBackend(4, bad={1})
-    ended = finish(database, campaign, _Beating(database, backend))
-    assert (ended.state, ended.cells.failed) == (CampaignState.SUCCEEDED, 0)
-    assert ended.cells.simulated > 50
-    assert backend.replaced

@@ -94,7 +94,7 @@ def ending(folder: Path, data: Mapping[str, Any]) -> str:
     return str(cause)
 
 
-@pytest.mark.faults("many", "cut_out", "real network")
+@pytest.mark.faults("many", "cut_out", "walks_across", "real network")
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("number", DRIVES)
 @pytest.mark.parametrize("subject", SUBJECTS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from statistics import NormalDist, fmean
 from typing import Any
@@ -40,7 +41,7 @@ MANIFEST: dict[str, Any] = {
     "measures": {"y": "1"},
     "scores": {"cost": {"formula": "y", "direction": "minimise", "range": [0, 10]}},
 }
-SPEC: dict[str, Any] = {"problem": "noisy", "optimizer": {"kind": "surrogate", "seed": 1}, "budget": {"simulations": 200}}
+SPEC: dict[str, Any] = {"problem": "noisy", "optimizer": {"kind": "surrogate", "seed": 1}, "budget": {"simulations": 120}}
 POPULATIONS = {"kind": "random", "population": 10, "seed": 1}
 
 
@@ -83,7 +84,7 @@ def test_the_best_set_is_known_by_runs_and_reported_by_others(database: Database
     assert ended.best is not None
     assert true_cost(float(ended.best.parameters["x"])) < true_cost(0.6) + NOISE
     rows = rows_of(database, ended)
-    assert ended.cells.runs == sum(row.outcome is Outcome.SIMULATED for row in rows) <= 200
+    assert ended.cells.runs == sum(row.outcome is Outcome.SIMULATED for row in rows) <= 120
     best = [row for row in rows if row.parameters.floats == ended.best.parameters]
     fresh = [row.score for row in best if row.seed > 12]
     assert sorted({row.seed for row in best if row.seed > 12}) == list(range(13, 21))
@@ -96,23 +97,21 @@ def test_the_best_set_is_known_by_runs_and_reported_by_others(database: Database
         assert list(check_counters(connection)) == []
 
 
-def test_all_sets_meet_the_same_seeds_and_promising_ones_meet_more(database: Database) -> None:
+def test_all_sets_meet_the_same_seeds_and_a_search_by_the_cell_asks_further_ones_where_they_tell_more(
+    database: Database,
+) -> None:
+    ended = carried_out(database, budget={"simulations": 160})
     by_set: dict[float, set[int]] = {}
-    for row in rows_of(database, carried_out(database)):
+    rows = [row for row in rows_of(database, ended) if row.seed <= 12]
+    for row in rows:
         by_set.setdefault(float(row.parameters.floats["x"]), set()).add(row.seed)
-    chosen = {x: sorted(seed for seed in seeds if seed <= 12) for x, seeds in by_set.items()}
-    assert all(seeds == list(range(1, len(seeds) + 1)) for seeds in chosen.values())
-    often = [x for x, seeds in chosen.items() if len(seeds) > 3]
-    assert 1 <= len(often) < len(chosen) / 2
-    assert fmean(map(true_cost, often)) < fmean(map(true_cost, chosen))
-
-
-def test_a_search_by_the_cell_asks_further_seeds_where_they_tell_more(database: Database) -> None:
-    ended = carried_out(database, budget={"simulations": 300})
-    rows = [row for row in rows_of(database, ended) if 1 < row.seed <= 12]
+    assert all(seeds == set(range(1, len(seeds) + 1)) for seeds in by_set.values())
+    often = [x for x, seeds in by_set.items() if len(seeds) > 3]
+    assert 1 <= len(often) < len(by_set) / 2
+    assert fmean(map(true_cost, often)) < fmean(map(true_cost, by_set))
     with database.read() as connection:
         searched = len(generations.populations(connection, ended.sequence))
-    asked = {float(row.parameters.floats["x"]) for row in rows if row.iteration < searched}
+    asked = {float(row.parameters.floats["x"]) for row in rows if row.seed > 1 and row.iteration < searched}
     assert len(asked) >= 3
     assert max(map(true_cost, asked)) < true_cost(0.0)
     assert present(ended.best).noise == pytest.approx({"city": NOISE, "road": NOISE}, rel=0.7)
@@ -165,11 +164,9 @@ def failing(setup: SetupRequest, cell: Cell) -> CellResult:
 
 
 def test_a_set_whose_failures_are_rare_enough_is_the_best(database: Database) -> None:
-    luckiest = carried_out(database, driven=failing, **RATED | {"constraints": []}).best
     rated = carried_out(database, driven=failing, **RATED | {"baseline": {"x": 0.1}})
     kept, baseline = rated.best, rated.baseline
     assert present(baseline).undecided, "it had too few runs to show that it keeps the rate"
-    assert abs(float(present(luckiest).parameters["x"]) - 0.6) < 0.05
     assert kept is not None
     assert 0.05 <= abs(float(kept.parameters["x"]) - 0.6) < 0.1
     assert (kept.violation, kept.undecided, kept.constraints["failures"]) == (0.0, False, 0.0)
@@ -221,7 +218,8 @@ def test_a_population_runs_each_set_under_the_least_number_of_seeds(database: Da
 
 
 def test_a_simulator_that_says_random_and_is_not_gets_few_further_runs(database: Database) -> None:
-    ended = carried_out(database, driven=lambda _, cell: CellResult(cell.id, None, None, {"y": 5.0}, None, 7.0))
+    same = CellResult(0, None, None, {"y": 5.0}, None, 7.0)
+    ended = carried_out(database, driven=lambda _, cell: replace(same, id=cell.id), budget={"simulations": 60})
     assert sum(row.seed > 1 for row in rows_of(database, ended)) <= 16
     assert present(ended.best).standard_error in {None, 0.0}
 
@@ -236,7 +234,7 @@ def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: 
         y = true_cost(float(cell.parameters["x"])) + noise
         return CellResult(cell.id, None, None, {"y": y}, None, 7.0, repeats=False if cell.check else None)
 
-    ended = carried_out(database, driven=unsaid, optimizer={"kind": "random", "population": 60, "iterations": 2}, budget=None)
+    ended = carried_out(database, driven=unsaid, optimizer={"kind": "random", "population": 40, "iterations": 2}, budget=None)
     database.dispose()
     assert ended.cells.unrepeatable > 0
     assert present(ended.best).replicates > 1
@@ -253,7 +251,7 @@ def test_kills_workers_and_the_order_of_answers_change_nothing(
     tmp_path: Path, changes: dict[str, Any], driven: Callable[[Any, Cell], CellResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     results = []
-    for deaths, workers in ((0, 1), (3, 2), (1, 8)):
+    for deaths, workers in ((0, 1), (3, 8)):
         left = [deaths]
         ask = Replication.ask
 
@@ -274,4 +272,4 @@ def test_kills_workers_and_the_order_of_answers_change_nothing(
         seeds = [(row.iteration, row.individual, row.scenario, row.seed) for row in rows_of(database, campaign)]
         results.append((seeds, everything(database, campaign)))
         database.dispose()
-    assert results[0] == results[1] == results[2]
+    assert results[0] == results[1]

@@ -1,4 +1,4 @@
-"""The same seed gives the same campaign, by whatever optimizer it searches."""
+"""The same seed gives the same campaign, by whatever optimizer it searches. More of searches by the cell: `test_cell_search.py`."""
 
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from tests.support.runs import WITH_ANALYSIS, everything, influenced, run, submi
 from drivecal.domain.campaigns import StageName
 
 
-@pytest.mark.slow("random", "optuna", "swarm")
+@pytest.mark.slow("random", "optuna", "swarm", "surrogate")
 @pytest.mark.parametrize(
     "optimizer",
     [{"kind": "genetic"}, {"kind": "surrogate"}, {"kind": "swarm"}, {"kind": "random"}, {"kind": "optuna", "sampler": "tpe"}],
@@ -32,17 +32,13 @@ def test_the_same_seed_gives_the_same_campaign(tmp_path: Path, optimizer: dict[s
     assert searched("other", 4)[0] != first[0]
 
 
-@pytest.mark.slow("surrogate-with lots", "genetic-without lots")
+@pytest.mark.slow("without lots")
 @pytest.mark.parametrize("limit", [1, 0.2], ids=["without lots", "with lots"])
-@pytest.mark.parametrize("kind", ["genetic", "surrogate"])
-def test_the_same_campaign_again_simulates_nothing(tmp_path: Path, kind: str, limit: float) -> None:
+def test_the_same_campaign_again_simulates_nothing(tmp_path: Path, limit: float) -> None:
     database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
     spec = WITH_ANALYSIS | {"reduction": {"mode": "influence", "audit": 0.1, "max_error": limit}}
-    if kind == "surrogate":
-        spec |= {"optimizer": {"kind": "surrogate"}, "budget": {"simulations": 40}}
     first, again = (run(database, submit(database, likeness="a", **spec), ComputedBackend(answer=influenced)) for _ in range(2))
-    if kind == "genetic" or limit == 1:  # lots of two cells, as a search by the cell has with few workers, are simulated whole
-        assert first.cells.reused > 0
+    assert first.cells.reused > 0
     assert (again.cells.runs, again.cells.simulated, again.counts(StageName.SENSITIVITY).runs) == (0, 0, 0)
     assert (again.best, again.cells.requested, again.cells.reused) == (first.best, first.cells.requested, first.cells.reused)
     database.dispose()

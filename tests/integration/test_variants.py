@@ -21,7 +21,7 @@ from drivecal.storage.engine.database import Database
 HEAVY = {"vehicle": {"parameters": {"mass": 1500.0}}}
 VARIANTS = {"eu": {"scenarios": ["S1", "S2"]}, "us": {"weights": {"S3": 3.0}, **HEAVY}, "jp": {"scenarios": ["S2"], **HEAVY}}
 SHARES = {"eu": {"S1": 0.5, "S2": 0.5}, "us": {"S1@us": 0.2, "S2@us": 0.2, "S3@us": 0.6}, "jp": {"S2@us": 1.0}}
-SURROGATE: dict[str, Any] = {"optimizer": {"kind": "surrogate"}, "budget": {"simulations": 91}, "reduction": {"mode": "exact"}}
+SURROGATE: dict[str, Any] = {"optimizer": {"kind": "surrogate"}, "budget": {"simulations": 71}, "reduction": {"mode": "exact"}}
 GENETIC: dict[str, Any] = {"optimizer": {"kind": "genetic", "population": 20, "iterations": 4}, "reduction": {"mode": "exact"}}
 
 
@@ -38,10 +38,9 @@ def carried_out(database: Database, workers: int = 1, **changes: Any) -> StoredC
     return get(database, campaign)
 
 
-@pytest.mark.parametrize("common", ["mean", "worst"])
-@pytest.mark.parametrize("search", [SURROGATE, GENETIC])
+@pytest.mark.parametrize(("search", "common"), [(SURROGATE, "mean"), (GENETIC, "worst")], ids=["cells", "population"])
 def test_each_variant_has_its_best_set_and_the_common_one_its_cost(
-    database: Database, common: str, search: dict[str, Any]
+    database: Database, search: dict[str, Any], common: str
 ) -> None:
     ended = carried_out(database, common=common, **search)
     resolved = resolved_spec(ended)
@@ -77,11 +76,10 @@ def test_variants_depend_on_no_worker_and_no_kill_and_use_the_budget_exactly(
             raise Killed("between two rounds")
 
     monkeypatch.setattr(Calibration, "_close", die)
-    for workers, left[0] in ((1, 0), (2, 0), (8, 2)):
+    for workers, left[0] in ((1, 0), (8, 2)):
         database = migrated(f"sqlite:///{tmp_path / f'{workers}.db'}")
         ended = carried_out(database, workers, **SURROGATE)
         outcomes.append(everything(database, ended))
-        again = carried_out(database, **SURROGATE).cells
-        assert (ended.cells.requested, again.runs, again.repeated, left) == (91, 0, 91, [0])
+        assert (ended.cells.requested, left) == (71, [0])
         database.dispose()
-    assert outcomes[0] == outcomes[1] == outcomes[2]
+    assert outcomes[0] == outcomes[1]

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -47,9 +48,8 @@ def target_url(backend: str, request: pytest.FixtureRequest, tmp_path: Path) -> 
     )
 
 
-@pytest.fixture
-def used(database: Database) -> Database:
-    """A database with everything in it: an ended campaign with its analysis, events, leases, a campaign that runs."""
+def fill(database: Database) -> None:
+    """Puts everything into a database: an ended campaign with its analysis, events, leases, a campaign that runs."""
     run(database, submit(database, **ANALYSED), ComputedBackend(1, influenced))
     running = submit(database, stored_map=post_map(database, INFLUENCES), name="running", reduction={"audit": 0.2})
     working = dispatcher(database, ComputedBackend(1))
@@ -57,7 +57,29 @@ def used(database: Database) -> Database:
         working.step()
     with database.transaction() as connection:  # those with the largest numbers are gone, and their numbers must not come again
         connection.execute(text("DELETE FROM events WHERE id > 3"))
-    return database
+
+
+@pytest.fixture(scope="module")
+def used_sqlite(migrated_sqlite: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An SQLite database with everything in it, to be copied."""
+    path = shutil.copy(migrated_sqlite, tmp_path_factory.mktemp("used") / "drivecal.db")
+    database = Database.open(f"sqlite:///{path}")
+    fill(database)
+    database.dispose()
+    return path
+
+
+@pytest.fixture
+def used(backend: str, request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Database]:
+    """A database with everything in it."""
+    if backend == "sqlite":
+        file = shutil.copy(request.getfixturevalue("used_sqlite"), tmp_path / "drivecal.db")
+        database = Database.open(f"sqlite:///{file}")
+    else:
+        database = Database.open(request.getfixturevalue("clean_postgres"))
+        fill(database)
+    yield database
+    database.dispose()
 
 
 def everything(database: Database) -> dict[str, Any]:

@@ -214,23 +214,7 @@ def test_the_middle_of_a_grid_lies_on_it() -> None:
         trial_set(Manifest.model_validate(document | {"constraints": ["x > 0.5"]}))
 
 
-@pytest.mark.parametrize(
-    ("formula", "span", "warned"),
-    [
-        ("energy", "[0, 100]", False),
-        ("energy", "[0, 10]", True),  # 32.5 and 62.5
-        ("energy", "[50, 60]", False),  # around them
-        ("energy", "[0, 100000]", True),
-        ("energy - energy + 3", "[0, 100000]", False),  # one value says nothing about its spread
-        ("1/(energy - energy)", "[0, 10]", False),
-    ],
-)
-def test_a_range_far_from_the_measured_scores_is_told_with_their_values(
-    write: Write, formula: str, span: str, *, warned: bool
-) -> None:
-    manifest = MANIFEST.replace('"10/energy"', f'"{formula}"').replace("range: [0, 10]", f"range: {span}")
-    code, report = check(write(manifest=manifest))
-    assert (code, sum(".range is " in warning for warning in report["warnings"])) == (0, int(warned))
-    if warned:
-        assert "scores.cost.range" in report["warnings"][0]
-        assert "32.5 to 62.5" in report["warnings"][0]
+def test_a_range_far_from_the_measured_scores_is_told_with_their_values(write: Write) -> None:
+    code, report = check(write(manifest=MANIFEST.replace('"10/energy"', '"energy"')))
+    [doubtful] = [warning for warning in report["warnings"] if "scores.cost.range" in warning]
+    assert (code, "32.5 to 62.5" in doubtful) == (0, True)

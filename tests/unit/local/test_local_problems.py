@@ -11,16 +11,10 @@ from drivecal.adapters.pipes import Pipes
 from drivecal.bundles.archives import pack
 from drivecal.bundles.checks import checked
 from drivecal.local import evaluate
-from drivecal.local.problems import CheckedScenario, run_problem
+from drivecal.local.problems import CheckedScenario, doubtful_ranges, run_problem
 from drivecal.plugins.simulators import BusyError
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "problems" / "python-function"
-SCORES: dict[str, Any] = {
-    "plain": {"formula": "rms_jerk - rms_jerk + 5", "direction": "minimise", "range": [0, 10]},
-    "beyond": {"formula": "rms_jerk - rms_jerk + 50", "direction": "minimise", "range": [0, 10]},
-    "undefined": {"formula": "1/(rms_jerk - rms_jerk)", "direction": "maximise", "range": [0, 10]},
-}
-
 
 LEAVING = """
 import json, os, shutil, sys
@@ -80,12 +74,19 @@ def test_an_evaluation_names_why_its_simulator_is_busy(tmp_path: Path, monkeypat
         evaluate({"x": 0.5}, problem=folder)
 
 
-def test_no_shown_score_is_worse_than_that_of_a_failed_run() -> None:
-    document = yaml.safe_load((EXAMPLE / "problem.yaml").read_text())
-    scenario = next(iter(document["scenarios"].items()))
-    manifest = checked(document | {"scores": SCORES, "scenarios": dict([scenario])})
-    [result] = run_problem(manifest, pack(EXAMPLE), manifest.start or {})
-    assert result.error is None
-    assert result.scores == {"plain": 5.0, "beyond": 10.0, "undefined": 0.0}
-    assert set(result.undefined) == {"undefined"}
-    assert result.cut == {"beyond": 50.0}
+@pytest.mark.parametrize(
+    ("scores", "span", "doubtful"),
+    [
+        ((32.5, 62.5), (0, 100), False),
+        ((32.5, 62.5), (0, 10), True),
+        ((32.5, 62.5), (50, 60), False),  # around it
+        ((32.5, 62.5), (0, 100_000), True),
+        ((3.0, 3.0), (0, 100_000), False),  # one value says nothing about its spread
+    ],
+)
+def test_a_range_is_doubtful_far_from_the_scores_or_much_wider(
+    scores: tuple[float, float], span: tuple[float, float], *, doubtful: bool
+) -> None:
+    manifest = checked(DOCUMENT | {"scores": {"y": {"formula": "y", "direction": "minimise", "range": span}}})
+    runs = [CheckedScenario(scenario=name, scores={"y": score}) for name, score in zip(("a", "b"), scores, strict=True)]
+    assert bool(doubtful_ranges(manifest, runs)) is doubtful

@@ -260,29 +260,6 @@ def test_a_file_that_includes_another_is_refused_even_if_that_one_is_there(place
     assert "<include>" in problem.message
 
 
-def test_a_crossing_of_roads_is_refused() -> None:
-    from tests.support.opendrive_files import PAVED, LaneLinks, Road, document, line
-
-    lane = {-1: ("driving", PAVED)}
-    links: tuple[dict[str, tuple[str, str]], ...] = (
-        {"predecessor": ("road", "1"), "successor": ("road", "2")},
-        {"predecessor": ("road", "3"), "successor": ("road", "4")},
-    )
-    road_1 = Road("1", [line(200.0)], [(0.0, lane)], (-220.0, 0.0, 0.0), links={"successor": ("junction", "9")})
-    road_2 = Road("2", [line(200.0)], [(0.0, lane)], (20.0, 0.0, 0.0), links={"predecessor": ("junction", "9")})
-    road_3 = Road("3", [line(200.0)], [(0.0, lane)], (0.0, -220.0, np.pi / 2), links={"successor": ("junction", "9")})
-    road_4 = Road("4", [line(200.0)], [(0.0, lane)], (0.0, 20.0, np.pi / 2), links={"predecessor": ("junction", "9")})
-    linked: LaneLinks = {0: {-1: (-1, -1)}}
-    east = Road("10", [line(40.0)], [(0.0, lane)], (-20.0, 0.0, 0.0), "9", links[0], lane_links=linked)
-    north = Road("11", [line(40.0)], [(0.0, lane)], (0.0, -20.0, np.pi / 2), "9", links[1], lane_links=linked)
-    pairs = {"9": [("1", "10", [(-1, -1)]), ("3", "11", [(-1, -1)])]}
-    network = read_network(converted(document([road_1, road_2, road_3, road_4, east, north], pairs), NAME).network, NAME)
-    with pytest.raises(InvalidInputError) as error:
-        corridor(network, ["-1", "-2"], NAME)
-    assert [problem.field for problem in error.value.problems] == ["route[1]"]
-    assert "crossing" in error.value.problems[0].message
-
-
 def test_without_netconvert_the_answer_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda *_args, **_options: None)
     with pytest.raises(UnavailableError, match=r"drivecal\[opendrive\]"):
