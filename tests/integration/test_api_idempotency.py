@@ -75,20 +75,5 @@ def test_a_retry_of_a_rerun_is_known_again_whatever_became_of_the_first_campaign
     posted.append(api.http.post(f"/api/v1/campaigns/{first}/rerun", json={"weights": {"S1": 2}}, headers=headers))
     assert [answer.status_code for answer in posted] == [202, 202]
     assert posted[0].json()["id"] == posted[1].json()["id"]
-
-
-@pytest.mark.slow("sqlite")
-def test_fifty_reruns_at_once_with_one_key_are_one_and_no_other_request(api: RunningApi) -> None:
-    small = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 2}}
-    first = api.http.post("/api/v1/campaigns", json=small).json()["id"]
-    carry_out(api.database, first)
-
-    def post(number: int) -> httpx.Response:
-        path = f"/api/v1/campaigns/{first}/rerun" if number % 2 else "/api/v1/campaigns"
-        return api.http.post(path, json={"weights": {"S1": 2}}, headers={"Idempotency-Key": "rerun"})
-
-    with ThreadPoolExecutor(20) as pool:
-        responses = list(pool.map(post, range(50)))
-    statuses = [response.status_code for response in responses]
-    assert (statuses.count(202), statuses.count(409)) == (25, 25), "the same body on another path is another request"
-    assert len({response.json()["id"] for response in responses if response.status_code == 202}) == 1
+    elsewhere = api.http.post("/api/v1/campaigns", json={"weights": {"S1": 2}}, headers=headers)
+    assert elsewhere.status_code == 409, "the same body on another path is another request"

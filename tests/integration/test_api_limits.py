@@ -1,7 +1,6 @@
 """Overload is refused, over real HTTP: a full queue, campaigns that are too large, clients that are slow or many."""
 
 import socket
-import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -18,7 +17,7 @@ from tests.support.values import MIDDLE
 
 from drivecal.api.http import protocol
 from drivecal.client.client import Client
-from drivecal.domain.errors import InvalidInputError, UnavailableError
+from drivecal.domain.errors import InvalidInputError
 from drivecal.storage import admission
 from drivecal.storage.engine.tables import campaigns
 
@@ -78,26 +77,6 @@ def test_what_starts_or_is_cancelled_makes_room(api: RunningApi) -> None:
     carry_out(api.database, ids[1])
     assert [post(api, SMALL).status_code for _ in range(3)] == [202, 202, 429]
     assert problem(post(api, {"weights": {"S1": 2}}, path=f"campaigns/{ids[1]}/rerun"), 429)
-
-
-@pytest.mark.slow("postgresql")
-def test_the_client_waits_for_room_as_long_as_it_is_asked_to_and_then_gives_up(
-    api: RunningApi, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ids = [post(api, SMALL).json()["id"] for _ in range(PLACES)]
-    waits: list[float] = []
-
-    def pause(seconds: float) -> None:
-        waits.append(seconds)
-        if len(waits) == 1:
-            api.http.post(f"/api/v1/campaigns/{ids[0]}/cancel").raise_for_status()
-
-    monkeypatch.setattr(time, "sleep", pause)
-    with Client(api.url) as client:
-        assert client.submit(SMALL).state == "queued"
-        with pytest.raises(UnavailableError, match="wait already"):
-            client.submit(SMALL)
-    assert waits == [30.0, 30.0]
 
 
 @pytest.mark.slow("postgresql")

@@ -6,17 +6,15 @@ from typing import Any
 import pytest
 from sqlalchemy import update
 from tests.support.comparisons import TWO_OPTIMIZERS, finish_comparison, read_comparison, runs_of, submit_comparison
-from tests.support.computed import ComputedBackend, computed
+from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.runs import EXPERT_SPACE, everything, get, nothing_matters, post_map, run, submit
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
 from drivecal.campaigns import comparison
-from drivecal.campaigns.comparison import CONFIRMED
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.comparison import ComparisonSpecification
-from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError, NotFoundError, OverloadError
 from drivecal.storage import results
@@ -102,18 +100,6 @@ def test_what_was_stored_before_changes_no_count(compared: Compared, database: D
     assert [everything(database, campaign) for campaign in runs_of(database, again)] == swarms
 
 
-@pytest.mark.slow
-def test_a_campaign_that_fails_costs_no_other_one(database: Database) -> None:
-    def broken(scenario: str, cell: Cell) -> CellResult:
-        if scenario == "S1":
-            return CellResult(cell.id, None, None, {}, None, 5.0, "error", "it tipped over")
-        return computed(scenario, cell)
-
-    failing = submit_comparison(database, populations=[6], optimizers=[{"kind": "random"}])
-    assert {run.state for run in finish_comparison(database, failing, ComputedBackend(answer=broken)).runs} == {"failed"}
-    assert read_comparison(database, failing).groups[0].best is None
-
-
 WITHOUT_LOTS = {"mode": "influence", "audit": 0.4, "max_error": 1}
 
 
@@ -136,38 +122,6 @@ def test_reductions_are_compared(database: Database) -> None:
     assert all(campaign.cells.reused > 0 for campaign in reduced)
     assert all(fewer.cells.simulated < campaign.cells.simulated for campaign, fewer in zip(exact, reduced, strict=True))
     assert [group.reduction for group in answer.groups] == labels
-
-
-@pytest.mark.slow
-def test_what_a_search_believed_is_confirmed_after_it(database: Database) -> None:
-    stored_map = post_map(database, nothing_matters() | {"S1": {"P1": {"influential": True}}})
-    weights = {"S1": 3.0, "S2": 1.0}
-    tag = submit_comparison(
-        database,
-        stored_map,
-        optimizers=[{"kind": "genetic"}],
-        populations=[9],
-        reductions=["exact", WITHOUT_LOTS],
-        weights=weights,
-    )
-    answer = finish_comparison(database, tag)
-    for compared_run, campaign in zip(answer.runs, runs_of(database, tag), strict=True):
-        with database.read() as connection:
-            rows = list(results.stream(connection, campaign.sequence))
-        own: dict[int, dict[str, float]] = {}
-        for row in rows:
-            if row.outcome != "reused" and row.score is not None:
-                own.setdefault(row.parameter_set_id, {})[row.scenario] = row.score
-        known = [
-            sum(weights[name] * score for name, score in scores.items()) / 4 for scores in own.values() if len(scores) == 2
-        ]
-        assert campaign.best is not None
-        assert compared_run.simulated_best == pytest.approx(max(known)) == pytest.approx(campaign.best.objective)
-        assert compared_run.confirmations == sum(row.iteration >= 3 for row in rows)
-        assert compared_run.simulations == sum(row.outcome not in {"repeated", "reused"} for row in rows)
-        assert campaign.spec["reduction"]["confirm"] == (20 if compared_run.reduction == "exact" else CONFIRMED)
-    assert sum(run.confirmations for run in answer.runs) > 0
-    assert {run.reduction for run in answer.runs if run.best != run.simulated_best} == {"influence"}
 
 
 def test_unconfirmed_campaigns_have_the_best_they_simulated(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -172,24 +172,6 @@ def test_runs_repeat_in_any_order_and_process(folder: Path, kind: str, data: dic
     assert first[0] != first[1]
 
 
-@pytest.mark.slow
-def test_a_class_keeps_its_state_for_one_run(tmp_path: Path) -> None:
-    code = """
-class Control:
-    def __init__(self, parameters, scenario):
-        self.left, self.want = parameters["n"], scenario["data"]["want"]
-    def step(self, observation):
-        self.left -= 1
-        return self.want if self.left >= 0 else 0.0
-"""
-    bundle, controller = python(tmp_path, code, function="Control")
-    with driven(bundle, drive(duration=10.0, data={"want": 1.0}), controller) as session:
-        speeds = [session.evaluate({"n": n}, series=True).series["speed_mps"][-1] for n in (10, 20, 10)]
-    assert speeds[0] == speeds[2]
-    assert speeds[0] == pytest.approx(31, abs=0.05)
-    assert speeds[1] == pytest.approx(32, abs=0.05)
-
-
 @pytest.mark.slow("ends")
 @pytest.mark.parametrize("ends", [False, True], ids=["goes on", "ends"])
 def test_a_faulty_controller_costs_its_cell(tmp_path: Path, ends: bool) -> None:

@@ -86,29 +86,6 @@ def test_one_score_in_several_scenarios_is_answered_by_references_and_confirmed(
 
 
 @pytest.mark.slow
-def test_one_score_in_several_scenarios_is_predicted_and_no_set_of_the_front_is_a_prediction(database: Database) -> None:
-    smooth = [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.01} for i in range(1, 12)]
-    spec: dict[str, Any] = {
-        "objectives": SPLIT,
-        "optimizer": NSGA2 | {"population": 200, "iterations": 4},
-        "parameters": smooth,
-        "reduction": {"mode": "predicted", "limit": 0.2, "tolerance": 1, "confirm": 500},
-    }
-
-    def easy(scenario: str, cell: Cell) -> CellResult:
-        value = (
-            7 * cell.parameters["P1" if scenario == "S1" else "P2"] * (1 - cell.parameters["P2" if scenario == "S1" else "P1"])
-        )
-        return CellResult(cell.id, value, round(value), {"rating": value}, None, 400.0)
-
-    ended = run(database, submit(database, **spec), ComputedBackend(answer=easy))
-    assert ended.cells.predicted > 0
-    front = ranking_of(database, ended).front()
-    assert front
-    assert not any(member.solution.reused for member in front)
-
-
-@pytest.mark.slow
 def test_the_robustness_of_every_set_of_the_front_is_examined(database: Database) -> None:
     robust = {"delta": 0.05, "steps": 2, "samples": 3, "solutions": 1000}
     spec: dict[str, Any] = {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}, "robustness": robust}

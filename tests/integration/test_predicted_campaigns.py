@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.support.comparisons import finish_comparison, runs_of, submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import ends_in_spite_of_deaths
@@ -30,7 +29,6 @@ from drivecal.storage import evaluations, lots
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.lots import LotVerdict, StoredLot
-from drivecal.storage.maintenance.consistency import verify
 
 ITERATIONS = 4
 STRIDE = tries(27, 9)
@@ -275,26 +273,3 @@ def test_a_rerun_predicts_from_what_the_first_campaign_simulated(database: Datab
     assert earliest < slice_size(400), "the first batch waits for no answer of its own"
     best = Cell(1, present(ended.best).parameters)
     assert present(ended.best).scores == {name: slowly(name, best).score for name in ("S1", "S2")}
-
-
-@pytest.mark.slow
-def test_runs_of_a_comparison_predict_and_their_best_sets_were_simulated(database: Database) -> None:
-    comparison = submit_comparison(
-        database,
-        parameters=SPACE,
-        optimizers=[{"kind": "genetic"}],
-        populations=[400],
-        seeds=[1, 2, 3],
-        reductions=["off", {"mode": "predicted"}],
-    )
-    answer = finish_comparison(database, comparison, ComputedBackend(answer=slowly))
-    campaigns = runs_of(database, comparison)
-    assert all(campaign.cells.predicted == 0 for campaign in campaigns[0::2])
-    assert all(campaign.cells.predicted > 0 for campaign in campaigns[1::2])
-    for compared_run, campaign in zip(answer.runs, campaigns, strict=True):
-        rows = rows_of(database, campaign)
-        assert compared_run.simulations == sum(row.outcome is Outcome.SIMULATED for row in rows)
-        best = Cell(1, present(campaign.best).parameters)
-        assert present(campaign.best).scores == {name: slowly(name, best).score for name in ("S1", "S2")}
-    assert all(more.simulations > less.simulations for more, less in zip(answer.runs[0::2], answer.runs[1::2], strict=True))
-    assert [check for check in verify(database) if check.problems] == []
