@@ -347,9 +347,9 @@ def test_a_small_budget_repeats_a_set_of_a_random_simulator() -> None:
 
 
 def test_a_resumed_random_search_asks_for_the_same_cells() -> None:
-    task = random_task(80)
+    task = random_task(100)
     whole, first = Played(task, noisy, 2).play(begun(task)), begun(task)
-    part = Played(task, noisy, 2).play(first, 35)
+    part = Played(task, noisy, 2).play(first, 42)
     assert any(cell.replicate > 1 for cell in part.cells)
     state = json.loads(json.dumps(first.state(), allow_nan=False))
     again = SURROGATE.resume(SurrogateSettings(seed=1), task, part.rounds, part.answers, state)
