@@ -44,7 +44,7 @@ SHARE_RAY = {"tests/contract/backend/test_backend.py", "tests/faults/test_poison
 LONG_FILES = {
     *("test_kills.py", "test_page_views.py", "test_ray_backend.py", "test_highway.py", "test_serve.py", "test_backup.py"),
     *("test_problems_whole_way.py", "test_tutorials.py", "test_notebooks.py", "test_how_tos.py"),
-    "test_hostile_drives.py",
+    *("test_hostile_drives.py", "test_random_campaigns.py", "test_surrogate.py"),
 }
 """Files that take most of a minute, in `make test` or only in `make test-slow`."""
 SUITES = ("compose", "faults", "browser", "integration", "contract", "golden", "architecture", "unit")

@@ -143,4 +143,4 @@ def test_the_domain_imports_nothing_that_no_rule_thought_of() -> None:
 
 
 def test_imports_are_absolute_so_that_the_rules_see_them() -> None:
-    assert [shown(path) for path in modules() if "" in imported(parsed(path))] == []
+    assert [shown(path) for path in modules() if re.search(r"^\s*from \.", path.read_text(), re.MULTILINE)] == []

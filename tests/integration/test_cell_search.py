@@ -88,7 +88,7 @@ def test_the_same_search_again_simulates_nothing_and_another_begins_with_what_is
 
 
 def killed_between_rounds(database: Database, campaign: StoredCampaign, deaths: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Carries a campaign out by dispatchers of which each of the first `deaths` dies after another closed round."""
+    """Carries a campaign out; its dispatcher dies after another closed round `deaths` times."""
     left, go_on = [deaths], Calibration._go_on
 
     def die(stage: Calibration) -> None:
