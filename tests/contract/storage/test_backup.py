@@ -62,7 +62,8 @@ def fill(database: Database) -> None:
 @pytest.fixture(scope="module")
 def used_sqlite(migrated_sqlite: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An SQLite database with everything in it, to be copied."""
-    path = shutil.copy(migrated_sqlite, tmp_path_factory.mktemp("used") / "drivecal.db")
+    path = tmp_path_factory.mktemp("used") / "drivecal.db"
+    shutil.copy(migrated_sqlite, path)
     database = Database.open(f"sqlite:///{path}")
     fill(database)
     database.dispose()
