@@ -164,9 +164,13 @@ def _characteristic(block: _Block, kind: str, described: _Described, file: str) 
         if math.isnan(limit):
             remedy = f"correct the limit of {shown(name)}, or leave it out by --match"
             fault = problem_of(file, token.line, f"{shown(token.text)} is not a number", remedy)
+    remedy = "export the file again, or leave it out by --match"
     if method is None and conversion != _IDENTICAL:
-        message, remedy = f"there is no COMPU_METHOD {shown(conversion)}", "export the file again, or leave it out by --match"
-        fault = problem_of(file, block.tokens[6].line, message, remedy)
+        fault = problem_of(file, block.tokens[6].line, f"there is no COMPU_METHOD {shown(conversion)}", remedy)
+    word, needed = {"LINEAR": ("COEFFS_LINEAR", 2), "RAT_FUNC": ("COEFFS", 6)}.get(method.text(2) if method else "", ("", 0))
+    if method is not None and len(_numbers(method.after(word, 5)[:needed])) < needed:
+        message = f"COMPU_METHOD {shown(conversion)} does not have {needed} numbers after {word}"
+        fault = problem_of(file, method.line, message, remedy)
     layout = described.get((block.module, "RECORD_LAYOUT", block.text(4)))
     values = "AXIS_PTS_X" if kind == "COM_AXIS" else "FNC_VALUES"
     is_whole = layout is not None and any(_WHOLE.fullmatch(text) for text in layout.after(values, 1)[1:2])
@@ -287,9 +291,7 @@ def _raster(method: _Block | None) -> _Raster | None:
         return _Raster(abs(factors[0]), factors[1], math.copysign(1, factors[0])) if len(factors) == 2 and factors[0] else None
     if method.text(2) == "RAT_FUNC":  # stored = (a x^2 + b x + c) / (d x^2 + e x + f)
         factors = _numbers(method.after("COEFFS", 5)[:6])
-        if len(factors) < 6:
-            return None
-        a, b, c, d, e, f = factors
+        a, b, c, d, e, f = factors if len(factors) == 6 else [0.0] * 6
         return _Raster(abs(f / b), -c / b, math.copysign(1, f / b)) if a == d == e == 0 and b != 0 and f != 0 else None
     return None
 

@@ -118,12 +118,15 @@ def test_the_first_fault_is_named_with_its_line(content: bytes, line: int) -> No
 
 def test_a_missing_conversion_concerns_its_own_characteristics_only() -> None:
     good, bad = read('good "" VALUE 0x10 _U16 0 speed 0 1', 'bad "" VALUE 0x12 _U16 0 missing 0 1')
+    short = file('bad "" VALUE 0 _U16 0 gap 0 1').replace(b"COEFFS_LINEAR 0.01 0", b"COEFFS_LINEAR 0.01")
     valued = Characteristic("bad", 0.5)
     assert list(sections_of([good], {}, 0.5).parameters) == ["good"]
     for chosen in ([good, bad], joined([[bad], [valued]]), joined([[valued], [bad]])):
         with pytest.raises(InvalidInputError) as refused:
             sections_of(chosen, {}, 0.5)
         assert [problem.field for problem in refused.value.problems] == ["a.a2l, line 7"]
+    with pytest.raises(InvalidInputError, match="2 numbers after COEFFS_LINEAR"):
+        sections_of(a2l.read(short, "a.a2l").characteristics, {}, 0.5)
 
 
 def test_a_limit_that_is_no_number_concerns_its_own_characteristic_only() -> None:

@@ -31,8 +31,7 @@ MOST_VEHICLES = 2000
 MOST_READ = 10_000
 """Elements that SUMO reads of a file: the time that its schema takes for wrong ones grows with the square."""
 MOST_FAULTS = 20
-MOST_SEARCHED = 200_000
-"""Edges that are looked at for ways of trips; SUMO says what is wrong with further ones."""
+MOST_SEARCHED = 200_000  # edges that are looked at for ways of trips; SUMO judges the others
 OWN_TYPES = frozenset(f"DEFAULT_{kind}TYPE" for kind in ("VEH", "BIKE", "TAXI", "PED", "RAIL", "CONTAINER"))  # SUMO's
 LONG = 1e9
 SUBLANE: Final = "SL2015"
