@@ -11,14 +11,23 @@ from tests.support.problems import store, submit_checked
 from tests.support.runs import dispatcher, finish, rows_of
 from tests.support.values import present
 
+from drivecal.api import submission
+from drivecal.api.dependencies import Limits
+from drivecal.api.expectation import expected
+from drivecal.campaigns.resolve.problem import resolve_evaluation
+from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.campaigns.results.explanation import explain
+from drivecal.configuration.settings import load_settings
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import CHECKS
 
+LIMITS = Limits.of(load_settings())
 BEFORE: dict[str, Any] = {"x": {"lower": 0, "upper": 1, "step": 0.01}, "n": {"lower": 1, "upper": 4, "integer": True}}
 JERK: dict[str, Any] = {"jerk_max": {"lower": 5, "upper": 25, "step": 1}}
 GAIN: dict[str, Any] = {"gain": {"curve": {"axis": [0, 5, 10]}, "lower": 0, "upper": 3, "step": 0.1}}
@@ -32,16 +41,20 @@ def driven(setup: SetupRequest, cell: Cell) -> CellResult:
     return CellResult(cell.id, None, None, {"y": cost}, None, 7.0)
 
 
-def push(database: Database, parameters: dict[str, Any], **claims: Any) -> None:
+def push(database: Database, parameters: dict[str, Any], model: str = "", **claims: Any) -> None:
     simulator = {"kind": "process", "command": ["mysim"], "deterministic": True}
     scores = {"cost": {"formula": "y", "direction": "minimise", "range": [0, 10]}}
     scenarios: dict[str, Any] = {"city": {}, "road": {}}
     manifest = {"problem": "acc", "parameters": parameters, "simulator": simulator, "scenarios": scenarios, "scores": scores}
-    store(database, manifest | {"measures": {"y": "1"}} | claims)
+    store(database, manifest | {"measures": {"y": "1"}} | claims, {"model.py": model})
 
 
 def carried_out(database: Database, **changes: Any) -> StoredCampaign:
     return finish(database, submit_checked(database, SPEC | changes), dispatcher(database, ComputedBackend(driven=driven)))
+
+
+def foretold(database: Database, **changes: Any) -> list[str]:
+    return expected(database, LIMITS, CampaignSpecification.model_validate(SPEC | changes)).notes
 
 
 @pytest.fixture
@@ -101,16 +114,51 @@ def test_a_search_by_the_cell_begins_with_runs_of_the_earlier_version(database: 
 
 @pytest.mark.parametrize("value", [19, 20])
 def test_a_wrong_claim_ends_the_campaign_and_is_named(database: Database, value: float) -> None:
-    carried_out(database)
+    earlier = carried_out(database)
     push(database, BEFORE | JERK, added={"jerk_max": value})
     ended = carried_out(database, fixed={"jerk_max": value})
     assert (ended.state is CampaignState.FAILED) == (value == 19)
     assert ("added.jerk_max" in (ended.error or "")) == (value == 19)
+    assert (earlier.id in (ended.error or "")) == (value == 19)
     assert ended.cells.requested == (0 if value == 19 else ended.cells.repeated)
 
 
 def test_nothing_is_claimed_without_a_claim_about_each_difference(database: Database) -> None:
     carried_out(database)
     push(database, BEFORE | JERK | {"k": {"lower": 0, "upper": 9}}, added={"jerk_max": 20})
-    ended = carried_out(database, fixed={"jerk_max": 20, "k": 3})
+    fixed: dict[str, Any] = {"jerk_max": 20, "k": 3}
+    ended = carried_out(database, fixed=fixed)
     assert ended.cells.simulated == len({(row.scenario, row.parameters) for row in rows_of(database, ended)})
+    assert any("parameters.k" in note for note in ended.notes)
+    push(database, BEFORE | JERK | {"k": {"lower": 0, "upper": 9}}, "changed", added={"jerk_max": 20})
+    assert any("model.py" in note for note in carried_out(database, fixed=fixed).notes)
+    assert any("model.py" in note for note in foretold(database, fixed=fixed))
+
+
+def test_a_dry_run_counts_the_sample_that_checks_a_claim(database: Database) -> None:
+    carried_out(database)
+    push(database, BEFORE | JERK, added={"jerk_max": 20})
+    told = [note for note in foretold(database, fixed={"jerk_max": 20}) if "claims" in note]
+    checked = carried_out(database, fixed={"jerk_max": 20}).counts(StageName.CLAIMS).simulated
+    assert [f" {checked} " in note for note in told] == [True]
+    single = EvaluationSpecification(problem="acc", parameters={"x": 0, "n": 1, "jerk_max": 20})
+    assert any("`added`" in note for note in resolve_evaluation(single, stored_bundles(database)).notes)
+
+
+def test_a_rerun_on_other_curves_takes_lists_anew_and_refuses_coefficients(database: Database) -> None:
+    few: dict[str, Any] = {"lower": 0, "upper": 3, "coefficients": 3}
+    push(database, BEFORE | {"gain": few | {"curve": {"axis": [0, 5, 10, 20]}}})
+    fixed, line = {"x": 0, "n": 1}, [0, 0.75, 1.5, 3]
+    listed = carried_out(database, baseline=fixed | {"gain": line})
+    single = carried_out(database, baseline=fixed | {"gain_1": 0, "gain_2": 1, "gain_3": 3})
+    push(database, BEFORE | {"gain": few | {"curve": {"axis": [0, 1, 5, 20]}}})
+    changes = RerunSpecification(weights={}, problem="acc")
+    rerun = submission.rerun(database, LIMITS, listed.id, changes, None)
+    again = finish(database, rerun, dispatcher(database, ComputedBackend(driven=driven)))
+    assert present(again.baseline).parameters != present(listed.baseline).parameters
+    with pytest.raises(InvalidInputError) as refused:
+        submission.rerun(database, LIMITS, single.id, changes, None)
+    assert [problem.field for problem in refused.value.problems] == ["problem"]
+    with pytest.raises(InvalidInputError) as refused:
+        foretold(database, constraints=[{"changes": f"{listed.id}#1", "at_most": 2}])
+    assert [problem.field for problem in refused.value.problems] == ["constraints[0].changes"]

@@ -49,7 +49,8 @@ def driven(setup: SetupRequest, cell: Cell) -> CellResult:
 def test_results_show_curves_with_the_range_of_good_sets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
     store(database, MANIFEST)
-    wanted = {"problem": "curved", "budget": {"simulations": 60}, "optimizer": {"kind": "surrogate", "seed": 1}}
+    wanted: dict[str, Any] = {"problem": "curved", "optimizer": {"kind": "surrogate", "seed": 1}, "variants": {"eu": {}}}
+    wanted |= {"budget": {"simulations": 60}}
     ended = finish(database, submit_checked(database, wanted), dispatcher(database, ComputedBackend(driven=driven)))
     assert ended.state is CampaignState.SUCCEEDED, ended.error
     results = results_of(database, ended)
@@ -67,7 +68,7 @@ def test_results_show_curves_with_the_range_of_good_sets(tmp_path: Path, capsys:
     assert gain.good.sets >= 1
     assert (np.array(gain.good.lower) <= gain.values(best.parameters)).all()
     assert (np.array(gain.good.upper) >= gain.values(best.parameters)).all()
-    print_curves(results.campaign, results.setup)
+    print_curves(results)
     printed = capsys.readouterr().out
-    assert all(text in printed for text in ("gain (1/s)", "40 m/s", "y 4", "baseline"))
+    assert all(text in printed for text in ("gain (1/s)", "40 m/s", "y 4", "baseline", "best of eu"))
     database.dispose()

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.problems import heated, push
+from tests.support.problems import MANIFEST, heated, push
 from tests.support.runs import working
 from tests.support.server import RunningApi, new_database, problem_of, serving
 
@@ -100,6 +100,29 @@ def test_a_search_starts_with_the_sets_of_a_source_and_simulates_them(api: Runni
             assert (again["start_results"], again["start_sets"][-2:]) == ("house 7", begun["start_sets"])
         client.delete_imported("heater", "house 7")
         assert client.rerun(campaign.id, {"weights": {"winter": 1}}).spec["optimizer"] == begun
+
+
+@pytest.mark.slow("postgresql")
+def test_sets_of_another_curve_begin_no_search_and_have_no_simulation(api: RunningApi, tmp_path: Path) -> None:
+    def pushed(*axis: int) -> None:
+        tank = {"tank": {"curve": {"axis": axis}, "lower": 0, "upper": 9, "coefficients": 2}}
+        push(api.database, tmp_path / "heater", parameters=MANIFEST["parameters"] | tank, baseline=None)
+
+    pushed(0, 5, 9)
+    given = row() | {"parameters": SET | {"tank": [0, 5, 9]}}
+    search = {
+        "problem": "heater",
+        "optimizer": {"kind": "random", "population": 2, "iterations": 1, "start_results": "house 7"},
+    }
+    with Client(api.url) as client:
+        client.import_results([given], **HEAD)
+        with working(api.database, ComputedBackend(answer=heated)):
+            simulated(client, parameters=given["parameters"])
+        assert [item.difference is None for item in client.imported("heater")] == [False]
+        pushed(0, 1, 9)
+        assert [item.difference for item in client.imported("heater")] == [None]
+        refused = api.http.post("/api/v1/campaigns", json=search)
+        assert problem_of(refused, 422)["errors"][0]["field"] == "optimizer.start_results"
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Checks of requests, and what they are expected to cost, without a change of the database."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -8,6 +9,7 @@ from sqlalchemy import Connection
 from drivecal.api.dependencies import Limits
 from drivecal.api.live.dispatcher_health import judge
 from drivecal.api.tables.ranking import ranking
+from drivecal.campaigns.cells.earlier import earlier_versions, sample, unclaimed
 from drivecal.campaigns.comparison import ComparisonProblem, resolve_comparison
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
@@ -15,7 +17,7 @@ from drivecal.campaigns.resolve.maps import check_basis, warnings_of
 from drivecal.campaigns.resolve.outside import indices_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.campaigns.resolve.workbench import stored_bundles
+from drivecal.campaigns.resolve.workbench import moved, stored_bundles
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.campaigns.stages.validation import check_predictions, runs_at_most
 from drivecal.contracts.campaign import STUDIES, ExpectedRuns
@@ -67,9 +69,13 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
         known = pace(connection, [setup.fingerprint for setup in problem.bench.setups.values()])
         warnings = warnings_of(connection, problem, used, now())
         of_predictions = runs_at_most(connection, problem)
+        versions = [] if problem.specification.reduction.mode == "off" else earlier_versions(connection, problem.bench)
+        claims = len(sample(connection, problem.bench, versions, problem.space, sys.maxsize))
+        warnings += [] if claims else unclaimed(connection, problem.bench.bundle.digest, problem.bench.bundle.manifest)
+    warnings += [f"claims of problem.yaml: {claims} stored cells at most are simulated again first"] if claims else []
     runs = problem.expected_runs()
     runs = runs.model_copy(update={"validation": runs.validation + of_predictions})
-    at_most = runs.sensitivity_at_most + runs.calibration_at_most + sum(getattr(runs, study) for study in STUDIES)
+    at_most = claims + runs.sensitivity_at_most + runs.calibration_at_most + sum(getattr(runs, study) for study in STUDIES)
     guessed = not known.measured and not problem.bench.is_driven  # nothing is known of a simulator that never ran
     seconds, chosen = known.seconds(at_most), problem.optimization
     if seconds is not None and chosen is not None and chosen.plugin.name == "surrogate":
@@ -120,7 +126,7 @@ def resolved(database: Database, specification: CampaignSpecification, *, again:
     missing map's included. `again`: it was resolved before, and the results may have been deleted since."""
     wanted, bundles = specification.optimizer, stored_bundles(database)
     goals = {name: given for name in ("objectives", "constraints") if (given := getattr(specification, name))}
-    measured = {name: [_with_set(database, goal) for goal in given] for name, given in goals.items()}
+    measured = {name: [_with_set(database, goal, specification.problem) for goal in given] for name, given in goals.items()}
     specification = specification.model_copy(update=measured)
     try:
         problem = resolve(specification, bundles)
@@ -142,7 +148,7 @@ def resolved(database: Database, specification: CampaignSpecification, *, again:
     raise InvalidInputError(*own, *diagnostics.problems)
 
 
-def _with_set(database: Database, goal: GoalSpecification) -> GoalSpecification:
+def _with_set(database: Database, goal: GoalSpecification, problem: str) -> GoalSpecification:
     """Returns a goal with the values of the set of a campaign, `ID` or `ID#2`, from which it counts changes; unknown ones stay."""
     for name in ("changes", "distance"):
         if isinstance(given := getattr(goal, name), str) and given != "baseline":
@@ -150,6 +156,8 @@ def _with_set(database: Database, goal: GoalSpecification) -> GoalSpecification:
             try:
                 with database.read() as connection:
                     campaign = campaigns.get(connection, identifier)
+                    if moved(connection, campaign.spec["problem"], problem):
+                        return goal
             except NotFoundError:
                 return goal
             place = 1 if not mark else int(rank) if rank.isdecimal() else 0
@@ -167,6 +175,9 @@ def _imported_sets(database: Database, problem: CalibrationProblem, source: str,
         raise InvalidInputError(
             Problem(field, f"{name} has no results of {source!r}", f"`drivecal results list {name}` lists what there is")
         )
+    if any(row.form != problem.bench.bundle.manifest.form for row in rows):
+        remedy = f"delete them (`drivecal results delete {name}`) and import them again, with curves as lists of values"
+        raise InvalidInputError(Problem(field, "its sets belong to other curves or maps than the problem has now", remedy))
     given = dict.fromkeys(row.parameters for row in rows)
     sets = [ProposedSet(key=str(number), parameters=dict(each.floats)) for number, each in enumerate(given)]
     try:

@@ -13,11 +13,11 @@ from drivecal.campaigns.comparison import keys_of, tag_of
 from drivecal.campaigns.resolve.maps import is_outdated, warnings_of
 from drivecal.campaigns.resolve.optimizer import BEGINNINGS
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve_evaluation
-from drivecal.campaigns.resolve.workbench import stored_bundles
+from drivecal.campaigns.resolve.workbench import moved, stored_bundles
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
-from drivecal.domain.errors import ConflictError
+from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.storage import admission, campaigns
 from drivecal.storage.campaigns import StoredCampaign
@@ -86,6 +86,10 @@ def rerun(
         raise ConflictError(f"campaign {first_id} is {first.state}; rerun it when it has ended, or cancel it first")
     document = _changed(first, used, changes)
     problem = checked(database, limits, validated(CampaignSpecification, document), again=True)
+    with database.read() as connection:
+        others = moved(connection, first.spec["problem"], problem.specification.problem)
+    if held := [name for name in others if f'"{name}"' in canonical_json(document)]:
+        raise InvalidInputError(Problem("problem", f"{', '.join(held)} mean other curves there", "submit lists of values"))
     if used is not None and used.basis is not None and is_outdated(used, problem):
         document["sensitivity"] = used.basis["sensitivity"]  # made again, from stored runs if only ratings are others
         problem = checked(database, limits, validated(CampaignSpecification, document), again=True)

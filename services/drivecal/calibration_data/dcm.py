@@ -129,8 +129,7 @@ def read_text(text: str, file: str) -> Content:
                 raise refused(file, number, f"a {keyword} has no name", "give it one")
             result.add(file, name, _read_block(lines, keyword, name, sizes, number, file))
         elif keyword in _LISTS:
-            if not any(line == "END" for _, line, _ in lines):
-                raise refused(file, number, f"this {keyword} has no END", "complete the file")
+            list(_inside(lines, f"this {keyword}", number, file))
             result.skipped += [name] if keyword == "TEXTSTRING" else []
         elif keyword not in _LINES and not line.startswith(_COMMENTS):
             raise refused(file, number, f"{shown(keyword)} is not a keyword of DCM 2.0", "correct the line")
@@ -145,6 +144,18 @@ def _lines(text: str) -> Iterator[_Line]:
             yield number, line, match.start() + len(match[1]) - len(match[1].lstrip())
 
 
+def _inside(lines: Iterator[_Line], block: str, begin: int, file: str) -> Iterator[_Line]:
+    """Yields the lines of a block until its END. Raises InvalidInputError if the file ends or another block begins before."""
+    for line in lines:
+        key = line[1].partition(" ")[0]
+        if key == "END":
+            return
+        if key in _KINDS or key in _LISTS:
+            break
+        yield line
+    raise refused(file, begin, f"{block} has no END", "close it by END before the next keyword")
+
+
 def _read_block(
     lines: Iterator[_Line], keyword: str, name: str, sizes: Sequence[str], begin: int, file: str
 ) -> Characteristic | None:
@@ -154,11 +165,9 @@ def _read_block(
     texts: dict[str, str] = {}
     text_places: Places = ()
     fault, is_other = None, False
-    for number, line, start in lines:
+    for number, line, start in _inside(lines, shown(name), begin, file):
         key, _, rest = line.partition(" ")
         has_value = bool(numbers["WERT"]) or "TEXT" in texts
-        if key == "END":
-            break
         if shared := _SHARED.fullmatch(line):
             texts[shared[1]] = shared[2]
         elif key in numbers:
@@ -169,15 +178,10 @@ def _read_block(
         elif key in _STRINGS:
             texts[key] = _string(rest.strip(), number, file)
             text_places = ((start + len(line) - len(rest.lstrip()), start + len(line)),) if key == "TEXT" else text_places
-        elif key not in _UNUSED and key != "VAR" and kind == "VALUE":
-            message = f"{shown(key)} is not a keyword of a FESTWERT"
-            raise refused(file, number, message, "correct the line, or close the block by END")
         else:
             is_other = is_other or key not in _UNUSED
         if kind == "VALUE" and (len(numbers["WERT"]) > 1 or (has_value and key in {"WERT", "TEXT"})):
             raise refused(file, number, f"{shown(name)} has a second value", "keep one of the two")
-    else:
-        raise refused(file, begin, f"{shown(name)} has no END", "complete the file")
     if is_other or (kind != "VALUE" and "TEXT" in texts):
         return None
     held = numbers["ST/X" if kind == "COM_AXIS" else "WERT"]

@@ -6,7 +6,6 @@ from typing import Literal
 
 from drivecal.calibration_data import a2l, cdfx, dcm
 from drivecal.calibration_data.characteristics import Characteristic, Content, Quality
-from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.contracts.tables import csv_text
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -34,7 +33,7 @@ def write(form: CalibrationFormat, characteristics: Sequence[Characteristic], qu
 
 
 def labels_of(document: object, parameters: Sequence[str] | None = None) -> dict[str, str]:
-    """Returns a checked file of names, the label of each parameter: `{P1: ACC_tGap_C}`. `parameters`: the existing parameters, if known."""
+    """Returns a checked file of labels by parameter, `{P1: ACC_tGap_C}`. It may hold more than the `parameters`, if these are known."""
     if not isinstance(document, dict):
         raise InvalidInputError(Problem("--names", "it is not a list of names", "give lines such as P1: ACC_tGap_C"))
     problems, used = [], dict[str, str]()
@@ -42,8 +41,6 @@ def labels_of(document: object, parameters: Sequence[str] | None = None) -> dict
         field = shown(name)
         if not isinstance(label, str) or not label.strip() or not label.isprintable() or '"' in label or " " in label.strip():
             problems.append(Problem(field, f"{shown(label)} is not a label", "give a name without spaces"))
-        elif parameters is not None and name not in parameters:
-            problems.append(Problem(field, "there is no such parameter", nearest(name, list(parameters))))
         elif parameters is not None and label != name and label in parameters and label not in document:
             problems.append(Problem(field, f"the parameter {label} has this name", f"give {label} another label, too"))
         elif label in used:

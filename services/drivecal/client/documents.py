@@ -70,7 +70,16 @@ def with_full_ids(specification: Mapping[str, Any], campaign: Complete, influenc
         settings = full.get(section)
         if isinstance(settings, Mapping) and isinstance(settings.get(name), str):
             full[section] = {**settings, name: complete(settings[name])}
+    for section in ("objectives", "constraints"):
+        if isinstance(goals := full.get(section), list):
+            full[section] = [_with_full_set(goal, campaign) if isinstance(goal, Mapping) else goal for goal in goals]
     return full
+
+
+def _with_full_set(goal: Mapping[str, Any], campaign: Complete) -> dict[str, Any]:
+    """Returns a goal with the full id of the campaign whose set, `ID` or `ID#2`, it compares with."""
+    sets = {name: goal[name] for name in ("changes", "distance") if isinstance(goal.get(name), str)}
+    return {**goal, **{name: re.sub("^[^#]*", lambda begin: campaign(begin[0]), given) for name, given in sets.items()}}
 
 
 def ids_on(pages: Callable[..., CampaignPage | InfluenceMapPage]) -> Iterator[str]:

@@ -87,10 +87,10 @@ def named(connection: Connection, name_or_digest: str) -> StoredBundle:
     return find(connection, name_or_digest)
 
 
-def manifests(connection: Connection, name: str) -> list[Mapping[str, Any]]:
-    """Returns the manifests of everything that was pushed under a name, last pushed first."""
-    query = select(bundles.c.manifest).where(bundles.c.name == name).order_by(bundles.c.pushed.desc())
-    return list(connection.scalars(query))
+def manifests(connection: Connection, name: str) -> dict[str, Mapping[str, Any]]:
+    """Returns the manifests of everything that was pushed under a name by digest, last pushed first."""
+    query = select(bundles.c.digest, bundles.c.manifest).where(bundles.c.name == name).order_by(bundles.c.pushed.desc())
+    return {row.digest: row.manifest for row in connection.execute(query)}
 
 
 def archive(connection: Connection, digest: str) -> bytes:

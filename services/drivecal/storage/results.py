@@ -120,10 +120,10 @@ def number_at(connection: Connection, campaign_sequence: int, iteration: int, in
     return int(cell)
 
 
-def number_of_sets(connection: Connection, campaign_sequence: int, stage: StageName, scenario: str) -> int:
-    """Returns the number of different parameter sets in the cells of a stage in a scenario."""
+def number_of_sets(connection: Connection, campaign_sequence: int, stage: StageName) -> int:
+    """Returns the number of different parameter sets in the cells of a stage."""
     table = evaluations.c
-    here = (table.campaign_sequence == campaign_sequence, table.scenario == scenario, table.stage == stage)
+    here = (table.campaign_sequence == campaign_sequence, table.stage == stage)
     return int(connection.scalar(select(func.count(table.parameter_set_id.distinct())).where(*here)) or 0)
 
 

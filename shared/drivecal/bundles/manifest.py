@@ -17,6 +17,7 @@ from drivecal.bundles.simulators import Command, File, Resources, SimulatorEntry
 from drivecal.contracts.specification import Given, Model
 from drivecal.contracts.strict_json import Choice, Identifier, Number
 from drivecal.domain.scales import Direction, Scale
+from drivecal.domain.setups import canonical_json, digest
 from drivecal.domain.values import Setting
 from drivecal.domain.vehicles import VehicleParameter
 
@@ -284,6 +285,16 @@ class Manifest(Model):
     def shapes(self) -> dict[str, Shape]:
         """Curves and maps by name."""
         return {name: Shape.declared(name, each) for name, each in self.parameters.items() if isinstance(each, ShapeEntry)}
+
+    @property
+    def coefficients(self) -> dict[str, dict[str, Any]]:
+        """Inputs that decide the curve or map of each coefficient, by its name."""
+        return {each: shape.document for shape in self.shapes.values() for each in shape.names}
+
+    @property
+    def form(self) -> str:
+        """A digest of all curves and maps."""
+        return digest(canonical_json({name: shape.document for name, shape in self.shapes.items()}).encode())
 
     @cached_property
     def scalars(self) -> dict[str, ParameterEntry]:

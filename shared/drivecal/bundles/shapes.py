@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, product
-from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -204,10 +203,8 @@ class Shape:
             units: a unit for each axis.
         """
         for name, place in zip(self.names, product(*(each.tolist() for each in self.places)), strict=True):
-            yield (
-                name,
-                ", ".join(f"{value:g}{'' if unit == '1' else f' {unit}'}" for value, unit in zip(place, units, strict=True)),
-            )
+            texts = (f"{value:g}{'' if unit == '1' else f' {unit}'}" for value, unit in zip(place, units, strict=True))
+            yield name, ", ".join(texts)
 
     @cached_property
     def places(self) -> tuple[Floats, ...]:
@@ -225,18 +222,17 @@ class Shape:
         Args:
             settings: the values of a set by name.
         """
-        coefficients = np.array([settings[name] for name in self.names], dtype=np.float64).reshape(self.counts)
-        return self._listed(self._spread(coefficients))
+        values: Floats = np.array([settings[name] for name in self.names], dtype=np.float64).reshape(self.counts)
+        for weights in self.weights:
+            values = np.moveaxis(np.tensordot(weights, values, axes=(1, 0)).astype(np.float64), 0, -1)
+        points: Points = _on_grid(np.clip(values, self.lower, self.upper), self.lower, self.step or 0.0).tolist()
+        return points
 
-    def settings(self, points: Points, field: str, ranges: Ranges = MappingProxyType({})) -> dict[str, float]:
+    def settings(self, points: Points, field: str, ranges: Ranges | None = None) -> dict[str, float]:
         """Returns the coefficients of the nearest curve or map (least squares) of the form, or the values as single points.
 
-        Raises InvalidInputError naming `field` if the values have another shape, leave the range or break the course.
-
-        Args:
-            points: the values at the support points.
-            field: name of the values for errors.
-            ranges: ranges of some coefficients by name, if they are not the shape's own.
+        Raises InvalidInputError naming `field` if the values have another shape, leave the range or break the course. Coefficients
+        have the shape's own range if `ranges` has none of their name.
         """
         sizes = tuple(len(axis) for axis in self.axes)
         try:
@@ -246,29 +242,23 @@ class Shape:
         if given.shape != sizes:
             wanted = f"{sizes[0]} numbers" if len(sizes) == 1 else f"{sizes[0]} lists of {sizes[1]} numbers"
             raise InvalidInputError(Problem(field, f"the values do not fit the axes of {self.name}", f"give {wanted}"))
+        for axis, course in zip(range(given.ndim), self.courses, strict=False):
+            if course is not None and (np.diff(given, axis=axis) * (-1 if course == "decreasing" else 1)).min() < 0:
+                remedy = f"give {course} values" + (f" along {'xy'[axis]}" if given.ndim > 1 else "")
+                raise InvalidInputError(Problem(field, f"the values of {self.name} are not {course}", remedy))
         if self.counts != sizes:
             own = self.lower, self.upper, self.step or 0.0
-            lower, upper, step = np.array([ranges.get(name, own) for name in self.names]).T
-            self._check(given, lower.min(), upper.max(), field)
+            lower, upper, step = np.array([(ranges or {}).get(name, own) for name in self.names]).T
+            beyond = given[(given < lower.min()) | (given > upper.max())]
+            if beyond.size:
+                remedy = f"give values from {lower.min():g} to {upper.max():g}"
+                raise InvalidInputError(Problem(field, f"{beyond[0]:g} lies outside the range", remedy))
             given = self._fitted(given, lower, upper, step)
         return dict(zip(self.names, given.ravel().tolist(), strict=True))
 
-    def _check(self, values: Floats, lower: float, upper: float, field: str) -> None:
-        if values.min() < lower or values.max() > upper:
-            off = values.min() if values.min() < lower else values.max()
-            remedy = f"give values from {lower:g} to {upper:g}"
-            raise InvalidInputError(Problem(field, f"{off:g} lies outside the range", remedy))
-        for axis, course in zip(range(values.ndim), self.courses, strict=False):
-            steps = np.diff(values, axis=axis) * (-1 if course == "decreasing" else 1)
-            if course is not None and steps.min() < 0:
-                remedy = f"give {course} values" + (f" along {'xy'[axis]}" if values.ndim > 1 else "")
-                raise InvalidInputError(Problem(field, f"the values of {self.name} are not {course}", remedy))
-
     def _fitted(self, values: Floats, lower: Floats, upper: Floats, step: Floats) -> Floats:
-        """Returns the coefficients between bounds whose curve or map has the form and is nearest to given values.
-
-        Least distance programming by nonnegative least squares: Lawson and Hanson, Solving Least Squares Problems, chapter 23.
-        """
+        """Returns the coefficients between bounds that have the form and give the nearest values: least distance programming by
+        nonnegative least squares (Lawson and Hanson, Solving Least Squares Problems, chapter 23)."""
         from scipy.optimize import nnls  # a tenth of a second, which only curves take
 
         span, (form, least), units = self.upper - self.lower, self._form, np.eye(len(self.names))
@@ -298,16 +288,6 @@ class Shape:
         rows = [row for text in self.conditions for row in Constraint(text).inequalities]
         factors = np.array([[-row.coefficients.get(name, 0.0) for name in self.names] for row in rows])
         return factors.reshape(-1, len(self.names)), np.array([-row.bound for row in rows])
-
-    def _spread(self, coefficients: Floats) -> Floats:
-        for weights in self.weights:
-            spread: Floats = np.tensordot(weights, coefficients, axes=(1, 0)).astype(np.float64)
-            coefficients = np.moveaxis(spread, 0, -1)
-        return coefficients
-
-    def _listed(self, values: Floats) -> Points:
-        points: Points = _on_grid(np.clip(values, self.lower, self.upper), self.lower, self.step or 0.0).tolist()
-        return points
 
 
 def _on_grid(values: Floats, lower: Floats | float, step: Floats | float) -> Floats:
@@ -380,6 +360,9 @@ def _weights(axis: Sequence[float], count: int) -> Floats:
     return weights
 
 
+Shapes = Mapping[str, Shape]
+
+
 def takes_elements(section: Mapping[str, Any]) -> bool:
     """Returns whether a simulator takes numbers alone, as FMUs do. `section`: the manifest's."""
     return "fmu" in (section["kind"], (section.get("controller") or {}).get("kind"))
@@ -407,9 +390,13 @@ def with_points(
 
 
 def with_coefficients(
-    given: Mapping[str, Given], shapes: Mapping[str, Shape], field: str, ranges: Ranges = MappingProxyType({})
+    given: Mapping[str, Given],
+    shapes: Mapping[str, Shape],
+    field: str,
+    ranges: Ranges | None = None,
+    notes: list[str] | None = None,
 ) -> dict[str, Setting]:
-    """Returns a user's set with coefficients in the place of curves and maps.
+    """Returns a user's set with coefficients in the place of curves and maps; adds a note for each list that they give only nearly.
 
     Raises InvalidInputError, at `field` and the name, for lists that do not fit an axis, one number in the place of a list, and for
     coefficients that a list gives as well.
@@ -426,28 +413,13 @@ def with_coefficients(
                     Problem(where, f"{', '.join(twice)} is given as well", "give the list or its coefficients")
                 )
             settings |= own
+            shape = shapes[name]
+            off = float(np.abs(np.asarray(value) - shape.values(own)).max())
+            if notes is not None and len(notes) < 20 and off > INEXACT * max(1.0, shape.upper - shape.lower):
+                taken = f"{len(own)} coefficients give no such values; the nearest ones are taken, off by at most {off:.3g}"
+                notes.append(f"{where}: {taken}")
         elif name in shapes:
             raise InvalidInputError(Problem(where, "one value is no curve or map", "give a list of its values"))
         else:
             settings[name] = value
     return settings
-
-
-def inexact(
-    given: Mapping[str, Given], settings: Mapping[str, Setting], shapes: Mapping[str, Shape], field: str
-) -> Iterator[str]:
-    """Yields a note for each list that its coefficients give only nearly.
-
-    Args:
-        given: a user's set, at `field`.
-        settings: the set `with_coefficients`.
-        shapes: curves and maps by name.
-    """
-    for name, shape in shapes.items():
-        if isinstance(points := given.get(name), list):
-            off = float(np.abs(np.asarray(points) - shape.values(settings)).max())
-            if off > INEXACT * max(1.0, shape.upper - shape.lower):
-                taken = (
-                    f"{len(shape.names)} coefficients give no such values; the nearest ones are taken, off by at most {off:.3g}"
-                )
-                yield f"{field}.{name}: {taken}"

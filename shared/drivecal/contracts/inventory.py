@@ -232,3 +232,5 @@ class ProblemAnswer(ProblemHeading):
     series: dict[str, str]
     """Units by time series."""
     scores: dict[str, dict[str, Any]]
+    notes: list[str] = Field(default_factory=list)
+    """Why runs of the push before answer nothing, when it is pushed."""

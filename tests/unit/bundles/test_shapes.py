@@ -16,7 +16,7 @@ from drivecal.bundles.checks import checked
 from drivecal.bundles.expressions import Constraint
 from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.installed import Bundle
-from drivecal.bundles.shapes import Shape, ShapeEntry, inexact, with_coefficients, with_points
+from drivecal.bundles.shapes import Shape, ShapeEntry, with_coefficients, with_points
 from drivecal.campaigns.cells.earlier import earlier_version
 from drivecal.campaigns.resolve.problem import resolve, resolve_evaluation
 from drivecal.campaigns.resolve.workbench import constraints_of, parameters_of
@@ -128,7 +128,7 @@ def test_a_wrong_curve_is_refused_at_its_field(gain: dict[str, Any], field: str)
         ({"gain": [1, 2]}, "baseline.gain"),
         ({"gain": 1}, "baseline.gain"),
         ({"a": [1, 2]}, "baseline.a"),
-        ({"gain": [1, 2, 1, 1, 1, 1]}, "baseline"),
+        ({"gain": [1, 2, 1, 1, 1, 1]}, "baseline.gain"),
         ({"torque": [[1, 2, 3]] * 3}, "baseline.torque"),
     ],
 )
@@ -177,14 +177,16 @@ def test_a_simulator_gets_lists(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 def test_a_list_that_coefficients_cannot_give_is_noted() -> None:
     exact: dict[str, Any] = {"a": 0.5, "gain": [1] * 6, "torque": [[7, 7, 7]] * 4}
     manifest = checked(document({"coefficients": 3}, {"coefficients": 4}))
-    assert list(inexact(exact, with_coefficients(exact, manifest.shapes, ""), manifest.shapes, "")) == []
+    notes = list[str]()
+    assert with_coefficients(exact, manifest.shapes, "", notes=notes)
+    assert notes == []
     wavy = exact | {"gain": [1, 2, 1, 2, 1, 2]}
     bundle = Bundle("d", "f", checked(document({"coefficients": 3}, {"coefficients": 4}, baseline=wavy)))
     sets = {"optimizer": {"kind": "surrogate", "start_sets": [wavy]}, "constraints": [{"changes": wavy, "at_most": 2}]}
     wanted = CampaignSpecification.model_validate({"problem": "shaped"} | sets)
     problem = resolve(wanted, lambda _: bundle)
-    for notes in problem.notes, resolve(problem.specification, lambda _: bundle).notes:  # the dispatcher resolves it again
-        fields = [note.partition(":")[0] for note in notes if "nearest" in note]
+    for noted in problem.notes, resolve(problem.specification, lambda _: bundle).notes:  # the dispatcher resolves it again
+        fields = [note.partition(":")[0] for note in noted if "nearest" in note]
         assert sorted(fields) == ["baseline.gain", "constraints[0].changes.gain", "optimizer.start_sets[0].gain"]
     single = EvaluationSpecification(problem="shaped", parameters=wavy)
     [note] = resolve_evaluation(single, lambda _: bundle).notes
@@ -220,10 +222,6 @@ def test_a_list_becomes_the_nearest_curve_of_a_narrowed_space() -> None:
     baseline = resolve(CampaignSpecification.model_validate(wanted), lambda _: bundle).baseline
     assert baseline is not None
     assert all(baseline.floats[f"gain_{place}"] in (1, 1.25, 1.5, 1.75, 2) for place in (1, 2, 3))
-    beyond = CampaignSpecification.model_validate(wanted | {"baseline": fixed | {"gain": [0.9] * 6}})
-    with pytest.raises(InvalidInputError) as refused:
-        resolve(beyond, lambda _: bundle)
-    assert [problem.field for problem in refused.value.problems] == ["baseline.gain"]
 
 
 @pytest.mark.parametrize("values", [[1, 1, 1, 1, 1, 9], [1, 1, 2, 1, 1, 1]])
@@ -245,15 +243,6 @@ def test_conditions_of_a_map_run_along_its_axes() -> None:
         "torque_1_1 <= torque_1_2",
         "torque_2_1 <= torque_2_2",
     ]
-
-
-@given(st.lists(st.lists(st.floats(0, 20), min_size=3, max_size=3), min_size=4, max_size=4))
-def test_coefficients_of_a_rising_map_rise_along_each_axis(steps: list[list[float]]) -> None:
-    entry = ShapeEntry.model_validate(TORQUE | {"coefficients": 6, "monotone": {"x": "increasing", "y": "increasing"}})
-    shape = Shape.declared("torque", entry)
-    rising = np.cumsum(np.cumsum(steps, axis=0), axis=1).tolist()
-    coefficients = np.reshape(list(shape.settings(rising, "torque").values()), shape.counts)
-    assert all((np.diff(coefficients, axis=axis) >= 0).all() for axis in (0, 1))
 
 
 def test_a_curve_of_many_points_with_a_long_name_can_be_monotone() -> None:

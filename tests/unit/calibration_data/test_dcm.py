@@ -80,6 +80,20 @@ def test_separators_of_unicode_and_older_encodings_are_no_line_ends() -> None:
     assert read.characteristics[0].description == "up to\u2026 \u20ac"
 
 
+KINDS = [
+    "FESTWERT",
+    "FESTWERTEBLOCK",
+    "KENNLINIE",
+    "FESTKENNLINIE",
+    "GRUPPENKENNLINIE",
+    "KENNFELD",
+    "FESTKENNFELD",
+    "GRUPPENKENNFELD",
+]
+KINDS += ["STUETZSTELLENVERTEILUNG"]
+BLOCK = "FESTWERT b\n  WERT 1\nEND\n"
+
+
 @pytest.mark.parametrize(
     ("text", "line"),
     [
@@ -94,6 +108,8 @@ def test_separators_of_unicode_and_older_encodings_are_no_line_ends() -> None:
         ("KONSERVIERUNG_FORMAT 2.0\nFESTWERT\nEND\n", 2),
         ("KONSERVIERUNG_FORMAT 2.0\nUNSINN a\n", 2),
         ("KONSERVIERUNG_FORMAT 2.0\nKENNFELD a 2 2\n  WERT 1 2\n", 2),
+        *((f"KONSERVIERUNG_FORMAT 2.0\n{kind} a\n{BLOCK}", 2) for kind in (*KINDS, "FUNKTIONEN")),
+        *((f"KONSERVIERUNG_FORMAT 2.0\nFESTWERT a\n{kind} {BLOCK}", 2) for kind in (*KINDS, "TEXTSTRING")),
     ],
 )
 def test_the_first_fault_is_named_with_its_line(text: str, line: int) -> None:

@@ -56,6 +56,9 @@ def test_ids_in_a_submitted_campaign_may_be_abbreviated() -> None:
         client,
         script,
     ):
-        client.submit({"robustness": {"of": "5050a"}, "sensitivity": {"map": "5050b"}, "optimizer": None})
+        goals = [{"changes": "5050a#2", "at_most": 2}, {"distance": "baseline", "at_most": 1}, {"score": "cost"}]
+        given = {"robustness": {"of": "5050a"}, "sensitivity": {"map": "5050b"}, "optimizer": None}
+        client.submit(given | {"constraints": goals, "objectives": [{"distance": "5050a"}]})
     sent = json.loads(script.requests[-1][3])
-    assert sent == {"robustness": {"of": FULL}, "sensitivity": {"map": OTHER}, "optimizer": None}
+    full = {"constraints": [{"changes": f"{FULL}#2", "at_most": 2}, *goals[1:]], "objectives": [{"distance": FULL}]}
+    assert sent == {"robustness": {"of": FULL}, "sensitivity": {"map": OTHER}, "optimizer": None} | full

@@ -230,10 +230,10 @@ def _search(connection: Connection, campaign: StoredCampaign) -> SearchCourse | 
     whole = all(parameter.kind != "continuous" for parameter in begun_with.space.searched)
     grid = prod(parameter.n_values for parameter in begun_with.space.searched) if whole else 0
     requested = campaign.cells.proposed // max(1, len(begun_with.weights))
-    is_exact = 100 * requested >= grid > 0  # else the share is negligible, and counting takes as long as reading the campaign
+    # a search by the cell leaves scenarios of sets out; of a long one, the share is negligible, and counting takes as long as reading it
+    is_exact = grid > 0 and (campaign.cells.proposed <= 10_000 or 100 * requested >= grid)
     if is_exact:
-        scenario = next(iter(begun_with.weights))
-        requested = results.number_of_sets(connection, campaign.sequence, StageName.CALIBRATION, scenario)
+        requested = results.number_of_sets(connection, campaign.sequence, StageName.CALIBRATION)
     return SearchCourse(course, ranges, requested, grid, is_exact)
 
 

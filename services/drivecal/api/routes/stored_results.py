@@ -1,7 +1,6 @@
 """Look-ups of stored results; results of vehicles, test benches and other tools."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Response
@@ -22,7 +21,6 @@ from drivecal.contracts.specification import EvaluationSpecification, Given
 from drivecal.contracts.strict_json import ProblemName
 from drivecal.contracts.tables import Kind, columns_of
 from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
-from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.database import Database
 from drivecal.storage.outside import imported
 from drivecal.storage.outside.imported import ImportedValues
@@ -58,12 +56,13 @@ def store(given: ImportedResults, database: DatabaseDependency, owner: Owner) ->
     bench = _bench(database, _of_problem(given.problem, given.rows[0].parameters))
     _check(given, bench)
     sets = given_sets(bench, [row.parameters for row in given.rows], "rows[{}].parameters")
+    manifest = bench.bundle.manifest
     rows = [
-        ImportedValues(given.source, given.date.isoformat(), owner, row.scenario, own, row.scores, row.measures)
+        ImportedValues(given.source, given.date.isoformat(), owner, row.scenario, own, row.scores, row.measures, manifest.form)
         for row, own in zip(given.rows, sets, strict=True)
     ]
     with database.transaction() as connection:
-        stored = imported.add(connection, bench.bundle.manifest.problem, rows)
+        stored = imported.add(connection, manifest.problem, rows)
     return ImportAnswer(stored=stored, known=len({(row.scenario, row.parameters.key) for row in rows}) - stored)
 
 
@@ -137,55 +136,40 @@ def _check(given: ImportedResults, bench: Bench) -> None:
     diagnostics.raise_if_any()
 
 
-@dataclass(frozen=True, slots=True)
-class _Simulated:
-    """The stored simulations of imported sets by place and scenario, with the bench that rated them."""
-
-    bench: Bench
-    cells: Mapping[tuple[int, str], StoredSimulation]
+_Simulated = tuple[Bench, Mapping[tuple[int, str], StoredSimulation]]
+"""A bench, and the stored simulations that it rated, by place of the imported set and scenario."""
 
 
 def _beside_simulations(database: Database, problem: str, rows: Sequence[ImportedValues]) -> list[ImportedRow]:
     if not rows:
         return []
-    sets = [row.parameters for row in rows]
-    first = _simulated(database, problem, sets, None)
-    own = next(iter(first.bench.bundle.manifest.scores))
+    first = _simulated(database, problem, rows, None)
+    own = next(iter(first[0].bundle.manifest.scores))
     names = dict.fromkeys(name for row in rows for name in row.scores)
-    scores = {own: first} | {name: _simulated(database, problem, sets, name) for name in names if name != own}
+    scores = {own: first} | {name: _simulated(database, problem, rows, name) for name in names if name != own}
     return [item for place, row in enumerate(rows) for item in _items(place, row, first, scores)]
 
 
-def _simulated(database: Database, problem: str, sets: Sequence[ParameterSet], evaluator: str | None) -> _Simulated:
-    bench = _bench(database, _of_problem(problem, sets[0].floats, evaluator))
+def _simulated(database: Database, problem: str, rows: Sequence[ImportedValues], evaluator: str | None) -> _Simulated:
+    bench, sets = _bench(database, _of_problem(problem, rows[0].parameters.floats, evaluator)), [row.parameters for row in rows]
     with database.read() as connection:  # results that depend on what workers report are not found: a look-up asks no worker
         simulations = stored_simulations(connection, bench, sets) if bench.to_probe is None else []
-    return _Simulated(bench, {(each.place, each.scenario): each for each in simulations})
+    form = bench.bundle.manifest.form  # a set of other curves has no simulation
+    return bench, {(each.place, each.scenario): each for each in simulations if rows[each.place].form == form}
 
 
 def _items(place: int, row: ImportedValues, first: _Simulated, scores: Mapping[str, _Simulated]) -> Iterator[ImportedRow]:
     """Yields a row for each score, which may follow from the measures, and for each measure."""
-    cell = place, row.scenario
-    measures = first.cells[cell].metrics if cell in first.cells else {}
-    units = first.bench.bundle.manifest.reported
-    values: list[tuple[Literal["score", "measure"], str, float | None, float | None]] = []
-    for name, simulated in scores.items():
-        made = simulated.bench.rate(row.scenario, row.measures, None) if row.scenario in simulated.bench.scenarios else None
+    (first_bench, cells), cell = first, (place, row.scenario)
+    measures, units = cells[cell].metrics if cell in cells else {}, first_bench.bundle.manifest.reported
+    values: list[tuple[Literal["score", "measure"], str, str | None, float | None, float | None]] = []
+    for name, (bench, simulated) in scores.items():
+        made = bench.rate(row.scenario, row.measures, None) if row.scenario in bench.scenarios else None
         value = row.scores.get(name, None if made is None else made.score)
-        values.append(("score", name, value, simulated.cells[cell].score if cell in simulated.cells else None))
-    values += [("measure", name, value, measures.get(name)) for name, value in row.measures.items()]
-    for kind, name, value, simulated_value in values:
+        values.append(("score", name, None, value, simulated[cell].score if cell in simulated else None))
+    values += [("measure", name, units.get(name), value, measures.get(name)) for name, value in row.measures.items()]
+    about = {"source": row.source, "date": row.date, "owner": row.owner, "scenario": row.scenario}
+    for kind, name, unit, value, known in values:
         if value is not None:
-            yield ImportedRow(
-                source=row.source,
-                date=row.date,
-                owner=row.owner,
-                scenario=row.scenario,
-                parameters=row.parameters.floats,
-                kind=kind,
-                name=name,
-                unit=units.get(name) if kind == "measure" else None,
-                value=value,
-                simulated=simulated_value,
-                difference=None if simulated_value is None else value - simulated_value,
-            )
+            both = {"value": value, "simulated": known, "difference": None if known is None else value - known}
+            yield ImportedRow(parameters=row.parameters.floats, kind=kind, name=name, unit=unit, **about, **both)

@@ -17,6 +17,7 @@ from drivecal.api.responses import ROOT, matches
 from drivecal.api.results.curves import shapes_of
 from drivecal.bundles.archives import content_digest, files_of
 from drivecal.bundles.manifest import Manifest
+from drivecal.campaigns.cells.earlier import unclaimed
 from drivecal.configuration.memory import give_back
 from drivecal.configuration.problems import read_archived
 from drivecal.configuration.pushing import HEADER
@@ -57,10 +58,10 @@ async def push(
         content = await body_of(request)
         async with limits.large_bodies:
             try:
-                stored, new = await to_thread.run_sync(partial(_store, database, limits, content, signed))
+                stored, new, notes = await to_thread.run_sync(partial(_store, database, limits, content, signed))
             finally:
                 await to_thread.run_sync(give_back)
-    answer = _answer(stored)
+    answer = _answer(stored).model_copy(update={"notes": notes})
     return JSONResponse(answer.model_dump(mode="json"), 201 if new else 200, {"Location": answer.links["self"]})
 
 
@@ -94,8 +95,8 @@ def read_archive(
     return Response(content, headers=headers, media_type=MEDIA_TYPE)
 
 
-def _store(database: Database, limits: Limits, content: bytes, signed: str | None) -> tuple[StoredBundle, bool]:
-    """Checks an archive and stores it. Raises InvalidInputError for its faults."""
+def _store(database: Database, limits: Limits, content: bytes, signed: str | None) -> tuple[StoredBundle, bool, list[str]]:
+    """Checks an archive and stores it; returns it, whether it is new, and notes. Raises InvalidInputError for its faults."""
     if signed is not None and sha256(content).hexdigest() != signed:
         raise HTTPException(403, f"the header {HEADER} signs another body")
     files = files_of(content, limits.settings.problem_mb * 2**20)
@@ -104,7 +105,8 @@ def _store(database: Database, limits: Limits, content: bytes, signed: str | Non
     document = manifest.model_dump(mode="json")
     with database.transaction() as connection:
         admission.admit_problem(connection, digest, limits.settings.pushed_problems)
-        return bundles.add(connection, digest=digest, name=manifest.problem, manifest=document, archive=content)
+        stored, new = bundles.add(connection, digest=digest, name=manifest.problem, manifest=document, archive=content)
+        return stored, new, unclaimed(connection, digest, manifest)
 
 
 def _answer(stored: StoredBundle) -> ProblemAnswer:

@@ -6,6 +6,7 @@ from itertools import islice
 
 from sqlalchemy import Connection
 
+from drivecal.bundles.archives import MANIFEST, files_of
 from drivecal.bundles.manifest import Manifest
 from drivecal.bundles.shapes import with_coefficients
 from drivecal.campaigns.resolve.bench import Bench
@@ -63,7 +64,7 @@ def earlier_version(manifest: Manifest, earlier: Manifest) -> EarlierVersion | N
         renamed |= {each: old + each.removeprefix(name) for each in shape.names}
     kept = {name: renamed.get(name, name) for name in names}
     kept = {name: name if name in before else old for name, old in kept.items() if name in before or old in before}
-    now, then = _owners(manifest), _owners(earlier)
+    now, then = manifest.coefficients, earlier.coefficients
     if any(now.get(new) != then.get(old) for new, old in kept.items()):  # a coefficient has no other meaning
         return None
     added, removed = set(names) - kept.keys(), before - set(kept.values())
@@ -77,10 +78,6 @@ def earlier_version(manifest: Manifest, earlier: Manifest) -> EarlierVersion | N
     if len(set(kept.values())) < len(kept) or not (added <= new.keys() and removed <= gone.keys()):
         return None
     return EarlierVersion(manifest=earlier, kept=kept, added=_exact(new, added), removed=_exact(gone, removed))
-
-
-def _owners(manifest: Manifest) -> dict[str, Mapping[str, object]]:
-    return {each: shape.document for shape in manifest.shapes.values() for each in shape.names}
 
 
 def _exact(claimed: Mapping[str, Setting], names: set[str]) -> dict[str, Value]:
@@ -98,12 +95,34 @@ def earlier_versions(connection: Connection, bench: Bench) -> tuple[EarlierVersi
     if not manifest.claims:
         return ()
     versions: dict[object, EarlierVersion] = {}
-    for document in bundles.manifests(connection, manifest.problem):
+    for document in bundles.manifests(connection, manifest.problem).values():
         version = earlier_version(manifest, Manifest.model_validate(document))
         if version is not None:
             fingerprints = (setup.fingerprint for setup in bench_of(version, bench).setups.values())
             versions.setdefault((frozenset(version.manifest.parameters), *fingerprints), version)
     return tuple(versions.values())
+
+
+def unclaimed(connection: Connection, digest: str, manifest: Manifest) -> list[str]:
+    """Returns notes on the differences from the push before for which its runs answer nothing: files, and parameters without a claim."""
+    pushed = bundles.manifests(connection, manifest.problem)
+    before = next(islice(pushed, 1 + list(pushed).index(digest), None), None) if digest in pushed else None
+    if before is None:
+        return []
+    earlier = Manifest.model_validate(pushed[before])
+    now, then = (files_of(bundles.archive(connection, each)) for each in (digest, before))
+    changed = [name for name in sorted({*now, *then} - {MANIFEST}) if now.get(name) != then.get(name)]
+    claimed = {*manifest.added, *manifest.removed, *manifest.renamed, *manifest.renamed.values()}
+    notes = [
+        f"parameters.{name} is {'new' if name in manifest.parameters else 'gone'}: runs of the push before answer nothing without"
+        " `added: {NAME: VALUE}`, `removed` or `renamed` in problem.yaml"
+        for name in sorted((manifest.parameters.keys() ^ earlier.parameters.keys()) - claimed)
+    ]
+    if changed and (notes or claimed):
+        notes.append(
+            f"{', '.join(changed[:5])} changed, so runs of the push before answer nothing: claims speak of runs of unchanged files"
+        )
+    return notes
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,14 +142,9 @@ def sample(
     cells: list[EarlierCell] = []
     for version in versions:
         known = _setup_ids(connection, bench_of(version, bench))
-        most = min(len(known), max(1, MOST_SCENARIOS // len(versions)))
-        for scenario, setup_id in known.items():
+        for scenario, setup_id in islice(known.items(), max(1, MOST_SCENARIOS // len(versions))):
             stored = _answering(connection, bench, version, setup_id, space, watermark)
-            here = [EarlierCell(version, scenario, *cell) for cell in islice(stored, max(1, SAMPLE // len(known)))]
-            cells += here
-            most -= bool(here)
-            if not most:
-                break
+            cells += [EarlierCell(version, scenario, *cell) for cell in islice(stored, max(1, SAMPLE // len(known)))]
     return cells
 
 

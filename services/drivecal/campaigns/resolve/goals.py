@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from drivecal.analysis.goals import FAILED, SCORE, Aggregate, Bound, CellValue, Goals, Objective, normalised
-from drivecal.bundles.shapes import Shape
+from drivecal.bundles.shapes import Shapes
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import given_set
 from drivecal.contracts.input_errors import nearest
@@ -36,7 +36,7 @@ class KnownValues:
     measures: Mapping[str, str] = field(default_factory=dict)
     constraints: Constraints | None = None
     baseline: ParameterSet | None = None
-    shapes: Mapping[str, Shape] = field(default_factory=dict)
+    shapes: Shapes = field(default_factory=dict)
 
 
 def find_goals(
@@ -144,7 +144,7 @@ def _change(given: GoalSpecification, field: str, known: KnownValues, diagnostic
     if isinstance(wanted, Mapping):
         reference = given_set(wanted, known.constraints, f"{field}.{place}", diagnostics, known.shapes)
     elif reference is None or wanted != "baseline":
-        message = "the campaign has no baseline" if wanted == "baseline" else f"{wanted} is no ranked set of a campaign"
+        message = "the campaign has no baseline" if wanted == "baseline" else f"{wanted} is no ranked set of such curves"
         diagnostics.add(f"{field}.{place}", message, "give a `baseline`, or the values of a set")
     if reference is None or known.constraints is None:
         return None

@@ -5,9 +5,9 @@ from functools import partial
 
 import numpy as np
 
-from drivecal.bundles.shapes import with_coefficients
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.resolve.spaces import coefficients_in
 from drivecal.contracts.outside.sets import ProposedSet
 from drivecal.domain.parameters import Indices, ParameterSpace, Setting, Value, decimal
 from drivecal.optimizers.external import ExternalSettings
@@ -25,7 +25,7 @@ def indices_of(problem: CalibrationProblem, proposed: Sequence[ProposedSet]) -> 
     rows = np.zeros((len(proposed), len(space.searched)), dtype=np.int64)
     for number, each in enumerate(proposed):
         field = f"sets[{number}].parameters"
-        values = diagnostics.attempt(partial(with_coefficients, each.parameters, problem.bench.bundle.manifest.shapes, field))
+        values = coefficients_in(space, each.parameters, problem.bench.bundle.manifest.shapes, field, diagnostics)
         if values is None:
             continue
         points = [parameter.nearest(values.get(parameter.name), clips=repairs) for parameter in space.searched]

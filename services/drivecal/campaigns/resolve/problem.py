@@ -292,7 +292,11 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
             scenarios = (specification.scenario,)
         elif scenarios:
             diagnostics.add("scenario", f"there is no scenario {specification.scenario!r}", f"one of {', '.join(scenarios)}")
-    values = {} if workbench.function is None else free_values(specification.parameters, workbench.function, diagnostics)
+    values = (
+        {}
+        if workbench.function is None
+        else free_values(specification.parameters, workbench.function, "parameters", diagnostics)
+    )
     diagnostics.raise_if_any()
     if workbench.make is None or workbench.function is None:
         raise AssertionError("a part is missing without a finding")
@@ -304,6 +308,8 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
     if specification.seed is not None:
         bench = bench.seeded(specification.seed)
     notes = (*diagnostics.notes, *notes_off_grid(values, workbench.function))
+    if bench.bundle.manifest.claims:
+        notes += ("`added`, `removed` and `renamed` of problem.yaml answer campaigns only",)
     return EvaluationProblem(specification, bench, parameter_set, notes)
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from drivecal.bundles.shapes import Shape
+from drivecal.bundles.shapes import Shapes
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Function, given_set
 from drivecal.contracts.specification import CampaignSpecification, Given, SensitivitySpecification, SeparateThresholds
@@ -60,7 +60,7 @@ def note_threshold(specification: CampaignSpecification) -> tuple[str, ...]:
 
 
 def own_baseline(
-    given: Mapping[str, Given] | None, constraints: Constraints | None, shapes: Mapping[str, Shape]
+    given: Mapping[str, Given] | None, constraints: Constraints | None, shapes: Shapes
 ) -> tuple[ParameterSet | None, tuple[str, ...]]:
     """The problem's baseline, and notes if this campaign's space does not hold it, or holds it nearly."""
     diagnostics = Diagnostics()
@@ -76,7 +76,7 @@ def find_start_sets(
     constraints: Constraints | None,
     diagnostics: Diagnostics,
     population: int | None,
-    shapes: Mapping[str, Shape],
+    shapes: Shapes,
 ) -> tuple[ParameterSet, ...]:
     """Returns the sets that a search begins with, each once: the baseline, then sets from expert knowledge. `population`: the most."""
     wanted = specification.optimizer
@@ -98,7 +98,7 @@ def find_robust_sets(
     varied: Sequence[VehicleParameter],
     constraints: Constraints | None,
     diagnostics: Diagnostics,
-    shapes: Mapping[str, Shape],
+    shapes: Shapes,
 ) -> tuple[ParameterSet, ...]:
     """The sets that the robustness stage always examines; adds the stage's problems."""
     wanted = specification.robustness

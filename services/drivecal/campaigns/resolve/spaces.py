@@ -1,21 +1,18 @@
 """The search space of a campaign: the values that its parameters may take."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from typing import Any
 
 from pydantic import TypeAdapter
 
-from drivecal.bundles.shapes import Ranges, Shape, inexact, with_coefficients
+from drivecal.bundles.shapes import Shapes, with_coefficients
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.contracts.specification import CampaignSpecification, Given, ParameterSpecification
 from drivecal.domain.constraints import Constraint, Constraints
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, Setting, Value, billionths, decimal, text
-
-MOST_NOTES = 20
-"""Lists that are met nearly, in notes."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +27,7 @@ class Function:
     """Smallest and largest value that a user's own space may contain, by parameter; None means unlimited."""
     constraints: Mapping[str, Constraint]
     """Constraints by their text."""
-    shapes: Mapping[str, Shape] = field(default_factory=dict)
+    shapes: Shapes = field(default_factory=dict)
     """Curves and maps, whose coefficients are parameters."""
 
 
@@ -63,9 +60,8 @@ def search_parameters(parameters: str | Sequence[ParameterSpecification] | None,
         try:
             parameter = Parameter.declared(**listed.model_dump())
         except InvalidInputError as error:
-            for problem in error.problems:
-                attribute = problem.field.removeprefix(f"{listed.name}.")
-                diagnostics.add(f"{where}.{attribute}", problem.message, problem.remedy)
+            named = (replace(each, field=where + each.field.removeprefix(listed.name)) for each in error.problems)
+            diagnostics.problems.extend(named)
             continue
         grids.append(parameter)
         usual = _default_space(function)[listed.name]
@@ -125,7 +121,8 @@ def search_space(specification: CampaignSpecification, function: Function, diagn
     fixed: dict[str, Value] = {}
     defaults = _default_space(function)
     names = tuple(defaults)
-    for name, given in (_settled(specification.fixed, function.shapes, "fixed", diagnostics) or {}).items():
+    settings = coefficients_in(None, specification.fixed, function.shapes, "fixed", diagnostics) or {}
+    for name, given in settings.items():
         where = f"fixed.{name}"
         value = _value(given)
         if name not in names:
@@ -154,23 +151,14 @@ def search_space(specification: CampaignSpecification, function: Function, diagn
 
 
 def given_set(
-    given: Mapping[str, Given] | None,
-    constraints: Constraints | None,
-    field: str,
-    diagnostics: Diagnostics,
-    shapes: Mapping[str, Shape],
+    given: Mapping[str, Given] | None, constraints: Constraints | None, field: str, diagnostics: Diagnostics, shapes: Shapes
 ) -> ParameterSet | None:
     """A user's set on the grid that keeps the constraints; None if it is missing or invalid, with its problems in `diagnostics`. Curves
     and maps become the nearest ones of their coefficients in the space."""
     if given is None or constraints is None:
         return None
     space = constraints.space
-    steps = {each.name: each.upper - each.lower for each in space.parameters if each.kind == "grid"}
-    ranges = {
-        each.name: (float(each.lower), float(each.upper), float(steps.get(each.name, 0)) / max(1, each.n_values - 1))
-        for each in space.parameters
-    }
-    settings = _settled(given, shapes, field, diagnostics, ranges)
+    settings = coefficients_in(space, given, shapes, field, diagnostics)
     if settings is None:
         return None
     try:
@@ -183,29 +171,30 @@ def given_set(
     return made
 
 
-def _settled(
-    given: Mapping[str, Given], shapes: Mapping[str, Shape], field: str, diagnostics: Diagnostics, ranges: Ranges | None = None
+def coefficients_in(
+    space: ParameterSpace | None, given: Mapping[str, Given], shapes: Shapes, field: str, diagnostics: Diagnostics
 ) -> dict[str, Setting] | None:
-    """Returns a set `with_coefficients`, None with problems; adds a note for each list that is met nearly, up to a limit."""
-    settings = diagnostics.attempt(lambda: with_coefficients(given, shapes, field, ranges or {}))
-    if settings is not None and len(diagnostics.notes) < MOST_NOTES:
-        diagnostics.notes += inexact(given, settings, shapes, field)
-    return settings
+    """Returns a set `with_coefficients` in the ranges of a space, if there is one; adds problems and notes."""
+    ranges = {
+        each.name: (float(each.lower), float(each.upper), float(each.upper - each.lower) / max(1, each.n_values - 1))
+        for each in (() if space is None else space.parameters)
+    }
+    return diagnostics.attempt(lambda: with_coefficients(given, shapes, field, ranges, diagnostics.notes))
 
 
-def free_values(given: Mapping[str, Given], function: Function, diagnostics: Diagnostics) -> dict[str, Value]:
-    """Values between grid points for a single evaluation: exact decimals and texts by name, in the driving function's order."""
+def free_values(given: Mapping[str, Given], function: Function, field: str, diagnostics: Diagnostics) -> dict[str, Value]:
+    """Values between grid points, as of a single evaluation: exact decimals and texts by name, in the driving function's order."""
     defaults = _default_space(function)
     names = tuple(defaults)
-    settings = _settled(given, function.shapes, "parameters", diagnostics)
+    settings = coefficients_in(None, given, function.shapes, field, diagnostics)
     if settings is None:
         return {}
     for name in settings:
         if name not in names:
-            diagnostics.add(f"parameters.{name}", f"{function.name} has no parameter {name!r}", _remedy(names))
+            diagnostics.add(f"{field}.{name}", f"{function.name} has no parameter {name!r}", _remedy(names))
     values: dict[str, Value] = {}
     for name in names:
-        where = f"parameters.{name}"
+        where = f"{field}.{name}"
         if name not in settings:
             diagnostics.add(where, "the value is missing", "give one value per parameter")
             continue

@@ -85,6 +85,12 @@ def bundles_of(connection: Connection) -> BundleSource:
     return find
 
 
+def moved(connection: Connection, then: str, now: str) -> list[str]:
+    """Returns the coefficients of a problem that mean another curve or map in another one. Raises NotFoundError."""
+    before, after = (bundles_of(connection)(each).manifest.coefficients for each in (then, now))
+    return [name for name, form in before.items() if after.get(name) != form]
+
+
 def with_tools(source: BundleSource, tools: str | None) -> BundleSource:
     """Returns a source whose bundles know what their `probe` answers."""
     return source if tools is None else lambda name: replace(source(name), tools=tools)

@@ -1,17 +1,16 @@
 """Stored simulations of given cells, rated by a bench. Nothing is simulated, and nothing is stored."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 from sqlalchemy import Connection
 
-from drivecal.bundles.shapes import with_coefficients
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.spaces import Function, free_values
 from drivecal.contracts.specification import Values
-from drivecal.domain.parameters import ParameterSet, Setting, decimal
+from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.references import parameter_sets, runs, setups
 
 
@@ -31,28 +30,11 @@ class StoredSimulation:
 
 def given_sets(bench: Bench, given: Sequence[Values], field: str) -> list[ParameterSet]:
     """Returns parameter sets with a value for each parameter. Raises InvalidInputError with each fault, in `field` with its number."""
-    known = {parameter.name: parameter for parameter in bench.parameters}
     diagnostics = Diagnostics()
-    sets: list[Mapping[str, Setting]] = []
-    for number, listed in enumerate(given):
-        here = field.format(number)
-        values = diagnostics.attempt(partial(with_coefficients, listed, bench.bundle.manifest.shapes, here)) or {}
-        sets.append(values)
-        for name in values.keys() - known.keys():
-            diagnostics.add(f"{here}.{name}", "there is no such parameter", f"one of {', '.join(known)}")
-        for name, parameter in known.items():
-            if name not in values:
-                diagnostics.add(f"{here}.{name}", "the value is missing", "give one value per parameter")
-            elif parameter.choices and values[name] not in parameter.choices:
-                diagnostics.add(f"{here}.{name}", f"{values[name]!r} is no choice", f"one of {', '.join(parameter.choices)}")
-            elif not parameter.choices and isinstance(values[name], str):
-                diagnostics.add(f"{here}.{name}", f"{values[name]!r} is no number", "give a number")
+    function = Function(bench.function, {"": bench.parameters}, {}, {}, bench.bundle.manifest.shapes)
+    sets = [free_values(each, function, field.format(number), diagnostics) for number, each in enumerate(given)]
     diagnostics.raise_if_any()
-    ordered = ({name: values[name] for name in known} for values in sets)
-    return [
-        ParameterSet.of({name: value if isinstance(value, str) else decimal(value) for name, value in values.items()})
-        for values in ordered
-    ]
+    return [ParameterSet.of(values) for values in sets]
 
 
 def stored_simulations(connection: Connection, bench: Bench, sets: Sequence[ParameterSet]) -> list[StoredSimulation]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from drivecal.campaigns.cells.earlier import earlier_versions
+from drivecal.campaigns.cells.earlier import earlier_versions, unclaimed
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.job import Job
@@ -142,13 +142,15 @@ class StagedCampaign(Job):
         if self._problem.specification.reduction.mode == "off":
             return []
         with self._database.read() as connection:
+            bundle = self._problem.bench.bundle
             view = replace(self._view, earlier=earlier_versions(connection, self._problem.bench))
+            unused = unclaimed(connection, bundle.digest, bundle.manifest)
         sampled = checkable(self._database, view, self._problem) if view.earlier else []
         used = tuple(version for version in view.earlier if any(cell.version is version for cell in sampled))
         self._view = replace(view, earlier=used)
         claims = ", ".join(dict.fromkeys(claim for version in used for claim in version.claims))
         checked = f"a sample of {len(sampled)} was checked by simulation in the stage claims"
-        return [f"stored runs of earlier versions of the problem answer cells by {claims}: {checked}"] if used else []
+        return [f"stored runs of earlier versions of the problem answer cells by {claims}: {checked}"] if used else unused
 
     def _campaign(self) -> StoredCampaign:
         with self._database.read() as connection:

@@ -12,8 +12,9 @@ from drivecal.contracts.assignments import value_text
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NoResultError, Problem
 from drivecal.domain.evaluations import CellScore, RequestedCell
+from drivecal.domain.scales import told
 from drivecal.reduction.assignment import Policy
-from drivecal.storage import results
+from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import runs
@@ -66,7 +67,10 @@ class ClaimCheck(Stage):
         for cell, answer in answers:
             difference = self._difference(cell, answer, *before[cell.run.evaluation])
             if difference is not None:
-                raise InvalidInputError(*(_refusal(claim, cell, difference) for claim in cell.version.claims))
+                with self._database.read() as connection:
+                    number = results.by_id(connection, cell.run.evaluation).campaign_sequence
+                    made_by = campaigns.by_sequence(connection, number).id
+                raise InvalidInputError(*(_refusal(claim, cell, made_by, difference) for claim in cell.version.claims))
 
     def _difference(
         self, cell: EarlierCell, answer: CellScore, measures: Mapping[str, float | None], failure: str | None
@@ -82,14 +86,17 @@ class ClaimCheck(Stage):
                 return f"fails {'now' if answer.failed else 'no more'}"
         else:
             wrong = [bench.score] if bench.scale.is_wrong((answer.score or 0.0) - cell.run.score) else []
-        return next((f"has {name} {values[name][0]!r} now, and {values[name][1]!r} in the stored run" for name in wrong), None)
+        for name in wrong:
+            now, then = map(told if told(values[name][0]) != told(values[name][1]) else repr, values[name])
+            return f"has {name} {now} now, and {then} in the stored run"
+        return None
 
 
 def _finite(measures: Mapping[str, float | None]) -> dict[str, float]:
     return {name: value for name, value in measures.items() if value is not None}
 
 
-def _refusal(claim: str, cell: EarlierCell, difference: str) -> Problem:
+def _refusal(claim: str, cell: EarlierCell, campaign: str, difference: str) -> Problem:
     values = " ".join(f"{name}={value_text(value)}" for name, value in cell.parameters.floats.items())
-    message = f"{cell.scenario} with {values} {difference} (evaluation {cell.run.evaluation})"
+    message = f"{cell.scenario} with {values} {difference} (evaluation {cell.run.evaluation} of {campaign})"
     return Problem(claim, message, "correct the value in problem.yaml or leave it out, and push again")

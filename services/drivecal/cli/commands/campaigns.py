@@ -242,7 +242,7 @@ def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
         print_json(campaign.model_dump(mode="json") | known)
         return
     print_campaign(campaign)
-    print_curves(campaign, results.setup)
+    print_curves(results)
     print_results(results)
 
 

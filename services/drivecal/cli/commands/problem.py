@@ -79,7 +79,7 @@ def check(
     }
     checked: list[CheckedScenario] = []
     if not offline:
-        from drivecal.bundles.shapes import inexact
+        from drivecal.bundles.shapes import with_coefficients
         from drivecal.local.problems import (
             ask_probe,
             cut_scores,
@@ -100,7 +100,7 @@ def check(
             checked.append(result)
         if not any(result.other for result in checked):
             report["other_parameters"] = None  # no scenario came to it
-        report["warnings"] = [*inexact(manifest.baseline or {}, manifest.start or {}, manifest.shapes, "baseline")]
+        with_coefficients(manifest.baseline or {}, manifest.shapes, "baseline", notes=report["warnings"])
         report["warnings"] += [*doubtful_ranges(manifest, checked), *cut_scores(manifest, checked)]
         report["warnings"] += [*_doubts_elsewhere(manifest, checked), *undeclared(manifest, checked)]
     report["scenarios"] = [asdict(result) | {"opened": sorted(result.opened)} for result in checked]
@@ -124,6 +124,8 @@ def push(folder: FolderArgument, url: UrlOption = None, as_json: JsonOption = Fa
         earlier = client.problems(name=manifest.problem, limit=1).items
         pushed = client.push_problem(archive)
     tell(_change(pushed, earlier[0].digest if earlier else None, folder))
+    for note in pushed.notes:
+        tell(f"note: {note}")
     print_answer(pushed, as_json, _print_problem)
 
 

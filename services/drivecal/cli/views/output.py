@@ -29,7 +29,6 @@ from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts
 from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.results import CampaignResults
-from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import Solution
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.events import ASKED
@@ -112,11 +111,13 @@ def print_campaign(campaign: Campaign) -> None:
         typer.echo(f"{name.ljust(width)}  {text}")
 
 
-def print_curves(campaign: Campaign, setup: CampaignSetup) -> None:
-    """Prints the curves and maps of the best set and the baseline, with the range of good sets."""
-    sets = {"best": campaign.best, "baseline": campaign.baseline}
-    for name, shape in setup.shapes.items():
-        values = {title: shape.values(each.parameters) for title, each in sets.items() if each is not None}
+def print_curves(results: CampaignResults) -> None:
+    """Prints the curves and maps of the best sets and the baseline, with the range of good sets."""
+    sets = [("best", results.campaign.best), *((f"best of {each.name}", each.best) for each in results.variants)]
+    for name, shape in results.setup.shapes.items():
+        values = {
+            title: shape.values(each.parameters) for title, each in (*sets, ("baseline", results.campaign.baseline)) if each
+        }
         if shape.good is not None and len(shape.axes) == 1:
             values |= {f"lowest of {shape.good.sets} good sets": shape.good.lower, "highest": shape.good.upper}
         units = [f" {unit}" if unit != "1" else "" for unit in shape.axis_units]

@@ -305,6 +305,7 @@ imported_results = Table(  # of vehicles, test benches and other tools; by the p
     Column("date", Name, nullable=False),
     Column("owner", Name),
     Column("parameter_set_id", Identity, ForeignKey("parameter_sets.id"), nullable=False),
+    Column("form", Name, nullable=False),
     Column("scenario", Name, nullable=False),
     Column("scores", Document, nullable=False),
     Column("measures", Document, nullable=False),

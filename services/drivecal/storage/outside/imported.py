@@ -8,6 +8,7 @@ from sqlalchemy import Connection, delete, func, select
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.bulk import execute_rows, insert, rows_among
+from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import imported_results, parameter_sets
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import parameter_sets as sets
@@ -27,6 +28,8 @@ class ImportedValues:
     parameters: ParameterSet
     scores: Mapping[str, float]
     measures: Mapping[str, float]
+    form: str
+    """Digest of the problem's curves and maps, to which the set belongs."""
 
 
 def add(connection: Connection, problem: str, given: Sequence[ImportedValues]) -> int:
@@ -40,9 +43,9 @@ def add(connection: Connection, problem: str, given: Sequence[ImportedValues]) -
     own = select(imported_results).where(table.problem == problem, table.source == given[0].source, table.date == given[0].date)
     for row in rows_among(connection, own, table.parameter_set_id, sorted(set(ids))):
         each = places.pop((row.parameter_set_id, row.scenario), None)
-        if each is not None and (row.scores, row.measures) != (dict(each.scores), dict(each.measures)):
+        if each is not None and (row.scores, row.measures, row.form) != (dict(each.scores), dict(each.measures), each.form):
             raise ConflictError(
-                f"{row.source} has other values of {row.date} for this set in {row.scenario}; delete them first, or give another source"
+                f"{row.source} has other values of {row.date} for this set in {row.scenario}, or of other curves; delete them first"
             )
     count = connection.scalar(select(func.count()).where(table.problem == problem)) or 0
     if count + len(places) > MOST:
@@ -51,7 +54,13 @@ def add(connection: Connection, problem: str, given: Sequence[ImportedValues]) -
         )
     rows = [
         {"problem": problem, "source": each.source, "date": each.date, "owner": each.owner, "parameter_set_id": number}
-        | {"scenario": scenario, "scores": dict(each.scores), "measures": dict(each.measures), "created_at": now()}
+        | {
+            "scenario": scenario,
+            "scores": dict(each.scores),
+            "measures": dict(each.measures),
+            "form": each.form,
+            "created_at": now(),
+        }
         for (number, scenario), each in places.items()
     ]
     new = insert(
@@ -67,18 +76,8 @@ def listing(connection: Connection, problem: str, source: str | None = None) -> 
     query = select(imported_results, parameter_sets.c.parameter_values).join(parameter_sets).where(table.problem == problem)
     if source is not None:
         query = query.where(table.source == source)
-    return [
-        ImportedValues(
-            row.source,
-            row.date,
-            row.owner,
-            row.scenario,
-            ParameterSet.from_json(row.parameter_values),
-            row.scores,
-            row.measures,
-        )
-        for row in connection.execute(query.order_by(table.id))
-    ]
+    rows = connection.execute(query.order_by(table.id))
+    return [record(ImportedValues, row, parameters=ParameterSet.from_json(row.parameter_values)) for row in rows]
 
 
 def remove(connection: Connection, problem: str, source: str) -> int:
