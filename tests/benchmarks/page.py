@@ -2,9 +2,9 @@
 
 A campaign of each size, whose simulation is a formula, is shown by the API in a process of its own to a headless Chromium of the system.
 Measured: from an empty tab to the campaign's state, to the first chart and table of its evaluations, and until all of them are there and
-drawn; what reading them costs the server; the longest frame while a brush is drawn along two axes and while the table is scrolled, by the
-browser's own animation frames, at the first try and the least of several; the memory of the tab, and of its script; by how much the
-server grows for each page that is open; and, of a campaign that this process carries out, the longest time from a stored iteration to
+drawn; the longest frame while a brush is drawn along two axes and while the table is scrolled, by the
+browser's own animation frames, at the first try and the least of several; the memory of the page's script; by how much the server grows
+for each page that is open; and, of a campaign that this process carries out, the longest time from a stored iteration to
 its point on the overview. Then the view Front of a campaign whose sets are all on the front: the longest frame, the least of several
 tries, while a slider of weights is drawn, the weights are moved on their map, and a range is drawn along an axis and in the scatter.
 
@@ -26,7 +26,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import psutil
 from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
 from tests.support.api_process import ApiProcess, api_process
 from tests.support.browser import NAMES
@@ -166,21 +165,17 @@ def measure(browser: Browser, api: ApiProcess, campaign: StoredCampaign) -> dict
 
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     page.set_default_timeout(120_000)
-    spent = api.process.cpu_times()
     result["seconds_to_evaluations"] = seconds_to(
         page, f"{address}/evaluations", lambda: expect(page.get_by_role("grid")).to_be_visible(timeout=120_000)
     )
     began = time.perf_counter()
     expect(page.get_by_text(re.compile("Reading|drawing"))).to_have_count(0, timeout=120_000)
     result["seconds_to_all"] = result["seconds_to_evaluations"] + time.perf_counter() - began
-    now = api.process.cpu_times()
-    result["server_cpu_seconds_to_all"] = now.user + now.system - spent.user - spent.system
     for what, frame in (("brush", brushed), ("scroll", scrolled)):
         frames = [frame(page) for _ in range(TRIES)]
         result[f"{what}_first_longest_frame_ms"], result[f"{what}_longest_frame_ms"] = frames[0], min(frames)
     memory: Any = page.context.new_cdp_session(page).send("Runtime.getHeapUsage")
     result["heap_megabytes"] = (memory["usedSize"] + memory.get("backingStorageSize", 0)) / 2**20
-    result["tab_megabytes"] = largest_tab()
 
     others = [browser.new_page() for _ in range(PAGES - 1)]
     for other in others:
@@ -302,12 +297,6 @@ def drawn_over(page: Page, place: Locator, *, upright: bool) -> float:
     if (cleared := page.get_by_role("button", name="Show all again")).count():
         cleared.click()
     return longest
-
-
-def largest_tab() -> float:
-    """Memory of the browser's largest tab, MB, without what it shares with others."""
-    tabs = [process for process in psutil.Process().children(recursive=True) if "--type=renderer" in process.cmdline()]
-    return max((float(tab.memory_full_info().uss) for tab in tabs), default=0.0) / 2**20
 
 
 def show(figures: dict[str, dict[str, float]]) -> None:
