@@ -150,16 +150,30 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         page.close()
 
 
+def choose_folder(page: Page, folder: Path) -> None:
+    page.get_by_label("a folder").set_input_files(folder)
+
+
+def drop_folder(page: Page, folder: Path) -> None:
+    """Drags a folder of this machine onto the page, as a user does from a file manager."""
+    place = page.get_by_text("Drop the folder").bounding_box()
+    assert place is not None
+    session = page.context.new_cdp_session(page)
+    dragged = {"items": [], "files": [str(folder)], "dragOperationsMask": 1}
+    for kind in ("dragEnter", "dragOver", "drop"):
+        session.send("Input.dispatchDragEvent", {"type": kind, "x": place["x"] + 5, "y": place["y"] + 5, "data": dragged})
+
+
 def push_a_folder(page: Page, api: RunningApi, folder: Path) -> None:
     write_problem("process", "mine", str(folder))
     good = (folder / "problem.yaml").read_text()
     page.goto(f"{api.url}/#/problems")
-    for text, said in (
-        (good.replace(": minimise", ": down"), r"problem.yaml\d+scores.cost.direction"),
-        (good, "mine is stored"),
+    for give, text, said in (
+        (choose_folder, good.replace(": minimise", ": down"), r"problem.yaml\d+scores.cost.direction"),
+        (drop_folder, good, "mine is stored"),
     ):
         (folder / "problem.yaml").write_text(text)
-        page.get_by_label("a folder").set_input_files(folder)
+        give(page, folder)
         page.get_by_label("Your token again").fill(TOKEN[::-1])
         page.get_by_role("button", name="Check and push").click()
         expect(page.get_by_role("main")).to_contain_text(re.compile(said))
