@@ -63,7 +63,7 @@ WATCH = """() => {
     };
     window.watching = requestAnimationFrame(tick);
 }"""
-DRAWN = """(iterations) => [...document.querySelectorAll('[aria-label^="Best score by iteration"] path[stroke-dasharray="7 3"]')]
+DRAWN = """(iterations) => [...document.querySelectorAll('[aria-label^="Best score by simulations"] path[stroke-dasharray="7 3"]')]
     .some((path) => path.getAttribute('d').split('L').length >= iterations)"""
 LONGEST = "() => { cancelAnimationFrame(window.watching); return window.longest; }"
 
