@@ -21,7 +21,7 @@ from drivecal.storage.references import parameter_sets
 
 JERK = "peak_lateral_jerk_mps3"
 NSGA2 = {"kind": "optuna", "sampler": "nsga2", "population": 24, "iterations": 8, "seed": 3}
-TWO = [{"score": "comfort"}, {"measure": JERK, "direction": "minimise", "aggregate": "max", "failed": 20.0, "reference": 20.0}]
+TWO = [{"score": "comfort"}, {"measure": JERK, "direction": "minimise", "aggregate": "max", "failed": 20.0}]
 SPLIT = [{"score": "comfort", "name": name, "scenarios": [name]} for name in ("S1", "S2")]
 
 

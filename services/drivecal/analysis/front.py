@@ -1,9 +1,8 @@
-"""Fronts of several objectives: non-dominated points, hypervolume, knee, and the weights under which each point wins. Pure.
+"""Fronts of several objectives: non-dominated points, knee, and the weights under which each point wins. Pure.
 
 Points have shape (n, m), one row per set; higher is better in every column.
 """
 
-from bisect import bisect_left, insort
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +12,7 @@ from drivecal.domain.rounding import levels
 from drivecal.plugins.ports import Floats
 
 MOST_EXACT = 3
-"""Objectives up to which hypervolumes and winning weights are computed."""
+"""Objectives up to which winning weights are computed."""
 MOST_WINNING = 1_000
 """Sets of a front of three objectives up to which winning weights are computed: a thousand take seconds."""
 FLAT = 1e-9
@@ -56,57 +55,6 @@ def _leading(distinct: Floats) -> Mask:
                 front[size] = row
                 size += 1
     return leading
-
-
-def hypervolume(points: Floats, reference: Floats) -> float | None:
-    """Returns the volume that the points dominate, above `reference`, shape (m,); exact. None for more than MOST_EXACT objectives.
-
-    Three objectives are swept along the last one: each slice between two of its values has the area of the points above it.
-    """
-    gains = points - reference
-    gains = gains[(gains > 0).all(axis=1)]
-    if points.shape[1] > MOST_EXACT:
-        return None
-    if not len(gains):
-        return 0.0
-    if points.shape[1] == 1:
-        return float(gains.max())
-    if points.shape[1] == 2:
-        gains = np.column_stack([gains, np.ones(len(gains))])
-    gains = gains[np.argsort(-gains[:, 2], kind="stable")]
-    lower = np.append(gains[1:, 2], 0.0)
-    volume, steps = 0.0, _Staircase()
-    for (x, y, height), below in zip(gains.tolist(), lower.tolist(), strict=True):
-        steps.add(x, y)
-        volume += steps.area * (height - below)
-    return volume
-
-
-class _Staircase:
-    """Area that points (x, y) span with the origin; points that others dominate are left out."""
-
-    def __init__(self) -> None:
-        self.area = 0.0
-        self._steps: list[tuple[float, float]] = []
-        """Ascending x, descending y."""
-
-    def add(self, x: float, y: float) -> None:
-        """Adds (x, y), and its area beyond that of the others."""
-        steps = self._steps
-        place = bisect_left(steps, (x, y))
-        if place < len(steps) and steps[place][1] >= y:
-            return
-        first = place
-        while first > 0 and steps[first - 1][1] <= y:
-            first -= 1
-        last = place + (place < len(steps) and steps[place][0] == x)
-        left = steps[first - 1][0] if first else 0.0
-        floor = steps[last][1] if last < len(steps) else 0.0
-        for right, height in [*steps[first:last], (x, floor)]:
-            self.area += (min(right, x) - left) * (y - height)
-            left = min(right, x)
-        del steps[first:last]
-        insort(steps, (x, y))
 
 
 def scaled(points: Floats) -> Floats:

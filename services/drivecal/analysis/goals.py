@@ -127,12 +127,10 @@ class Goal:
 
 @dataclass(frozen=True)
 class Objective(Goal):
-    """An objective. `sign`: 1 if more is better, else -1; `tolerance`: differences that do not count; `reference`: the worst end of its
-    range, from which hypervolumes are measured."""
+    """An objective. `sign`: 1 if more is better, else -1; `tolerance`: differences that do not count."""
 
     sign: int
     tolerance: float = 0.0
-    reference: float | None = None
     unit: str = "1"
     variants: tuple[Mapping[str, float], ...] = ()
     """Shares of each variant, if it combines the objectives of several: their mean, or the `worst`."""
@@ -379,8 +377,7 @@ def normalised(weights: Mapping[str, float]) -> dict[str, float]:
 
 def weighted_mean(scale: Scale, shares: Mapping[str, float]) -> Goals:
     """Returns the weighted mean of a score as the only objective (Eq. 6)."""
-    worst = scale.lower if scale.sign > 0 else scale.upper
-    return Goals((Objective(scale.name, CellValue(scale), shares, Aggregate(), scale.sign, 0.0, worst, scale.unit),))
+    return Goals((Objective(scale.name, CellValue(scale), shares, Aggregate(), scale.sign, 0.0, scale.unit),))
 
 
 def valued_by(goals: Goals | None) -> Callable[[Mapping[str, float | None], str | None, ParameterSet], dict[str, float]] | None:

@@ -332,7 +332,7 @@ class Client(Transport):
         return self._rows_of(identifier, "front", FrontRow, weights=weights_text(weights))
 
     def front_summary(self, identifier: str, weights: Mapping[str, float] | str | None = None) -> FrontSummary:
-        """Returns the objectives, knee, extremes and hypervolumes of a front, with ranks as `front` has them."""
+        """Returns the objectives, knee, extremes and growth of a front, with ranks as `front` has them."""
         query = {"weights": weights_text(weights)}
         return self._get(FrontSummary, "campaigns", identifier, "front", "summary", **query)
 

@@ -86,7 +86,7 @@ class ImportanceAnswer(Answer):
 
 
 class FrontObjective(Answer):
-    """An objective, in its own units: best and worst value on the front (null without one), and the `reference` of hypervolumes.
+    """An objective, in its own units: best and worst value on the front, null without one.
 
     `aggregate`: mean, min, max or `quantile Q` over the scenarios.
     """
@@ -98,18 +98,17 @@ class FrontObjective(Answer):
     scenarios: dict[str, float]
     """Weights, of sum 1."""
     tolerance: float
-    reference: float
     best: float | None
     worst: float | None
 
 
 class FrontGrowth(Answer):
-    """The front of all sets up to an `iteration`, counted from 0; -1: the sets of other campaigns. `hypervolume` is null for more than
-    three objectives."""
+    """The front of all sets up to an `iteration`, counted from 0; -1: the sets of other campaigns. `new`: its points that the front
+    before did not have."""
 
     iteration: int
-    hypervolume: float | None
     size: int
+    new: int
 
 
 class FrontBaseline(Answer):
@@ -138,7 +137,6 @@ class FrontSummary(Answer):
     knee: int | None
     extremes: dict[str, int] = Field(default_factory=dict)
     baseline: FrontBaseline | None = None
-    hypervolume: float | None
     growth: list[FrontGrowth]
 
 

@@ -295,8 +295,6 @@ class ObjectiveSpecification(GoalSpecification):
     """Needed for a measure; a score has its own."""
     tolerance: Annotated[float, Field(ge=0, le=1e6)] = 0.0
     """Differences up to it do not count; a score's own tolerance is not taken over."""
-    reference: Number | None = None
-    """The worst value of interest, from which hypervolumes are measured; null: the worst end of a score's range."""
 
 
 class ConstraintSpecification(GoalSpecification):

@@ -1,6 +1,5 @@
-"""Fronts: against pymoo's sorting and moocore's hypervolume, and by what their definitions say."""
+"""Fronts: against pymoo's sorting and by what their definitions say."""
 
-import moocore
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from pymoo.util.nds.non_dominated_sorting import NonDominatedSorting
 
-from drivecal.analysis.front import extremes, hypervolume, knee, non_dominated, scaled, winning_weights
+from drivecal.analysis.front import extremes, knee, non_dominated, scaled, winning_weights
 from drivecal.plugins.ports import Floats
 
 
@@ -39,16 +38,7 @@ def test_no_points_are_no_front() -> None:
     assert non_dominated(np.empty((0, 2))).shape == (0,)
 
 
-@given(points(1, 2, 3), st.floats(-1, 3))
-def test_the_hypervolume_is_moocores(front: Floats, reference: float) -> None:
-    worst = np.full(front.shape[1], reference)
-    gains = np.maximum(front - worst, 0)  # moocore wants two columns at least
-    expected = moocore.hypervolume(-front, ref=-worst) if front.shape[1] > 1 else gains.max()
-    assert hypervolume(front, worst) == pytest.approx(expected, rel=1e-9, abs=1e-12)
-
-
-def test_hypervolumes_of_many_objectives_are_not_computed() -> None:
-    assert hypervolume(np.ones((2, 4)), np.zeros(4)) is None
+def test_winning_weights_of_many_objectives_are_not_computed() -> None:
     assert winning_weights(np.eye(4)) is None
 
 

@@ -16,7 +16,7 @@ from drivecal.domain.scales import COMFORT, Direction, Scale
 
 EVEN = {"S1": 0.5, "S2": 0.5}
 MEAN = Aggregate()
-COMFORTABLE = Objective("comfort", CellValue(COMFORT), EVEN, MEAN, 1, reference=0.0)
+COMFORTABLE = Objective("comfort", CellValue(COMFORT), EVEN, MEAN, 1)
 GAP = Objective("gap", CellValue(measure="gap_m", failed=0.0), EVEN, Aggregate("min"), 1)
 COST = CellValue(Scale("cost", Direction.MINIMISE, 0, 100, 0, 100), formula="10*energy")
 ENOUGH = Bound("gap", GAP.value, EVEN, Aggregate("min"), 1, 5.0, 5.0)
@@ -102,7 +102,7 @@ def test_a_copied_score_that_only_a_constraint_needs_is_named() -> None:
 
 
 def test_goals_are_the_same_after_they_were_stored() -> None:
-    goals = Goals((COMFORTABLE, GAP, Objective("cost", COST, EVEN, Aggregate("quantile", 0.1), -1, 0.5, 100.0)), (ENOUGH,))
+    goals = Goals((COMFORTABLE, GAP, Objective("cost", COST, EVEN, Aggregate("quantile", 0.1), -1, 0.5)), (ENOUGH,))
     assert Goals.from_json(json.loads(json.dumps(goals.to_json()))) == goals
     assert sorted(goals.computed) == sorted([GAP.value.key, COST.key])
 

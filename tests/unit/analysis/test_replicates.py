@@ -178,7 +178,7 @@ def test_second_runs_go_to_several_sets_before_the_noise_is_known() -> None:
 def test_runs_that_report_choose_nothing_through_constraints() -> None:
     shares, cost, gap = {"S1": 1.0}, CellValue(measure="cost"), CellValue(measure="gap")
     goals = Goals(
-        (Objective("cost", cost, shares, Aggregate("mean"), -1, 0.0, 10.0),),
+        (Objective("cost", cost, shares, Aggregate("mean"), -1, 0.0),),
         (Bound("gap", gap, shares, Aggregate("mean"), 1, 2.0, 1.0),),
     )
     ranking = Ranking(shares, -1, goals, wanted=ReplicatesSpecification(most=5))

@@ -245,7 +245,7 @@ def test_the_first_score_of_the_objectives_is_the_campaigns_and_others_are_compu
     assert problem.specification.reduction.mode == "exact"
     assert problem.goals is not None
     safety, discomfort = problem.goals.objectives
-    assert (safety.sign, safety.reference, discomfort.sign, discomfort.reference) == (1, 0.0, -1, 100.0)
+    assert (safety.sign, discomfort.sign) == (1, -1)
     computed = problem.goals.values(dict(MEASURES), None)
     assert computed == {discomfort.value.key: rated("discomfort", dict(MEASURES))}
     assert problem.goals.values(dict(MEASURES), "collision") == {discomfort.value.key: 100.0}

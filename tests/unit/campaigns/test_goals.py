@@ -51,8 +51,8 @@ def test_goals_mean_scores_measures_and_shares_of_scenarios() -> None:
     )
     assert problem.goals is not None
     comfort, jerk = problem.goals.objectives
-    assert (comfort.name, comfort.sign, comfort.reference, comfort.shares) == ("comfort", 1, 0.0, {"S1": 0.75, "S2": 0.25})
-    assert (jerk.sign, jerk.reference, jerk.aggregate.level) == (-1, None, 0.9)
+    assert (comfort.name, comfort.sign, comfort.shares) == ("comfort", 1, {"S1": 0.75, "S2": 0.25})
+    assert (jerk.sign, jerk.aggregate.level) == (-1, 0.9)
     assert jerk.shares == pytest.approx({"S1": 1 / 7, "S2": 1 / 7, "S3": 3 / 7, "S4": 1 / 7, "S5": 1 / 7})
     (bound,) = problem.goals.bounds
     assert (bound.aggregate.kind, bound.sign, bound.limit, bound.span) == ("min", 1, 10.0, 10.0)

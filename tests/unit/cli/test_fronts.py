@@ -23,11 +23,10 @@ ROWS = [row(rank) for rank in range(1, SIZE + 1)]
 SUMMARY = FrontSummary(
     objectives=[
         FrontObjective(
-            name="jerk", unit="m/s3", direction="minimise", aggregate="max", scenarios={"S1": 1}, tolerance=0, reference=20, best=6,
-            worst=8.9,
+            name="jerk", unit="m/s3", direction="minimise", aggregate="max", scenarios={"S1": 1}, tolerance=0, best=6, worst=8.9,
         )
     ],
-    constraints=[], evaluated=400, feasible=390, size=SIZE, copied=0, knee=KNEE, hypervolume=None, growth=[],
+    constraints=[], evaluated=400, feasible=390, size=SIZE, copied=0, knee=KNEE, growth=[],
 )  # fmt: skip
 
 

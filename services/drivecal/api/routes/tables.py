@@ -232,7 +232,7 @@ def list_front(campaign_id: str, query: FrontQuery, database: DatabaseDependency
 @router.get("/front/summary")
 @computed
 def show_summary(campaign_id: str, query: SummaryQuery, database: DatabaseDependency) -> FrontSummary:
-    """Objectives with their ranges on the front, ranks of its knee and extremes (under `weights`, if given), and the hypervolume after each
+    """Objectives with their ranges on the front, ranks of its knee and extremes (under `weights`, if given), and its growth by
     iteration."""
     campaign, _, front = _front(database, campaign_id)
     return summary(weighted(front, query.weights)[0], baseline_of(database, campaign, front))

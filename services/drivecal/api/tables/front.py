@@ -86,13 +86,8 @@ def judged_sets(front: CampaignFront) -> list[JudgedSet]:
 
 def summary(front: CampaignFront, baseline: EvaluatedSet | None = None) -> FrontSummary:
     """Returns the summary of a front in its order."""
-    growth = [FrontGrowth(iteration=number, hypervolume=volume, size=size) for number, volume, size in front.hypervolumes()]
-    listed = [
-        _objective(goal, column, front, reference)
-        for column, (goal, reference) in enumerate(zip(front.goals.objectives, front.reference, strict=True))
-    ]
     return FrontSummary(
-        objectives=listed,
+        objectives=[_objective(goal, column, front) for column, goal in enumerate(front.goals.objectives)],
         constraints=[bound_text(bound) for bound in front.goals.bounds],
         evaluated=len(front.ranked),
         feasible=sum(solution.violation == 0 for solution in front.ranked),
@@ -101,8 +96,7 @@ def summary(front: CampaignFront, baseline: EvaluatedSet | None = None) -> Front
         knee=None if front.knee is None else front.knee + 1,
         extremes={goal.name: best + 1 for goal, best in zip(front.goals.objectives, front.extremes, strict=False)},
         baseline=None if baseline is None else _baseline(front, baseline),
-        hypervolume=growth[-1].hypervolume if growth else None,
-        growth=growth,
+        growth=[FrontGrowth(iteration=number, size=size, new=new) for number, size, new in front.growth()],
     )
 
 
@@ -119,7 +113,7 @@ def _baseline(front: CampaignFront, baseline: EvaluatedSet) -> FrontBaseline | N
     )
 
 
-def _objective(goal: Objective, column: int, front: CampaignFront, reference: float) -> FrontObjective:
+def _objective(goal: Objective, column: int, front: CampaignFront) -> FrontObjective:
     amounts = [member.solution.judgement.amounts[column] for member in front.members if member.solution.judgement is not None]
     return FrontObjective(
         name=goal.name,
@@ -128,7 +122,6 @@ def _objective(goal: Objective, column: int, front: CampaignFront, reference: fl
         aggregate=_aggregate_text(goal),
         scenarios=dict(goal.shares),
         tolerance=goal.tolerance,
-        reference=reference,
         best=max(amounts, key=lambda amount: goal.sign * amount, default=None),
         worst=min(amounts, key=lambda amount: goal.sign * amount, default=None),
     )

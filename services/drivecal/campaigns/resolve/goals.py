@@ -96,9 +96,7 @@ def _objective(
         return None
     scale = value.scale
     if value.change is not None:
-        most = 1.0 if value.change.kind == "largest" else float(len(value.change.reference))
-        worst = most if given.reference is None else given.reference
-        return Objective(given.label, value, _anywhere(shares), Aggregate("max"), -1, given.tolerance, worst)
+        return Objective(given.label, value, _anywhere(shares), Aggregate("max"), -1, given.tolerance)
     direction = Direction(given.direction) if given.direction is not None else None if scale is None else scale.direction
     if direction is None:
         diagnostics.add(f"{field}.direction", "a measure has no direction of its own", "give maximise or minimise")
@@ -106,12 +104,9 @@ def _objective(
     if scale is not None and direction is not scale.direction:
         message = f"the score {scale.name} is one to {scale.direction}"
         diagnostics.add(f"{field}.direction", message, "leave it out, or declare another score")
-    reference = given.reference
-    if reference is None and scale is not None:
-        reference = scale.lower if direction is Direction.MAXIMISE else scale.upper
     sign = 1 if direction is Direction.MAXIMISE else -1
     unit = known.measures[given.measure] if given.measure is not None else "1" if scale is None else scale.unit
-    return Objective(given.label, value, shares, _aggregate(given.aggregate), sign, given.tolerance, reference, unit)
+    return Objective(given.label, value, shares, _aggregate(given.aggregate), sign, given.tolerance, unit)
 
 
 def _bound(

@@ -8,7 +8,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from drivecal.analysis.front import WinningWeights, extremes, hypervolume, knee, non_dominated, scaled, winning_weights
+from drivecal.analysis.front import WinningWeights, extremes, knee, non_dominated, scaled, winning_weights
 from drivecal.analysis.goals import Goals, valued_by, weighted_mean
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
@@ -61,28 +61,15 @@ class CampaignFront:
         """Weights under which each set wins; None if they are not computed."""
         return winning_weights(self.points) if self.members else []
 
-    @cached_property
-    def reference(self) -> tuple[float, ...]:
-        """The point from which hypervolumes are measured: given, else the worst value of all sets."""
-        judged = [each.judgement.amounts for each in self.ranked if each.judgement is not None]
-        return tuple(
-            goal.reference
-            if goal.reference is not None
-            else goal.sign * min((goal.sign * amounts[column] for amounts in judged), default=0.0)
-            for column, goal in enumerate(self.goals.objectives)
-        )
-
-    def hypervolumes(self) -> list[tuple[int, float | None, int]]:
-        """The hypervolume and the size of the front after each iteration, by the sets that were first seen up to it."""
-        worst = np.array([goal.sign * amount for goal, amount in zip(self.goals.objectives, self.reference, strict=True)])
-        front = np.empty((0, len(worst)))
-        grown: list[tuple[int, float | None, int]] = []
+    def growth(self) -> list[tuple[int, int, int]]:
+        """Returns the size of the front after each iteration, and how many of its points are new, by the sets first seen up to it."""
+        front = np.empty((0, len(self.goals.objectives)))
+        grown: list[tuple[int, int, int]] = []
         feasible = sorted((each for each in self.ranked if each.violation == 0), key=attrgetter("iteration"))
         for iteration, members in groupby(feasible, attrgetter("iteration")):
             points = np.concatenate([front, self._signed(list(members))])
-            before, front = front, np.unique(points[non_dominated(points)], axis=0)
-            volume = grown[-1][1] if np.array_equal(before, front) else hypervolume(front, worst)
-            grown.append((int(iteration), volume, len(front)))
+            before, front = {tuple(row) for row in front.tolist()}, np.unique(points[non_dominated(points)], axis=0)
+            grown.append((int(iteration), len(front), sum(tuple(row) not in before for row in front.tolist())))
         return grown
 
     def dominating(self, solution: EvaluatedSet) -> int:

@@ -52,10 +52,7 @@ def front_lines(summary: FrontSummary) -> list[str]:
         lines.append(f"{objective.direction} {objective.name} ({objective.aggregate}){ends}")
     lines += [f"subject to {constraint}" for constraint in summary.constraints]
     lines += [_baseline_line(summary, summary.baseline)] if summary.baseline is not None else []
-    corner = ", ".join(f"{goal.name} {goal.reference:.6g}" for goal in summary.objectives)
-    volume = "" if summary.hypervolume is None else f"; hypervolume {summary.hypervolume:g}, measured from {corner}"
-    sets = f"{summary.evaluated:,} sets evaluated, {summary.feasible:,} feasible, {summary.size:,} on the front{volume}"
-    return [*lines, sets]
+    return [*lines, f"{summary.evaluated:,} sets evaluated, {summary.feasible:,} feasible, {summary.size:,} on the front"]
 
 
 def _baseline_line(summary: FrontSummary, baseline: FrontBaseline) -> str:
