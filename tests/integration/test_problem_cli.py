@@ -56,6 +56,10 @@ def test_a_push_names_what_it_replaces(api: RunningApi, tmp_path: Path) -> None:
         said.append([digest for digest in dict.fromkeys(digests) if digest in pushed.stderr])
     first, second = digests[0], digests[2]
     assert said == [[first], [first], [first, second], [first, second]]
+    (folder / "problem.yaml").write_text(f"{manifest}\nremoved: {{old: 1}}\n")
+    (folder / "braking.py").write_text((EXAMPLE / "braking.py").read_text() + "\n")
+    [note] = json.loads(command("problem", "push", str(folder), "--url", api.url, "--json").stdout)["notes"]
+    assert note.startswith("braking.py")
 
 
 def test_the_client_takes_a_folder_an_archive_and_its_bytes(api: RunningApi, tmp_path: Path) -> None:

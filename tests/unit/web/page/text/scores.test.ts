@@ -9,7 +9,7 @@ const SCALE: Scale = { name: "cost", direction: "minimise", lower: 0, upper: 100
 function pushed(digest: string, scores: ProblemAnswer["scores"]): ProblemAnswer {
   return {
     name: "heater", digest, size: 1, latest: true, created_at: "2026-01-01T00:00:00Z", links: {}, description: "", parameters: {}, shapes: {}, varied: {}, constraints: [],
-    baseline: null, simulator: { kind: "command" }, scenarios: {}, measures: {}, failures: [], series: {}, scores,
+    baseline: null, simulator: { kind: "command" }, scenarios: {}, measures: {}, failures: [], series: {}, scores, notes: [],
   };
 }
 const OWN = pushed("d1", { cost: COST, ease: EASE });
