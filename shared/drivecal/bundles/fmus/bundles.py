@@ -5,7 +5,7 @@ from io import BytesIO
 from itertools import islice
 
 from drivecal.bundles.archives import BundleFile
-from drivecal.bundles.fmus.checks import input_notes, section_problems, unit_notes, unit_problems, value_problems
+from drivecal.bundles.fmus.checks import ANY_NUMBER, input_notes, section_problems, unit_notes, unit_problems, value_problems
 from drivecal.bundles.fmus.description import read_fmu
 from drivecal.bundles.highway import FmuController, HighwaySimulator
 from drivecal.bundles.manifest import FmuSimulator, Manifest
@@ -50,7 +50,8 @@ def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str
 def _ends(manifest: Manifest) -> Iterator[tuple[str, str, object]]:
     """Yields field, name and value of the ends and steps of all parameters' ranges, or of their choices."""
     for name, entry in manifest.scalars.items():
-        given = {"lower": entry.lower, "upper": entry.upper, "step": entry.step if not entry.integer else None}
+        step = None if entry.integer or entry.choices else entry.step or ANY_NUMBER
+        given = {"lower": entry.lower, "upper": entry.upper, "step": step}
         for key, value in given.items():
             if value is not None:
                 yield f"parameters.{name}.{key}", name, value

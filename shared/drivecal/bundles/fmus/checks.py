@@ -18,6 +18,7 @@ COMPUTED = frozenset({"output", "calculatedParameter", "independent"})
 """Causalities of variables that the FMU gives."""
 MOST_COMPARED = 1000
 """Names that are compared with a wrong one: an FMU may have a hundred thousand."""
+ANY_NUMBER = "any number"  # in the place of a value: that of a parameter without a step
 LARGEST_FLOAT32 = (2 - 2**-23) * 2.0**127
 
 
@@ -131,6 +132,8 @@ def wanted_by(variable: FmuVariable, value: object) -> str | None:
         return None if value in variable.items else f"give {', '.join(map(shown, variable.items[:10]))}"
     if variable.kind == "Boolean":
         return None if not isinstance(value, str) and value in (0, 1) else "give true or false"
+    if value == ANY_NUMBER:
+        return None if variable.kind in NUMBERS else "add `integer: true`"
     if isinstance(value, (bool, str)) or not isinstance(value, (int, float)):
         return "give a number"
     if variable.kind == "Float32" and abs(value) > LARGEST_FLOAT32:

@@ -278,9 +278,8 @@ class _Reader:
         kind = "type" if tag.startswith("vType") else "route" if tag.startswith("route") else "vehicle"
         if name in self._taken[kind] or (kind == "vehicle" and name.rpartition(".")[0] in self._taken[kind]):
             raise element.fault(f"another {kind} has the same id, here or in the scenario", "rename one")
-        if name:
-            self._taken[kind].add(name)
-            self._given[kind][name] = element
+        self._taken[kind] |= {name} - {""}
+        self._given[kind] |= {name: element} if name else {}
 
     def _check_places(self, element: Element) -> None:
         """Checks that the network has the edges and the lane of an element, and links from each edge of a route to the next."""
@@ -303,10 +302,11 @@ def _copied(element: Element, read: list[Element]) -> ET.Element:
     """Returns what SUMO reads of a checked element, and adds to `read` first the element, then those inside of it."""
     known = KNOWN[element.element]
     read.append(element)
-    texts = {key: text for key, text in element.values.items() if key in known}
-    # SUMO takes blanks in lists of numbers and not around them, its schema the other way round.
-    tidied = {key: text if key in NAMES else _BLANKS.sub(r"\1", text).strip() for key, text in texts.items()}
-    copied = ET.Element(element.element, tidied)
+    copied = ET.Element(element.element)
+    for key in filter(
+        known.__contains__, element.values
+    ):  # SUMO takes blanks in values and not around them, its schema the reverse
+        copied.set(key, element.values[key] if key in NAMES else _BLANKS.sub(r"\1", element.values[key]).strip())
     copied.extend(_copied(child, read) for child in element.children if child.is_read and child.element in KNOWN)
     return copied
 

@@ -177,6 +177,7 @@ def test_constants_have_the_range_of_their_type() -> None:
         ("n", {"lower": -1e10, "upper": 5, "integer": True}, "lower"),
         ("n", {"lower": 0, "upper": 5.5}, "upper"),
         ("n", {"lower": 0, "upper": 5, "step": 0.5}, "step"),
+        ("n", {"lower": 0, "upper": 5}, "step"),
         ("mode", {"choices": ["eco", "race"]}, "choices[1]"),
         ("acc_enable", {"lower": 0, "upper": 2, "integer": True}, "upper"),
     ],
@@ -213,7 +214,7 @@ def test_signals_have_the_directions_of_their_variables(description: str) -> Non
 @both
 def test_parameters_have_the_units_of_their_variables(description: str) -> None:
     for simulator in (PROBLEM["simulator"], SYSTEM):
-        right = problem({"v_set": "km/h", "T": "s", "v_min": "m.s^-1", "k": "m", "n": "s"}) | {"simulator": simulator}
+        right = problem({"v_set": "km/h", "T": "s", "v_min": "m.s^-1", "k": "m"}) | {"simulator": simulator}
         assert notes(right, description) == ()
         wrong = problem({"v_set": "m/s", "T": "ms", "v_min": "km/h"}) | {"simulator": simulator}
         named = faults(wrong, description)
