@@ -169,8 +169,7 @@ def _characteristic(block: _Block, kind: str, described: _Described, file: str) 
         fault = problem_of(file, block.tokens[6].line, f"there is no COMPU_METHOD {shown(conversion)}", remedy)
     word, needed = {"LINEAR": ("COEFFS_LINEAR", 2), "RAT_FUNC": ("COEFFS", 6)}.get(method.text(2) if method else "", ("", 0))
     if method is not None and len(_numbers(method.after(word, 5)[:needed])) < needed:
-        message = f"COMPU_METHOD {shown(conversion)} does not have {needed} numbers after {word}"
-        fault = problem_of(file, method.line, message, remedy)
+        fault = problem_of(file, method.line, f"COMPU_METHOD {shown(conversion)} has no {needed} numbers after {word}", remedy)
     layout = described.get((block.module, "RECORD_LAYOUT", block.text(4)))
     values = "AXIS_PTS_X" if kind == "COM_AXIS" else "FNC_VALUES"
     is_whole = layout is not None and any(_WHOLE.fullmatch(text) for text in layout.after(values, 1)[1:2])

@@ -74,7 +74,7 @@ IGNORED = ("param", "person", "personFlow", "container", "containerFlow")
 _REFERENCES = {"type": "type", "vTypes": "type", "route": "route", "routes": "route"}
 NAMES = frozenset({"id", "from", "to", "via", "edges", "edge", "lane", *_REFERENCES})
 _NUMBER = re.compile(r"(?i)\b(?:nan|inf(?:inity)?)\b|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d*)?")
-_BLANKS = re.compile(r"\s*([(),])\s*")
+_BLANKS = re.compile(r"\s*([(),])\s*")  # SUMO takes them inside of values and not around them, its schema neither
 LIMITS = {
     ("vType", "tau"): (1e-3, LONG),
     ("vType", "stepping"): (1e-3, LONG),
@@ -226,8 +226,7 @@ class _Reader:
     def _check_start(self, element: Element) -> None:
         """Checks that a vehicle can start with its type's speed in its lane, and that a way leads to a trip's end."""
         values, route = element.values, element.optional("route")
-        kind = self._given["type"].get(values.get("type", "DEFAULT_VEHTYPE"))
-        of_type = {} if kind is None else kind.values
+        of_type = kind.values if (kind := self._given["type"].get(values.get("type", "DEFAULT_VEHTYPE"))) else {}
         fastest = finite(of_type.get("maxSpeed", "")) or FASTEST.get(of_type.get("vClass", ""), 200 / 3.6)
         if (finite(values.get("departSpeed", "")) or 0.0) > fastest and (kind is None or kind.element == "vType"):
             raise element.fault(f"departSpeed is above the {fastest:.4g} m/s of the type", "give less, or the type a maxSpeed")
@@ -303,9 +302,7 @@ def _copied(element: Element, read: list[Element]) -> ET.Element:
     known = KNOWN[element.element]
     read.append(element)
     copied = ET.Element(element.element)
-    for key in filter(
-        known.__contains__, element.values
-    ):  # SUMO takes blanks in values and not around them, its schema the reverse
+    for key in filter(known.__contains__, element.values):
         copied.set(key, element.values[key] if key in NAMES else _BLANKS.sub(r"\1", element.values[key]).strip())
     copied.extend(_copied(child, read) for child in element.children if child.is_read and child.element in KNOWN)
     return copied
