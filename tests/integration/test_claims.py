@@ -7,17 +7,15 @@ from typing import Any
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.problems import store, submit_checked
+from tests.support.problems import LIMITS, store, submit_checked
 from tests.support.runs import dispatcher, finish, rows_of
 from tests.support.values import present
 
 from drivecal.api import submission
-from drivecal.api.dependencies import Limits
 from drivecal.api.expectation import expected
 from drivecal.campaigns.resolve.problem import resolve_evaluation
 from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.campaigns.results.explanation import explain
-from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -27,7 +25,6 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import CHECKS
 
-LIMITS = Limits.of(load_settings())
 BEFORE: dict[str, Any] = {"x": {"lower": 0, "upper": 1, "step": 0.01}, "n": {"lower": 1, "upper": 4, "integer": True}}
 JERK: dict[str, Any] = {"jerk_max": {"lower": 5, "upper": 25, "step": 1}}
 GAIN: dict[str, Any] = {"gain": {"curve": {"axis": [0, 5, 10]}, "lower": 0, "upper": 3, "step": 0.1}}
