@@ -28,9 +28,8 @@ from drivecal.cli.main import app
 try:
     app(sys.argv[1:])
 finally:
-    specification = sys.modules.get("drivecal.contracts.specification")
-    built = specification is not None and specification.CampaignSpecification.__pydantic_complete__
-    print("imported:", *sys.modules, "schemas" * built)
+    model = getattr(sys.modules.get("drivecal.contracts.specification"), "CampaignSpecification", None)
+    print("imported:", *sys.modules, "schemas" * getattr(model, "__pydantic_complete__", False))
 """
 
 
