@@ -1,5 +1,8 @@
 """Measures what reuse saves in a first campaign, its own cost included: `python tests/benchmarks/run.py reuse [--seeds 10] [...]`.
 
+`--pairs` prints for each campaign its printed and its true net saving, i.e. the CPU time of `off` less its own. Both are of all
+processes: workers, dispatcher, API, supervisor. `--of function` takes a function of 10 ms in the place of the built-in problem.
+
 Campaigns of the paper's size (1,000 individuals, 20 iterations, six scenarios) with each kind of reuse and with none (`off`), each on a
 database of its own, with ready workers, in a turning order, for every seed. Runs, CPU time (workers and predictor) and wall time last to
 the confirmed optimum: sensitivity analysis, samples, walks, fits, audits and confirmation are in them. Ratios and differences are paired
@@ -12,6 +15,7 @@ campaigns on all machines and under any load.
 """
 
 import argparse
+import ctypes
 import json
 import os
 import platform
@@ -28,8 +32,10 @@ from typing import Any
 
 import numpy as np
 import psutil
+import yaml
 from scipy.stats import t as student
 from tests.benchmarks.efficiency import wait_for_workers
+from tests.support.faults.cage import PR_SET_CHILD_SUBREAPER
 
 from drivecal.cli.commands.demo import coordinator, fresh_folder
 from drivecal.contracts.campaign import Campaign
@@ -46,6 +52,7 @@ KINDS: dict[str, dict[str, Any]] = {
     "predicted": {"reduction": {"mode": "predicted", "confirm": 20}},
     "predicted, a point off": {"reduction": {"mode": "predicted", "confirm": 20, "tolerance": 1, "limit": 0.01}},
 }
+PROBLEMS: dict[str, dict[str, Any]] = {"motorway": {}, "function": {"problem": "function"}}
 PAPER = 1000, 20
 """The paper's size: individuals and iterations."""
 WANTED = {"predicted": {"runs": 0.60}, "predicted, a point off": {"runs": 0.40}}
@@ -54,6 +61,27 @@ WANTED_ELSEWHERE = {"wall": 1.05}
 """Largest mean ratios of every kind with predictions, at any other size: a small search may save less, but not lose."""
 MARGIN = 1 / 12
 """Largest mean loss of the confirmed optimum, in points."""
+OFF_BY = 0.1, 1.0
+"""Largest error of the printed net saving: a share of the true one, or seconds."""
+LEAST_NET = -0.02
+"""Smallest net saving, as a share of the CPU time of `off`."""
+FUNCTION = """
+import time
+
+def evaluate(parameters, data):
+    end, number = time.process_time() + 0.01, data["number"]
+    while time.process_time() < end:
+        pass
+    return {"miss": sum(((x - 0.1 * number) * (1 + place % 3)) ** 2 for place, x in enumerate(parameters.values()))}
+"""
+MANIFEST = {
+    "problem": "function",
+    "parameters": {f"x{place}": {"lower": 0, "upper": 1} for place in range(6)},
+    "simulator": {"kind": "python", "file": "function.py", "function": "evaluate", "deterministic": True},
+    "scenarios": {f"S{number}": {"number": number} for number in range(1, 7)},
+    "measures": {"miss": "1"},
+    "scores": {"best": {"formula": "miss", "direction": "minimise", "range": [0, 30], "tolerance": 0.5}},
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +160,11 @@ def carry_out(specification: Mapping[str, Any]) -> tuple[Campaign, float, float]
     """Carries a campaign out on a new database, with workers that are ready before; returns it with the CPU time of all processes and its
     printed net saving (s)."""
     with fresh_folder(HOME), coordinator(HOME) as client:
+        if "problem" in specification:
+            (HOME / "function").mkdir()
+            (HOME / "function" / "function.py").write_text(FUNCTION, encoding="utf-8")
+            (HOME / "function" / "problem.yaml").write_text(yaml.safe_dump(MANIFEST), encoding="utf-8")
+            client.push_problem(HOME / "function")
         wait_for_workers(client)
         cpu = CpuTime()
         campaign = client.submit(dict(specification))
@@ -146,10 +179,10 @@ def carry_out(specification: Mapping[str, Any]) -> tuple[Campaign, float, float]
         return campaign, spent, 0.0 if accounting is None else accounting.net_seconds
 
 
-def measured(kind: str, seed: int, size: tuple[int, int], circumstances: Circumstances) -> Outcome:
+def measured(kind: str, seed: int, size: tuple[int, int], of: str, circumstances: Circumstances) -> Outcome:
     """Carries a campaign out."""
     optimizer = {"kind": "genetic", "population": size[0], "iterations": size[1], "seed": seed}
-    specification = {"name": kind, "sensitivity": None, "optimizer": optimizer} | KINDS[kind]
+    specification = {"name": kind, "sensitivity": None, "optimizer": optimizer} | PROBLEMS[of] | KINDS[kind]
     campaign, cpu, net = carry_out(specification)
     if campaign.best is None:
         raise RuntimeError(f"{kind}, seed {seed}: no set has a result in every scenario")
@@ -191,6 +224,20 @@ def table(outcomes: Mapping[tuple[str, int], Outcome], seeds: Sequence[int], nam
             yield f"{kind:36}{shown}{mean:>+12.4f} ({low:+.4f}, {high:+.4f})"
 
 
+def pairs(outcomes: Mapping[tuple[str, int], Outcome], seeds: Sequence[int]) -> Iterator[str]:
+    """Yields a line for each campaign: printed and true net saving, the latter as a share of `off`, and what is not as wanted."""
+    yield f"{'':36}{'printed net':>14}{'true net':>14}{'of off':>10}{'runs':>16}"
+    for (kind, seed), each in outcomes.items():
+        if kind == "off" or seed not in seeds:
+            continue
+        off = outcomes["off", seed]
+        true = off.cpu - each.cpu
+        wrong = " printed wrongly" * (abs(each.net - true) > max(OFF_BY[0] * abs(true), OFF_BY[1]))
+        wrong += " a loss" * (true < LEAST_NET * off.cpu)
+        runs = f"{each.runs:,} of {off.runs:,}"
+        yield f"{f'{kind}, seed {seed}':36}{each.net:>12.1f} s{true:>12.1f} s{true / off.cpu:>10.1%}{runs:>16}{wrong}"
+
+
 def wanted(kind: str, size: tuple[int, int]) -> Mapping[str, float]:
     """Returns the largest mean ratios of a kind to `off`, at a size: population and iterations."""
     if size != PAPER:
@@ -230,8 +277,14 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "--commit", action="append", default=[], help="whose campaigns count as well as those of the current code"
     )
+    parser.add_argument("--of", choices=list(PROBLEMS), default="motorway", help="with --pairs")
+    parser.add_argument(
+        "--pairs", action="store_true", help="printed and true net savings alone; campaigns are made and not kept"
+    )
     parser.add_argument("--counts", action="store_true", help="runs and optima alone; campaigns of any machine count")
     given = parser.parse_args(arguments)
+    os.environ["DRIVECAL_HOME"] = str(HOME)  # whose secret pushes problems
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)  # else the simulators, whose keepers are orphans, are not seen
     names = ("runs",) if given.counts else ("runs", "cpu", "wall")
     kinds = [kind for kind in KINDS if kind == "off" or given.only is None or kind in given.only]
     given.file.parent.mkdir(parents=True, exist_ok=True)
@@ -245,15 +298,22 @@ def main(arguments: list[str]) -> int:
         and item.measured_with.commit in {here.commit, *given.commit}
     }
     seeds = range(1, given.seeds + 1)
+    if given.pairs:
+        outcomes = {}
     for seed in seeds:
         turned = [*kinds[seed % len(kinds) :], *kinds[: seed % len(kinds)]]
         for kind in turned:
             if (kind, seed) not in outcomes:
-                outcome = outcomes[kind, seed] = measured(kind, seed, size, here)
-                with given.file.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(outcome)) + "\n")
+                outcome = outcomes[kind, seed] = measured(kind, seed, size, given.of, here)
+                if not given.pairs:
+                    with given.file.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(asdict(outcome)) + "\n")
                 print(f"seed {seed}, {kind}: {outcome.runs:,} runs, {outcome.wall:.0f} s, best {outcome.best:.4f}", flush=True)
     print()
+    if given.pairs:
+        lines = list(pairs(outcomes, seeds))
+        print("\n".join(lines))
+        return int(any(line.endswith(("wrongly", "loss")) for line in lines))
     print("\n".join(table(outcomes, seeds, names)))
     problems = missed(outcomes, seeds, names, size)
     print("\n".join(problems))
