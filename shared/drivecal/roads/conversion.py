@@ -363,7 +363,7 @@ def _cause(file: RoadFile, code: int, errors: list[str]) -> Problem:
                 return Problem(file.name, message, "put a road between the junctions, or make them one junction")
     if file.lost and "is not known" in said:
         return file.lost[0]
-    named = [file.roads[name] for name in re.findall(r"'([^']*)'", said) if name in file.roads]
+    named = [road for name, road in file.roads.items() if f"'{name}'" in said or len(file.roads) == 1]
     where = "".join(f"line {road.line}, road {shown(road.id, 60)}: " for road in named[:1])
     remedy = "correct the road there" if named else "export the file again, or leave out roads until it can be converted"
     return Problem(file.name, f"{where}netconvert cannot convert it: {shown(said, 300)}", remedy)

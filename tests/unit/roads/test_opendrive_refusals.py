@@ -206,10 +206,10 @@ def test_a_lane_may_be_as_wide_as_a_proving_ground_and_a_wider_one_is_named() ->
 
 
 def test_netconverts_own_words_come_with_the_line_of_the_road_that_they_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    said = "Error: Attribute 'x' is missing in definition of road '2'."
-    answer = subprocess.CompletedProcess(["netconvert"], 1, "", said)
+    answer = subprocess.CompletedProcess(["netconvert"], 1, "", "Error: Attribute 'x' is missing in definition of road '2'.")
     monkeypatch.setattr(conversion, "run_netconvert", lambda *_: answer)
     assert refused(document(road(), road("2"))).message.startswith("line 6, road 2")
+    assert refused(document(road("7"))).message.startswith("line 3, road 7"), "the only road of a file is meant"
 
 
 def test_spirals_of_any_curvature_are_converted_or_refused_soon() -> None:
