@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from statistics import NormalDist, fmean
 from typing import Any
@@ -218,9 +217,11 @@ def test_a_population_runs_each_set_under_the_least_number_of_seeds(database: Da
 
 
 def test_a_simulator_that_says_random_and_is_not_gets_few_further_runs(database: Database) -> None:
-    same = CellResult(0, None, None, {"y": 5.0}, None, 7.0)
-    ended = carried_out(database, driven=lambda _, cell: replace(same, id=cell.id), budget={"simulations": 60})
-    assert sum(row.seed > 1 for row in rows_of(database, ended)) <= 16
+    def exact(_: SetupRequest, cell: Cell) -> CellResult:
+        return CellResult(cell.id, None, None, {"y": true_cost(float(cell.parameters["x"]))}, None, 7.0)
+
+    ended = carried_out(database, driven=exact, budget={"simulations": 200})
+    assert sum(row.seed > 1 for row in rows_of(database, ended)) <= 26
     assert present(ended.best).standard_error in {None, 0.0}
 
 
@@ -230,14 +231,13 @@ def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: 
 
     def unsaid(setup: SetupRequest, cell: Cell) -> CellResult:
         runs.append(setup.seed)
-        noise = NOISE * NormalDist().inv_cdf((len(runs) * 0.618) % 1 or 0.5)
-        y = true_cost(float(cell.parameters["x"])) + noise
+        y = true_cost(float(cell.parameters["x"])) + NOISE * NormalDist().inv_cdf((len(runs) * 0.618) % 1 or 0.5)
         return CellResult(cell.id, None, None, {"y": y}, None, 7.0, repeats=False if cell.check else None)
 
-    ended = carried_out(database, driven=unsaid, optimizer={"kind": "random", "population": 40, "iterations": 2}, budget=None)
+    ended = carried_out(database, driven=unsaid)
     database.dispose()
     assert ended.cells.unrepeatable > 0
-    assert present(ended.best).replicates > 1
+    assert present(ended.best).lower is not None
     assert sum("samples" in note for note in ended.notes) == 1
 
 

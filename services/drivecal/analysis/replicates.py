@@ -172,6 +172,8 @@ def _means(samples: Floats) -> SetStatistics:
     if freedom < FEWEST:
         unknown = np.full(len(samples), np.nan)
         return SetStatistics(counts, means, unknown, unknown, np.full(len(samples), freedom))
+    if np.abs(deviations).max() <= 1e-12 * np.abs(raw).max():  # rounding is no noise
+        residuals = deviations = np.zeros_like(deviations)
     squares, spread = float((residuals**2).sum()), (deviations**2).sum() / own.sum()
     # scores with steps may be equal by chance: one further run might have been a step away
     noise = (squares + _step(samples[run]) ** 2) / (freedom + 1.0) if spread > 0 else 0.0

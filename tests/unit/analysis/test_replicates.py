@@ -104,7 +104,7 @@ def test_effects_that_all_sets_share_disappear_from_comparisons() -> None:
 
 
 def test_equal_runs_need_no_further_ones() -> None:
-    samples = np.tile(np.arange(5.0)[:, np.newaxis], (1, 2))
+    samples = np.tile(np.arange(5.0)[:, np.newaxis] / 10, (1, 3))  # a mean of three equal ones is another number
     assert allocate(assess(samples), 8, 20, CONFIDENCE) == []
     assert not assess(samples).is_random
 

@@ -119,11 +119,10 @@ class CalibrationProblem:
         """The number of seeds that constraints on rates need at least; 0 without any."""
         return 0 if self.goals is None else self.goals.fewest_seeds
 
-    @property
-    def search_simulations(self) -> int | None:
-        """The simulations of the budget that the search may use; None without a limit."""
-        budget = None if self.optimization is None else self.optimization.budget
-        if self.optimization is None or budget is None or budget.simulations is None or not self.bench.is_random:
+    def search_simulations(self, *, varies: bool = False) -> int | None:
+        """Returns the simulations of the budget that the search may use; None without a limit. `varies`: equal runs have differed."""
+        budget, is_random = None if self.optimization is None else self.optimization.budget, varies or self.bench.is_random
+        if self.optimization is None or budget is None or budget.simulations is None or not is_random:
             return None if budget is None else budget.simulations
         by_cell, most = self.optimization.by_cell is not None, self.specification.replicates.most
         return budget.simulations - kept_back(budget.simulations, len(self.scenarios), most, self.rate_seeds, by_cell=by_cell)

@@ -109,9 +109,9 @@ class Calibration(Stage):
         """The sets that are simulated after the search; None before its end."""
         self._confirmation = campaign.confirmation
         self._limit = None if problem.optimization.budget is None else problem.optimization.budget.simulations
+        self._within = problem.search_simulations() or 0
         if self._limit is not None:
-            within = problem.search_simulations or 0
-            most = 0 if self._by_cell is None else task.most_cells(within, problem.bench.repeated_share)
+            most = 0 if self._by_cell is None else task.most_cells(self._within, problem.bench.repeated_share)
             self._tracker.limit(self._limit, most)
             self.budget = self._tracker.budget
         self._kept: set[int] = set()  # individuals of a round for which the budget suffices
@@ -344,9 +344,10 @@ class Calibration(Stage):
     @property
     def _cells_left(self) -> float:
         """Cells that the search may ask for; infinite without a budget of simulations."""
-        budget = self._tracker.budget
-        left = budget.left - ((self._limit or 0) - (self._problem.search_simulations or 0))
-        return left if self._by_cell is None or math.isinf(left) else min(left, budget.kept)
+        budget, varies = self._tracker.budget, self._tracker.counts.get("unrepeatable", 0) > 0
+        within = self._problem.search_simulations(varies=varies) or 0
+        left = budget.left - ((self._limit or 0) - within)
+        return left if self._by_cell is None or math.isinf(left) else min(left, budget.kept - (self._within - within))
 
     def _within_budget(self, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
         """Returns the first cells for which the budget suffices; the search ends with them if it does not for all."""

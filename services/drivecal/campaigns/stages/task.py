@@ -71,7 +71,7 @@ def search_task(database: Database, view: View, problem: CalibrationProblem, ans
             return start_population("lhs", count, space.n_values, generator, None)
         return region.sample(count, generator)
 
-    limit = problem.search_simulations
+    limit = problem.search_simulations()
     is_cut_off = problem.specification.reduction.mode == "off"
     aim, variants = answers.aim, answers.aims_of_variants
     known = [] if is_cut_off else _known(database, view, problem, aim)

@@ -12,6 +12,8 @@ from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, CellAnswer
 
 Bools = npt.NDArray[np.bool_]
+EQUAL_REPEATS = 8
+"""Equal repeats in each scenario after which a simulator counts as not random."""
 
 
 @dataclass(slots=True)
@@ -55,6 +57,8 @@ class Answers:
         """The sets that are answered in each scenario, by number, in the order of the answers."""
         self._replicates: list[list[tuple[int, Floats, bool]]] = [[] for _ in range(aim.scenarios)]
         """Replicate, values and failure of each answer in `order`."""
+        self._repeats: Floats = np.zeros(aim.scenarios)
+        """Repeats in each scenario while all are equal; infinite afterwards."""
         self._upwards = np.sign(np.where(np.isinf(aim.best) | np.isnan(aim.worst), aim.best, aim.best - aim.worst))
         self.best: Floats = aim.best.astype(np.float64)
         """The best value to be expected of a cell, shape (n_scenarios, n_values): what the aim says, or the best answer if it is better."""
@@ -100,11 +104,13 @@ class Answers:
     def take(self, answer: CellAnswer) -> None:
         """Notes an answer."""
         begun, scenario, replicate = self.begin(answer.cell.indices), answer.cell.scenario, answer.cell.replicate
-        values = np.array(answer.values, dtype=np.float64)
+        values, before = np.array(answer.values, dtype=np.float64), self._values[begun.number, scenario].copy()
         self._asked[begun.number, scenario] = max(self._asked[begun.number, scenario], replicate)
         self._values[begun.number, scenario] = values
         self._failed[begun.number, scenario] = answer.failed or not np.isfinite(values).all()
         if self._answered[begun.number, scenario] < replicate:
+            if replicate > 1:
+                self._repeats[scenario] += 1 if np.array_equal(values, before, equal_nan=True) else np.inf
             self._answered[begun.number, scenario] = replicate
             self.order[scenario].append(begun.number)
             self._replicates[scenario].append((replicate, values, bool(self._failed[begun.number, scenario])))
@@ -157,7 +163,9 @@ class Answers:
         return [self.sets[number] for number in np.flatnonzero(answered.all(axis=1)).tolist()]
 
     def repeatable(self, most: int) -> list[BegunSet]:
-        """Returns the complete sets that may be asked again, at most `most` times in all."""
+        """Returns the complete sets that may be asked again, at most `most` times in all; none if all repeats so far are equal."""
+        if np.all((self._repeats >= EQUAL_REPEATS) & np.isfinite(self._repeats)):
+            return []
         return [
             each for each in self.complete() if each.replicate < most and not len(self.missing(each)) and not self.pending(each)
         ]
