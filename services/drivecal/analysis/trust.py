@@ -271,6 +271,7 @@ def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
     if campaign.best is None or campaign.baseline is None or campaign.baseline.objective is None:
         return
     gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
+    end = campaign.best.lower if sign_of(campaign) > 0 else campaign.best.upper
     if campaign.best.violation < campaign.baseline.violation and not campaign.baseline.undecided:
         yield verdict("baseline_breaks_more", "green", subject="the best set")
     elif gain <= grain(campaign.best.objective, campaign.baseline.objective):
@@ -278,6 +279,8 @@ def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
     elif campaign.objective is None and gain <= campaign.scale.tolerance:
         tolerance = campaign.scale.amount(campaign.scale.tolerance)
         yield verdict("alike_baseline", "neutral", gain=gain, tolerance=tolerance)
+    elif end is not None and (end - campaign.baseline.objective) * sign_of(campaign) <= 0:
+        yield verdict("baseline_in_interval", "neutral", gain=gain)
     else:
         yield verdict("better_than_baseline", "green", gain=gain)
 

@@ -168,7 +168,7 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
     [
         (4.0, {}, "better_than_baseline"),
         (6.0, {}, "not_better"),
-        (7.0, {}, "not_better"),
+        (4.0, {"best": BEST.model_copy(update={"lower": 3.9, "upper": 8.1})}, "baseline_in_interval"),
         (5.5, {}, "alike_baseline"),
         (4.0, {"scale": COST}, "not_better"),
         (7.0, {"scale": COST}, "alike_baseline"),
@@ -178,7 +178,7 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
 )
 def test_the_best_set_is_held_against_the_baseline(objective: float, given: dict[str, Any], code: str) -> None:
     result = verdicts(campaign(baseline=before(objective), **given))
-    assert {"better_than_baseline", "not_better", "alike_baseline"} & set(result) == {code}
+    assert {"better_than_baseline", "not_better", "alike_baseline", "baseline_in_interval"} & set(result) == {code}
     assert result[code].question == "baseline", "a better set finishes no search"
 
 

@@ -148,9 +148,12 @@ def solutions_table(solutions: Sequence[Solution]) -> list[Block]:
         return []
     first = solutions[0]
     broken = ["constraints"] if any(solution.violation > 0 for solution in solutions) else []
+    random = any(solution.standard_error is not None for solution in solutions)
+    uncertain = ["lower", "upper", "probability_best", "replicates", "runs_to_tell"] if random else []
     rows = [
         [
             *(solution.rank, objective_number(solution.objective), fixed(solution.rating, 3)),
+            *(amount if isinstance(amount := getattr(solution, name), int) else told(amount) for name in uncertain),
             *(broken_text(solution) if solution.violation else "kept" for _ in broken),
             *(f"{value:.6g}" for value in solution.constraints.values()),
             *(f"{told(score)}*" if name in solution.reused else told(score) for name, score in solution.scores.items()),
@@ -159,9 +162,11 @@ def solutions_table(solutions: Sequence[Solution]) -> list[Block]:
         for solution in solutions
     ]
     caption = "The best sets; equal objectives are ordered by the continuous rating"
+    if random:
+        caption = "The best sets, by what each reaches at least as far as its runs tell"
     if any(solution.reused for solution in solutions):
         caption += ". *: the score is that of a reference, this very set was not simulated there"
-    header = ["rank", "objective", "rating", *broken, *first.constraints, *first.scores, *first.parameters]
+    header = ["rank", "objective", "rating", *uncertain, *broken, *first.constraints, *first.scores, *first.parameters]
     return [Table(header, rows, caption)]
 
 
