@@ -98,7 +98,5 @@ def test_a_set_is_a_file_for_calibration_tools_in_the_ranking_that_was_asked_for
         assert client.calibration_file(ended.plain, "csv").decode().startswith("name,value,unit,")
         with pytest.raises(InvalidInputError):
             client.calibration_file(ended.plain, "cdfx", front=1, score="x")
-        with pytest.raises(InvalidInputError):
-            client.calibration_file(ended.plain, "dcm", labels={"P99": "a"})
         with pytest.raises(NotFoundError):
             client.calibration_file("0" * 32, "dcm")

@@ -51,7 +51,7 @@ Values = Annotated[dict[Identifier, Given], Field(max_length=200)]
 class Model(BaseModel):
     """The base of all that comes from outside: strict, closed, finite."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 class ParameterSpecification(Model):
