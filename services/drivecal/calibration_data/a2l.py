@@ -94,11 +94,14 @@ def read(content: bytes, file: str) -> Content:
     for block in wanted:
         characteristic = _characteristic(block, block.text(2), described, file)
         axes = tuple(_axes(block, described))
+        for points in [described.get((block.module, "AXIS_PTS", axis.shared)) for axis in axes if axis.kind == "COM_AXIS"]:
+            if points is not None and shared.setdefault(points.text(0), points) is not points:
+                message = f"its axis {shown(points.text(0))} has the name of another module's, and other files name no module"
+                fault = problem_of(file, block.line, message, "export each MODULE alone, or leave it out by --match")
+                characteristic = replace(characteristic, fault=fault)
         is_known = _AXES[characteristic.kind] <= len(axes) <= 2
         result.add(file, characteristic.name, replace(characteristic, axes=axes) if is_known else None)
-        blocks = [described.get((block.module, "AXIS_PTS", axis.shared)) for axis in axes if axis.kind == "COM_AXIS"]
-        shared |= {each.text(0): each for each in blocks if each is not None and not each.has("READ_ONLY")}
-    for name in [name for name in shared if name not in result.names]:
+    for name in [name for name, points in shared.items() if name not in result.names and not points.has("READ_ONLY")]:
         axis = _characteristic(shared[name], "COM_AXIS", described, file)
         result.add(file, name, replace(axis, axes=(index(_count(shared[name].text(7))),)))
     return result

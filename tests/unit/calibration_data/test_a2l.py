@@ -174,9 +174,7 @@ def test_what_follows_from_others_or_cannot_be_changed_is_left_out() -> None:
 
 
 def test_an_included_description_of_interfaces_is_ignored() -> None:
-    content = file('a "" VALUE 0x10 _U16 0 speed 0 1').replace(
-        b"/begin MOD_COMMON", b'/include "XCP_104.aml"\n/begin MOD_COMMON'
-    )
+    content = file('a "" VALUE 0x10 _U16 0 speed 0 1').replace(b"/begin MOD_", b'/include "XCP_104.aml"\n/begin MOD_')
     assert [each.name for each in a2l.read(content, "a.a2l").characteristics] == ["a"]
 
 
@@ -213,19 +211,20 @@ def test_any_words_are_read_or_refused(text: str) -> None:
 
 def test_names_are_local_to_their_module() -> None:
     module = """/begin MODULE {0} ""
-/begin RECORD_LAYOUT L FNC_VALUES 1 {1} ROW_DIR DIRECT /end RECORD_LAYOUT
-/begin COMPU_METHOD M "" {2} /end COMPU_METHOD
+/begin RECORD_LAYOUT L FNC_VALUES 1 {1} ROW_DIR DIRECT /end RECORD_LAYOUT /begin AXIS_PTS x "" 0 in L 0 M 8 0 9 /end AXIS_PTS
+/begin COMPU_METHOD M "" {2} /end COMPU_METHOD /begin COMPU_METHOD E "" TAB_VERB "%1.0" "" COMPU_TAB_REF T /end COMPU_METHOD
 /begin COMPU_VTAB T "" TAB_VERB 2 0 "{0} off" 1 "{0} on" /end COMPU_VTAB
-/begin COMPU_METHOD E "" TAB_VERB "%1.0" "" COMPU_TAB_REF T /end COMPU_METHOD
 /begin CHARACTERISTIC {0}_gap "" VALUE 0 L 0 M 0 100 /end CHARACTERISTIC
 /begin CHARACTERISTIC {0}_mode "" VALUE 0 L 0 E 0 1 /end CHARACTERISTIC
-/end MODULE
+/begin CHARACTERISTIC {0}_curve "" CURVE 0 L 0 M 0 9 /begin AXIS_DESCR COM_AXIS in M 8 0 9 AXIS_PTS_REF x /end AXIS_DESCR
+/end CHARACTERISTIC /end MODULE
 """
     first = module.format("a", "UWORD", 'LINEAR "%6.2" "m" COEFFS_LINEAR 0.01 0')
     second = module.format("b", "FLOAT32_IEEE", 'IDENTICAL "%6.2" "mm"')
-    for modules in (first + second, second + first):
-        text = f'/begin PROJECT p ""\n{modules}/end PROJECT\n'
-        content = {entry.name: entry for entry in a2l.read(text.encode(), "a.a2l").characteristics}
-        assert (content["a_gap"].unit, content["a_gap"].step) == ("m", 0.01)
-        assert (content["b_gap"].unit, content["b_gap"].step, content["b_gap"].integer) == ("mm", None, False)
+    for modules, ambiguous in ((first + second, "b_curve"), (second + first, "a_curve")):
+        read = a2l.read(f'/begin PROJECT p ""\n{modules}/end PROJECT\n'.encode(), "a.a2l").characteristics
+        content = {each.name: each for each in read}
+        gaps = [(each.unit, each.step, each.integer) for name, each in content.items() if "gap" in name]
+        assert sorted(gaps) == [("m", 0.01, False), ("mm", None, False)]
         assert (content["a_mode"].choices, content["b_mode"].choices) == (("a off", "a on"), ("b off", "b on"))
+        assert [name for name, each in content.items() if each.fault] == [ambiguous]
