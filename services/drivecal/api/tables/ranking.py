@@ -116,7 +116,7 @@ def variants_of(database: Database, campaign: StoredCampaign, resolved: Resolved
         own = CampaignRanking(database, standing.ranking()[:1], list(shares), resolved.scale, goals).solutions(0, 1)
         rows.append(VariantResult(name=name, scenarios=shares, best=next(iter(own), None)))
         if best is not None and (common := standing.get(best[0].parameter_set)) is not None:
-            cost = {"cost": common.sign * (own[0].objective - common.objective), "violation": common.violation}
+            cost = {"cost": common.sign * (own[0].objective - common.objective) + 0.0, "violation": common.violation}
             rows[-1] = rows[-1].model_copy(update=cost | {"common": common.objective})
     return rows
 

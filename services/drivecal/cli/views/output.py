@@ -118,7 +118,7 @@ def print_curves(results: CampaignResults) -> None:
         values = {
             title: shape.values(each.parameters) for title, each in (*sets, ("baseline", results.campaign.baseline)) if each
         }
-        if shape.good is not None and len(shape.axes) == 1:
+        if shape.good is not None:
             values |= {f"lowest of {shape.good.sets} good sets": shape.good.lower, "highest": shape.good.upper}
         units = [f" {unit}" if unit != "1" else "" for unit in shape.axis_units]
         unit = "" if shape.unit == "1" else f" ({shape.unit})"

@@ -23,7 +23,9 @@ const weighed = (weights: Rows, values: readonly number[]): number[] => weights.
 
 function rounded(value: number, { lower, upper, step }: ShapeAnswer): number {
   const inside = Math.min(upper, Math.max(lower, value));
-  return Number((step === null ? inside : lower + Math.round((inside - lower) / step) * step).toFixed(9));
+  const steps = step === null ? 0 : (inside - lower) / step;
+  const whole = Math.abs(steps % 1) === 0.5 ? 2 * Math.round(steps / 2) : Math.round(steps); // to even, as the simulator gets it
+  return Number((step === null ? inside : lower + whole * step).toFixed(9));
 }
 
 /** A chart with the lines of a set, the lines of another set, and the range of good sets. */
@@ -36,11 +38,20 @@ export function chartOf(name: string, shape: ShapeAnswer, parameters: Values, ot
   const lines: Series[] = rows.map((values, row) => ({ name: label(row), values, colour: SERIES[row % SERIES.length] ?? "" }));
   if (other !== null) rowsOf(shape, other).forEach((values, row) => lines.push({ name: isMap ? `${beside}, ${label(row)}` : beside, values, colour: "#7f7f7f", dash: "6 4", ...(isMap ? { group: beside } : {}) }));
   const good = shape.good;
-  if (good !== null && !isMap) {
+  if (good !== null) {
     const group = `range of ${good.sets} good sets`;
-    for (const [end, values] of [["lowest", good.lower], ["highest", good.upper]] as const) lines.push({ name: `${end} of ${good.sets} good sets`, values: values as number[], colour: "#009e73", dash: "2 3", group });
+    for (const [end, ends] of [["lowest", good.lower], ["highest", good.upper]] as const) (isMap ? (ends as number[][]) : [ends as number[]]).forEach((values, row) => lines.push({ name: `${end} of ${good.sets} good sets${isMap ? `, ${label(row)}` : ""}`, values, colour: isMap ? (SERIES[row % SERIES.length] ?? "") : "#009e73", dash: "2 3", group }));
   }
   const axis = second ?? first;
   const of = unitText(shape.unit);
   return { title: name, x: axis, series: lines, xTitle: [isMap ? "y" : "axis", unit(isMap ? 1 : 0)].filter(Boolean).join(", "), yTitle: [name, of].filter(Boolean).join(", ") };
+}
+
+/** A chart with the lines and good sets of several sets, each in the colour of its place; null without any. Other axes than the first set's are left out. */
+export function overlaid(name: string, sets: readonly { title: string; shape: ShapeAnswer | undefined; parameters: Values | undefined }[]) {
+  const charts = sets.flatMap(({ title, shape, parameters }, place) => (shape && parameters ? [{ title, colour: SERIES[place] ?? "", axes: JSON.stringify(shape.axes), chart: chartOf(name, shape, parameters, null, "") }] : []));
+  const first = charts[0];
+  if (first === undefined) return null;
+  const series = charts.filter(({ axes }) => axes === first.axes).flatMap(({ title, colour, chart }) => chart.series.map((line) => ({ ...line, name: line.name === "this set" ? title : `${title}, ${line.name}`, colour, group: line.dash ? `good sets of ${title}` : title })));
+  return { ...first.chart, series };
 }
