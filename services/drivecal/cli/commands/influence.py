@@ -64,7 +64,7 @@ def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | Non
     header += ["decided by"] if decided else []
     for scenario, listed in by_scenario(rows).items():
         nothing_known = all(row.unknown and row.s_rel_intervals is not None for row in listed)
-        unknown = "  unknown: no run was better than a failed one, so everything counts as influential" if nothing_known else ""
+        unknown = "  unknown: no feasible run was better than a failed one, so everything counts" if nothing_known else ""
         typer.echo(f"\n{scenario}{unknown}")
         print_columns(header, [_line(row, measured, decided) for row in listed])
     if basis is not None:
