@@ -79,7 +79,7 @@ def pip(*words: str) -> None:
 def fetched(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with pya2ldb installed in it, and the source archive of asamint."""
     folder = tmp_path_factory.mktemp("public")
-    pip("install", "--target", str(folder), A2L)
+    pip("install", "--target", str(folder), A2L, "chardet==7.0.0")
     pip("download", "--no-binary", "asamint", "--dest", str(folder), CDF)
     (archive,) = folder.glob("asamint-*.tar.gz")
     with tarfile.open(archive) as content:
