@@ -14,7 +14,7 @@ from drivecal.api.results.document import results_of
 from drivecal.bundles.shapes import Shape, with_points
 from drivecal.cli.views.output import print_curves
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
-from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.campaigns import CampaignState, StageName
 
 WANTED = [3.0, 2.2, 1.4, 0.9, 0.8]
 MANIFEST: dict[str, Any] = {
@@ -50,9 +50,10 @@ def test_results_show_curves_with_the_range_of_good_sets(tmp_path: Path, capsys:
     database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
     store(database, MANIFEST)
     wanted: dict[str, Any] = {"problem": "curved", "optimizer": {"kind": "surrogate", "seed": 1}, "variants": {"eu": {}}}
-    wanted |= {"budget": {"simulations": 60}}
+    wanted |= {"budget": {"simulations": 60}, "sensitivity": {"intervals": 2, "samples": 8}}
     ended = finish(database, submit_checked(database, wanted), dispatcher(database, ComputedBackend(driven=driven)))
     assert ended.state is CampaignState.SUCCEEDED, ended.error
+    assert ended.stages[StageName.SENSITIVITY]["requested"] > 100
     results = results_of(database, ended)
     gain, load = results.setup.shapes["gain"], results.setup.shapes["load"]
     best, baseline = results.campaign.best, results.campaign.baseline

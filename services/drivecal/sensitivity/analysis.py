@@ -12,16 +12,19 @@ without influence takes all its samples, because one missing effect over the who
 The rounds of all parameters and both sides run together, so that each has enough runs for many workers.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import Indices, ParameterSpace
+from drivecal.domain.regions import FeasibleRegion
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.sensitivity.designs import (
     COLUMNS,
@@ -61,9 +64,9 @@ class IntervalRuns:
         self._threshold, self._scale = threshold, scale
         self._sequential = sequential
         self._made = np.zeros(len(design.points), dtype=bool)
-        counts = (~np.isnan(design.steps[..., 0])).sum(axis=1).tolist()
-        self._verdicts: list[list[bool | None]] = [[None] * count for count in counts]
-        self._samples = np.zeros(design.steps.shape[:2], dtype=np.int64)
+        gaps = np.isnan(design.judged[..., 0]).tolist()
+        self._verdicts: list[list[bool | None]] = [[False if gap else None for gap in row] for row in gaps]
+        self._samples = np.zeros(design.judged.shape[:2], dtype=np.int64)
         self._rows: Indices | None = None
         self.scores: Floats = np.full(len(design.points), np.nan)
         """Scores of all points; NaN if a run failed or was not made."""
@@ -88,7 +91,7 @@ class IntervalRuns:
 
     def _chosen(self) -> Indices:
         """Returns the runs of the next samples on both fronts of every parameter that were not made yet."""
-        samples = self.design.steps.shape[2]
+        samples = self.design.judged.shape[2]
         size = -(-samples // PARTS)
         wanted = np.zeros_like(self._made)
         for place in self._fronts():
@@ -102,7 +105,7 @@ class IntervalRuns:
         effects = self.effects
         for place in self._fronts():
             column, interval = place
-            known, steps, count = effects[place], self.design.steps[place], int(self._samples[place])
+            known, steps, count = effects[place], self.design.judged[place], int(self._samples[place])
             if count == known.size:
                 statistics = measures(known)
                 self._verdicts[column][interval] = verdict(
@@ -154,11 +157,6 @@ class Phase:
     name: PhaseName
     points: Mapping[str, Indices]
 
-    @property
-    def runs(self) -> int:
-        """Number of runs over all scenarios, repeats included."""
-        return sum(len(points) for points in self.points.values())
-
 
 class SensitivityAnalysis:
     """An analysis of all scenarios, a deterministic function of its arguments and of the scores."""
@@ -169,19 +167,19 @@ class SensitivityAnalysis:
         scenarios: Sequence[str],
         settings: SensitivitySettings,
         scale: Scale = COMFORT,
-        feasible: Callable[[Indices], npt.NDArray[np.bool_]] | None = None,
+        constraints: Constraints | None = None,
     ) -> None:
         """Raises InvalidInputError if nothing is searched or the intervals are finer than a parameter's grid.
 
-        `feasible`: which points, shape (n, n_searched), keep the constraints. Others are never asked, and count as failed runs: what is
-        said rests on the steps between feasible points.
+        `constraints`: points that break them are never asked, and count as failed runs: what is said rests on the steps between feasible
+        points. With any, all phases and both designs consist of `regions_design`.
         """
         if not space.searched:
             raise InvalidInputError(Problem("fixed", "every parameter is fixed", "leave at least one to be searched"))
         check_intervals(space, settings.intervals)
         self._space = space
         self._settings, self._scale = settings, scale
-        self._feasible = feasible
+        self._constraints = constraints or Constraints(space)
         self._unordered = np.array([kind == "choice" for kind in space.kinds], dtype=np.bool_)
         self._edges = [interval_edges(n, count) for n, count in zip(space.n_values.tolist(), self._counts(), strict=True)]
         self._states = {scenario: ScenarioState(space, self._edges, settings.threshold, scale) for scenario in scenarios}
@@ -199,21 +197,22 @@ class SensitivityAnalysis:
         return [intervals_of(parameter, self._settings.intervals) for parameter in self._space.searched]
 
     def expected_runs(self) -> dict[PhaseName, int]:
-        """Runs per scenario and phase at most; exact for the intervals unless they are chosen sequentially (Equation 3 for `paper`).
+        """Runs per scenario and phase at most; without constraints exact for intervals that are not `sequential` (Eq. 3 for `paper`).
 
         Confirmation is cheaper by far where few regions are given back, and repeats are answered without a run.
         """
         n_p, r, counts = len(self._space.searched), self._settings.samples, self._counts()
         paper = self._settings.design == "paper"
         first = sum(counts) * r * (n_p + 1) if paper else r * (1 + sum(2 * count - 1 for count in counts))
-        return {"intervals": first, "confirmation": 2 * r * sum(map(most_confirmations, counts)), "global": r * (n_p + 1)}
+        first, last = (2 * r * sum(counts), 2 * r * n_p) if self._constraints else (first, r * (n_p + 1))
+        return {"intervals": first, "confirmation": 2 * r * sum(map(most_confirmations, counts)), "global": last}
 
     def ask(self) -> Phase | None:
         """Returns the next phase, the same until its scores arrive; None when the analysis is finished."""
         while self._name is not None:
             if self._points is None:
                 self._points = self._drawn()
-                self._asked = self._allowed(self._points)
+                self._asked = {scenario: self._constraints.feasible(drawn) for scenario, drawn in self._points.items()}
             if any(mask.any() for mask in self._asked.values()):
                 return Phase(self._number, self._name, self._to_run(self._points))
             self._take({scenario: np.full(len(points), np.nan) for scenario, points in self._points.items()})
@@ -230,7 +229,10 @@ class SensitivityAnalysis:
         if set(scores) != set(expected):
             raise ValueError(f"scores must be of {', '.join(expected)}, not of {', '.join(scores)}")
         for scenario, count in expected.items():
-            _check(scenario, scores[scenario], count)
+            if scores[scenario].shape != (count,):
+                raise ValueError(f"scores of {scenario} must be {count} numbers, not of shape {scores[scenario].shape}")
+            if np.any(np.isinf(scores[scenario])):
+                raise ValueError(f"scores of {scenario} must be finite, or NaN if a run failed")
         complete = {scenario: np.full(len(points), np.nan) for scenario, points in self._points.items()}
         for scenario, known in scores.items():
             complete[scenario][self._asked[scenario]] = known
@@ -246,27 +248,18 @@ class SensitivityAnalysis:
             design = self._designs[scenario]
             effects = design.effects(answers, self._scale.span)
             if self._name == "confirmation":
-                state.take_confirmations(effects, design.steps)
+                state.take_confirmations(effects, design.judged)
             else:
-                state.take_overall(answers, effects, design.steps)
+                state.take_overall(answers, effects, design.judged)
         self._confirmed += self._name == "confirmation"
         self._points = None
         self._number += 1
         self._name = self._next()
 
-    def _allowed(self, points: Mapping[str, Indices]) -> dict[str, npt.NDArray[np.bool_]]:
-        masks: dict[int, npt.NDArray[np.bool_]] = {}
-        for drawn in points.values():
-            if id(drawn) not in masks:
-                masks[id(drawn)] = np.ones(len(drawn), dtype=np.bool_) if self._feasible is None else self._feasible(drawn)
-        return {scenario: masks[id(drawn)] for scenario, drawn in points.items()}
-
     def _to_run(self, points: Mapping[str, Indices]) -> dict[str, Indices]:
         """Returns the points that are run; equal arrays stay one object."""
-        kept: dict[int, Indices] = {}
-        for scenario, drawn in points.items():
-            if id(drawn) not in kept:
-                kept[id(drawn)] = drawn if self._asked[scenario].all() else drawn[self._asked[scenario]]
+        masks = self._asked
+        kept = {id(drawn): drawn if masks[name].all() else drawn[masks[name]] for name, drawn in points.items()}
         return {scenario: kept[id(drawn)] for scenario, drawn in points.items() if self._asked[scenario].any()}
 
     def result(self) -> dict[str, ScenarioInfluence]:
@@ -275,21 +268,11 @@ class SensitivityAnalysis:
             raise RuntimeError("the analysis is not finished: ask for its next phase")
         return {scenario: state.result() for scenario, state in self._states.items()}
 
-    def influence_map(self) -> InfluenceMap:
-        """`result` as the map that the reduction uses. Raises RuntimeError before the analysis is finished."""
-        influences = self.result()
-        return InfluenceMap(
-            {
-                scenario: {name: parameter.influence for name, parameter in influence.parameters.items()}
-                for scenario, influence in influences.items()
-            }
-        )
-
     def _tell_interval_runs(self, scenario: str, scores: Floats) -> None:
         runs = self._intervals[scenario]
         runs.tell(scores)
         if runs.rows().size == 0:
-            self._states[scenario].take_intervals(runs.scores, runs.effects, runs.design.steps)
+            self._states[scenario].take_intervals(runs.scores, runs.effects, runs.design.judged)
 
     def _next(self) -> PhaseName | None:
         if any(runs.rows().size for runs in self._intervals.values()):
@@ -308,7 +291,13 @@ class SensitivityAnalysis:
         if not self._intervals:
             make = paper_design if self._settings.design == "paper" else lines_design
             samples, seed = self._settings.samples, self._settings.seed
-            shared = make(self._space.n_values, self._edges, samples, seed, _INTERVALS, self._unordered)
+            if self._constraints:
+                most = max(self._counts())
+                listed = [[*pairwise(marks.tolist()), *[(0, 0)] * most][:most] for marks in self._edges]
+                boxes = [(column, *box) for column, each in enumerate(listed) for box in each]
+                shared = self._pairs(boxes, _INTERVALS, (len(listed), most))
+            else:
+                shared = make(self._space.n_values, self._edges, samples, seed, _INTERVALS, self._unordered)
             sequential = self._settings.sequential and self._settings.design == "lines"
             self._intervals = {
                 scenario: IntervalRuns(shared, self._settings.threshold, sequential=sequential, scale=self._scale)
@@ -330,24 +319,25 @@ class SensitivityAnalysis:
             for scenario, state in self._states.items()
             if state.waiting
         }
-        n_values, samples, seed = self._space.n_values, self._settings.samples, self._settings.seed
-        return {
-            scenario: regions_design(n_values, region, samples, seed, tag, self._unordered)
-            for scenario, region in regions.items()
-        }
+        return {scenario: self._pairs(region, tag) for scenario, region in regions.items()}
+
+    @cached_property
+    def _inside(self) -> FeasibleRegion | None:
+        last = self._space.n_values - 1
+        return self._constraints.region(0 * last, last) if self._constraints else None
+
+    def _pairs(self, regions: Sequence[tuple[int, int, int]], tag: int, shape: tuple[int, ...] = ()) -> Design:
+        settings, n_values = self._settings, self._space.n_values
+        return regions_design(n_values, regions, settings.samples, settings.seed, tag, self._unordered, self._inside, shape)
 
     def _global_designs(self) -> dict[str, Design]:
         n_values = self._space.n_values
         rows = SobolRows(COLUMNS * len(n_values), self._settings.seed, _GLOBAL, 1)
         boxes = {scenario: state.box() for scenario, state in self._states.items() if not state.unknown}
+        if self._constraints:
+            regions = {name: np.column_stack([np.arange(len(n_values)), *box]).tolist() for name, box in boxes.items()}
+            return {name: self._pairs(region, _GLOBAL) for name, region in regions.items()}
         return {
             scenario: radial_design(n_values, rows, *box, self._settings.samples, unordered=self._unordered)
             for scenario, box in boxes.items()
         }
-
-
-def _check(scenario: str, scores: Floats, count: int) -> None:
-    if scores.shape != (count,):
-        raise ValueError(f"scores of {scenario} must be {count} numbers, not of shape {scores.shape}")
-    if np.any(np.isinf(scores)):
-        raise ValueError(f"scores of {scenario} must be finite, or NaN if a run failed")

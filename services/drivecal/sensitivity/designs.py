@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.parameters import Indices
+from drivecal.domain.regions import FeasibleRegion
 from drivecal.domain.scales import COMFORT
 
 Floats = npt.NDArray[np.float64]
@@ -35,7 +36,8 @@ class Design:
     """Points to run and which two of them make each elementary effect.
 
     `points`: grid indices, shape (n, n_searched). `first`, `second`: rows of `points`, and `steps`: the signed step from one to the
-    other in units of the parameter's full range, never 0; all of one shape, whose last axis is the samples. A change between choices, which
+    other in units of the parameter's full range, never 0; all of one shape, whose last axis is the samples. Thresholds see `judged`: steps
+    that are at least as long as the law says, where constraints shortened them: an effect is a slope. A change between choices, which
     have no order, is a step of the full range. Parameters with fewer intervals than others have NaN steps in the rest.
     """
 
@@ -43,6 +45,7 @@ class Design:
     first: Indices
     second: Indices
     steps: Floats
+    judged: Floats
 
     def effects(self, scores: Floats, span: float = COMFORT.span) -> Floats:
         """Elementary effects, shaped as `steps`, from the points' scores, shape (n,); NaN if one of the two runs failed.
@@ -61,7 +64,7 @@ class DesignBuilder:
         self._n_values = n_values
         self._unordered = np.zeros(len(n_values), dtype=np.bool_) if unordered is None else unordered
         self._points: list[Indices] = []
-        self._pairs: list[tuple[int, Indices, Indices]] = []
+        self._pairs: list[tuple[int, Indices, Indices, float]] = []
         self._count = 0
 
     def add_points(self, points: Indices) -> Indices:
@@ -71,27 +74,27 @@ class DesignBuilder:
         self._count += len(points)
         return rows
 
-    def add_pairs(self, column: int, first: Indices, second: Indices) -> None:
+    def add_pairs(self, column: int, first: Indices, second: Indices, judged: float = 0.0) -> None:
         """Adds one analysis of r effects of the parameter in `column`: pairs of rows, shape (r,), that differ only in that column."""
-        self._pairs.append((column, first, second))
+        self._pairs.append((column, first, second, judged))
 
     def add_gaps(self, column: int, samples: int, count: int) -> None:
-        """Adds `count` analyses without effects, in place of intervals that the parameter in `column` does not have."""
+        """Adds `count` analyses without effects, in place of intervals that the parameter in `column` does not have or reach."""
         nothing = np.zeros(samples, dtype=np.int64)
-        self._pairs += [(column, nothing, nothing)] * count
+        self._pairs += [(column, nothing, nothing, 0.0)] * count
 
     def design(self, *shape: int) -> Design:
         """Returns the design, with its analyses in the order of their addition, shaped (*shape, r)."""
         points = np.concatenate(self._points)
         points.flags.writeable = False  # scenarios share them, and effects are computed from them later
-        first = np.stack([pair for _, pair, _ in self._pairs])
-        second = np.stack([pair for _, _, pair in self._pairs])
-        columns = np.array([column for column, _, _ in self._pairs])[:, np.newaxis]
+        every, firsts, seconds, least = zip(*self._pairs, strict=True)
+        first, second, columns = np.stack(firsts), np.stack(seconds), np.array(every)[:, np.newaxis]
         moves = points[second, columns] - points[first, columns]
         steps = np.where(self._unordered[columns], np.sign(moves), moves / (self._n_values[columns] - 1))
         steps[first == second] = np.nan
+        judged = np.copysign(np.maximum(np.abs(steps), np.array(least)[:, np.newaxis]), steps)
         full = (*shape, first.shape[-1])
-        return Design(points, first.reshape(full), second.reshape(full), steps.reshape(full))
+        return Design(points, *(each.reshape(full) for each in (first, second, steps, judged)))
 
 
 SHIFT = 4
@@ -209,6 +212,8 @@ def paper_design(
 
 BASE, PAIRS = 1, 2
 """Key of a design's sequence: base points, or the pairs of a box."""
+POOL = 8
+"""Feasible points for each sample; those with room for a step serve."""
 
 
 def base_points(n_values: Indices, samples: int, *key: int) -> Indices:
@@ -218,16 +223,16 @@ def base_points(n_values: Indices, samples: int, *key: int) -> Indices:
 
 
 def pairs_inside(
-    own: Indices, mine: npt.NDArray[np.bool_], lower: int, upper: int, *key: int, shortest: float = SHORTEST
+    own: Indices, mine: npt.NDArray[np.bool_], lower: Indices, upper: Indices, *key: int, shortest: float = SHORTEST
 ) -> tuple[Indices, Indices]:
     """Two values of one parameter per base point, both of shape (samples,), inside [lower, upper], at least a step apart.
 
-    `own`: the base points' values, which serve as the first where `mine` says that they lie in this box; shape (samples,).
+    `own`: the base points' values, which serve as the first where `mine` says that they lie in the box; shape (samples,). `lower`,
+    `upper`: one box, shape (1,), or one for each of them.
     """
     rows = SobolRows(COLUMNS, *key, PAIRS)
-    box = np.array([lower]), np.array([upper])
-    first = np.where(mine, own, snapped(rows.upto(len(own))[: len(own), 0], *box))
-    return first, auxiliary_points(rows, 1, first[:, np.newaxis], *box, shortest)[:, 0]
+    first = np.where(mine, own, snapped(rows.upto(len(own))[: len(own), 0], lower, upper))
+    return first, auxiliary_points(rows, 1, first[:, np.newaxis], lower[:, np.newaxis], upper[:, np.newaxis], shortest)[:, 0]
 
 
 def lines_design(
@@ -245,9 +250,9 @@ def lines_design(
         home = np.minimum(np.searchsorted(marks, base[:, column], side="right") - 1, len(marks) - 2)
         for interval, (lower, upper) in enumerate(pairwise(marks.tolist())):
             mine = home == interval
-            shortest = _shortest(column, unordered)
+            shortest = float(np.broadcast_to(shortest_shares(unordered), n_values.shape)[column])
             key = (seed, tag, column, interval)
-            first, second = pairs_inside(base[:, column], mine, lower, upper, *key, shortest=shortest)
+            first, second = pairs_inside(base[:, column], mine, np.array([lower]), np.array([upper]), *key, shortest=shortest)
             first_rows = base_rows.copy()
             first_rows[~mine] = builder.add_points(_moved(base[~mine], column, first[~mine]))
             builder.add_pairs(column, first_rows, builder.add_points(_moved(base, column, second)))
@@ -262,26 +267,39 @@ def regions_design(
     seed: int,
     tag: int,
     unordered: Unordered | None = None,
+    inside: FeasibleRegion | None = None,
+    shape: tuple[int, ...] = (),
 ) -> Design:
     """Returns an analysis per (column, lower, upper) in `regions`, on shared base points: 2 r runs each; effects (n_regions, r).
 
-    A base point inside a region is the first of the two, so that regions share these runs; what is asked twice is
-    answered by the reference table. Equal regions have equal points, whatever else is in the list.
+    `inside`: an analysis has feasible base points, from which the parameter can cross half of the region, or the most; there its box ends
+    where the parameter leaves the feasible region. Regions without two steps are gaps. `shape`: that of the effects, less samples.
+    A base point inside a region is the first of the two, so that regions share these runs; what is asked twice is answered by
+    the reference table. Equal regions have equal points, whatever else is in the list.
     """
-    base = base_points(n_values, samples, seed, tag)
-    builder = DesignBuilder(n_values, unordered)
-    for column, lower, upper in regions:
-        own = base[:, column]
+    drawing = np.random.Generator(np.random.PCG64([seed, tag, BASE]))
+    base = pool = base_points(n_values, samples, seed, tag) if inside is None else inside.sample(POOL * samples, drawing)
+    builder, columns = DesignBuilder(n_values, unordered), {column for column, _, _ in regions}
+    rooms = {} if inside is None else {column: inside.room(pool, column) for column in columns}
+    for column, least, most in regions:
+        lower, upper = np.array([least]), np.array([most])
+        if rooms:
+            start, end = rooms[column]
+            room = np.minimum(np.minimum(end, most) - np.maximum(start, least), (most - least + 1) // 2)
+            if np.count_nonzero(room > 0) < 2:
+                builder.add_gaps(column, samples, 1)
+                continue
+            chosen = np.argsort(-room, kind="stable")[:samples]
+            base, lower = pool[chosen], np.clip(start[chosen], least, most - 1)
+            upper = np.clip(end[chosen], lower + 1, most)
+        own, key = base[:, column], (seed, tag, column)
         mine = (own >= lower) & (own <= upper)
-        first, second = pairs_inside(own, mine, lower, upper, seed, tag, column, shortest=_shortest(column, unordered))
+        shortest = float(np.broadcast_to(shortest_shares(unordered), n_values.shape)[column])
+        first, second = pairs_inside(own, mine, lower, upper, *key, shortest=shortest)
+        judged = shortest * (most - least) / (n_values[column] - 1) if rooms else 0.0
         rows = builder.add_points(_moved(base, column, first))
-        builder.add_pairs(column, rows, builder.add_points(_moved(base, column, second)))
-    return builder.design(len(regions))
-
-
-def _shortest(column: int, unordered: Unordered | None) -> float:
-    """Returns the shortest step of a parameter as a share of a box; between choices every change is as long."""
-    return 0.0 if unordered is not None and unordered[column] else SHORTEST
+        builder.add_pairs(column, rows, builder.add_points(_moved(base, column, second)), judged)
+    return builder.design(*(shape or (len(regions),)))
 
 
 def _moved(points: Indices, column: int, values: Indices) -> Indices:

@@ -161,7 +161,10 @@ class ScenarioState:
         """Regions to be confirmed in the next round."""
 
     def take_intervals(self, scores: Floats, effects: Floats, steps: Floats) -> None:
-        """Cuts regions without influence. `scores` has all runs; `effects` and `steps` have the shape (n_p, n_Int, r)."""
+        """Cuts regions without influence. `scores` has all runs; `effects` and `steps` have the shape (n_p, n_Int, r).
+
+        An interval without steps counts as influential if any other one is.
+        """
         for column in range(len(self._edges)):
             count = len(self._edges[column]) - 1
             rows = zip(effects[column][:count], steps[column][:count], strict=True)
@@ -169,7 +172,11 @@ class ScenarioState:
         self.unknown = tells_nothing(scores, self._scale)
         if not self.unknown:
             for column, verdicts in enumerate(self._intervals):
-                self._try(cut(column, [interval.influential for interval in verdicts]))
+                influential, reached = (
+                    np.array([each.influential for each in verdicts]),
+                    ~np.isnan(steps[column][: len(verdicts), 0]),
+                )
+                self._try(cut(column, (influential & (influential & reached).any()).tolist()))
 
     def take_confirmations(self, effects: Floats, steps: Floats) -> None:
         """Restores influential regions. `effects`, `steps`: shape (n_waiting, r), in the order of `waiting`."""

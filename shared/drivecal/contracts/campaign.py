@@ -374,7 +374,7 @@ class ExpectedRuns(Answer):
 
     problem: str = ""
     sensitivity: int
-    """Runs of the interval analysis, at most if it is `sequential`; its results decide confirmations and the global analysis."""
+    """Runs of the intervals, at most if `sequential` or with constraints; its results decide confirmations and the global analysis."""
     sensitivity_at_most: int
     calibration_proposed: int
     calibration_at_most: int

@@ -251,6 +251,14 @@ class FeasibleRegion:
                 return kept[:n]
         return np.concatenate([kept, self._walked(self.repair(self._hypercube(n - len(kept), generator)), generator)])
 
+    def room(self, rows: Indices, column: int) -> tuple[Indices, Indices]:
+        """Returns the first and last index of a column that feasible rows can reach, shape (n,) each; of a choice all."""
+        own, direction = rows[:, column], np.zeros(rows.shape)
+        if self._unordered[column]:
+            return 0 * own + self._polytope.lower[column], 0 * own + self._polytope.upper[column]
+        direction[:, column] = 1.0
+        return own - np.rint(self._reach(rows, -direction)).astype(int), own + np.rint(self._reach(rows, direction)).astype(int)
+
     def _hypercube(self, n: int, generator: np.random.Generator) -> Indices:
         shape = (n, len(self._width))
         strata = generator.permuted(np.tile(np.arange(n)[:, np.newaxis], (1, shape[1])), axis=0)

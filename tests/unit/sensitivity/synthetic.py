@@ -5,6 +5,7 @@ from decimal import Decimal
 
 import numpy as np
 
+from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.designs import Floats
@@ -38,6 +39,11 @@ def staircase(space: ParameterSpace, box: Box, steps: int = 8) -> Score:
         return np.asarray(1 + np.floor(np.where(fold < 6, fold, 12 - fold)))
 
     return score
+
+
+def influence_map(analysis: SensitivityAnalysis) -> dict[str, dict[str, Influence]]:
+    every = analysis.result().items()
+    return {scenario: {name: each.influence for name, each in found.parameters.items()} for scenario, found in every}
 
 
 def drive(analysis: SensitivityAnalysis, scores: Mapping[str, Score]) -> list[tuple[str, dict[str, int]]]:

@@ -44,7 +44,7 @@ def test_fewer_than_two_effects_say_nothing() -> None:
 
 
 def test_effects_are_changes_over_the_whole_scale_per_full_range() -> None:
-    design = Design(np.array([[0], [5], [10]]), np.array([0, 1]), np.array([1, 2]), np.array([0.5, 0.5]))
+    design = Design(np.array([[0], [5], [10]]), np.array([0, 1]), np.array([1, 2]), *[np.array([0.5, 0.5])] * 2)
     assert design.effects(np.array([0.0, 7.0, 3.5])).tolist() == [2.0, -1.0]
 
 

@@ -1,6 +1,7 @@
 """Analyses of continuous parameters, integers and choices, and within constraints."""
 
 from decimal import Decimal
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -10,6 +11,8 @@ from hypothesis import strategies as st
 from tests.support.effort import examples
 from tests.unit.sensitivity.synthetic import drive
 
+from drivecal.bundles.expressions import Constraint
+from drivecal.domain.constraints import Constraints
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.sensitivity.analysis import SensitivityAnalysis
@@ -90,14 +93,12 @@ def test_every_change_of_a_choice_is_a_step_of_the_whole_range(seed: int) -> Non
 @designs
 @sequentially
 def test_points_that_break_constraints_are_never_asked(design: Literal["lines", "paper"], sequential: bool) -> None:
-    def feasible(points: Indices) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        return np.asarray((points[:, 0] / LAST[0] <= 0.8) | (points[:, 1] > 1), dtype=np.bool_)
-
+    constraints = Constraints(SPACE, {"slow or high": lambda values: (values["speed"] <= 800) | (values["gears"] > 2)})
     chosen = SensitivitySettings(design, 8, 24, "auto", 5, sequential)
-    analysis = SensitivityAnalysis(SPACE, ["S1", "S2"], chosen, feasible=feasible)
+    analysis = SensitivityAnalysis(SPACE, ["S1", "S2"], chosen, constraints=constraints)
 
     def kept(points: Indices) -> Floats:
-        assert feasible(points).all()
+        assert constraints.feasible(points).all()
         return score(points)
 
     drive(analysis, {"S1": kept, "S2": kept})
@@ -107,9 +108,20 @@ def test_points_that_break_constraints_are_never_asked(design: Literal["lines", 
     assert result["speed"].influence.upper is not None
 
 
-def test_an_analysis_that_may_ask_nothing_knows_nothing() -> None:
-    analysis = SensitivityAnalysis(SPACE, ["S1"], SETTINGS, feasible=lambda points: np.zeros(len(points), dtype=np.bool_))
-    assert analysis.ask() is None
-    result = analysis.result()["S1"]
-    assert result.unknown
-    assert all(parameter.influence.influential for parameter in result.parameters.values())
+def test_each_coefficient_of_a_curve_with_a_form_gets_steps_within_what_is_announced() -> None:
+    names = [f"gain_{number}" for number in range(1, 9)]
+    space = ParameterSpace(tuple(Parameter.from_step(name, Decimal(0), Decimal(4), None) for name in [*names, "mass"]))
+    form = [f"{b} <= {a}" for a, b in pairwise(names)] + [
+        f"{a} - 2*{b} + {c} >= 0" for a, b, c in zip(names, names[1:], names[2:], strict=False)
+    ]
+    constraints = Constraints(space, {text: Constraint(text, dict.fromkeys(names, ())) for text in form})
+    analysis = SensitivityAnalysis(
+        space, ["S1"], SensitivitySettings("lines", 4, 8, "auto", 5, sequential=False), constraints=constraints
+    )
+    announced = analysis.expected_runs()
+    told = drive(analysis, {"S1": lambda points: 1 + 6 * (points / (space.n_values - 1))[:, [1, 8]].mean(axis=1)})
+    for name, runs in announced.items():
+        assert sum(made["S1"] for phase, made in told if phase == name) <= runs
+    result = analysis.result()["S1"].parameters
+    assert all(any(each.measures.n_effects > 1 for each in parameter.intervals) for parameter in result.values())
+    assert {name for name, parameter in result.items() if parameter.influence.influential} == {"gain_2", "mass"}

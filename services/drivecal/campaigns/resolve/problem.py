@@ -100,7 +100,7 @@ class CalibrationProblem:
         if not self.policy.reuses and not self.bench.is_random:
             notes.append("the influence map answers no cell: checks in lots would simulate each cell that this search asks for")
         if runs.sensitivity > saved:
-            words = f"it would probably save {saved:,} simulations of this search, and takes {runs.sensitivity:,}"
+            words = f"it would probably save {saved:,} simulations, and takes at most {runs.sensitivity_at_most:,}"
             notes.append(f"the sensitivity analysis does not pay: {words}; leave it out, or let other campaigns use its map")
         return tuple(notes)
 

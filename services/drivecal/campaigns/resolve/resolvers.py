@@ -182,8 +182,7 @@ def plan_analysis(
         seed=wanted.seed,
         sequential=wanted.sequential,
     )
-    feasible = constraints.feasible if constraints else None
-    return SensitivityAnalysis(constraints.space, scenarios, settings, scale, feasible)
+    return SensitivityAnalysis(constraints.space, scenarios, settings, scale, constraints)
 
 
 def normalise_weights(
