@@ -3,6 +3,7 @@
 With several objectives or constraints, sets are ranked by the first objective, feasible ones first, and the others make a front.
 """
 
+from bisect import bisect_left
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import fmean
@@ -254,34 +255,34 @@ class Ranking:
         """Returns the seeds under which a set was run."""
         return self._runs.get(parameter_set, {}).keys()
 
-    def keeps(self, parameter_set: int) -> bool:
-        """Returns whether a set keeps all constraints, by the seeds that choose."""
-        return self._solutions[parameter_set].choice.violation == 0
-
-    def is_open(self, parameter_set: int) -> bool:
-        """Returns whether further seeds may show that a set keeps its rates, and nothing else is in its way."""
+    def to_show(self, parameter_set: int, most: int | None = None) -> int | None:
+        """Returns under how many further seeds a set shows that it keeps all constraints, if no further run is beyond a limit: 0 if it has
+        shown it by the seeds that choose. None if `most` seeds do not suffice, by default those left to choose, or if it breaks one."""
         judgement, runs = self._solutions[parameter_set].choice.judgement, self._runs[parameter_set]
         if self._goals is None or judgement is None or not judgement.undecided:
-            return False
-        left = sum(seed not in runs for seed in range(1, self._choosing + 1))
-        return left > 0 and all(
-            replicates.rate_bounds(beyond, count + left * len(bound.shares), bound.confidence)[1] <= bound.rate
-            for bound in self._goals.bounds
-            if bound.rate is not None
-            for beyond, count in [bound.beyond(self._counted(parameter_set))]
-        )
+            return None if judgement is not None and judgement.broken else 0
+        left = sum(seed not in runs for seed in range(1, self._choosing + 1)) if most is None else most
+        cells = self._counted(parameter_set)
+        rates = [(bound, bound.rate, *bound.beyond(cells)) for bound in self._goals.bounds if bound.rate is not None]
+
+        def is_shown(seeds: int) -> bool:
+            return all(
+                replicates.rate_bounds(beyond, count + seeds * len(bound.shares), bound.confidence)[1] <= rate
+                for bound, rate, beyond, count in rates
+            )
+
+        return bisect_left(range(left), True, key=is_shown) if is_shown(left) else None
 
     def _counted(self, parameter_set: int) -> list[dict[str, CellScore]]:
         """Returns the cells of a set by seed that rates count: of the seeds that choose."""
         return [cells for seed, cells in sorted(self._runs[parameter_set].items()) if seed <= self._choosing]
 
-    def standing(self, *, with_open: bool = False) -> tuple[list[int], SetStatistics] | None:
+    def standing(self, seeds: int = 0) -> tuple[list[int], SetStatistics] | None:
         """Returns what is known of the sets by the seeds that choose, and their ids; None without a set. Sets that keep all
-        constraints, or else all sets. `with_open`: sets that may turn out to keep them as well."""
+        constraints, or may show it under this many further `seeds`, or else all sets."""
         everything = list(self._solutions.values())
-        kept = [
-            each for each in everything if self.keeps(each.parameter_set) or (with_open and self.is_open(each.parameter_set))
-        ]
+        needed = [(each, self.to_show(each.parameter_set)) for each in everything]
+        kept = [each for each, further in needed if further is not None and further <= seeds]
         kept = kept or everything
         kept.sort(key=lambda each: each.parameter_set)  # sums depend on the order, which is another one after a restart
         by_seed = {each.parameter_set: self._chosen_by(each) for each in kept}

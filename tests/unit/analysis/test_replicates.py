@@ -300,23 +300,24 @@ RATE = Bound("gap", CellValue(measure="gap", failed=-1.0), {"S1": 1.0}, Aggregat
 """At most a tenth of the runs has a gap below 0: 22 runs without one show it."""
 
 
-def rated(most: int, fails: dict[int, int]) -> Ranking:
-    """Three sets, the first the best. `fails`: each how many seeds one run of a set has a gap below 0."""
+def rated(most: int, fails: dict[int, int], sets: int = 3, budget: int = 1000, scatter: float = 0.1) -> Ranking:
+    """Sets, the first the best. `fails`: each how many seeds one run of a set has a gap below 0."""
     scale = Scale("score", Direction.MAXIMISE, -10, 10, 0.0, -10, None, "1")
     goals = Goals((Objective("score", CellValue(scale), {"S1": 1.0}, Aggregate(), 1),), (RATE,))
     wanted = ReplicatesSpecification(most=most)
     ranking = Ranking({"S1": 1}, goals=goals, wanted=wanted)
-    chosen = [(place, 1) for place in range(3)]
-    noise = np.random.Generator(np.random.PCG64(1)).normal(size=(3, most)) / 10
+    chosen = [(place, 1) for place in range(sets)]
+    noise = np.random.Generator(np.random.PCG64(1)).normal(size=(sets, most)) * scatter
     while chosen:
         cells = []
         for place, seed in chosen:
             gap = -1.0 if place in fails and seed % fails[place] == 0 else 1.0
-            score = float(noise[place, seed - 1] - place)
+            score = float(noise[place, seed - 1] - place / 2 + gap / 4)
             values = {RATE.value.key: gap}
             cells.append(CellScore(place, "S1", score, score, True, 0, place, seed=seed, values=values))
         ranking.add(cells)
-        chosen = next_runs(ranking, wanted, 4, 1000)
+        chosen = next_runs(ranking, wanted, 4, budget)
+        budget -= len(chosen)
     return ranking
 
 
@@ -359,3 +360,11 @@ def test_the_best_set_gets_the_runs_that_show_its_rate(most: int, fails: dict[in
     assert (winner[0].parameter_set, winner[0].violation > 0, winner[0].is_undecided) == (best, undecided, undecided)
     for place in fails:  # it can keep the rate no more, and gets no further runs
         assert max(ranking.seeds(place)) < 22
+
+
+def test_a_small_budget_decides_the_rate_of_one_set_before_it_tries_another() -> None:
+    ranking = rated(40, {0: 2, 1: 3}, sets=12, budget=34, scatter=0.0)
+    winner = ranking.best()
+    assert winner is not None
+    assert (winner[0].parameter_set, winner[0].is_undecided) == (2, False)
+    assert [ranking.to_show(place) for place in range(4)] == [None, None, 0, 21 - (len(ranking.seeds(3)) - 1)]

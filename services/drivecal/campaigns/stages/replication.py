@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis import replicates
@@ -105,28 +106,34 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
         room: the largest number of runs.
         affordable: number of runs, each in all scenarios, that the budget has left.
     """
-    known = ranking.standing(with_open=True)
-    if known is None or wanted.most < 2:
+    kept = ranking.standing()
+    if kept is None or wanted.most < 2:
         return []
-    numbers, standing = known
     choosing = replicates.choosing(wanted.most)
     fresh = range(choosing + 1, wanted.most + 1)
-    chosen: dict[int, list[int]] = {}
-    # a small budget reports by fewer runs
-    report = len(fresh) if standing.is_known else min(len(fresh), max(FEWEST_REPORTING, affordable - replicates.FIRST))
-    for place in replicates.allocate(standing, min(room, affordable - report), choosing, wanted.confidence):
-        tried = {*ranking.seeds(numbers[place]), *chosen.get(numbers[place], ())}
-        seed = next((seed for seed in range(1, choosing + 1) if seed not in tried), None)
-        if seed is not None:  # a seed without a result is not tried again
-            chosen.setdefault(numbers[place], []).append(seed)
-    leader = numbers[standing.best(wanted.confidence)]
-    kept = ranking.standing() or known
-    spare = affordable - len(fresh) if ranking.keeps(kept[0][0]) else affordable  # without a set, there is nothing to report
-    if not chosen and spare > 0 and ranking.is_open(leader):
-        known_seeds = ranking.seeds(leader)
-        untried = [seed for seed in range(1, choosing + 1) if seed not in known_seeds]
-        chosen[leader] = untried[: min(room, spare, len(known_seeds))]  # at most as many again: a bad set is soon known
-    if chosen or (standing.is_known and not standing.is_random):
+    spare = (
+        affordable - len(fresh) if ranking.to_show(kept[0][0]) == 0 else affordable
+    )  # without a set, there is nothing to report
+    numbers, standing = ranking.standing(spare) or kept
+    needed = {place: seeds for place, number in enumerate(numbers) if (seeds := ranking.to_show(number))}
+    leader, chosen = standing.best(wanted.confidence), dict[int, list[int]]()
+
+    def untried(number: int) -> list[int]:  # a seed without a result is not tried again
+        tried = {*ranking.seeds(number), *chosen.get(number, ())}
+        return [seed for seed in range(1, choosing + 1) if seed not in tried]
+
+    if needed.get(leader, spare + 1) <= spare and standing.counts.max() > 1:
+        # of sets as good as the leader, as far as is known, the one with the fewest seeds left to show its rates is first
+        close = np.flatnonzero(standing.ahead(leader) > 1 - wanted.confidence).tolist()
+        place = min([leader, *close], key=lambda place: needed.get(place, choosing))
+        number = numbers[place]  # half as many again: a bad set is soon known
+        chosen[number] = untried(number)[: min(room, needed[place], max(1, len(ranking.seeds(number)) // 2))]
+    else:
+        # a small budget reports by fewer runs
+        report = len(fresh) if standing.is_known else min(len(fresh), max(FEWEST_REPORTING, affordable - replicates.FIRST))
+        for place in replicates.allocate(standing, min(room, affordable - report), choosing, wanted.confidence):
+            chosen.setdefault(numbers[place], []).extend(untried(numbers[place])[:1])
+    if any(chosen.values()) or (standing.is_known and not standing.is_random):
         return [(number, seed) for number, seeds in chosen.items() for seed in seeds]
     numbers, standing = kept
     best = numbers[standing.best(wanted.confidence)]
