@@ -186,6 +186,11 @@ class Bound(Goal):
         values = [cell.score if self.value.key == SCORE else cell.values.get(self.value.key) for cell in cells]
         return sum(value is None or self.violation(value) > 0 for value in values), len(values)
 
+    def is_shown(self, cells: Iterable[Mapping[str, CellScore]], seeds: int) -> bool:
+        """Returns whether its rate is kept if no run under further `seeds` is beyond the limit; `cells` as in `beyond`."""
+        beyond, runs = self.beyond(cells)
+        return rate_bounds(beyond, runs + seeds * len(self.shares), self.confidence)[1] <= (self.rate or 0.0)
+
     def excess(self, share: float, least: float, most: float) -> float:
         """Returns the violation of the rate by a share of runs with these bounds: 0 if it is surely kept. If runs do not tell, it is
         UNDECIDED at most, and the less the nearer the set is to show it."""

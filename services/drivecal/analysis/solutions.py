@@ -90,7 +90,7 @@ UNCOMPARED["is_close"] = False
 
 @dataclass(frozen=True, slots=True)
 class FrontMember:
-    """A set of the front, its answers by scenario, and the ids of the sets with the same objectives, itself included."""
+    """A set of the front by the seeds that choose, its answers by scenario, and the ids of all sets with its objectives."""
 
     solution: EvaluatedSet
     alike: frozenset[int]
@@ -200,11 +200,12 @@ class Ranking:
         self._varies |= len({solution.rating for solution in whole.values()}) > 1
         fresh = [seed for seed in whole if seed > self._choosing]
         choosing = [seed for seed in whole if seed <= self._choosing] or fresh
-        solution = self._mean(number, choosing)
+        reported = self._mean(number, fresh) if len(fresh) > 1 and choosing is not fresh else None
+        solution = self._mean(number, choosing)  # last: the answers of a set are by the seeds that choose
         if solution is None:
             return None
-        if len(fresh) > 1 and choosing is not fresh and (reported := self._mean(number, fresh)) is not None:
-            solution = replace(reported, chosen_by=solution)
+        if reported is not None:
+            solution = replace(reported, chosen_by=replace(solution, replicates=len(choosing)))
         failures = sum(cell.failed for seed in whole for cell in runs[seed].values())
         return replace(solution, replicates=len(whole), failures=failures)
 
@@ -255,23 +256,16 @@ class Ranking:
         """Returns the seeds under which a set was run."""
         return self._runs.get(parameter_set, {}).keys()
 
-    def to_show(self, parameter_set: int, most: int | None = None) -> int | None:
+    def to_show(self, parameter_set: int, *, ever: bool = False) -> int | None:
         """Returns under how many further seeds a set shows that it keeps all constraints, if no further run is beyond a limit: 0 if it has
-        shown it by the seeds that choose. None if `most` seeds do not suffice, by default those left to choose, or if it breaks one."""
+        shown it by the seeds that choose. None if the seeds left to choose do not suffice, or, `ever`, a million, or if it breaks one."""
         judgement, runs = self._solutions[parameter_set].choice.judgement, self._runs[parameter_set]
         if self._goals is None or judgement is None or not judgement.undecided:
             return None if judgement is not None and judgement.broken else 0
-        left = sum(seed not in runs for seed in range(1, self._choosing + 1)) if most is None else most
-        cells = self._counted(parameter_set)
-        rates = [(bound, bound.rate, *bound.beyond(cells)) for bound in self._goals.bounds if bound.rate is not None]
-
-        def is_shown(seeds: int) -> bool:
-            return all(
-                replicates.rate_bounds(beyond, count + seeds * len(bound.shares), bound.confidence)[1] <= rate
-                for bound, rate, beyond, count in rates
-            )
-
-        return bisect_left(range(left), True, key=is_shown) if is_shown(left) else None
+        left = 1_000_000 if ever else sum(seed not in runs for seed in range(1, self._choosing + 1))
+        rates, counted = [bound for bound in self._goals.bounds if bound.rate is not None], self._counted(parameter_set)
+        shown = bisect_left(range(left + 1), True, key=lambda seeds: all(bound.is_shown(counted, seeds) for bound in rates))
+        return shown if shown <= left else None
 
     def _counted(self, parameter_set: int) -> list[dict[str, CellScore]]:
         """Returns the cells of a set by seed that rates count: of the seeds that choose."""
@@ -443,7 +437,7 @@ class Ranking:
         ordered = sorted(np.flatnonzero(kept).tolist(), key=lambda place: self.order(judged[place][0]))
         alike = [[judged[ordered[place]][0] for place in group] for group in self._alike(self._goals, points[ordered])]
         members = [
-            FrontMember(first, frozenset(each.parameter_set for each in sets), self._answers[first.parameter_set])
+            FrontMember(first.choice, frozenset(each.parameter_set for each in sets), self._answers[first.parameter_set])
             for sets in alike
             for first in [min(sets, key=lambda each: bool(each.reused))]
         ]

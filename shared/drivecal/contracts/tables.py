@@ -307,6 +307,8 @@ class FrontRow(Answer):
     wins: float | None
     weights: Annotated[list[list[float]] | None, JSON_ONLY]
     alternatives: int
+    replicates: int = 1
+    """Number of its first seeds, which choose: its values are means over these, even if further seeds report it."""
     degree: int | None
     scores: Annotated[dict[str, Score], Spread("score_")]
     values: Annotated[dict[str, float], Spread("value_")] = Field(default_factory=dict)

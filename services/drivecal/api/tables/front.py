@@ -55,6 +55,7 @@ def front_table(
                 wins=None if winning is None else winning[place].share,
                 weights=None if winning is None else [list(corner) for corner in winning[place].corners],
                 alternatives=member.alternatives,
+                replicates=solution.replicates,
                 degree=degrees.get(key_of(parameters)),
                 scores={name: plain(score) for name, score in solution.scores.items()},
                 values=front.goals.named_values(member.cells),

@@ -25,7 +25,7 @@ _COPIED = {Outcome.REUSED, Outcome.PREDICTED, Outcome.FAILED}
 
 @dataclass(frozen=True)
 class CampaignFront:
-    """All sets with every objective, best first, and the members of the front in their order."""
+    """All sets with every objective, by the seeds that choose, best first, and the members of the front in their order."""
 
     goals: Goals
     ranked: Sequence[EvaluatedSet]
@@ -108,7 +108,7 @@ def front_of(database: Database, campaign: StoredCampaign, resolved: ResolvedSpe
                 connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=valued_by(goals)
             )
         )
-    return CampaignFront(goals, ranking.ranking(), ranking.front())
+    return CampaignFront(goals, [each.choice for each in ranking.ranking()], ranking.front())
 
 
 def answers_of(database: Database, campaign: StoredCampaign, sets: Sequence[EvaluatedSet]) -> dict[int, dict[str, str]]:

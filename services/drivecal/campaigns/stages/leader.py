@@ -12,9 +12,6 @@ from drivecal.storage import events
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.references import parameter_sets
 
-MOST_SEEDS = 1_000_000
-"""Further seeds that a note names at most."""
-
 
 class Leader:
     """The best set of a `ranking`, and the baseline."""
@@ -83,7 +80,7 @@ class Leader:
         if self.best is None or best is None or self.best.violation <= 0:
             return []
         broken = "is not known to keep them" if self.best.undecided else f"breaks them by {self.best.violation:.1%}"
-        if self.best.undecided and (seeds := self._ranking.to_show(best[0].parameter_set, MOST_SEEDS)):
+        if self.best.undecided and (seeds := self._ranking.to_show(best[0].parameter_set, ever=True)):
             runs = seeds * len(self._problem.scenarios)
             broken += f": budget or `most` is too small; {runs:,} more runs, all within limits, show it"
         return [f"no set keeps all constraints on results: the best set {broken}"]

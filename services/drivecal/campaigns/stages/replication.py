@@ -116,25 +116,22 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
     )  # without a set, there is nothing to report
     numbers, standing = ranking.standing(spare) or kept
     needed = {place: seeds for place, number in enumerate(numbers) if (seeds := ranking.to_show(number))}
-    leader, chosen = standing.best(wanted.confidence), dict[int, list[int]]()
-
-    def untried(number: int) -> list[int]:  # a seed without a result is not tried again
-        tried = {*ranking.seeds(number), *chosen.get(number, ())}
-        return [seed for seed in range(1, choosing + 1) if seed not in tried]
-
+    untried = [[seed for seed in range(1, choosing + 1) if seed not in ranking.seeds(number)] for number in numbers]
+    leader = standing.best(wanted.confidence)
     if needed.get(leader, spare + 1) <= spare and standing.counts.max() > 1:
         # of sets as good as the leader, as far as is known, the one with the fewest seeds left to show its rates is first
         close = np.flatnonzero(standing.ahead(leader) > 1 - wanted.confidence).tolist()
         place = min([leader, *close], key=lambda place: needed.get(place, choosing))
-        number = numbers[place]  # half as many again: a bad set is soon known
-        chosen[number] = untried(number)[: min(room, needed[place], max(1, len(ranking.seeds(number)) // 2))]
+        half = max(1, len(ranking.seeds(numbers[place])) // 2)  # of its seeds so far: a bad set is soon known
+        places = [place] * min(room, needed[place], half)
     else:
         # a small budget reports by fewer runs
         report = len(fresh) if standing.is_known else min(len(fresh), max(FEWEST_REPORTING, affordable - replicates.FIRST))
-        for place in replicates.allocate(standing, min(room, affordable - report), choosing, wanted.confidence):
-            chosen.setdefault(numbers[place], []).extend(untried(numbers[place])[:1])
-    if any(chosen.values()) or (standing.is_known and not standing.is_random):
-        return [(number, seed) for number, seeds in chosen.items() for seed in seeds]
+        places = replicates.allocate(standing, min(room, affordable - report), choosing, wanted.confidence)
+    # a seed without a result is not tried again
+    chosen = [(numbers[place], untried[place].pop(0)) for place in places if untried[place]]
+    if chosen or (standing.is_known and not standing.is_random):
+        return chosen
     numbers, standing = kept
     best = numbers[standing.best(wanted.confidence)]
     left = [seed for seed in fresh if seed not in ranking.seeds(best)]

@@ -24,14 +24,15 @@ def front_blocks(rows: Sequence[FrontRow], summary: FrontSummary, limit: int = S
         caption += ". *: a score is that of a reference"
     first = rows[0]
     weighted = ["weighted"] if first.weighted is not None else []
-    header = ["rank", *first.objectives, *weighted, *first.constraints, "wins", "sets", "robust", "", *first.parameters]
+    seeds = ["seeds"] if any(row.replicates > 1 for row in kept) else []
+    header = ["rank", *first.objectives, *weighted, *first.constraints, "wins", "sets", *seeds, "robust", "", *first.parameters]
     cells = [
         [
             row.rank,
             *(f"{amount:.6g}" for amount in row.objectives.values()),
             *(f"{row.weighted:.4f}" for _ in weighted),
             *(f"{amount:.6g}" for amount in row.constraints.values()),
-            *(percent(row.wins, 1), row.alternatives, row.degree),
+            *(percent(row.wins, 1), row.alternatives, *(row.replicates for _ in seeds), row.degree),
             front_marks(row),
             *row.parameters.values(),
         ]

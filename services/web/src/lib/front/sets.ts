@@ -27,6 +27,7 @@ export function tableOf(rows: readonly FrontRow[], parameters: readonly { name: 
   add("best_in", (row) => row.best_in.join(" ") || null);
   add("wins", (row) => row.wins);
   add("alternatives", (row) => row.alternatives);
+  add("replicates", (row) => row.replicates ?? 1);
   add("degree", (row) => row.degree);
   spread((key) => `score_${key}`, (row) => row.scores);
   spread((key) => `value_${key}`, (row) => row.values);
