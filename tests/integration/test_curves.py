@@ -60,6 +60,7 @@ def test_results_show_curves_with_the_range_of_good_sets(tmp_path: Path, capsys:
     assert best is not None
     assert baseline is not None
     assert gain.values(baseline.parameters) == [2, 2, 2, 2, 2]
+    assert results.campaign.curves["gain"]["values"] == pytest.approx(gain.values(best.parameters))
     assert best.objective < (baseline.objective or 0)
     off = np.abs(np.array(gain.values(best.parameters)) - WANTED).sum() + abs(
         np.array(load.values(best.parameters))[-1, -1] - 1

@@ -8,6 +8,7 @@ from operator import attrgetter
 from typing import Any, get_args
 
 from drivecal.api.live.dispatcher_health import degraded
+from drivecal.bundles.shapes import Shape
 from drivecal.campaigns.resolve.resolved_spec import stored_goals, stored_scale
 from drivecal.contracts.campaign import Campaign, FirstObjective, Repaired, Seconds, Spent
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
@@ -38,6 +39,7 @@ def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None) -
         seconds=seconds_of(stored, now),
         scale=stored_scale(stored.resolution),
         objective=_first_objective(stored),
+        curves=_curves(stored),
         **_search(stored),
         links=_links(stored),
     )
@@ -54,6 +56,12 @@ def _search(stored: StoredCampaign) -> dict[str, Any]:
         "ended_by": end if end in {"cancelled", "failed"} and search is not None else ended_by,
         "repaired": Repaired() if search is None else search.repaired,
     }
+
+
+def _curves(stored: StoredCampaign) -> dict[str, dict[str, Any]]:
+    parameters, documents = {} if stored.best is None else stored.best.parameters, (stored.resolution or {}).get("shapes", {})
+    shapes = [(Shape.from_document(name, each), each["axes"]) for name, each in documents.items()] if parameters else []
+    return {each.name: {"names": each.names, "axes": axes, "values": each.values(parameters)} for each, axes in shapes}
 
 
 def _first_objective(stored: StoredCampaign) -> FirstObjective | None:

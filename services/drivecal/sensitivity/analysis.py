@@ -14,7 +14,6 @@ The rounds of all parameters and both sides run together, so that each has enoug
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from typing import Literal
 
@@ -64,8 +63,9 @@ class IntervalRuns:
         self._threshold, self._scale = threshold, scale
         self._sequential = sequential
         self._made = np.zeros(len(design.points), dtype=bool)
-        gaps = np.isnan(design.judged[..., 0]).tolist()
-        self._verdicts: list[list[bool | None]] = [[False if gap else None for gap in row] for row in gaps]
+        self._verdicts: list[list[bool | None]] = [
+            [False if gap else None for gap in row] for row in np.isnan(design.judged[..., 0])
+        ]
         self._samples = np.zeros(design.judged.shape[:2], dtype=np.int64)
         self._rows: Indices | None = None
         self.scores: Floats = np.full(len(design.points), np.nan)
@@ -258,8 +258,7 @@ class SensitivityAnalysis:
 
     def _to_run(self, points: Mapping[str, Indices]) -> dict[str, Indices]:
         """Returns the points that are run; equal arrays stay one object."""
-        masks = self._asked
-        kept = {id(drawn): drawn if masks[name].all() else drawn[masks[name]] for name, drawn in points.items()}
+        kept = {id(drawn): drawn if (mask := self._asked[name]).all() else drawn[mask] for name, drawn in points.items()}
         return {scenario: kept[id(drawn)] for scenario, drawn in points.items() if self._asked[scenario].any()}
 
     def result(self) -> dict[str, ScenarioInfluence]:
@@ -289,15 +288,14 @@ class SensitivityAnalysis:
 
     def _interval_points(self) -> dict[str, Indices]:
         if not self._intervals:
-            make = paper_design if self._settings.design == "paper" else lines_design
-            samples, seed = self._settings.samples, self._settings.seed
+            make, settings = paper_design if self._settings.design == "paper" else lines_design, self._settings
             if self._constraints:
                 most = max(self._counts())
                 listed = [[*pairwise(marks.tolist()), *[(0, 0)] * most][:most] for marks in self._edges]
                 boxes = [(column, *box) for column, each in enumerate(listed) for box in each]
                 shared = self._pairs(boxes, _INTERVALS, (len(listed), most))
             else:
-                shared = make(self._space.n_values, self._edges, samples, seed, _INTERVALS, self._unordered)
+                shared = make(self._space.n_values, self._edges, settings.samples, settings.seed, _INTERVALS, self._unordered)
             sequential = self._settings.sequential and self._settings.design == "lines"
             self._intervals = {
                 scenario: IntervalRuns(shared, self._settings.threshold, sequential=sequential, scale=self._scale)
@@ -321,22 +319,18 @@ class SensitivityAnalysis:
         }
         return {scenario: self._pairs(region, tag) for scenario, region in regions.items()}
 
-    @cached_property
-    def _inside(self) -> FeasibleRegion | None:
-        last = self._space.n_values - 1
-        return self._constraints.region(0 * last, last) if self._constraints else None
-
     def _pairs(self, regions: Sequence[tuple[int, int, int]], tag: int, shape: tuple[int, ...] = ()) -> Design:
-        settings, n_values = self._settings, self._space.n_values
-        return regions_design(n_values, regions, settings.samples, settings.seed, tag, self._unordered, self._inside, shape)
+        given, whole = self._settings, self._constraints.whole_region if self._constraints else None
+        inside = whole if isinstance(whole, FeasibleRegion) else None
+        return regions_design(self._space.n_values, regions, given.samples, given.seed, tag, self._unordered, inside, shape)
 
     def _global_designs(self) -> dict[str, Design]:
         n_values = self._space.n_values
         rows = SobolRows(COLUMNS * len(n_values), self._settings.seed, _GLOBAL, 1)
         boxes = {scenario: state.box() for scenario, state in self._states.items() if not state.unknown}
         if self._constraints:
-            regions = {name: np.column_stack([np.arange(len(n_values)), *box]).tolist() for name, box in boxes.items()}
-            return {name: self._pairs(region, _GLOBAL) for name, region in regions.items()}
+            columns = np.arange(len(n_values))
+            return {name: self._pairs(np.stack([columns, *box], axis=1).tolist(), _GLOBAL) for name, box in boxes.items()}
         return {
             scenario: radial_design(n_values, rows, *box, self._settings.samples, unordered=self._unordered)
             for scenario, box in boxes.items()

@@ -293,9 +293,8 @@ def regions_design(
             base, lower = pool[chosen], np.clip(start[chosen], least, most - 1)
             upper = np.clip(end[chosen], lower + 1, most)
         own, key = base[:, column], (seed, tag, column)
-        mine = (own >= lower) & (own <= upper)
         shortest = float(np.broadcast_to(shortest_shares(unordered), n_values.shape)[column])
-        first, second = pairs_inside(own, mine, lower, upper, *key, shortest=shortest)
+        first, second = pairs_inside(own, (own >= lower) & (own <= upper), lower, upper, *key, shortest=shortest)
         judged = shortest * (most - least) / (n_values[column] - 1) if rooms else 0.0
         rows = builder.add_points(_moved(base, column, first))
         builder.add_pairs(column, rows, builder.add_points(_moved(base, column, second)), judged)

@@ -332,6 +332,8 @@ class Campaign(CellsByStage):
     spent: Spent = Spent()
     ended_by: SearchEnd | Literal["cancelled", "failed"] | None = None
     """Why the search ended; null before, and without a search."""
+    curves: dict[str, dict[str, Any]] = {}
+    """Curves and maps of the best set: `names` of the coefficients, support points (`axes`), and `values` there."""
     repaired: Repaired = Repaired()
     seconds: Seconds = Seconds()
     error: str | None = None
@@ -362,6 +364,9 @@ class Campaign(CellsByStage):
             "error": self.error,
         }
         best = {} if self.best is None else {"best objective": self.best.objective, **self.best.parameters}
+        for name, curve in self.curves.items():
+            best = {key: value for key, value in best.items() if key not in curve["names"]}
+            best[f"{name} at {', '.join(map(str, curve['axes']))}"] = curve["values"]
         return bar + html_facts({name: value for name, value in (facts | best).items() if value is not None})
 
 

@@ -42,8 +42,7 @@ def staircase(space: ParameterSpace, box: Box, steps: int = 8) -> Score:
 
 
 def influence_map(analysis: SensitivityAnalysis) -> dict[str, dict[str, Influence]]:
-    every = analysis.result().items()
-    return {scenario: {name: each.influence for name, each in found.parameters.items()} for scenario, found in every}
+    return {key: {name: each.influence for name, each in found.parameters.items()} for key, found in analysis.result().items()}
 
 
 def drive(analysis: SensitivityAnalysis, scores: Mapping[str, Score]) -> list[tuple[str, dict[str, int]]]:

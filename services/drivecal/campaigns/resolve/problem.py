@@ -170,6 +170,8 @@ class CalibrationProblem:
         """
         fixed = fixed_to_document(self.space.fixed)
         resolution = _resolution(self.bench, self.space.parameters) | {"fixed": fixed, "weights": dict(self.weights)}
+        shapes = self.bench.bundle.manifest.shapes.items()
+        resolution |= {"shapes": {name: each.document | {"axes": [list(axis) for axis in each.axes]} for name, each in shapes}}
         resolution |= {} if self.goals is None else {"goals": self.goals.to_json()}
         return resolution | {"variants": {name: goals.to_json() for name, goals in self.variants.items()}}
 
