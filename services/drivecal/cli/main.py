@@ -1,5 +1,6 @@
 """The command line's entry point: commands are imported when they are called."""
 
+import gc
 import io
 import sys
 from importlib.metadata import version
@@ -33,4 +34,5 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace", encoding=None if stream.isatty() else "utf-8")
+    gc.set_threshold(50_000)  # imports make many objects and no garbage: looking for it would take a sixth of a start
     app()
