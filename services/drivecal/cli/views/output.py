@@ -141,7 +141,7 @@ def _uncertainty_texts(best: Best, aggregate: str | Mapping[str, float]) -> Iter
     if best.lower is not None or best.upper is not None:
         what = aggregate if isinstance(aggregate, str) else f"quantile {aggregate['quantile']:g}"
         ends = " to ".join("unknown" if end is None else told(end) for end in (best.lower, best.upper))
-        yield f"objective {ends} ({what}; {best.replicates} seeds, of which the last report it); {best.close} sets cannot be told from it"
+        yield f"objective {ends} ({what} of the last of {best.replicates} seeds); {best.close} other sets may be as good"
     if best.failure_interval is not None:
         lower, upper = best.failure_interval
         yield f"{best.failures} failed runs; {percent(lower, 1)} to {percent(upper, 1)} of its runs fail"
