@@ -64,7 +64,8 @@ def test_each_submission_has_a_key_of_its_own_unless_one_is_given() -> None:
 @pytest.fixture
 def waits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     seconds: list[float] = []
-    monkeypatch.setattr(time, "sleep", seconds.append)
+    clock = SimpleNamespace(sleep=seconds.append, monotonic=time.monotonic)  # of this module alone: other threads sleep on
+    monkeypatch.setattr(transport, "time", clock)
     return seconds
 
 

@@ -2,12 +2,13 @@
 
 import json
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from tests.support.scripted import Answer, campaign, problem, server
 
-from drivecal.client import following
+from drivecal.client import following, transport
 from drivecal.domain.errors import UnavailableError
 
 
@@ -27,8 +28,14 @@ def event(number: str, kind: str, **data: Any) -> tuple[str, str, dict[str, Any]
     return number, kind, {"kind": kind, "campaign": "0" * 32, "at": "2026-01-01T00:00:00Z", "data": data}
 
 
+def do_not_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = SimpleNamespace(sleep=lambda _: None, monotonic=time.monotonic)  # of these modules alone: other threads sleep on
+    for module in (following, transport):
+        monkeypatch.setattr(module, "time", clock)
+
+
 def test_watching_resumes_its_stream_where_it_broke_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(time, "sleep", lambda _: None)
+    do_not_wait(monkeypatch)
     progress = ("", "progress", {"state": "running", "stages": {"calibration": {"requested": 5}}})
     answers = [
         campaign("queued", ETag='"a"'),
@@ -51,7 +58,7 @@ def test_watching_resumes_its_stream_where_it_broke_off(monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize("refusal", [problem(429), problem(404), (404, {}, b"<html>"), problem(405)])
 def test_watching_asks_only_for_what_is_new_where_there_is_no_stream(monkeypatch: pytest.MonkeyPatch, refusal: Answer) -> None:
-    monkeypatch.setattr(time, "sleep", lambda _: None)
+    do_not_wait(monkeypatch)
     unchanged: Answer = (304, {"ETag": '"a"', "Retry-After": "1"}, b"")
     retried = [unchanged, refusal] if refusal[2].startswith(b"<") else []  # that may be a proxy, in between
     answers = [campaign("queued", ETag='"a"', **{"Retry-After": "1"}), refusal, *retried, unchanged, problem(503)]
@@ -62,7 +69,7 @@ def test_watching_asks_only_for_what_is_new_where_there_is_no_stream(monkeypatch
 
 
 def test_watching_gives_up_on_a_server_that_stays_silent(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(time, "sleep", lambda _: None)
+    do_not_wait(monkeypatch)
     monkeypatch.setattr(following, "SILENCE_SECONDS", 0.0)
     answers = [campaign("running", ETag='"a"'), problem(503), problem(503), problem(503)]
     with server(*answers) as (client, _), pytest.raises(UnavailableError):
@@ -71,7 +78,7 @@ def test_watching_gives_up_on_a_server_that_stays_silent(monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("content", ["no JSON", "[]", '{"kind": 5}', "{}"])
 def test_a_stream_of_another_version_is_no_stream(monkeypatch: pytest.MonkeyPatch, content: str) -> None:
-    monkeypatch.setattr(time, "sleep", lambda _: None)
+    do_not_wait(monkeypatch)
     strange: Answer = (200, {"Content-Type": "text/event-stream"}, f"event: best\nid: 1\ndata: {content}\n\n".encode())
     with server(strange) as (client, _), pytest.raises(UnavailableError):
         list(client.events("0" * 32))
