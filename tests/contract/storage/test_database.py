@@ -158,7 +158,7 @@ def test_another_programs_database_is_refused_and_left_as_it_was(empty_url: str)
             assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "delete"
 
 
-def test_a_database_of_a_newer_drivecal_is_refused(empty_url: str) -> None:
+def test_a_database_of_another_drivecal_is_refused(empty_url: str) -> None:
     database = Database.open(empty_url)
     database.upgrade()
     with database.transaction() as connection:

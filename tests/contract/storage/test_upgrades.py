@@ -1,6 +1,7 @@
 """Upgrades to a later revision lose nothing, run in one transaction, and have nothing between the two revisions."""
 
 import os
+import runpy
 import shutil
 import signal
 import threading
@@ -9,23 +10,24 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import Connection, Engine, event, inspect, text
+from sqlalchemy import Column, Connection, Engine, Index, MetaData, Text, event, inspect, text
 from tests.support.storage import PROCESSES, campaign, cell, sample_set_ids, setup_id, simulate
 from typer.testing import CliRunner
 
 from drivecal.cli.main import app
 from drivecal.domain.errors import DatabaseError
-from drivecal.storage.engine import locks, schema
+from drivecal.storage.engine import locks, schema, tables
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance import backup
 from drivecal.storage.maintenance.consistency import check_storage
 
-LATER = """
+FIRST, SECOND = (schema.known_revisions.__wrapped__()[0], False, False), ("0002", True, True)
+LATER = f"""
 import sqlalchemy as sa
 from alembic import op
 
 revision = "0002"
-down_revision = "0001"
+down_revision = "{FIRST[0]}"
 
 
 def upgrade():
@@ -79,9 +81,6 @@ def revision_of(database: Database) -> tuple[str | None, bool, bool]:
         return schema.revision_of(connection), inspect(connection).has_table("remarks"), "mood" in columns
 
 
-FIRST, SECOND = ("0001", False, False), ("0002", True, True)
-
-
 def assert_upgraded(database: Database, before: dict[str, list[Any]]) -> None:
     """Fails unless all rows are there at the second revision, and sound."""
     database.check()
@@ -102,10 +101,24 @@ def rows_of(database: Database) -> dict[str, list[Any]]:
 
 def test_an_upgrade_keeps_all_rows(old: Database) -> None:
     before = rows_of(old)
-    with pytest.raises(DatabaseError, match="0001"):
+    with pytest.raises(DatabaseError, match=FIRST[0]):
         old.check()
     old.upgrade()
     assert_upgraded(old, before)
+
+
+def test_changed_tables_are_another_revision(monkeypatch: pytest.MonkeyPatch) -> None:
+    changed = MetaData()
+    for table in tables.metadata.sorted_tables:
+        table.to_metadata(changed)
+    monkeypatch.setattr(tables, "metadata", changed)
+    runs, revisions, file = changed.tables["runs"], [FIRST[0]], str(schema.MIGRATIONS / "versions" / "initial_0001.py")
+    revisions.append(runpy.run_path(file)["revision"])
+    runs.append_column(Column("mood", Text))
+    revisions.append(runpy.run_path(file)["revision"])
+    Index("ix_mood", runs.c.mood)
+    revisions.append(runpy.run_path(file)["revision"])
+    assert (revisions[0] == revisions[1], len(set(revisions))) == (True, 3)
 
 
 @pytest.mark.parametrize("statement", [1, 4, None])
@@ -185,9 +198,9 @@ def test_a_reader_sees_the_old_revision_or_the_new_one(old: Database) -> None:
 @pytest.mark.slow("postgresql")
 def test_a_backup_of_an_old_revision_is_restored_and_upgraded(old: Database, tmp_path: Path) -> None:
     before, file = rows_of(old), tmp_path / "backup.db"
-    assert backup.write(old, file, lambda *_: None).revision == "0001"
+    assert backup.write(old, file, lambda *_: None).revision == FIRST[0]
     target = Database.open(f"sqlite:///{tmp_path / 'restored.db'}")
-    assert backup.restore(file, target, lambda *_: None).revision == "0001"
+    assert backup.restore(file, target, lambda *_: None).revision == FIRST[0]
     assert revision_of(target) == SECOND
     with target.read() as connection:
         assert len(stored(connection)["runs"]) == len(before["runs"])

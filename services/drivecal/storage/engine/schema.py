@@ -54,16 +54,15 @@ def prepare_file(url: URL) -> None:
 
 
 def refuse_foreign(connection: Connection, database: str) -> None:
-    """Raises DatabaseError if the database holds another program's tables or was made by a newer drivecal."""
+    """Raises DatabaseError if the database holds another program's tables or was made by a drivecal with other tables."""
     tables = inspect(connection).get_table_names()
     if tables and REVISION_TABLE not in tables:
         listed = ", ".join(sorted(tables)[:3])
         raise DatabaseError(f"{database} holds another program's tables ({listed}); give drivecal a database of its own")
     revision = revision_of(connection)
     if revision is not None and revision not in known_revisions():
-        raise DatabaseError(
-            f"{database} was made by a newer drivecal (revision {revision}); install that release or name another database"
-        )
+        message = f"{database} was made by another drivecal: its tables are of revision {revision}, which is not {known_revisions()[0]}"
+        raise DatabaseError(f"{message}; install the drivecal that made it, or name another database")
 
 
 def refuse_unmigrated(connection: Connection, database: str) -> None:

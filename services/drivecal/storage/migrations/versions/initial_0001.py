@@ -1,14 +1,25 @@
 """All tables of `storage.engine.tables`.
 
-No release has these tables yet, so a change to `tables.py` changes this revision and no other. A release freezes them: this file then lists
-the tables of that release, and each later change is a revision of its own.
+No release has these tables yet, so a change to `tables.py` changes this revision and no other: its name has a digest of the columns and
+indexes, and a database with other ones is noticed. A release freezes them: this file then lists the tables of that release, and each
+later change is a revision of its own.
 """
+
+from hashlib import sha256
 
 from alembic import op
 
 from drivecal.storage.engine.tables import metadata
 
-revision = "0001"
+_DEFINED = [
+    (
+        table.name,
+        [(column.name, type(column.type).__name__, column.nullable) for column in table.columns],
+        sorted((str(index.name), index.columns.keys()) for index in table.indexes),
+    )
+    for table in metadata.sorted_tables
+]
+revision = f"0001_{sha256(repr(_DEFINED).encode()).hexdigest()[:12]}"
 down_revision = None
 branch_labels = None
 depends_on = None
