@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from drivecal.cli.main import app
 from drivecal.domain.campaigns import CampaignState
 from drivecal.storage import campaigns
-from drivecal.storage.engine import locks
+from drivecal.storage.engine import server_lock
 
 SETS = [f"{name}={value}" for name, value in MIDDLE.items()]
 
@@ -206,11 +206,11 @@ def test_the_database_is_made_and_checked(tmp_path: Path) -> None:
     assert CliRunner().invoke(app, ["db", "upgrade", "--database-url", url]).exit_code == 0
     assert json.loads(CliRunner().invoke(app, ["db", "check", "--database-url", url, "--json"]).stdout)["current"]
     (tmp_path / "text.db").write_text("this is no database, and long enough to be seen as one or not")
-    with locks.hold(url):
+    with server_lock.hold(url):
         assert CliRunner().invoke(app, ["db", "check", "--database-url", url]).exit_code == 0, "looking is free"
         assert CliRunner().invoke(app, ["db", "upgrade", "--database-url", url]).exit_code == 0, "there is nothing to do"
     unmade = f"sqlite:///{tmp_path / 'unmade.db'}"
-    with locks.hold(unmade):
+    with server_lock.hold(unmade):
         refused = CliRunner().invoke(app, ["db", "upgrade", "--database-url", unmade])
         assert (refused.exit_code, f"server (process {os.getpid()})" in refused.stderr) == (1, True)
     broken = CliRunner().invoke(app, ["db", "upgrade", "--database-url", f"sqlite:///{tmp_path / 'text.db'}"])

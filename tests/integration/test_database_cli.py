@@ -13,7 +13,7 @@ from typer.testing import CliRunner, Result
 
 from drivecal.cli.main import app
 from drivecal.storage import campaigns
-from drivecal.storage.engine import locks
+from drivecal.storage.engine import server_lock
 from drivecal.storage.engine.database import Database
 
 SEARCH: dict[str, Any] = {"kind": "genetic", "population": 8, "iterations": 2, "seed": 1}
@@ -38,7 +38,7 @@ def url(database: Database) -> str:
 @pytest.mark.slow
 def test_a_database_goes_through_a_file_to_another_backend_and_back(url: str, postgres_url: str, tmp_path: Path) -> None:
     there, back = tmp_path / "there.db", tmp_path / "back.db"
-    with locks.hold(url):  # a server may run
+    with server_lock.hold(url):  # a server may run
         written = db("backup", there, "--database-url", url)
     assert written.exit_code == 0
     assert f"{there} holds" in written.stdout
@@ -61,7 +61,7 @@ def test_a_database_goes_through_a_file_to_another_backend_and_back(url: str, po
 def test_a_restored_database_is_one_that_nobody_serves_and_that_was_empty(url: str, tmp_path: Path) -> None:
     file, target = tmp_path / "backup.db", f"sqlite:///{tmp_path / 'target.db'}"
     assert db("backup", file, "--database-url", url).exit_code == 0
-    with locks.hold(target):
+    with server_lock.hold(target):
         refused = db("restore", file, "--database-url", target)
     assert refused.exit_code == 1
     assert str(os.getpid()) in refused.stderr

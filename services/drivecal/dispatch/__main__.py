@@ -29,7 +29,7 @@ from drivecal.execution.pool import StoredLeases, WorkPool
 from drivecal.execution.scheduling.resources import Resources
 from drivecal.execution.supervised import SupervisedBackend, WorkerLimits
 from drivecal.storage import bundles
-from drivecal.storage.engine import locks
+from drivecal.storage.engine import server_lock
 from drivecal.storage.engine.database import LASTING, PROMPT, Database
 
 LONGEST_PAUSE = 10.0
@@ -139,14 +139,14 @@ def _archive(database: Database, digest: str) -> bytes:
         return bundles.archive(connection, digest)
 
 
-def _take_lock(database: Database, settings: Settings, server: int | None) -> locks.ServerLock:
+def _take_lock(database: Database, settings: Settings, server: int | None) -> server_lock.ServerLock:
     try:
         database.check()
     except DatabaseError as error:
         if isinstance(error.__cause__, UnavailableError):  # an outage, not a mistake: to be waited for
             raise error.__cause__ from None
         raise
-    return locks.hold(settings.database_url, server=server)
+    return server_lock.hold(settings.database_url, server=server)
 
 
 def _awaited(

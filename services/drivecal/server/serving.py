@@ -15,7 +15,7 @@ from drivecal.configuration.tokens import is_loopback
 from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem
 from drivecal.server.supervisor import ChildProcess, Supervisor
 from drivecal.storage import processes
-from drivecal.storage.engine import locks
+from drivecal.storage.engine import server_lock
 from drivecal.storage.engine.database import PROMPT, Database
 from drivecal.storage.engine.urls import parse, sqlite_file
 
@@ -75,7 +75,7 @@ def prepare_database(settings: Settings) -> Database:
         raise InvalidInputError(problem) from error
     database = Database.open(settings.database_url)
     remember(_secrets(settings))
-    with locks.hold(settings.database_url):  # the dispatcher takes it for good
+    with server_lock.hold(settings.database_url):  # the dispatcher takes it for good
         database.upgrade()
     return database
 

@@ -1,6 +1,6 @@
 """The processes of the server, as they report themselves, and the term of the elected one.
 
-At most one dispatcher works on a database at a time: the holder of the lock (`locks`). A lock alone cannot keep out a dispatcher that
+At most one dispatcher works on a database at a time: the holder of the lock (`server_lock`). A lock alone cannot keep out a dispatcher that
 lost it without knowing, because it was stopped for a while or cut off. So each election begins a new *term*, and every transaction of a
 dispatcher looks, inside itself, whether its own term is still the current one (`confirm`).
 """

@@ -18,7 +18,7 @@ from tests.support.storage import PROCESSES, campaign
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
 from drivecal.storage import campaigns
-from drivecal.storage.engine import locks
+from drivecal.storage.engine import server_lock
 from drivecal.storage.engine.database import PROMPT, Database
 from drivecal.storage.engine.schema import REVISION_TABLE
 from drivecal.storage.engine.tables import metadata
@@ -121,7 +121,7 @@ def test_a_process_that_stands_still_in_the_queue_holds_up_no_other_for_long(
     database.upgrade()
     queue = tmp_path / "drivecal.db.queue"
     with queue.open("r+b") as held:
-        assert locks.try_lock(held)
+        assert server_lock.try_lock(held)
         for _ in range(2):  # the second does not ask again
             with database.transaction() as connection:
                 campaign(connection, "written")

@@ -12,12 +12,12 @@ from tests.support.values import present
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
 from drivecal.storage import processes
-from drivecal.storage.engine import locks
+from drivecal.storage.engine import server_lock
 from drivecal.storage.engine.database import Database
 
 HOLD = (
-    "import sys, time; from drivecal.storage.engine import locks; "
-    "lock = locks.hold(sys.argv[1]); print('held', flush=True); time.sleep(60)"
+    "import sys, time; from drivecal.storage.engine import server_lock; "
+    "lock = server_lock.hold(sys.argv[1]); print('held', flush=True); time.sleep(60)"
 )
 
 
@@ -34,26 +34,26 @@ def test_a_process_is_known_by_its_last_heartbeat(database: Database) -> None:
 
 
 def test_a_second_server_is_refused_and_told_who_holds_the_database(empty_url: str) -> None:
-    with locks.hold(empty_url) as lock:
+    with server_lock.hold(empty_url) as lock:
         with pytest.raises(DatabaseError, match=rf"\b{os.getpid()}\b"):
-            locks.hold(empty_url)
+            server_lock.hold(empty_url)
         lock.renew()
-    locks.hold(empty_url).release()
+    server_lock.hold(empty_url).release()
 
 
 def test_a_lock_names_the_server_that_a_user_stops_and_not_the_dispatcher_that_is_restarted(empty_url: str) -> None:
-    with locks.hold(empty_url, server=4711), pytest.raises(DatabaseError, match=r"process 4711\b"):
-        locks.hold(empty_url)
+    with server_lock.hold(empty_url, server=4711), pytest.raises(DatabaseError, match=r"process 4711\b"):
+        server_lock.hold(empty_url)
 
 
 def test_a_killed_server_leaves_no_lock_behind(empty_url: str) -> None:
     with subprocess.Popen([sys.executable, "-c", HOLD, empty_url], stdout=subprocess.PIPE, text=True) as server:
         assert present(server.stdout).readline() == "held\n"
         with pytest.raises(DatabaseError, match=rf"process {server.pid}\b"):
-            locks.hold(empty_url)
+            server_lock.hold(empty_url)
         server.send_signal(signal.SIGKILL)
         server.wait()
-    eventually(lambda: locks.hold(empty_url).release())
+    eventually(lambda: server_lock.hold(empty_url).release())
 
 
 def eventually(take: Callable[[], None]) -> None:
@@ -72,13 +72,13 @@ def eventually(take: Callable[[], None]) -> None:
 def test_a_lost_lock_is_taken_again_unless_another_server_has_it(backend: Backend, empty_url: str) -> None:
     if backend == "sqlite":
         pytest.skip("a file lock has no connection to lose")
-    first = locks.hold(empty_url)
+    first = server_lock.hold(empty_url)
     _end_servers(empty_url)
     first.renew()
     with pytest.raises(DatabaseError):
-        locks.hold(empty_url)
+        server_lock.hold(empty_url)
     _end_servers(empty_url)
-    with locks.hold(empty_url), pytest.raises(DatabaseError):
+    with server_lock.hold(empty_url), pytest.raises(DatabaseError):
         first.renew()
     eventually(first.renew)
     first.release()
@@ -96,4 +96,4 @@ def _end_servers(url: str) -> None:
 
 def test_a_lock_on_an_unreachable_postgresql_is_unavailable() -> None:
     with pytest.raises(UnavailableError):
-        locks.hold("postgresql://someone:s3cret@127.0.0.1:1/drivecal")
+        server_lock.hold("postgresql://someone:s3cret@127.0.0.1:1/drivecal")

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from drivecal.cli.main import app
 from drivecal.domain.errors import DatabaseError
-from drivecal.storage.engine import locks, schema, tables
+from drivecal.storage.engine import schema, server_lock, tables
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance import backup
 from drivecal.storage.maintenance.consistency import check_storage
@@ -169,7 +169,7 @@ def _upgrade(url: str, revisions: Path) -> None:
 def test_an_upgrade_is_refused_while_a_server_holds_the_database(old: Database) -> None:
     url = old.url.render_as_string(hide_password=False)
     arguments = ["db", "upgrade", "--database-url", url]
-    with locks.hold(url):
+    with server_lock.hold(url):
         assert CliRunner().invoke(app, arguments).exit_code == 1
         assert revision_of(old) == FIRST
     assert CliRunner().invoke(app, arguments).exit_code == 0

@@ -23,7 +23,7 @@ from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import ConflictError, DatabaseError, DrivecalError
 from drivecal.server.serving import ANSWERING
-from drivecal.storage.engine import locks
+from drivecal.storage.engine import server_lock
 
 
 def test_the_campaigns_can_run_within_their_budgets() -> None:
@@ -53,7 +53,7 @@ def test_results_that_a_server_shows_are_not_deleted_by_a_new_demo(tmp_path: Pat
     folder = tmp_path / "demo"
     with fresh_folder(folder):
         (folder / "summary.json").touch()
-    with locks.hold(f"sqlite:///{folder / 'drivecal.db'}"):
+    with server_lock.hold(f"sqlite:///{folder / 'drivecal.db'}"):
         with pytest.raises(DatabaseError, match=rf"\b{os.getpid()}\b.*DRIVECAL_HOME"), fresh_folder(folder):
             pass
         assert (folder / "summary.json").exists()
@@ -63,7 +63,7 @@ def test_results_that_a_server_shows_are_not_deleted_by_a_new_demo(tmp_path: Pat
 
 def test_a_coordinator_that_does_not_start_says_why(tmp_path: Path) -> None:
     with (
-        locks.hold(f"sqlite:///{tmp_path / 'drivecal.db'}"),
+        server_lock.hold(f"sqlite:///{tmp_path / 'drivecal.db'}"),
         pytest.raises(DrivecalError, match=r"exit status 1"),
         coordinator(tmp_path),
     ):

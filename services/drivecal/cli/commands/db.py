@@ -36,13 +36,13 @@ DatabaseOption = Annotated[
 @database.command()
 def upgrade(database_url: DatabaseOption = None, as_json: JsonOption = False) -> None:
     """Create the database or bring it to this drivecal's revision. Stop its server first, unless it has that revision."""
-    from drivecal.storage.engine import locks
+    from drivecal.storage.engine import server_lock
 
     with _opened(database_url) as (url, opened):
         try:
             opened.check()
         except DatabaseError:
-            with locks.hold(url):
+            with server_lock.hold(url):
                 opened.upgrade()
             opened.check()
         name = opened.name
@@ -89,12 +89,12 @@ def restore(
     as_json: JsonOption = False,
 ) -> None:
     """Fill an empty database, SQLite or PostgreSQL, from a backup, and check it. Refused while a server works on it."""
-    from drivecal.storage.engine import locks
+    from drivecal.storage.engine import server_lock
     from drivecal.storage.maintenance import backup as backups
 
     started = time.monotonic()
     with _opened(database_url) as (url, opened):
-        with locks.hold(url):
+        with server_lock.hold(url):
             copied = backups.restore(file, opened, _Telling())
         report = _copied(file, opened, copied, started)
         verified = _verified(opened)

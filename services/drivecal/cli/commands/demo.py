@@ -41,7 +41,7 @@ def fresh_folder(folder: Path) -> Iterator[None]:
 
     Raises ConflictError if a demo is running there, and DatabaseError if a server uses the last demo's database.
     """
-    from drivecal.storage.engine import locks
+    from drivecal.storage.engine import server_lock
 
     folder.parent.mkdir(parents=True, exist_ok=True)
     with folder.with_suffix(".lock").open("w") as lock:
@@ -49,7 +49,7 @@ def fresh_folder(folder: Path) -> Iterator[None]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise ConflictError(f"another demo is running in {folder}; wait for it or stop it") from error
-        with locks.hold(_database_url(folder), "set DRIVECAL_HOME to another folder: a new demo empties this one"):
+        with server_lock.hold(_database_url(folder), "set DRIVECAL_HOME to another folder: a new demo empties this one"):
             shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(exist_ok=True)
         yield

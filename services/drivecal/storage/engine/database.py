@@ -16,7 +16,7 @@ from typing import IO, Any
 from sqlalchemy import URL, Connection, Engine, create_engine, event
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
-from drivecal.storage.engine import locks, schema, urls
+from drivecal.storage.engine import schema, server_lock, urls
 from drivecal.storage.engine.failures import ServerLiveness, mind_absence, translated
 from drivecal.storage.engine.types import to_json
 
@@ -128,7 +128,7 @@ class Turns:
                 self._do_without(f"cannot be locked: {error.strerror}")
             return
         longest = begun + self._seconds / 2
-        while not (is_locked := locks.try_lock(file)) and time.monotonic() < min(deadline, longest):
+        while not (is_locked := server_lock.try_lock(file)) and time.monotonic() < min(deadline, longest):
             time.sleep(QUEUE_SECONDS)
         if is_locked:
             self._locked = file, time.monotonic()
