@@ -30,6 +30,8 @@ PARAMETERS = re.compile(r"`[\w.]+`(?:(?:,| and) `[\w.]+`)*: (?:of|for|in|by|to|f
 OPENER = "opener"
 OPENERS = re.compile(r"(?:What|Of|Those|Who|That|Where|Whether)\b")
 """First words of docstrings."""
+LINES = {"share without a blank": r"\d%(?!\w)"}
+"""Patterns of any line but markup: code and printed output have `5 %`, too."""
 NAMES = {"one as a name": r"\bfor one in\b", "found =": r"^\s*found\b[^=]* = "}
 """Patterns of lines of Python code."""
 SPAN = re.compile(r"`[^`\n]*`")
@@ -68,11 +70,11 @@ def phrases_of(name: str) -> Iterator[Phrase]:
     lines = text.splitlines()
     parts = python_prose(text) if kind == ".py" else page_prose(text) if kind == ".md" else script_comments(text)
     places = {place for start, part, is_docstring in parts for place in patterns_in(start, part, is_docstring=is_docstring)}
-    if kind == ".py":
+    if kind != ".svelte":
         places |= {
             (number, pattern)
             for number, line in enumerate(lines, start=1)
-            for pattern, regex in NAMES.items()
+            for pattern, regex in {**LINES, **(NAMES if kind == ".py" else {})}.items()
             if re.search(regex, line)
         }
     for number, pattern in sorted(places):

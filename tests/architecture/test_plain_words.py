@@ -1,7 +1,9 @@
 """Docstrings, comments and pages are free of phrases that make a reader stop."""
 
+import re
+
 import pytest
-from tests.architecture.plain_words import NAMES, OPENER, PARAMETER, PROSE, patterns_in, phrases_in
+from tests.architecture.plain_words import LINES, NAMES, OPENER, PARAMETER, PROSE, patterns_in, phrases_in
 
 
 def test_there_are_no_unclear_phrases() -> None:
@@ -27,5 +29,6 @@ def test_an_unclear_phrase_is_noticed(text: str, pattern: str) -> None:
 
 
 def test_every_pattern_is_tried_and_code_is_left_alone() -> None:
-    assert len(PROSE) + len(NAMES) + 2 == 11
+    assert len(PROSE) + len(NAMES) + len(LINES) + 2 == 12
+    assert re.search(LINES["share without a blank"], f"{5:.0f}" + "%")
     assert list(patterns_in(1, "Returns `those that` ended.", is_docstring=True)) == []

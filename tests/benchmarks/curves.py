@@ -100,7 +100,7 @@ def main() -> int:
     known = best_known(min(reached))
     shares = [(start - cost) / (start - known) for cost in reached]
     print(f"map: the baseline costs {start:.3f}, six coefficients {np.mean(reached):.3f}, the best known map {known:.3f}")
-    print(f"share of the gain: {np.mean(shares):.1%} (least {min(shares):.1%})")
+    print(f"share of the gain: {100 * np.mean(shares):.1f} % (least {100 * min(shares):.1f} %)")
     TARGET.parent.mkdir(parents=True, exist_ok=True)
     TARGET.write_text(json.dumps({"curves": costs, "map": {"start": start, "reached": reached, "known": known}}, indent=1))
     return int(np.mean(costs["curve"]) > np.mean(costs["sorted inside"]) + 1e-9 or np.mean(shares) < 0.95)

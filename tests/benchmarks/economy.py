@@ -227,7 +227,7 @@ def reaching(names: Sequence[str], seeds: Sequence[int], cells: int, cache: Path
         result = [reach(name, seed, cells, cache) for seed in seeds]
         needed = [np.inf if ours is None else ours for _, _, ours in result]
         theirs, ours = float(np.median([genetic for genetic, _, _ in result])), float(np.median(needed))
-        yield f"{name:16}{theirs:>18,.0f}{ours:>12,.0f}{ours / theirs:>8.1%}   {int(np.isfinite(needed).sum())} of {len(seeds)}"
+        yield f"{name:16}{theirs:>18,.0f}{ours:>12,.0f}{100 * ours / theirs:>6.1f} %   {int(np.isfinite(needed).sum())} of {len(seeds)}"
 
 
 def outlooks(names: Sequence[str], arms: Sequence[str], seeds: Sequence[int], cells: int, cache: Path | None) -> Iterator[str]:
@@ -247,7 +247,7 @@ def outlooks(names: Sequence[str], arms: Sequence[str], seeds: Sequence[int], ce
                     gains.append((expected, after - before))
         none = [gained for expected, gained in gains if expected <= 1e-9]
         held, still = sum(gained <= expected + 1e-9 for expected, gained in gains), sum(gained <= 1e-9 for gained in none)
-        yield f"{arm:16}{len(gains):>10}{held / max(1, len(gains)):>8.0%}{len(none):>18}{still / max(1, len(none)):>8.0%}"
+        yield f"{arm:16}{len(gains):>10}{100 * held / max(1, len(gains)):>6.0f} %{len(none):>18}{100 * still / max(1, len(none)):>6.0f} %"
 
 
 def busy(name: str, workers: int, cells: int, seconds: float = 10.0) -> tuple[float, float]:
@@ -330,7 +330,7 @@ def main(arguments: Sequence[str]) -> int:
         for name in chosen.problems:
             share, longest = busy(name, chosen.busy, chosen.cells)
             print(
-                f"{name:16}{chosen.busy:,} workers busy for {share:.1%}; a round is computed in at most {longest:.1f} s",
+                f"{name:16}{chosen.busy:,} workers busy for {100 * share:.1f} %; a round is computed in at most {longest:.1f} s",
                 flush=True,
             )
         return 0

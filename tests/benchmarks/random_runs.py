@@ -126,7 +126,7 @@ def allocated(
         share = sum(each.runs for each in first) / sum(each.equally(MANY.confidence) for each in first)
         held = float(np.mean([Campaign(kind, noise, number, sets, USUAL).is_covered for number in range(campaigns)]))
         figures[f"{kind} {sets} {noise}"] = [right, share, held]
-        yield f"{kind:10}{sets:>5}{noise:>7}{right:>9.1%}{runs:>9.1f}{share:>12.0%}{held:>16.1%}"
+        yield f"{kind:10}{sets:>5}{noise:>7}{100 * right:>7.1f} %{runs:>9.1f}{100 * share:>10.0f} %{100 * held:>14.1f} %"
 
 
 class RandomRun(Run):

@@ -235,7 +235,7 @@ def pairs(outcomes: Mapping[tuple[str, int], Outcome], seeds: Sequence[int]) -> 
         wrong = " printed wrongly" * (abs(each.net - true) > max(OFF_BY[0] * abs(true), OFF_BY[1]))
         wrong += " a loss" * (true < LEAST_NET * off.cpu)
         runs = f"{each.runs:,} of {off.runs:,}"
-        yield f"{f'{kind}, seed {seed}':36}{each.net:>12.1f} s{true:>12.1f} s{true / off.cpu:>10.1%}{runs:>16}{wrong}"
+        yield f"{f'{kind}, seed {seed}':36}{each.net:>12.1f} s{true:>12.1f} s{100 * true / off.cpu:>8.1f} %{runs:>16}{wrong}"
 
 
 def wanted(kind: str, size: tuple[int, int]) -> Mapping[str, float]:

@@ -54,7 +54,7 @@ if __name__ == "__main__":
             own, together = np.array(list(processes.map(best_of, [kind] * SEEDS, range(SEEDS)))).reshape(-1, 2).T
             more = together / own - 1
             figures[kind] = {"mean": more.mean(), "median": np.median(more), "not worse by 1 %": (more <= 0.01).mean()}
-            print(kind, *(f"{name}: {figure:+.2%}" for name, figure in figures[kind].items()), sep="  ", flush=True)
+            print(kind, *(f"{name}: {100 * figure:+.2f} %" for name, figure in figures[kind].items()), sep="  ", flush=True)
     Path(".drivecal/bench").mkdir(parents=True, exist_ok=True)
     Path(".drivecal/bench/variants.json").write_text(json.dumps(figures, indent=1))
     sys.exit(any(each["mean"] > 0.01 for each in figures.values()))

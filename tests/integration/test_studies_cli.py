@@ -58,7 +58,7 @@ def test_robustness_makes_the_study_of_an_ended_campaign_and_shows_it(run: Run, 
     lines = result.stdout.splitlines()
     assert lines[0].split()[:5] == ["rank", "degree", "delta_max", "objective", "scores"]
     assert lines[1].split()[0] == "1"
-    assert "(5): up to 45.1%" in lines[-2], "what five vehicles leave open"
+    assert "(5): up to 45.1 %" in lines[-2], "what five vehicles leave open"
     assert lines[-1].startswith("recommended: rank ")
     assert newest(api)["id"] in result.stderr
     assert api.http.get(f"/api/v1/campaigns/{ended}/robustness").json() == {"items": [], "next_cursor": None}

@@ -95,9 +95,9 @@ def vehicles_text(settings: Mapping[str, Any], compared: int) -> str:
             "a single vehicle may change more."
         )
     return (
-        f"A box holds if the condition holds in every vehicle simulated in it ({samples:,}): up to {undetected_share(samples):.1%} of all "
-        "vehicles in a box may still break it if its set was chosen beforehand, and up to "
-        f"{undetected_share(samples, compared):.1%} in a box of the recommended set, chosen from {compared:,} (95 % confidence each)."
+        f"A box holds if the condition holds in every vehicle simulated in it ({samples:,}): up to "
+        f"{100 * undetected_share(samples):.1f} % of all vehicles in a box may still break it if its set was chosen beforehand, and up to "
+        f"{100 * undetected_share(samples, compared):.1f} % in a box of the recommended set, chosen from {compared:,} (95 % each)."
     )
 
 

@@ -217,7 +217,8 @@ def _remarks(accounting: Accounting) -> list[str]:
 def _sentence(accounting: Accounting) -> str:
     if accounting.share_without_simulation is None:
         return f"No cell of the calibration stage has its answer yet; the sensitivity stage took {accounting.sensitivity.seconds:,.1f} s."
-    share = f"{accounting.share_without_simulation:.1%} of {accounting.requested:,} requested cells were answered without a simulation"
+    part = f"{100 * accounting.share_without_simulation:.1f} % of {accounting.requested:,}"
+    share = f"{part} requested cells were answered without a simulation"
     clock = "CPU time" if accounting.clock == "cpu" else "the workers' time"
     balance = f"that saved {accounting.saved_seconds:,.1f} s of {clock}"
     runs = f" ({accounting.sensitivity.simulated:,} runs)"

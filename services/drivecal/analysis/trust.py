@@ -467,7 +467,7 @@ def _robustness(studies: Sequence[StudyResult]) -> Iterator[ResultVerdict]:
         code, light = ("robust", "green") if recommended.degree else ("not_robust", "amber")
         least = "at least " if recommended.at_least else ""
         most = recommended.failing_at_most
-        failing = "" if most is None else f"; up to {most:.1%} of all such vehicles may still break it (95 %)"
+        failing = "" if most is None else f"; up to {100 * most:.1f} % of all such vehicles may still break it (95 %)"
         yield verdict(code, light, least=least, radius=recommended.radius, failing=failing)  # type: ignore[arg-type]  # a literal
 
 

@@ -32,31 +32,31 @@ SCORES = CONFIRMED | {
     "no_result": "No parameter set has a score in every scenario.",
     "not_judged": "The chosen set has no value of an objective or a constraint of the campaign: not every scenario has a result of its "
     "own.",
-    "constraints_broken": "The chosen set breaks the constraints by {share:.1%}.",
-    "no_set_keeps_constraints": "No set keeps all constraints; the best set breaks them by {share:.1%}.",
+    "constraints_broken": "The chosen set breaks the constraints by {share:.1 %}.",
+    "no_set_keeps_constraints": "No set keeps all constraints; the best set breaks them by {share:.1 %}.",
     "constraints_undecided": "Runs do not decide whether {subject} keeps its rates: more seeds (replicates.most) or a larger budget may.",
     "scores_copied": "This very set was not simulated in {scenarios:list}: its scores there are copied.",
     "scores_simulated": "Every score of {subject} was simulated or repeats a simulation.",
     "never_confirmed": "The best set was not simulated again after the search (reduction.confirm is 0): a score may be a copy.",
     "front_copied": "{copied:,} of {size:,} sets of the front have a copied score.",
     "map_wrong": "The influence map is wrong for {rates:shares} of the compared variants (validation {study:id}). {then}",
-    "map_validated": "The influence map was validated: at most {worst:.1%} of {variants:,} variants in a scenario are wrong.",
+    "map_validated": "The influence map was validated: at most {worst:.1 %} of {variants:,} variants in a scenario are wrong.",
     "map_unchecked": "The influence map answered cells without lots (max_error is 1), and was not validated.",
     "audits_wrong": "{wrong:,} of {audited:,} audited answers in {scenario} were wrong, and no lots were inspected.",
     "contradictions": "Groups of sets that the influence map calls equal, with different simulated scores: {groups:counts}.",
     "lots": "A sample of each of {lots:,} lots of {kind} answers was simulated: {rejected:,} had too many errors, and all their cells were "
     "simulated.",
-    "predictions_validated": "{share:.1%} of the simulated predictions in {scenario} are wrong (validation {study:id}); up to "
-    "{allowed:.1%} of the {released:,} released ones may be: {limit:.1%} of the {inspected:,} in lots.",
+    "predictions_validated": "{share:.1 %} of the simulated predictions in {scenario} are wrong (validation {study:id}); up to "
+    "{allowed:.1 %} of the {released:,} released ones may be: {limit:.1 %} of the {inspected:,} in lots.",
     "noise": "{unrepeatable:,} simulations gave another result than an earlier run of the same cell: scores have noise.",
-    "without_result": "{count:,} of {requested:,} requested cells have no result ({share:.1%}).",
-    "without_score": "{count:,} of {requested:,} requested cells have no score, because the formula has no value ({share:.1%}).",
-    "cut": "{count:n score} ({share:.1%} of the cells) are worse than {failed:g} and count as it{best:in best}: "
+    "without_result": "{count:,} of {requested:,} requested cells have no result ({share:.1 %}).",
+    "without_score": "{count:,} of {requested:,} requested cells have no score, because the formula has no value ({share:.1 %}).",
+    "cut": "{count:n score} ({share:.1 %} of the cells) are worse than {failed:g} and count as it{best:in best}: "
     + REMEDY
     + ".",
     "robust": "The recommended set keeps its scores, within the study's limit, in the vehicles of the study that differ by up to "
-    "{least}{radius:.1%} of the ranges{failing}.",
-    "not_robust": "The recommended set breaks the study's limit in its first box of vehicles (it holds up to {least}{radius:.1%} of the "
+    "{least}{radius:.1 %} of the ranges{failing}.",
+    "not_robust": "The recommended set breaks the study's limit in its first box of vehicles (it holds up to {least}{radius:.1 %} of the "
     "ranges).",
 }
 BASELINE = {
@@ -77,9 +77,9 @@ SEARCH = {
     "still_rising": "The best set was improved in the last of {iterations} iterations: more may improve it further.",
     "stood_still": "No iteration after the first found a better objective ({tried} tried). More iterations, wider ranges or another "
     "optimizer may find one.",
-    "ended": "The search ended by its {by}; the best objective last changed after {share:.0%} of its rounds.",
+    "ended": "The search ended by its {by}; the best objective last changed after {share:.0 %} of its rounds.",
     "outlook": "As many simulations again would probably improve the best objective by at most {gain:.3g}; of such estimates in the "
-    "benchmark, after 150 and 300 simulations, {record:.0%} held.",
+    "benchmark, after 150 and 300 simulations, {record:.0 %} held.",
     "converged": "Converged by the paper's criterion for the {of}: found in iteration {iteration} of {iterations}, it then stayed as it "
     "was for at least {unchanged} iterations.",
     "not_converged": "Not converged by the paper's criterion for the {of}: it last changed in iteration {iteration} of {iterations}, and "
@@ -149,7 +149,9 @@ class _Words(Formatter):
     """Formats numbers, and lists and mappings of them, by formats that `str.format` does not have."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        """Returns a value in words; `n THING` counts things."""
+        """Returns a value in words; `n THING` counts things, and `.1 %` is a share in percent."""
+        if format_spec.endswith(" %"):
+            return f"{100 * value:{format_spec.removesuffix(' %')}f} %"
         if format_spec.startswith("n "):
             return f"{value:,} {format_spec[2:]}{'' if value == 1 else 's'}"
         known = _FORMATS.get(format_spec)
@@ -179,7 +181,7 @@ _FORMATS: Mapping[str, Any] = {
     "objective": objective_text,
     "id": lambda value: value[:SHORT],
     "list": ", ".join,
-    "shares": lambda rates: _joined([f"{rate:.1%} in {scenario}" for scenario, rate in rates.items()]),
+    "shares": lambda rates: _joined([f"{100 * rate:.1f} % in {scenario}" for scenario, rate in rates.items()]),
     "counts": lambda counts: _joined([f"{count:,} in {scenario}" for scenario, count in counts.items()]),
     "in best": lambda scenarios: f", as the best set does in {', '.join(scenarios)}" if scenarios else "",
     "compared": _compared,

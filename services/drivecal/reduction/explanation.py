@@ -145,7 +145,7 @@ def _nearest(explanation: Explanation, nearest: str) -> str:
     if explanation.lot is not None and explanation.lot.verdict == "rejected":
         return f"its lot was rejected, {_inspection(explanation.lot)}"
     prediction = explanation.prediction
-    doubt = "" if prediction is None else f"; its prediction was not accepted (confidence {prediction.confidence:.0%})"
+    doubt = "" if prediction is None else f"; its prediction was not accepted (confidence {100 * prediction.confidence:.0f} %)"
     if explanation.reference is None:
         return f"nothing was stored for this setup when the campaign asked{doubt}"
     blocking = [difference for difference in explanation.differences if difference.blocks]
@@ -157,7 +157,7 @@ def _nearest(explanation: Explanation, nearest: str) -> str:
 def _prediction(prediction: Prediction | None) -> str:
     if prediction is None:
         return "it was predicted"
-    text = f"the prediction is {told(prediction.score)} with a confidence of {prediction.confidence:.0%}"
+    text = f"the prediction is {told(prediction.score)} with a confidence of {100 * prediction.confidence:.0f} %"
     return text if prediction.lot is None else f"{text}; of its lot, {_inspection(prediction.lot)}"
 
 

@@ -83,8 +83,8 @@ def tolerance_text(samples: int) -> str:
     """Returns a sentence about the influence that `auto` tolerates, and how often it misses more."""
     return (
         f"threshold auto tolerates a change by the score's tolerance in {tolerated_changes(samples)} of {samples} effects: an "
-        f"analysis misses a parameter that changes the score in {SEEN_RATE:.0%} of its steps with a probability of about "
-        f"{miss_probability(samples, SEEN_RATE):.0%}; more samples miss less"
+        f"analysis misses a parameter that changes the score in {100 * SEEN_RATE:.0f} % of its steps with a probability of about "
+        f"{100 * miss_probability(samples, SEEN_RATE):.0f} %; more samples miss less"
     )
 
 

@@ -110,4 +110,4 @@ def test_the_limit_of_lots_without_an_error_is_near_the_exact_one() -> None:
 if __name__ == "__main__":
     for title, compute in TABLE.items():
         share, mean, known = compute()
-        sys.stdout.write(f"| {title} | {share:.1%} | {mean:.4f} | {'' if known is None else f'{known:.4f}'} |\n")
+        sys.stdout.write(f"| {title} | {100 * share:.1f} % | {mean:.4f} | {'' if known is None else f'{known:.4f}'} |\n")

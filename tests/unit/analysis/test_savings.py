@@ -72,7 +72,7 @@ def test_the_account_of_a_campaign_with_its_own_map() -> None:
     assert result.map is not None
     assert (result.map.made_by, result.map.paid_here, result.map.runs, result.map.seconds) == ("c", True, 600, 10.0)
     assert result.break_even == BreakEven(requested_cells=2223, campaigns=3, reruns=2)
-    assert "44.5 % of 1,000" in result.sentence.replace("%", " %")
+    assert "44.5 % of 1,000" in result.sentence
     assert "net loss of 5.1 s" in result.sentence
 
 

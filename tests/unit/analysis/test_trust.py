@@ -124,7 +124,7 @@ def test_scenarios_with_the_same_fault_share_a_verdict() -> None:
     rows = [validation(0.3, 0.2, "S1"), validation(0.075, 0.0, "S2"), validation(0.0, 0.0, "S3")]
     result = verdicts(campaign(error_rate=rates), studies=[studied(*rows)])
     assert result["map_wrong"].numbers["rates"] == {"S1": 0.3, "S2": 0.075}
-    assert "30.0% in S1 and 7.5% in S2" in result["map_wrong"].text
+    assert "30.0 % in S1 and 7.5 % in S2" in result["map_wrong"].text
     assert result["contradictions"].numbers["groups"] == {"S5": 3, "S6": 12}
 
 

@@ -59,7 +59,7 @@ def test_a_weight_of_zero_leaves_the_scenario_out_and_says_so() -> None:
 
 def test_the_misses_of_the_threshold_auto_are_noted_before_an_analysis_begins() -> None:
     (note, *_) = _resolve(sensitivity={"threshold": "auto", "samples": 20}).notes
-    assert "39%" in note
+    assert "39 %" in note
     assert _resolve(sensitivity={"threshold": 0.02, "samples": 20}, optimizer=None).notes == ()
     assert _resolve(sensitivity=None).notes == ()
 

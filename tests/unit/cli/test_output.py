@@ -29,8 +29,8 @@ def test_durations_read_well(seconds: float, text: str) -> None:
 
 
 def test_columns_align_numbers_right_and_text_left(capsys: pytest.CaptureFixture[str]) -> None:
-    print_columns(["name", "share", "n"], [["a", "5.0%", 1000], ["long name", "12.5%", None]])
-    assert capsys.readouterr().out == "name       share     n\na           5.0%  1000\nlong name  12.5%     -\n"
+    print_columns(["name", "share", "n"], [["a", "5.0 %", 1000], ["long name", "12.5 %", None]])
+    assert capsys.readouterr().out == "name        share     n\na           5.0 %  1000\nlong name  12.5 %     -\n"
 
 
 def test_saved_is_the_share_that_needed_no_simulation() -> None:

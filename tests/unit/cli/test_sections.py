@@ -42,11 +42,11 @@ def test_checks_are_listed_by_scenario() -> None:
     audits = sections.audits_table(
         {"S1": ErrorRate(audited=8, different=1, wrong=1, upper_95=0.5265), "S2": ErrorRate()}, COMFORT
     )
-    assert rows_of(audits) == [["S1", "8", "1", "1", "12.50%", "52.65%", "0", "0", "0"]]
+    assert rows_of(audits) == [["S1", "8", "1", "1", "12.50 %", "52.65 %", "0", "0", "0"]]
     counts = {"asked": 8, "lots": 7, "rejected": 1, "predicted": 1333, "sampled": 96, "different": 3}
     near = Released(**counts, mean_error=1 / 3, largest_error=2.0, limit=0.05, upper_95=0.0432)
     lots = sections.lots_table({"S1": near, "S2": Released(limit=0.05)})
-    assert rows_of(lots) == [["S1", "8", "7", "1", "1333", "96", "3", "0.333", "2", "5.0%", "4.32%"]]
+    assert rows_of(lots) == [["S1", "8", "7", "1", "1333", "96", "3", "0.333", "2", "5.0 %", "4.32 %"]]
     doubtful = sections.lots_table({"S1": near.model_copy(update={"upper_95": 1.0})})
     assert (len(lots), len(doubtful)) == (1, 2), "a bound beside a smaller limit is explained"
     assert rows_of(doubtful)[0][-1] == "no bound"
@@ -72,4 +72,4 @@ def test_a_validation_has_sample_sizes_and_error_rates() -> None:
         error_rate=0.06, lower_95=0.0, upper_95=0.5, histogram={},
     )  # fmt: skip
     (row,) = rows_of(sections.validation_tables([known], COMFORT))
-    assert row == ["S1", "2", "3", "3", "40", "20", "5", "100", "10", "6", "6.00%", "0.00%", "50.00%"]
+    assert row == ["S1", "2", "3", "3", "40", "20", "5", "100", "10", "6", "6.00 %", "0.00 %", "50.00 %"]

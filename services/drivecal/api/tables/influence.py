@@ -87,7 +87,7 @@ def _bounds(influence: Influence, parameter: Parameter | None) -> tuple[bool, De
     return True, lower, upper
 
 
-METHOD = f"permutation importance: loss of R² on a held-out share of {HELD_OUT:.0%}, by a forest of {TREES} extremely randomised trees"
+METHOD = f"permutation importance: loss of R² on a held-out {100 * HELD_OUT:.0f} %, by a forest of {TREES} extremely randomised trees"
 
 
 def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, query: ImportanceOf) -> ImportanceAnswer:
@@ -140,7 +140,7 @@ def _notes(
 ) -> list[str]:
     """Returns sentences about a weak fit, and about parameters on which importance and influence map disagree."""
     notes = (
-        [f"the forest explains {max(0.0, r2):.0%} of the held-out sets' variation: importances mean little"]
+        [f"the forest explains {100 * max(0.0, r2):.0f} % of the held-out sets' variation: importances mean little"]
         if r2 < WEAK
         else []
     )

@@ -79,7 +79,7 @@ class Leader:
         best = self._ranking.best()
         if self.best is None or best is None or self.best.violation <= 0:
             return []
-        broken = "is not known to keep them" if self.best.undecided else f"breaks them by {self.best.violation:.1%}"
+        broken = "is not known to keep them" if self.best.undecided else f"breaks them by {100 * self.best.violation:.1f} %"
         if self.best.undecided and (seeds := self._ranking.to_show(best[0].parameter_set, ever=True)):
             runs = seeds * len(self._problem.scenarios)
             broken += f": budget or `most` is too small; {runs:,} more runs, all within limits, show it"

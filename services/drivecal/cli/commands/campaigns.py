@@ -273,7 +273,7 @@ def counted(campaign: Campaign) -> CellCounts:
 def _row(campaign: Campaign) -> list[object]:
     cells = counted(campaign)
     best = "-" if campaign.best is None else f"{campaign.best.objective:.3f}"
-    share = f"{saved(cells):.1%}" if cells.requested else "-"
+    share = f"{100 * saved(cells):.1f} %" if cells.requested else "-"
     return [
         campaign.id,
         campaign.state,

@@ -226,7 +226,7 @@ def _second(client: Client, first: Campaign, as_json: bool) -> Campaign:
 
 def _print_best(client: Client, campaign: Campaign, title: str) -> None:
     seconds = campaign.seconds
-    spent = f"{duration(seconds.wall)} ({duration(seconds.simulating)} of simulation, {saved(campaign.cells):.1%} of the cells saved)"
+    spent = f"{duration(seconds.wall)} ({duration(seconds.simulating)} of simulation, {100 * saved(campaign.cells):.1f} % of cells saved)"
     typer.echo(f"\n{title}, after {spent}:\n")
     print_solutions(client.solutions(campaign.id, limit=SHOWN).items)
 

@@ -134,7 +134,7 @@ def print_explanation(explanation: Explanation) -> None:
         typer.echo(f"\nstored set: evaluation {reference.evaluation} of campaign {reference.campaign} ({at}), {score}")
     if explanation.prediction is not None:
         prediction = explanation.prediction
-        typer.echo(f"\nprediction: score {told(prediction.score)}, confidence {prediction.confidence:.1%}")
+        typer.echo(f"\nprediction: score {told(prediction.score)}, confidence {100 * prediction.confidence:.1f} %")
     if explanation.differences:
         typer.echo("")
         header = ["parameter", "this cell", "stored set", "influential", "this lies", "that lies", "in the way"]

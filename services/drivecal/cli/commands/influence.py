@@ -141,7 +141,9 @@ def _print_agreement(agreement: Agreement) -> None:
     if agreement.share is None:
         typer.echo("they have no scenario and parameter in common")
     else:
-        typer.echo(f"they agree within one interval on {agreement.agreeing} of {agreement.pairs} pairs ({agreement.share:.1%})")
+        typer.echo(
+            f"they agree within one interval on {agreement.agreeing} of {agreement.pairs} pairs ({100 * agreement.share:.1f} %)"
+        )
     if agreement.differences:
         typer.echo("")
         header = ["scenario", "parameter", "first", "second"]

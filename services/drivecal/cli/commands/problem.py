@@ -309,7 +309,9 @@ def parameters(
             why = "texts, more than two axes, axes that are curves, variants, read-only values, values that follow from others"
             tell(f"{source}: {len(content.skipped):,} are left out ({why}): {names}")
     if sections.guessed:
-        tell(f"no file has a usable range of {', '.join(sections.guessed)}: {span:.0%} around the value was taken; correct it")
+        tell(
+            f"no file has a usable range of {', '.join(sections.guessed)}: {100 * span:.0f} % around the value was taken; correct it"
+        )
     for name, reason in sections.left_out.items():
         tell(f"{name}: left out: {reason}")
     missing = sections.parameters.keys() - sections.baseline.keys()

@@ -251,7 +251,7 @@ def cells_text(cells: CellCounts) -> str:
 def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
     """Prints how the cells of campaigns were answered, one line each."""
     fields = ("proposed", "carried_over", "requested", *OUTCOMES, "audited")
-    rows = [[name, *(f"{getattr(cells, field):,}" for field in fields), f"{saved(cells):.1%}"] for name, cells in runs]
+    rows = [[name, *(f"{getattr(cells, field):,}" for field in fields), f"{100 * saved(cells):.1f} %"] for name, cells in runs]
     print_columns(["", *(field.replace("_", " ") for field in fields), "saved"], rows)
 
 
@@ -304,4 +304,4 @@ def _text(value: object) -> str:
 
 
 def _is_number(text: str) -> bool:
-    return text == "-" or text.removesuffix("%").replace(",", "").replace(".", "", 1).removeprefix("-").isdigit()
+    return text == "-" or text.removesuffix(" %").replace(",", "").replace(".", "", 1).removeprefix("-").isdigit()

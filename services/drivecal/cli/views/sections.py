@@ -49,7 +49,7 @@ def objective_number(value: float | None) -> str | None:
 
 def percent(share: float | None, digits: int = 2) -> str | None:
     """Returns a share in percent; None for an unknown share."""
-    return None if share is None else f"{share:.{digits}%}"
+    return None if share is None else f"{100 * share:.{digits}f} %"
 
 
 def bound(upper_95: float | None) -> str | None:
@@ -139,7 +139,7 @@ def account_blocks(account: Accounting | None) -> list[Block]:
 
 def broken_text(judged: Best | Baseline | FrontBaseline | Solution | FrontRow) -> str:
     """Returns by how much a set breaks constraints on results, or that it is not known."""
-    return "not known to keep its rates" if judged.undecided else f"breaks constraints by {judged.violation:.1%}"
+    return "not known to keep its rates" if judged.undecided else f"breaks constraints by {100 * judged.violation:.1f} %"
 
 
 def solutions_table(solutions: Sequence[Solution]) -> list[Block]:
