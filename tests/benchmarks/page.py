@@ -31,6 +31,7 @@ from tests.support.api_process import ApiProcess, api_process
 from tests.support.browser import NAMES
 from tests.support.computed import ComputedBackend
 from tests.support.runs import dispatcher, get, submit
+from tests.support.several import installed
 
 from drivecal.api.routes.page import FILES, START
 from drivecal.contracts.work import Cell, CellResult
@@ -129,10 +130,13 @@ def with_front(url: str, sets: int) -> StoredCampaign:
         metrics = dict(zip(OBJECTIVES, (1 - math.cos(angle), 1 - math.sin(angle)), strict=True))
         return CellResult(cell.id, 5.0, 5, metrics, None, 7.0)
 
-    optimizer = {"kind": "optuna", "sampler": "nsga2", "population": sets, "iterations": 1, "seed": 1}
+    optimizer = {"kind": "several", "population": sets, "iterations": 1, "seed": 1}
     objectives = [{"measure": name, "direction": "minimise"} for name in OBJECTIVES]
     backend = ComputedBackend(answer=on_circle)
-    return ended(url, backend, optimizer=optimizer, catalogue=["S1", "S2"], objectives=objectives, reduction={"mode": "exact"})
+    with installed():
+        return ended(
+            url, backend, optimizer=optimizer, catalogue=["S1", "S2"], objectives=objectives, reduction={"mode": "exact"}
+        )
 
 
 def ended(url: str, backend: ComputedBackend, **specification: Any) -> StoredCampaign:

@@ -38,7 +38,8 @@ SPEC: dict[str, Any] = {
 }
 FRUGAL: dict[str, Any] = {
     "objectives": [{"measure": "energy", "direction": "minimise"}, {"score": "accuracy"}],
-    "optimizer": SPEC["optimizer"] | {"kind": "optuna", "sampler": "nsga2"},
+    "optimizer": {"kind": "surrogate"},
+    "budget": {"simulations": 60},
 }
 
 

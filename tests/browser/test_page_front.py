@@ -14,6 +14,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.problems import store, submit_checked
 from tests.support.runs import run
 from tests.support.server import RunningApi, serving
+from tests.support.several import SEARCH, installed
 
 from drivecal.contracts.work import Cell, CellResult
 
@@ -35,7 +36,7 @@ SEAT: dict[str, Any] = {
 SPEC: dict[str, Any] = {
     "problem": "seat",
     "objectives": [{"score": name} for name in ("heave", "energy")],
-    "optimizer": {"kind": "optuna", "sampler": "nsga2", "population": 20, "iterations": 5, "seed": 4},
+    "optimizer": SEARCH,
     "reduction": {"mode": "exact"},
 }
 
@@ -73,7 +74,7 @@ class Shown:
 
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('front') / 'drivecal.db'}") as api:
+    with installed(), serving(f"sqlite:///{tmp_path_factory.mktemp('front') / 'drivecal.db'}") as api:
         store(api.database, SEAT, {"model.py": "def evaluate(parameters, scenario): ...\n"})
         third = {"objectives": [*SPEC["objectives"], {"score": "roll"}], "optimizer": SPEC["optimizer"] | {"iterations": 3}}
         ended = [

@@ -98,7 +98,7 @@ def searched_for_two(url: str) -> str:
     spec = {
         "catalogue": ["S3"],
         "objectives": [{"score": "comfort"}, {"measure": "peak_lateral_jerk_mps3", "direction": "minimise", "failed": 20.0}],
-        "optimizer": {"kind": "optuna", "sampler": "nsga2", "population": 8, "iterations": 2, "seed": 1},
+        "budget": {"simulations": 16},
         "sensitivity": None,
         "reduction": {"mode": "exact"},
     }

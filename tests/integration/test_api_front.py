@@ -12,15 +12,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.integration.test_objectives import JERK, NSGA2, TWO, backend
+from tests.integration.test_objectives import JERK, TWO, backend
 from tests.support.command import command
 from tests.support.runs import SMALL, run_posted
 from tests.support.server import RunningApi, serving
+from tests.support.several import SEARCH, installed
 from tests.support.values import present
 
 from drivecal.client import Client
 
-SPEC = SMALL | {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}}
+SPEC = SMALL | {"objectives": TWO, "optimizer": SEARCH, "reduction": {"mode": "exact"}}
 
 
 @dataclass(frozen=True)
@@ -35,10 +36,10 @@ class Ended:
 
 @pytest.fixture(scope="module")
 def ended(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('front') / 'drivecal.db'}") as api:
+    with installed(), serving(f"sqlite:///{tmp_path_factory.mktemp('front') / 'drivecal.db'}") as api:
         changes: list[dict[str, Any]] = [
             {"baseline": {f"P{i}": 0.5 for i in range(1, 12)}},
-            {"optimizer": NSGA2 | {"seed": 9}},
+            {"optimizer": SEARCH | {"seed": 9}},
             {"objectives": None, "optimizer": SMALL["optimizer"]},
         ]
         yield Ended(api, *(run_posted(api, SPEC | change, backend()) for change in changes))

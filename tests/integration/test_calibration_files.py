@@ -6,9 +6,10 @@ from typing import Any
 
 import pytest
 from sqlalchemy import update
-from tests.integration.test_objectives import NSGA2, TWO, backend
+from tests.integration.test_objectives import TWO, backend
 from tests.support.runs import SMALL, run_posted
 from tests.support.server import RunningApi, serving
+from tests.support.several import SEARCH, installed
 
 from drivecal.calibration_data import dcm
 from drivecal.client import Client
@@ -18,7 +19,7 @@ from drivecal.domain.errors import InvalidInputError, NotFoundError
 from drivecal.storage import campaigns, studies
 from drivecal.storage.engine import tables
 
-SPEC = SMALL | {"optimizer": NSGA2 | {"population": 12, "iterations": 3}, "reduction": {"mode": "exact"}, "objectives": TWO}
+SPEC = SMALL | {"optimizer": SEARCH | {"population": 12, "iterations": 3}, "reduction": {"mode": "exact"}, "objectives": TWO}
 BASELINE = dict.fromkeys((f"P{number}" for number in range(1, 12)), 0.5)
 
 
@@ -33,7 +34,7 @@ class Ended:
 
 @pytest.fixture(scope="module")
 def ended(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('files') / 'drivecal.db'}") as api:
+    with installed(), serving(f"sqlite:///{tmp_path_factory.mktemp('files') / 'drivecal.db'}") as api:
         changes: list[dict[str, Any]] = [{"baseline": BASELINE}, {"objectives": None, "optimizer": SMALL["optimizer"]}]
         yield Ended(api, *(run_posted(api, SPEC | change, backend()) for change in changes))
 

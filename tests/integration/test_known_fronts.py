@@ -1,4 +1,4 @@
-"""DTLZ2, whose front is an eighth of the unit sphere, as a user's problem: searched as by the bare optimizer."""
+"""DTLZ2, whose front is an eighth of the unit sphere, as a user's problem: searched as by a bare optimizer of a plug-in."""
 
 from collections.abc import Mapping
 from math import cos, pi, sin
@@ -8,17 +8,17 @@ import numpy as np
 from tests.support.computed import ComputedBackend
 from tests.support.problems import store, submit_checked
 from tests.support.runs import run
+from tests.support.several import SEVERAL, installed
 
 from drivecal.analysis.front import non_dominated
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import front_of
 from drivecal.contracts.work import CellResult
-from drivecal.optimizers.optuna_samplers import OPTUNA
 from drivecal.storage.engine.database import Database
 
 VALUES = 1001
 """Number of values of each of the five parameters, from 0 to 1."""
-SEARCH: dict[str, Any] = {"kind": "optuna", "sampler": "nsga2", "population": 32, "iterations": 20, "seed": 4}
+SEARCH: dict[str, Any] = {"kind": "several", "population": 32, "iterations": 20, "seed": 4}
 NAMES = ("f1", "f2", "f3")
 PROBLEM: dict[str, Any] = {
     "problem": "dtlz2",
@@ -38,15 +38,15 @@ def dtlz2(parameters: Mapping[str, Any]) -> dict[str, float]:
 
 
 def test_a_campaign_searches_as_the_bare_optimizer_does(database: Database) -> None:
-    """So figures of the bare optimizer, such as the former benchmark `fronts`, hold for campaigns of problems."""
     store(database, PROBLEM)
     objectives = [{"score": name} for name in NAMES]
     document = {"problem": "dtlz2", "objectives": objectives, "optimizer": SEARCH, "reduction": {"mode": "off"}}
     backend = ComputedBackend(answer=lambda _, cell: CellResult(cell.id, None, None, dtlz2(cell.parameters), None, 7.0))
-    ended = run(database, submit_checked(database, document), backend)
+    with installed():
+        ended = run(database, submit_checked(database, document), backend)
     grown = [size for _, size, _ in front_of(database, ended, resolved_spec(ended)).growth()]
 
-    optimizer = OPTUNA.create(OPTUNA.settings.model_validate(SEARCH), np.full(5, VALUES))
+    optimizer = SEVERAL.create(SEVERAL.settings.model_validate(SEARCH), np.full(5, VALUES))
     gains = np.empty((0, len(NAMES)))
     bare = []
     for _ in range(SEARCH["iterations"]):

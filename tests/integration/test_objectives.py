@@ -1,11 +1,13 @@
 """Campaigns with several objectives and constraints: searched, predicted and confirmed by a dispatcher."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from tests.support.computed import ComputedBackend, rating_of
 from tests.support.runs import get, nothing_matters, post_map, run, submit
+from tests.support.several import SEARCH, installed
 from tests.support.values import present
 
 from drivecal.analysis.solutions import Ranking
@@ -20,9 +22,14 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
 
 JERK = "peak_lateral_jerk_mps3"
-NSGA2 = {"kind": "optuna", "sampler": "nsga2", "population": 24, "iterations": 8, "seed": 3}
 TWO = [{"score": "comfort"}, {"measure": JERK, "direction": "minimise", "aggregate": "max", "failed": 20.0}]
 SPLIT = [{"score": "comfort", "name": name, "scenarios": [name]} for name in ("S1", "S2")]
+
+
+@pytest.fixture(autouse=True)
+def _several() -> Iterator[None]:
+    with installed():
+        yield
 
 
 def measured(scenario: str, cell: Cell) -> CellResult:
@@ -52,7 +59,7 @@ def vectors(database: Database, campaign: StoredCampaign) -> list[tuple[float, .
 
 
 def test_a_score_and_a_measure_are_searched_together(database: Database) -> None:
-    ended = run(database, submit(database, objectives=TWO, optimizer=NSGA2, reduction={"mode": "exact"}), backend())
+    ended = run(database, submit(database, objectives=TWO, optimizer=SEARCH, reduction={"mode": "exact"}), backend())
     front = vectors(database, ended)
     assert len(front) > 2
     assert front == sorted(front, key=lambda each: -each[0])
@@ -72,7 +79,7 @@ def test_a_score_and_a_measure_are_searched_together(database: Database) -> None
 
 def test_one_score_in_several_scenarios_is_answered_by_references_and_confirmed(database: Database) -> None:
     stored_map = post_map(database, nothing_matters())
-    spec: dict[str, Any] = {"objectives": SPLIT, "optimizer": NSGA2, "reduction": {"mode": "influence", "confirm": 500}}
+    spec: dict[str, Any] = {"objectives": SPLIT, "optimizer": SEARCH, "reduction": {"mode": "influence", "confirm": 500}}
     ended = run(database, submit(database, stored_map=stored_map, **spec), backend())
     assert ended.cells.reused > 0
     assert present(ended.confirmation).state == "confirmed"
@@ -88,7 +95,7 @@ def test_one_score_in_several_scenarios_is_answered_by_references_and_confirmed(
 @pytest.mark.slow
 def test_the_robustness_of_every_set_of_the_front_is_examined(database: Database) -> None:
     robust = {"delta": 0.05, "steps": 2, "samples": 3, "solutions": 1000}
-    spec: dict[str, Any] = {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}, "robustness": robust}
+    spec: dict[str, Any] = {"objectives": TWO, "optimizer": SEARCH, "reduction": {"mode": "exact"}, "robustness": robust}
     ended = run(database, submit(database, **spec), backend())
     front = {member.solution.parameter_set for member in ranking_of(database, ended).front()}
     with database.read() as connection:
@@ -104,7 +111,7 @@ def test_the_robustness_of_every_set_of_the_front_is_examined(database: Database
 def test_sets_that_share_the_best_objective_and_keep_the_constraints_are_examined(database: Database) -> None:
     spec: dict[str, Any] = {
         "constraints": [{"measure": JERK, "at_most": 7.0, "failed": 20.0}],
-        "optimizer": NSGA2,
+        "optimizer": SEARCH,
         "reduction": {"mode": "exact"},
         "robustness": {"delta": 0.05, "steps": 1, "samples": 2, "solutions": 1000},
     }
@@ -126,7 +133,7 @@ def test_the_recommended_set_has_the_best_objective_and_keeps_the_constraints(da
     spec: dict[str, Any] = {
         "objectives": [{"score": "comfort", "aggregate": "min"}],
         "constraints": [{"measure": JERK, "at_most": 7.0, "failed": 20.0}],
-        "optimizer": NSGA2,
+        "optimizer": SEARCH,
         "reduction": {"mode": "exact"},
         "robustness": {"delta": 0.05, "steps": 1, "samples": 2, "sets": [named]},
     }

@@ -12,6 +12,7 @@ from fastapi.testclient import TestClient
 from tests.support.computed import ComputedBackend
 from tests.support.problems import store
 from tests.support.runs import run
+from tests.support.several import SEARCH, installed
 
 from drivecal.api.app import create_app
 from drivecal.configuration.settings import load_settings
@@ -105,7 +106,7 @@ def test_importance_explains_the_objective_of_the_ranking_under_its_weights_and_
 
 
 BOUNDED: dict[str, Any] = {
-    "optimizer": {"kind": "optuna", "sampler": "nsga2", "population": 24, "iterations": 2, "seed": 1},
+    "optimizer": SEARCH | {"iterations": 2},
     "constraints": [
         {"measure": "y", "at_most": 2.0, "failed": 10.0},
         {"score": "cost", "at_most": 1.6},
@@ -117,10 +118,11 @@ BOUNDED: dict[str, Any] = {
 @pytest.fixture
 def bounded(asked: Asked, database: Database) -> str:
     """The path of a campaign under constraints on a measure and on its own score; y grows with x, the cost is least at x = 0.5."""
-    accepted = asked.http.post("/api/v1/campaigns", json=SPEC | BOUNDED).raise_for_status().json()
-    with database.read() as connection:
-        queued = campaigns.get(connection, accepted["id"])
-    run(database, queued, ComputedBackend(answer=simulated))
+    with installed():
+        accepted = asked.http.post("/api/v1/campaigns", json=SPEC | BOUNDED).raise_for_status().json()
+        with database.read() as connection:
+            queued = campaigns.get(connection, accepted["id"])
+        run(database, queued, ComputedBackend(answer=simulated))
     return f"/api/v1/campaigns/{accepted['id']}"
 
 

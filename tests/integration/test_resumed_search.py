@@ -11,14 +11,13 @@ from tests.support.runs import dispatcher, finish, get, submit
 from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import SupersededError
-from drivecal.optimizers import optuna_samplers
-from drivecal.optimizers.optuna_samplers import OPTUNA
+from drivecal.optimizers.cma_es import CMA_ES, CmaEs
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database, Patience
 from drivecal.storage.engine.tables import evaluations, generations
 
-SEARCH = {"kind": "optuna", "sampler": "random", "population": 8, "iterations": 6, "seed": 3}
+SEARCH = {"kind": "cma_es", "population": 8, "iterations": 6, "seed": 3}
 IMPATIENT = Patience(lock=0.05, connect=1, statement=None, watched=False)
 
 
@@ -43,20 +42,20 @@ def _begun(database: Database, iterations: int) -> StoredCampaign:
 def _while_restoring(monkeypatch: pytest.MonkeyPatch, act: Callable[[], None]) -> None:
     """Calls `act` whenever the optimizer is created, restored or told something."""
     for name in ("create", "restore"):
-        original = getattr(OPTUNA, name)
+        original = getattr(CMA_ES, name)
 
         def wrapped(*arguments: Any, original: Callable[..., Any] = original) -> Any:
             act()
             return original(*arguments)
 
-        monkeypatch.setattr(OPTUNA, name, wrapped)
-    learn = optuna_samplers.OptunaEngine.learn
+        monkeypatch.setattr(CMA_ES, name, wrapped)
+    learn = CmaEs.tell
 
     def learning(*arguments: Any) -> None:
         act()
         learn(*arguments)
 
-    monkeypatch.setattr(optuna_samplers.OptunaEngine, "learn", learning)
+    monkeypatch.setattr(CmaEs, "tell", learning)
 
 
 def test_others_can_write_while_a_search_is_restored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

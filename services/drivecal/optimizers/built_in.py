@@ -69,12 +69,10 @@ Chosen = TypeVar("Chosen", bound=OptimizerSpecification)
 
 @dataclass(frozen=True, slots=True)
 class Beginning:
-    """Start of an optimizer. `kinds` are the parameters' kinds; positions, bits and ranks of choices follow the order of their lists.
-    Engines of a `Replayed` optimizer have random numbers of their own, and do not use `generator`."""
+    """Start of an optimizer. CMA-ES has random numbers of its own, and does not use `generator`."""
 
     population: Indices
     n_values: Indices
-    kinds: Sequence[Kind]
     generator: np.random.Generator
 
 
@@ -86,7 +84,10 @@ class Resumable(Optimizer, Protocol):
 
 
 class BuiltIn(ABC, Generic[Chosen]):
-    """Base of this package's plug-ins: see `drivecal.plugins.ports.OptimizerPlugin`."""
+    """Base of this package's plug-ins: see `drivecal.plugins.ports.DeclaringOptimizerPlugin`.
+
+    All kinds of parameters are alike to them: positions, bits and ranks of choices follow the order of their lists.
+    """
 
     name: str
 
@@ -113,21 +114,29 @@ class BuiltIn(ABC, Generic[Chosen]):
         return chosen.population + (chosen.iterations - 1) * self._renewed(chosen)
 
     def create(
-        self, settings: BaseModel, n_values: Indices, start: Indices | None = None, kinds: Sequence[Kind] | None = None
+        self,
+        settings: BaseModel,
+        n_values: Indices,
+        start: Indices | None = None,
+        kinds: Sequence[Kind] | None = None,  # noqa: ARG002  # of the port
     ) -> Optimizer:
         chosen = self._checked(settings)
         generator = np.random.Generator(np.random.PCG64(chosen.seed))
         first = start_population(chosen.start, chosen.population, n_values, generator, start)
-        return self._optimizer(chosen, Beginning(first, n_values, kinds or ["grid"] * len(n_values), generator))
+        return self._optimizer(chosen, Beginning(first, n_values, generator))
 
     def restore(
-        self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any], kinds: Sequence[Kind] | None = None
+        self,
+        settings: BaseModel,
+        n_values: Indices,
+        state: Mapping[str, Any],
+        kinds: Sequence[Kind] | None = None,  # noqa: ARG002  # of the port
     ) -> Optimizer:
         """See `drivecal.plugins.ports.DeclaringOptimizerPlugin`. Raises InvalidInputError if the state does not fit."""
         chosen = self._checked(settings)
         blank = np.zeros((chosen.population, len(n_values)), dtype=np.int64)
         generator = np.random.Generator(np.random.PCG64(chosen.seed))
-        optimizer = self._optimizer(chosen, Beginning(blank, n_values, kinds or ["grid"] * len(n_values), generator))
+        optimizer = self._optimizer(chosen, Beginning(blank, n_values, generator))
         optimizer.resume(state)
         return optimizer
 

@@ -66,14 +66,6 @@ def checked_answers(objectives: Floats, tie_breakers: Floats, count: int) -> tup
     return objectives.astype(np.float64), tie_breakers.astype(np.float64)
 
 
-def checked_vectors(objectives: Floats, violations: Floats, count: int) -> tuple[Floats, Floats]:
-    """Copies of both. Raises ValueError if there is no row of finite numbers or NaN, and no violation, for each of `count` individuals."""
-    for name, values in (("objectives", objectives), ("violations", violations)):
-        if values.shape[:1] != (count,) or np.isinf(values).any():
-            raise ValueError(f"{name} must be of {count} individuals, finite or NaN")
-    return objectives.astype(np.float64), violations.astype(np.float64)
-
-
 def checked_proposal(name: str, proposal: Proposal, count: int, n_values: Indices, before: Indices | None) -> Proposal:
     """Returns a proposal of the optimizer `name`. Raises InvalidInputError unless it has `count` individuals of the space, and its
     individuals that are not `changed` equal those in `before`."""

@@ -68,12 +68,7 @@ def test_the_built_in_traffic_stores_measures_that_only_a_later_push_declares() 
     problem = resolved(stored, problem=stored.manifest.problem)
     assert problem.bench.requests[request.scenario].run_fingerprint == request.run_fingerprint
     goal = {"measure": new, "direction": "minimise"}
-    resolved(
-        stored,
-        problem=stored.manifest.problem,
-        optimizer={"kind": "optuna", "sampler": "nsga2", "population": 10, "iterations": 2},
-        objectives=[goal],
-    )
+    resolved(stored, problem=stored.manifest.problem, optimizer={"kind": "surrogate"}, objectives=[goal])
     assert bench_of(bundle(), "discomfort").requests["wet"].measures == tuple(bundle().manifest.measures)
 
 
@@ -239,8 +234,9 @@ def test_the_problem_s_baseline_is_the_default() -> None:
 
 
 def test_the_first_score_of_the_objectives_is_the_campaigns_and_others_are_computed() -> None:
-    search = {"kind": "optuna", "sampler": "nsga2", "population": 10, "iterations": 2}
-    problem = resolved(objectives=[{"score": "safety"}, {"score": "discomfort", "aggregate": "max"}], optimizer=search)
+    problem = resolved(
+        objectives=[{"score": "safety"}, {"score": "discomfort", "aggregate": "max"}], optimizer={"kind": "surrogate"}
+    )
     assert problem.bench.scale.name == problem.specification.evaluator == "safety"
     assert problem.specification.reduction.mode == "exact"
     assert problem.goals is not None
@@ -254,12 +250,13 @@ def test_the_first_score_of_the_objectives_is_the_campaigns_and_others_are_compu
 
 
 def test_constraints_on_results_name_scores_and_measures_of_the_bundle() -> None:
-    search = {"kind": "optuna", "sampler": "nsga2", "population": 10, "iterations": 2}
     limits = [{"measure": "min_gap_m", "at_least": 2.0}, {"score": "discomfort", "at_most": 50.0}]
-    problem = resolved(constraints=limits, optimizer=search)
+    problem = resolved(constraints=limits, optimizer={"kind": "surrogate"})
     assert [objective.name for objective in present(problem.goals).objectives] == ["discomfort"]
     assert [(bound.aggregate.kind, bound.span) for bound in present(problem.goals).bounds] == [("min", 2.0), ("max", 100.0)]
-    assert fields(constraints=[{"measure": "gap", "at_least": 2.0}], optimizer=search) == {"constraints[0].measure"}
+    assert fields(constraints=[{"measure": "gap", "at_least": 2.0}], optimizer={"kind": "surrogate"}) == {
+        "constraints[0].measure"
+    }
 
 
 def test_robustness_studies_vary_what_a_problem_declares() -> None:

@@ -14,12 +14,11 @@ from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 
-NSGA2 = {"kind": "optuna", "sampler": "nsga2", "population": 10}
 JERK = {"measure": "peak_lateral_jerk_mps3", "direction": "minimise"}
 
 
 def resolved(**document: Any) -> CalibrationProblem:
-    return resolve(CampaignSpecification.model_validate({"optimizer": NSGA2} | document))
+    return resolve(CampaignSpecification.model_validate(document))
 
 
 def fields(**document: Any) -> list[str]:

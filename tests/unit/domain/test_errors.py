@@ -29,7 +29,7 @@ EXAMPLES = [
     UnavailableError("the server does not answer"),
     DatabaseError("the file is no database"),
     SupersededError("another dispatcher was elected"),
-    ReplayError(3, "optuna 4.5.0", "optuna 5.0.0"),
+    ReplayError(3, "cma 4.0.0", "cma 5.0.0"),
     NotAuthorisedError("the server asks for a token"),
     OverloadError("1,000 campaigns wait already", 30),
     TooLargeError(Problem("optimizer.population", "10,000,000,000 cells are proposed", "give a smaller one")),

@@ -13,21 +13,12 @@ from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective
 from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
 from drivecal.optimizers.cma_es import CMA_ES
-from drivecal.optimizers.optuna_samplers import OPTUNA
 from drivecal.optimizers.repair import RepairingOptimizer, checked_proposal, create_optimizer
 from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
 from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats
 from drivecal.plugins.search import CellAnswer, SearchTask
 
-POPULATIONS: dict[str, tuple[DeclaringOptimizerPlugin, dict[str, Any]]] = {
-    "genetic": (GENETIC, {}),
-    "random": (RANDOM, {}),
-    "swarm": (SWARM, {}),
-    "tpe": (OPTUNA, {"sampler": "tpe"}),
-    "cma_es": (CMA_ES, {}),
-    "optuna nsga2": (OPTUNA, {"sampler": "nsga2"}),
-    "optuna random": (OPTUNA, {"sampler": "random"}),
-}
+POPULATIONS: dict[str, DeclaringOptimizerPlugin] = {"genetic": GENETIC, "random": RANDOM, "swarm": SWARM, "cma_es": CMA_ES}
 GRID: Kind = "grid"
 searches = given(
     sizes=st.sampled_from([[101], [2], [2, 2], [3, 50]]),
@@ -57,9 +48,8 @@ def objective(population: Indices, n_values: Indices, landscape: str) -> Floats:
 def test_every_optimizer_of_populations_searches_the_smallest_spaces(
     kind: str, sizes: list[int], landscape: str, seed: int, one_is_feasible: bool
 ) -> None:
-    plugin, chosen = POPULATIONS[kind]
-    n_values = np.array(sizes)
-    options = plugin.settings.model_validate({"kind": plugin.name, "population": 6, "iterations": 8, "seed": seed, **chosen})
+    plugin, n_values = POPULATIONS[kind], np.array(sizes)
+    options = plugin.settings.model_validate({"kind": plugin.name, "population": 6, "iterations": 8, "seed": seed})
     optimizer = create_optimizer(plugin, options, n_values, [GRID] * len(n_values))
     if one_is_feasible:
         optimizer = RepairingOptimizer(optimizer, np.ones_like)

@@ -160,9 +160,7 @@ def note_search(optimization: Optimization | None, constraints: Constraints | No
         notes.append(f"sets that break {', '.join(constraints.listed)} are replaced by feasible ones near them")
     choices = [parameter.name for parameter in constraints.space.searched if parameter.choices]
     if choices and optimization.plugin.name in ORDERING:
-        notes.append(
-            f"{optimization.plugin.name} treats the choices of {', '.join(choices)} as ordered, as they are listed; optuna does not"
-        )
+        notes.append(f"{optimization.plugin.name} treats the choices of {', '.join(choices)} as ordered, as they are listed")
     return tuple(notes)
 
 
@@ -177,7 +175,7 @@ def check_abilities(
     name = optimization.plugin.name
     if goals is not None and goals.is_vector and "objectives" not in supported(optimization.plugin):
         message = f"{name} searches by a single number, without constraints on results"
-        diagnostics.add("optimizer.kind", message, "choose surrogate or optuna, or give one objective and no constraints")
+        diagnostics.add("optimizer.kind", message, "choose surrogate, or give one objective and no constraints")
     for ability in lacking(optimization.plugin, wanted):
         concerned = [parameter.name for parameter in constraints.space.searched if parameter.kind == ability]
         message = f"{name} does not support {ability} parameters ({', '.join(concerned)})"

@@ -5,7 +5,6 @@ on stored rows and gives all that is stored of it, so that a process that dies r
 """
 
 import threading
-import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import dataclass
@@ -16,7 +15,6 @@ import numpy.typing as npt
 
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.repair import RepairCount, RepairingOptimizer, checked_proposal
-from drivecal.optimizers.replayed import abandon_when
 from drivecal.plugins.ports import Optimizer
 from drivecal.plugins.search import AskedCell, Search
 
@@ -160,24 +158,19 @@ def cells_of(asked: AskedRound, seeds: int = 1) -> list[AskedCell]:
 
 
 class Computation:
-    """Creates or restores a search, passes it answers and asks for its next round, in a thread of its own.
-
-    When the last reference to this object is gone, nothing waits for the result: see `optimizers.replayed.stop_if_abandoned`.
-    """
+    """Creates or restores a search, passes it answers and asks for its next round, in a thread of its own."""
 
     def __init__(self, obtain: Callable[[], Asker], answers: tuple[Any, ...] | None, *, asks: bool) -> None:
         """Begins to compute.
 
         Args:
-            obtain: returns the search; neither it nor what it refers to may refer to this object.
+            obtain: returns the search.
             answers: arguments of `Asker.tell`, which is called first; None for no call.
             asks: whether a round is wanted.
         """
         self._patience = PATIENCE_SECONDS
         self._outcome: Future[tuple[Asker, AskedRound | None]] = Future()
-        abandoned = threading.Event()
-        weakref.finalize(self, abandoned.set)
-        arguments = (self._outcome, abandoned, obtain, answers, asks)
+        arguments = (self._outcome, obtain, answers, asks)
         # A daemon: a process that ends waits for no optimizer.
         threading.Thread(target=_compute, args=arguments, name="optimizer", daemon=True).start()
         self.asks = asks
@@ -199,12 +192,10 @@ class Computation:
 
 def _compute(
     outcome: Future[tuple[Asker, AskedRound | None]],
-    abandoned: threading.Event,
     obtain: Callable[[], Asker],
     answers: tuple[Any, ...] | None,
     asks: bool,  # noqa: FBT001  # a thread's arguments are positional
 ) -> None:
-    abandon_when(abandoned.is_set)
     try:
         asker = obtain()
         if answers is not None:
