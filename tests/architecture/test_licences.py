@@ -20,7 +20,6 @@ WEAK = {
     "psycopg-binary": "LGPL-3.0-only",
     "sumo-data": "EPL-2.0",
     "sumolib": "EPL-2.0",
-    "tqdm": "MPL-2.0 AND MIT",
     "traci": "EPL-2.0",
 }
 """Copyleft of single files or libraries, which are shipped unchanged; `security.md` lists them."""
