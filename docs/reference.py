@@ -29,7 +29,7 @@ from drivecal.cli.main import app
 from drivecal.configuration.settings import PREFIX, Settings
 from drivecal.contracts import comparison, specification, tables
 from drivecal.domain.vehicles import CLOSED_LOOP_MEASURES
-from drivecal.highway.planner.frenet import RANGES
+from drivecal.highway.planner.plugin import RANGES
 
 TARGET = Path(__file__).parent / "pages" / "reference"
 MADE = "<!-- Made by docs/reference.py from the code: `make docs`. -->\n\n"

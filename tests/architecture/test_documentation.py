@@ -28,7 +28,7 @@ from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
 from drivecal.domain.errors import InvalidInputError
-from drivecal.highway.planner.frenet import RANGES
+from drivecal.highway.planner.plugin import RANGES
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted([*(ROOT / "deploy" / "examples").glob("*.yaml"), *(ROOT / "deploy" / "examples" / "maps").glob("*.yaml")])

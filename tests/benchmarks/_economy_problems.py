@@ -182,7 +182,7 @@ def motorway() -> EconomyProblem:
     """The built-in motorway, S1 to S6."""
     from tests.benchmarks.evaluation import runner_of
 
-    from drivecal.highway.planner.frenet import FRENET
+    from drivecal.highway.planner.plugin import FRENET
     from drivecal.highway.scenarios.highway import HIGHWAY
 
     runner = cache(lambda scenario: runner_of(HIGHWAY.scenarios[scenario]))
@@ -201,7 +201,7 @@ def random_motorway() -> EconomyProblem:
 
     from drivecal.bundles.highway import TaskScenario
     from drivecal.bundles.installed import installed_problems
-    from drivecal.highway.planner.frenet import FRENET
+    from drivecal.highway.planner.plugin import FRENET
     from drivecal.highway.scenarios.highway import RANDOM_FOLDER
 
     declared = installed_problems()["highway-random"].manifest.scenarios

@@ -21,7 +21,7 @@ from drivecal.domain.scenarios import Scenario
 from drivecal.highway import sumo as sumo_calls
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
-from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.planner.plugin import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.sumo import EGO
 from drivecal.highway.vehicle.plugin import SINGLE_TRACK

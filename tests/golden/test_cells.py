@@ -18,7 +18,7 @@ import pytest
 
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
-from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.planner.plugin import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 from drivecal.plugins.setups import simulator

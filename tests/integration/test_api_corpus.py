@@ -179,7 +179,7 @@ NAMES = [
         "/etc/passwd",
         "os.system",
         "os:system",
-        "drivecal.highway.planner.frenet:FRENET",
+        "drivecal.highway.planner.plugin:FRENET",
         "frenet/../frenet",
         "frenet\0",
         "http://x/y",

@@ -10,7 +10,7 @@ from drivecal.domain.evaluations import FAILED_RATING, Failure, RunResult
 from drivecal.highway.comfort.learned import LEARNED
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
-from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.planner.plugin import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.vehicle.hybrid import HYBRID
 from drivecal.plugins.ports import Evaluator, Vehicle

@@ -16,8 +16,8 @@ from typing import Any
 import psutil
 import pytest
 
+from drivecal.adapters.environment import Scratch
 from drivecal.adapters.kinds import simulator
-from drivecal.adapters.scratch import Scratch
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
 from drivecal.plugins.simulators import Declared, NoMeasuresError, SimulatorSession

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from drivecal.adapters.command import run_probe
+from drivecal.adapters.environment import sessions
 from drivecal.adapters.files import remove
 from drivecal.adapters.kinds import simulator
 from drivecal.adapters.process import ProcessSession
-from drivecal.adapters.scratch import sessions
 from drivecal.analysis.scoring import cut_text
 from drivecal.bundles.archives import unpack
 from drivecal.bundles.checks import choices_of

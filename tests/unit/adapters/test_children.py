@@ -26,7 +26,7 @@ from tests.support.simulators import (
 )
 
 from drivecal.adapters import children, keeper
-from drivecal.adapters.scratch import GRANTED
+from drivecal.adapters.environment import GRANTED
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import NoMeasuresError
 

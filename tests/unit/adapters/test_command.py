@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from tests.support.simulators import eventually, hung, lost, opened, running, scratch_of, write_script
 
+from drivecal.adapters.environment import GRANTED
 from drivecal.adapters.kinds import simulator
-from drivecal.adapters.scratch import GRANTED
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import VERSIONS, BusyError

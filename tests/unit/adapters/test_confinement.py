@@ -10,7 +10,7 @@ import pytest
 from tests.support.simulators import lost, opened, scratch_of, served, write_server
 
 from drivecal.adapters import confinement, keeper
-from drivecal.adapters.scratch import GRANTED, Scratch
+from drivecal.adapters.environment import GRANTED, Scratch
 from drivecal.adapters.seclusion import Seclusion
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown

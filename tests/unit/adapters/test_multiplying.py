@@ -7,7 +7,7 @@ import pytest
 from tests.support.simulators import compiled, lost, running, served
 
 from drivecal.adapters import children, confinement
-from drivecal.adapters.scratch import GRANTED
+from drivecal.adapters.environment import GRANTED
 from drivecal.domain.evaluations import Breakdown
 
 

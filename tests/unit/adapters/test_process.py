@@ -21,7 +21,7 @@ from tests.support.simulators import (
 )
 
 from drivecal.adapters import answers, kinds, pipes, process
-from drivecal.adapters.scratch import GRANTED, environment
+from drivecal.adapters.environment import GRANTED, environment
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import simulators

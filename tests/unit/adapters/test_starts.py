@@ -6,8 +6,8 @@ import pytest
 from tests.support.simulators import DECLARED, lost, opened, served, write_server
 
 from drivecal.adapters.children import Launch
+from drivecal.adapters.environment import Scratch
 from drivecal.adapters.process import ProcessSession
-from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import UnsuitableError

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from tests.support.values import faults_of
 
-from drivecal.api.tables.paging import selection
+from drivecal.api.tables.selection import selection
 from drivecal.contracts.tables import Column
 
 COLUMNS = [

@@ -10,7 +10,7 @@ from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.vehicles import CLOSED_LOOP_MEASURES
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
-from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.planner.plugin import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 

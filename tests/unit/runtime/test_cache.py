@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from drivecal.adapters.scratch import Scratch
+from drivecal.adapters.environment import Scratch
 from drivecal.bundles import archives
 from drivecal.domain.errors import InvalidInputError, UnavailableError
 from drivecal.runtime import cache as module

@@ -15,7 +15,7 @@ from unittest.mock import Mock
 import pytest
 from tests.unit.runtime.test_bundles import READY, ScriptedSession, ScriptedSimulator, worker
 
-from drivecal.adapters.scratch import GRANTED
+from drivecal.adapters.environment import GRANTED
 from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.values import Argument

@@ -19,8 +19,8 @@ from typing import Any
 
 from drivecal.adapters import files as usage
 from drivecal.adapters import keeper
+from drivecal.adapters.environment import Scratch, environment
 from drivecal.adapters.files import Disk
-from drivecal.adapters.scratch import Scratch, environment
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import NoMeasuresError, RunOutcome

@@ -13,8 +13,8 @@ from typing import Any
 
 from drivecal.adapters import answers
 from drivecal.adapters.children import Children, Launch, check_command
+from drivecal.adapters.environment import Scratch, discard
 from drivecal.adapters.pipes import LONGEST_LINE, Pipes
-from drivecal.adapters.scratch import Scratch, discard
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.setups import digest

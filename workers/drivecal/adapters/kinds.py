@@ -18,8 +18,8 @@ from typing import Any
 from drivecal.adapters import inputs
 from drivecal.adapters.children import Launch, check_command
 from drivecal.adapters.command import DRIVER, CommandSession
+from drivecal.adapters.environment import Scratch
 from drivecal.adapters.process import ProcessSession
-from drivecal.adapters.scratch import Scratch
 from drivecal.bundles import units
 from drivecal.domain.errors import NotFoundError, UnavailableError
 from drivecal.plugins import setups

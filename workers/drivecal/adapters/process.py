@@ -11,8 +11,8 @@ from typing import Any
 
 from drivecal.adapters import answers, inputs
 from drivecal.adapters.children import Children, Launch
+from drivecal.adapters.environment import Scratch
 from drivecal.adapters.pipes import RUN_LIMIT, Pipes
-from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Argument

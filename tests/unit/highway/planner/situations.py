@@ -8,7 +8,7 @@ from tests.support.roads import CurvatureKnot, road_of
 from drivecal.domain.roads import Floats
 from drivecal.domain.scenarios import EgoStart, Scenario, SpeedKnot, Task
 from drivecal.highway.comfort.reference import Manoeuvre
-from drivecal.highway.planner.frenet import HIGHWAY
+from drivecal.highway.planner.plugin import HIGHWAY
 from drivecal.plugins.ports import Observation
 
 LANE = 3.75

@@ -26,8 +26,8 @@ from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import Floats
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway.planner.cost import weights
-from drivecal.highway.planner.frenet import HIGHWAY
 from drivecal.highway.planner.planner import FrenetPlanner
+from drivecal.highway.planner.plugin import HIGHWAY
 from drivecal.highway.planner.terms import FEATURE_GRID
 from drivecal.plugins.ports import Observation
 

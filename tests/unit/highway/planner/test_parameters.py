@@ -11,9 +11,9 @@ from tests.unit.highway.planner.situations import MIDDLE
 from drivecal.domain import roads
 from drivecal.domain.parameters import ParameterSpace
 from drivecal.domain.setups import digest
-from drivecal.highway.planner import frenet
+from drivecal.highway.planner import plugin
 from drivecal.highway.planner.cost import TERMS, weights
-from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.planner.plugin import FRENET
 
 TABLE_6 = {
     "P1": ("-15", "14", 59),
@@ -83,10 +83,10 @@ def test_a_parameter_set_of_the_wrong_length_is_refused() -> None:
 
 
 def test_the_version_changes_with_every_file_that_decides_what_is_driven() -> None:
-    package = Path(frenet.__file__).parent
-    harmless = {"__init__.py", "frenet.py"}
-    assert {path.name for path in package.glob("*.py")} - harmless == {path.name for path in frenet.ARITHMETIC}
-    content = b"".join(path.read_bytes() for path in [*frenet.ARITHMETIC, Path(roads.__file__)])
-    assert FRENET.version == frenet.version_of(content)
+    package = Path(plugin.__file__).parent
+    harmless = {"__init__.py", "plugin.py"}
+    assert {path.name for path in package.glob("*.py")} - harmless == {path.name for path in plugin.ARITHMETIC}
+    content = b"".join(path.read_bytes() for path in [*plugin.ARITHMETIC, Path(roads.__file__)])
+    assert FRENET.version == plugin.version_of(content)
     edited = content.replace(b"3000.0", b"3001.0")
-    assert frenet.version_of(edited) == f"1.{digest(edited)[:8]}" != FRENET.version
+    assert plugin.version_of(edited) == f"1.{digest(edited)[:8]}" != FRENET.version
