@@ -221,6 +221,8 @@ def test_a_campaign_on_a_problem_is_submitted_without_json(heater: Heated, openi
     assert stored["optimizer"]["mutation"] == 0.2
     page.get_by_role("button", name="Cancel").click()
     page.get_by_role("button", name="Really cancel").click()
+    page = opening(f"{heater.api.url}/#/submit")
+    expect(page.get_by_label("score")).to_contain_text("cost / EUR, 0 to 100, less is better")  # the problem used last
 
 
 def test_goals_are_chosen_from_the_problem_and_a_baseline_is_pasted(heater: Heated, opening: Opening) -> None:

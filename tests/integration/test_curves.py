@@ -66,6 +66,8 @@ def test_results_show_curves_with_the_range_of_good_sets(tmp_path: Path, capsys:
         np.array(load.values(best.parameters))[-1, -1] - 1
     )
     assert best.objective == pytest.approx(off)
+    ends = next(verdict for verdict in results.trust.verdicts if verdict.code == "at_ends").numbers
+    assert (list(ends["values"]), ends["entries"]) == (["load at 0.5, 4"], ["`upper: 1` of load"])
     assert gain.good is not None
     assert gain.good.sets >= 1
     assert (np.array(gain.good.lower) <= gain.values(best.parameters)).all()

@@ -6,7 +6,7 @@ converged, or saw nearly everything. There are no lights before the end, but red
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import Any, Literal
 
@@ -91,9 +91,10 @@ class Chosen:
 @dataclass(frozen=True, slots=True)
 class SearchCourse:
     """The course of an ended search. `course` has a point for each finished iteration, and is empty with several objectives. `ranges` has
-    the lower and upper value of each searched parameter with an order. `grid` is the number of sets of the space, 0 if it is no grid. The
-    search requested `requested` of them, or fewer unless `is_exact`. The sets of the best objective lie in `regions` of
-    the space, if there are several."""
+    the lower and upper value of each searched parameter with an order, and `titles` curve and place of coefficients. `limits` has for both
+    ends of a range the entry of the manifest that keeps a campaign within it: "" for none, None if nothing can be wider. `grid` is the
+    number of sets of the space, 0 if it is no grid. The search requested `requested` of them, or fewer unless `is_exact`. The sets of the
+    best objective lie in `regions` of the space, if there are several."""
 
     course: Course
     ranges: Mapping[str, tuple[float, float]]
@@ -101,6 +102,8 @@ class SearchCourse:
     grid: int = 0
     is_exact: bool = True
     regions: int | None = None
+    titles: Mapping[str, str] = field(default_factory=dict)
+    limits: Mapping[str, tuple[str | None, str | None]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,12 +168,11 @@ def _end(campaign: Campaign) -> Iterator[ResultVerdict]:
 def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     """Yields the verdicts on the chosen set, else on the front of several objectives, else on the best set."""
     search, front, chosen = known.search, known.front, known.chosen
-    ranges = {} if search is None else search.ranges
     if chosen is not None:
         if not chosen.is_judged and not CampaignState(campaign.state).ended:
             return  # its cells may still be answered
         own = campaign.confirmation is None or not chosen.is_best or front is not None
-        yield from _chosen(chosen, ranges, with_origin=own)
+        yield from _chosen(chosen, search, with_origin=own)
         if not own:
             yield from _confirmation(campaign)
         yield from _course(campaign, search)
@@ -180,10 +182,10 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     else:
         yield from (*_constraints(campaign), *_confirmation(campaign), *_baseline(campaign), *_course(campaign, search))
         if campaign.best is not None:
-            yield from _at_ends("the best set", campaign.best.parameters, ranges)
+            yield from _at_ends("the best set", campaign.best.parameters, search)
 
 
-def _chosen(chosen: Chosen, ranges: Mapping[str, tuple[float, float]], *, with_origin: bool) -> Iterator[ResultVerdict]:
+def _chosen(chosen: Chosen, search: SearchCourse | None, *, with_origin: bool) -> Iterator[ResultVerdict]:
     """Yields constraints, origin of the scores, baseline, and values at an end of their range."""
     if not chosen.is_judged:
         yield verdict("not_judged", "red")
@@ -211,20 +213,21 @@ def _chosen(chosen: Chosen, ranges: Mapping[str, tuple[float, float]], *, with_o
         fields = ("name", "value", "baseline", "unit", "gain", "tolerance")
         objectives = [{name: getattr(each, name) for name in fields} for each in chosen.compared]
         yield verdict("beside_baseline", light, objectives=objectives)
-    yield from _at_ends("the chosen set", chosen.parameters, ranges)
+    yield from _at_ends("the chosen set", chosen.parameters, search)
 
 
-def _at_ends(
-    subject: str, values: Mapping[str, float | str], ranges: Mapping[str, tuple[float, float]]
-) -> Iterator[ResultVerdict]:
-    at_end = {
-        name: value
-        for name, ends in ranges.items()
-        if isinstance(value := values.get(name), float | int)
-        and min(abs(value - end) for end in ends) <= AT_END * (ends[1] - ends[0])
-    }
+def _at_ends(subject: str, values: Mapping[str, float | str], search: SearchCourse | None) -> Iterator[ResultVerdict]:
+    at_end: dict[str, float] = {}
+    entries: dict[str, None] = {}
+    search = search or SearchCourse([], {})
+    for name, ends in search.ranges.items():
+        for end, entry in zip(ends, search.limits.get(name, ("", "")), strict=True):
+            value = values.get(name)
+            if isinstance(value, float | int) and abs(value - end) <= AT_END * (ends[1] - ends[0]) and entry is not None:
+                at_end[search.titles.get(name, name)] = value
+                entries |= {entry: None} if entry else {}
     if at_end:
-        yield verdict("at_ends", "amber", subject=subject, values=at_end)
+        yield verdict("at_ends", "amber", subject=subject, values=at_end, entries=list(entries))
 
 
 def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:

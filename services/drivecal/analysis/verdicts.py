@@ -84,7 +84,7 @@ SEARCH = {
     "was for at least {unchanged} iterations.",
     "not_converged": "Not converged by the paper's criterion for the {of}: it last changed in iteration {iteration} of {iterations}, and "
     "would have to stay for at least {unchanged} iterations.",
-    "at_ends": "In {subject} {values:ends} at or near an end of the range; a wider range may hold better sets.",
+    "at_ends": "In {subject} {values:ends} at or near an end of the range; a wider range may hold better sets{entries:entries}.",
 }
 QUESTIONS: Mapping[Question, Mapping[str, str]] = {"scores": SCORES, "search": SEARCH, "baseline": BASELINE}
 SENTENCES: Mapping[str, str] = SCORES | SEARCH | BASELINE
@@ -173,6 +173,10 @@ def _compared(objectives: Sequence[Mapping[str, Any]]) -> str:
     return "; ".join(texts)
 
 
+def _entries(texts: Sequence[str]) -> str:
+    return f": change {_joined(texts)} in `problem.yaml`, and push the problem again" if texts else ""
+
+
 def _ends(values: Mapping[str, float]) -> str:
     return f"{', '.join(f'{name} ({value_text(value)})' for name, value in values.items())} {'lies' if len(values) == 1 else 'lie'}"
 
@@ -186,4 +190,5 @@ _FORMATS: Mapping[str, Any] = {
     "in best": lambda scenarios: f", as the best set does in {', '.join(scenarios)}" if scenarios else "",
     "compared": _compared,
     "ends": _ends,
+    "entries": _entries,
 }

@@ -307,6 +307,12 @@ def test_values_at_an_end_of_their_range_are_named() -> None:
     result = verdicts(campaign(best=best), search=SearchCourse([], ranges))["at_ends"]
     assert result.numbers["values"] == {"P1": 0.5, "P2": 3.0}
     assert "at_ends" not in lights(campaign(best=best), search=SearchCourse([], {"P3": (0.0, 2.0)}))
+    limits = {"P1": (None, ""), "P2": ("", "`upper: 3` of P2")}
+    limited = verdicts(campaign(best=best), search=SearchCourse([], ranges, titles={"P2": "P at 5 m"}, limits=limits))[
+        "at_ends"
+    ]
+    assert (limited.numbers["values"], limited.numbers["entries"]) == ({"P at 5 m": 3.0}, ["`upper: 3` of P2"])
+    assert ("`upper: 3` of P2 in `problem.yaml`" in limited.text, "problem.yaml" in result.text) == (True, False)
     chosen = Chosen({"P1": 0.7, "P2": 3.0})
     assert verdicts(campaign(), search=SearchCourse([], ranges), chosen=chosen)["at_ends"].numbers["values"] == {"P2": 3.0}
 
@@ -357,10 +363,14 @@ def test_a_robustness_study_says_how_far_the_recommended_set_holds() -> None:
 @pytest.mark.parametrize(
     ("code", "numbers", "text"),
     [
-        ("at_ends", {"subject": "the best set", "values": {"P1": 0.5}}, "In the best set P1 (0.5) lies at or near"),
         (
             "at_ends",
-            {"subject": "the best set", "values": {"P1": 1.0, "P2": 2.0}},
+            {"subject": "the best set", "values": {"P1": 0.5}, "entries": []},
+            "In the best set P1 (0.5) lies at or near",
+        ),
+        (
+            "at_ends",
+            {"subject": "the best set", "values": {"P1": 1.0, "P2": 2.0}, "entries": []},
             "In the best set P1 (1), P2 (2) lie at or near",
         ),
         (

@@ -48,6 +48,7 @@ def test_ready_is_who_can_have_a_campaign_simulated(found: StoredProcess | None,
 def test_a_dispatcher_that_died_degraded_is_silent_first_and_degraded_second() -> None:
     judgement = judge(dispatcher(silent=60, degraded="Ray does not answer"), NOW)
     assert (judgement.ready, judgement.silent, len(judgement.problems)) == (False, True, 2)
+    assert judgement.problems[1] == "it last said: Ray does not answer", "what it said is no state of now"
 
 
 def test_an_age_is_never_negative_and_large_if_clocks_differ_much() -> None:

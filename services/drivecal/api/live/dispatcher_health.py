@@ -81,8 +81,8 @@ def judge(dispatcher: StoredProcess | None, now: datetime) -> Judgement:
             f"the dispatcher has been silent for {silent:.0f} s; `drivecal serve`, or the guard of its container, starts it again, and its"
             " log says why"
         )
-    if dispatcher.detail.get("degraded"):
-        problems.append(str(dispatcher.detail["degraded"]))
+    if said := dispatcher.detail.get("degraded"):
+        problems.append(f"it last said: {said}" if problems else str(said))
     if gone:
         return Judgement(ready=False, problems=tuple(problems), silent=True)
     states = [worker.get("state") for worker in dispatcher.detail.get("workers", [])]

@@ -21,11 +21,13 @@ from drivecal.api.tables.ranking import ranking, variants_of
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of, stored_scale
+from drivecal.campaigns.resolve.spaces import Function
 from drivecal.campaigns.resolve.workbench import bundles_of, find_workbench
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.campaigns.results.front import CampaignFront, baseline_of, front_of
 from drivecal.campaigns.results.optima import alternatives
 from drivecal.contracts.accounting import Accounting
+from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Study
 from drivecal.contracts.results import CampaignResults, ResultTrust, StudyResult
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
@@ -85,7 +87,7 @@ def setup_of(database: Database, connection: Connection, campaign: StoredCampaig
     """Returns the parameters, versions and fingerprints that a campaign began with; while it is queued, the current ones."""
     begun_with = resolved_spec(campaign)
     documents = setups.documents(connection, list(begun_with.setups.values()))
-    words = _descriptions(connection, campaign)
+    words = _descriptions(_function(connection, campaign))
     scenarios = [_scenario(name, begun_with, documents) for name in begun_with.weights]
     return CampaignSetup(
         evaluator=begun_with.evaluator,
@@ -226,6 +228,10 @@ def _search(connection: Connection, campaign: StoredCampaign) -> SearchCourse | 
     begun_with = resolved_spec(campaign)
     searched = [parameter for parameter in begun_with.space.searched if parameter.kind != "choice" and parameter.n_values > 2]
     ranges = {parameter.name: (float(parameter.lower), float(parameter.upper)) for parameter in searched}
+    function = _function(connection, campaign)
+    coefficients = {name for shape in (function.shapes.values() if function else ()) for name in shape.names}
+    titles = {name: words for name, words in _descriptions(function).items() if name in coefficients}
+    limits = {} if function is None else {each.name: _limits(function, each) for each in searched}
     course = [] if has_several_objectives(campaign) else generations.course(connection, campaign.sequence)
     whole = all(parameter.kind != "continuous" for parameter in begun_with.space.searched)
     grid = prod(parameter.n_values for parameter in begun_with.space.searched) if whole else 0
@@ -234,7 +240,7 @@ def _search(connection: Connection, campaign: StoredCampaign) -> SearchCourse | 
     is_exact = grid > 0 and (campaign.cells.proposed <= 10_000 or 100 * requested >= grid)
     if is_exact:
         requested = results.number_of_sets(connection, campaign.sequence, StageName.CALIBRATION)
-    return SearchCourse(course, ranges, requested, grid, is_exact)
+    return SearchCourse(course, ranges, requested, grid, is_exact, titles=titles, limits=limits)
 
 
 def _searched(parameter: Parameter, fixed: Mapping[str, Value], descriptions: Mapping[str, str]) -> SearchedParameter:
@@ -243,9 +249,24 @@ def _searched(parameter: Parameter, fixed: Mapping[str, Value], descriptions: Ma
     return SearchedParameter.of(parameter, fixed=value, description=descriptions.get(parameter.name, ""))
 
 
-def _descriptions(connection: Connection, campaign: StoredCampaign) -> dict[str, str]:
-    """Returns the descriptions of parameters; nothing for a problem or driving function that is gone."""
-    function = find_workbench(specification_of(campaign), bundles_of(connection), Diagnostics()).function
+def _function(connection: Connection, campaign: StoredCampaign) -> Function | None:
+    """Returns what a campaign tests; None for a problem or driving function that is gone."""
+    return find_workbench(specification_of(campaign), bundles_of(connection), Diagnostics()).function
+
+
+def _limits(function: Function, parameter: Parameter) -> tuple[str | None, str | None]:
+    """Returns the `limits` of `SearchCourse` for a parameter."""
+    owner = next((name for name, shape in function.shapes.items() if parameter.name in shape.names), parameter.name)
+    own, limits = function.name in function.spaces, function.limits.get(parameter.name, (None, None))
+    keys = zip(("lower", "upper"), (parameter.lower, parameter.upper), limits, strict=True)
+    lower, upper = (
+        "" if limit != float(end) else f"`{key}: {value_text(limit)}` of {owner}" if own else None for key, end, limit in keys
+    )
+    return lower, upper
+
+
+def _descriptions(function: Function | None) -> dict[str, str]:
+    """Returns the descriptions of parameters."""
     spaces = {} if function is None else function.spaces
     return {parameter.name: parameter.description for space in spaces.values() for parameter in space}
 

@@ -92,7 +92,8 @@ def workers(request: Request, database: DatabaseDependency, minutes: Annotated[i
     until = now()
     judgement = judge(dispatcher, until)
     reported = {} if dispatcher is None else dispatcher.detail
-    items = [WorkerAnswer.model_validate(worker) for worker in reported.get("workers", [])]
+    unknown = {"state": "not known", "scenario": None, "since": None} if judgement.silent else {}
+    items = [WorkerAnswer.model_validate(worker | unknown) for worker in reported.get("workers", [])]
     work = [*(running(items, until) if dispatcher and not judgement.silent else ()), *work]
     return WorkerPage(
         items=items,

@@ -81,8 +81,8 @@ export function needsOf(known: readonly Campaign[], since: number, trust: Readon
     const doubt = trust[id]?.verdicts.find(({ light }) => light === "red" || light === "amber");
     if (!doubt) return [];
     const on = { ...again, query: { from: id, start: JSON.stringify([best.parameters]) } };
-    if (doubt.code === "at_ends") return [{ campaign, kind: "not finished", why: doubt.text, title: "Widen the range", ...on }];
-    if (doubt.question === "search") return [{ campaign, kind: "not finished", why: doubt.text, title: "Search on from its best set", ...on }];
+    if (doubt.code === "at_ends" && (doubt.numbers["entries"] as unknown[]).length > 0) return [{ campaign, kind: "not finished", why: doubt.text, title: "Push it with a wider range", path: ["problems"] }];
+    if (doubt.question === "search") return [{ campaign, kind: "not finished", why: doubt.text, title: doubt.code === "at_ends" ? "Widen the range" : "Search on from its best set", ...on }];
     const { view, query, title } = evidenceOf(doubt);
     return [{ campaign, kind: "doubtful", why: doubt.text, title: `See the ${title}`, path: ["campaigns", id, view], query }];
   });

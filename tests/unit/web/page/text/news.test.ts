@@ -16,6 +16,14 @@ test("a set whose rates are undecided is doubtful, and one that breaks constrain
   expect(kinds({ violation: 0.0009 })).toEqual(["nothing feasible"]);
 });
 
+test("a range is widened in the form, or where the problem limits it by a push", () => {
+  const need = (entries: string[]): unknown => {
+    const verdict = { code: "at_ends", light: "amber", question: "search", text: "", numbers: { entries } };
+    return needsOf([ended("a", HOUR, 1)], 0, { a: { verdicts: [verdict] } } as unknown as typeof TRUST)[0]?.path;
+  };
+  expect([need([]), need(["`upper: 3` of P2"])]).toEqual([["submit"], ["problems"]]);
+});
+
 test("campaigns that one cause keeps are one need", () => {
   const degraded = (id: string): Campaign => ({ ...ended(id, 0, 1), state: "queued", ended_at: null, degraded: "silent" }) as unknown as Campaign;
   expect(needsOf([degraded("b"), degraded("a")], 0, {}).map(({ campaign, kind }) => [campaign.id, kind])).toEqual([["b", "degraded"]]);
