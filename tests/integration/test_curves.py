@@ -1,5 +1,6 @@
 """A campaign on a curve: coefficients are searched, results show values at the support points and the range of good sets."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,13 @@ from tests.support.problems import store, submit_checked
 from tests.support.runs import dispatcher, finish
 
 from drivecal.api.results.document import results_of
+from drivecal.api.routes.campaigns import read
 from drivecal.bundles.shapes import Shape, with_points
-from drivecal.cli.views.output import print_curves
+from drivecal.cli.views.output import print_results, print_solutions
+from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
-from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.campaigns import CampaignState
+from drivecal.storage.engine.database import Database
 
 WANTED = [3.0, 2.2, 1.4, 0.9, 0.8]
 MANIFEST: dict[str, Any] = {
@@ -43,24 +47,29 @@ def driven(setup: SetupRequest, cell: Cell) -> CellResult:
     shapes = {name: Shape.from_document(name, document) for name, document in setup.shapes.items()}
     arguments = with_points(cell.parameters, shapes, setup.simulator)
     off = float(np.abs(np.array(arguments["gain"]) - WANTED).sum() + abs(np.array(arguments["load"])[-1, -1] - 1))
-    return CellResult(cell.id, None, None, {"off": off}, None, 7.0)
+    return CellResult(cell.id, None, None, {"off": off}, None, 500.0)
 
 
-def test_results_show_curves_with_the_range_of_good_sets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Database]:
+    """The problem is pushed."""
     database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
     store(database, MANIFEST)
+    yield database
+    database.dispose()
+
+
+def test_results_show_curves_with_the_range_of_good_sets(database: Database, capsys: pytest.CaptureFixture[str]) -> None:
     wanted: dict[str, Any] = {"problem": "curved", "optimizer": {"kind": "surrogate", "seed": 1}, "variants": {"eu": {}}}
-    wanted |= {"budget": {"simulations": 60}, "sensitivity": {"intervals": 2, "samples": 8}}
+    wanted |= {"budget": {"simulations": 60}}
     ended = finish(database, submit_checked(database, wanted), dispatcher(database, ComputedBackend(driven=driven)))
     assert ended.state is CampaignState.SUCCEEDED, ended.error
-    assert ended.stages[StageName.SENSITIVITY]["requested"] > 100
     results = results_of(database, ended)
     gain, load = results.setup.shapes["gain"], results.setup.shapes["load"]
     best, baseline = results.campaign.best, results.campaign.baseline
     assert best is not None
     assert baseline is not None
     assert gain.values(baseline.parameters) == [2, 2, 2, 2, 2]
-    assert results.campaign.curves["gain"]["values"] == pytest.approx(gain.values(best.parameters))
     assert best.objective < (baseline.objective or 0)
     off = np.abs(np.array(gain.values(best.parameters)) - WANTED).sum() + abs(
         np.array(load.values(best.parameters))[-1, -1] - 1
@@ -69,10 +78,31 @@ def test_results_show_curves_with_the_range_of_good_sets(tmp_path: Path, capsys:
     ends = next(verdict for verdict in results.trust.verdicts if verdict.code == "at_ends").numbers
     assert (list(ends["values"]), ends["entries"]) == (["load at 0.5, 4"], ["`upper: 1` of load"])
     assert gain.good is not None
+    assert load.good is not None
     assert gain.good.sets >= 1
     assert (np.array(gain.good.lower) <= gain.values(best.parameters)).all()
     assert (np.array(gain.good.upper) >= gain.values(best.parameters)).all()
-    print_curves(results)
+    in_notebook = Campaign.model_validate_json(bytes(read(ended.id, database).body))._repr_html_()
+    assert all(str(points) in in_notebook for points in (gain.values(best.parameters), gain.good.lower, load.good.upper))
+    print_results(results)
+    print_solutions([each.best for each in results.variants if each.best], results.setup.shapes)
     printed = capsys.readouterr().out
-    assert all(text in printed for text in ("gain (1/s)", "40 m/s", "y 4", "baseline", "best of eu"))
-    database.dispose()
+    assert all(text in printed for text in ("gain (1/s)", "40 m/s", "y 4", "baseline", "best of eu", "rank 1"))
+    assert "gain_1" not in printed + in_notebook
+
+
+@pytest.mark.parametrize(
+    ("answered", "changes"),
+    [
+        ("reused", {"sensitivity": {"intervals": 2, "samples": 8}, "reduction": {"mode": "influence", "max_error": 1}}),
+        ("predicted", {"reduction": {"mode": "predicted", "tolerance": 1, "limit": 0.2}}),
+    ],
+)
+def test_maps_and_predictions_answer_cells_of_curves(database: Database, answered: str, changes: dict[str, Any]) -> None:
+    coarse = MANIFEST["parameters"]["gain"] | {"step": 0.5}
+    store(database, MANIFEST | {"parameters": MANIFEST["parameters"] | {"gain": coarse}})
+    search = {"kind": "genetic", "population": 160, "iterations": 3, "seed": 1}
+    wanted = {"problem": "curved", "optimizer": search, **changes}
+    ended = finish(database, submit_checked(database, wanted), dispatcher(database, ComputedBackend(driven=driven)))
+    assert ended.state is CampaignState.SUCCEEDED, ended.error
+    assert getattr(ended.cells, answered) > 0

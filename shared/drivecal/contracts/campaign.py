@@ -333,7 +333,8 @@ class Campaign(CellsByStage):
     ended_by: SearchEnd | Literal["cancelled", "failed"] | None = None
     """Why the search ended; null before, and without a search."""
     curves: dict[str, dict[str, Any]] = {}
-    """Curves and maps of the best set: `names` of the coefficients, support points (`axes`), and `values` there."""
+    """Curves and maps of the best set: `names` of the coefficients, support points (`axes`), `values` there, and in the answer about an
+    ended campaign alone the range of its `good` sets."""
     repaired: Repaired = Repaired()
     seconds: Seconds = Seconds()
     error: str | None = None
@@ -367,6 +368,8 @@ class Campaign(CellsByStage):
         for name, curve in self.curves.items():
             best = {key: value for key, value in best.items() if key not in curve["names"]}
             best[f"{name} at {', '.join(map(str, curve['axes']))}"] = curve["values"]
+            if good := curve.get("good"):
+                best[f"{name}, range of {good['sets']} good sets"] = f"{good['lower']} to {good['upper']}"
         return bar + html_facts({name: value for name, value in (facts | best).items() if value is not None})
 
 

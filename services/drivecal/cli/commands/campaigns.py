@@ -9,7 +9,6 @@ from drivecal.cli.views.output import (
     duration,
     print_answer,
     print_campaign,
-    print_curves,
     print_evaluation,
     print_json,
     print_page,
@@ -234,7 +233,8 @@ def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | N
 def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
     """Prints a campaign with its results; a single evaluation as `evaluate` does."""
     if campaign.kind == "evaluation":
-        print_answer(client.evaluation(campaign.id), as_json, print_evaluation)
+        shapes = {} if as_json else client.problem(campaign.spec["problem"]).shapes
+        print_answer(client.evaluation(campaign.id), as_json, lambda evaluation: print_evaluation(evaluation, shapes))
         return
     results = client.results(campaign.id)
     if as_json:
@@ -242,7 +242,6 @@ def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
         print_json(campaign.model_dump(mode="json") | known)
         return
     print_campaign(campaign)
-    print_curves(results)
     print_results(results)
 
 

@@ -228,7 +228,7 @@ def _print_best(client: Client, campaign: Campaign, title: str) -> None:
     seconds = campaign.seconds
     spent = f"{duration(seconds.wall)} ({duration(seconds.simulating)} of simulation, {100 * saved(campaign.cells):.1f} % of cells saved)"
     typer.echo(f"\n{title}, after {spent}:\n")
-    print_solutions(client.solutions(campaign.id, limit=SHOWN).items)
+    print_solutions(client.solutions(campaign.id, limit=SHOWN).items, {})
 
 
 def _print_answers(title: str, **campaigns: Campaign) -> None:

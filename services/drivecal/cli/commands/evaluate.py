@@ -71,7 +71,8 @@ def evaluate(
         if trace is not None:
             save_series(trace_of(client, evaluation.id, timeout, asking), trace)
             tell(f"time series: {trace}")
-    print_answer(evaluation, as_json, print_evaluation)
+        shapes = {} if as_json else client.problem(problem).shapes
+    print_answer(evaluation, as_json, lambda evaluation: print_evaluation(evaluation, shapes))
     raise typer.Exit(code_of_state(evaluation.state))
 
 

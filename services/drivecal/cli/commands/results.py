@@ -15,8 +15,8 @@ import typer
 from drivecal.calibration_data.files import CalibrationFormat, labels_of
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.commands.problem import NamesOption
-from drivecal.cli.views.fronts import front_blocks
-from drivecal.cli.views.output import print_answer, print_blocks, print_json, print_solutions
+from drivecal.cli.views.fronts import front_blocks, shown_of_front
+from drivecal.cli.views.output import print_answer, print_json, print_ranked, print_solutions
 from drivecal.client.client import Client
 from drivecal.client.mlflow import write_runs
 from drivecal.client.transport import harmless_text
@@ -55,7 +55,8 @@ def solutions(
         assignments(weights.split(","), "--weights")
     with connect(url) as client:
         page = client.solutions(identifier, weights, limit, score, variant)
-    print_answer(page, as_json, lambda page: print_solutions(page.items))
+        shapes = {} if as_json else client.setup(identifier).shapes
+    print_answer(page, as_json, lambda page: print_solutions(page.items, shapes))
 
 
 @app.command()
@@ -78,10 +79,12 @@ def front(
         campaign_id = client.full_id(identifier)
         rows = client.front(campaign_id, weights)
         summary = client.front_summary(campaign_id, weights)
+        shapes = {} if as_json else client.setup(campaign_id).shapes
     if as_json:
         print_json({"summary": summary, "items": rows})
     else:
-        print_blocks(front_blocks(rows, summary, limit))
+        sets = {row.rank: row.parameters for row in shown_of_front(rows, limit)}
+        print_ranked(front_blocks(rows, summary, limit), sets, shapes)
 
 
 @app.command()

@@ -1,7 +1,7 @@
 """Results on stdout: plain columns that survive a pipe, or JSON."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import TypeVar
 
@@ -29,6 +29,7 @@ from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts
 from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.results import CampaignResults
+from drivecal.contracts.setup import ShapeAnswer
 from drivecal.contracts.tables import Solution
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.events import ASKED
@@ -88,11 +89,12 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("cells", cells_text(campaign.cells)))
     if campaign.budget is not None:
         lines.append(("search", _search_text(campaign)))
+    hidden = {name for curve in campaign.curves.values() for name in curve["names"]}
     if campaign.baseline:
-        lines.append(("baseline", _set_text(campaign.baseline)))
+        lines.append(("baseline", _set_text(campaign.baseline, hidden)))
     if campaign.best:
         best = campaign.best
-        lines.append(("best", _set_text(best)))
+        lines.append(("best", _set_text(best, hidden)))
         lines.append(("scores", "  ".join(f"{name} {told(score)}" for name, score in best.scores.items())))
         share = "1 parameter set has" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share"
         lines.append(("alternatives", f"{share} the best objective"))
@@ -111,13 +113,10 @@ def print_campaign(campaign: Campaign) -> None:
         typer.echo(f"{name.ljust(width)}  {text}")
 
 
-def print_curves(results: CampaignResults) -> None:
-    """Prints the curves and maps of the best sets and the baseline, with the range of good sets."""
-    sets = [("best", results.campaign.best), *((f"best of {each.name}", each.best) for each in results.variants)]
-    for name, shape in results.setup.shapes.items():
-        values = {
-            title: shape.values(each.parameters) for title, each in (*sets, ("baseline", results.campaign.baseline)) if each
-        }
+def print_curves(shapes: Mapping[str, ShapeAnswer], sets: Mapping[str, Mapping[str, float | str]]) -> None:
+    """Prints the curves and maps of `sets`, parameters by title, with the range of the campaign's good sets."""
+    for name, shape in shapes.items():
+        values = {title: shape.values(each) for title, each in sets.items()}
         if shape.good is not None:
             values |= {f"lowest of {shape.good.sets} good sets": shape.good.lower, "highest": shape.good.upper}
         units = [f" {unit}" if unit != "1" else "" for unit in shape.axis_units]
@@ -160,25 +159,38 @@ def _search_text(campaign: Campaign) -> str:
     return text if campaign.ended_by is None else f"{text}; ended by: {campaign.ended_by}"
 
 
-def print_solutions(solutions: Sequence[Solution]) -> None:
+def print_solutions(solutions: Sequence[Solution], shapes: Mapping[str, ShapeAnswer]) -> None:
     """Prints a ranking."""
-    print_blocks(solutions_table(solutions) or ["no parameter set has a result in every scenario yet"])
+    blocks = solutions_table(solutions) or ["no parameter set has a result in every scenario yet"]
+    print_ranked(blocks, {each.rank: each.parameters for each in solutions}, shapes)
 
 
-def print_blocks(blocks: Iterable[Block]) -> None:
-    """Prints parts of a page."""
+def print_ranked(
+    blocks: Iterable[Block], sets: Mapping[int, Mapping[str, float | str]], shapes: Mapping[str, ShapeAnswer]
+) -> None:
+    """Prints parts of a page without coefficients, and the curves and maps of the sets by rank."""
+    print_blocks(blocks, coefficients_of(shapes))
+    plain = {name: shape.model_copy(update={"good": None}) for name, shape in shapes.items()}
+    print_curves(plain, {f"rank {rank}": each for rank, each in sets.items()})
+
+
+def print_blocks(blocks: Iterable[Block], hidden: Collection[str] = ()) -> None:
+    """Prints parts of a page, tables without the `hidden` columns."""
     for block in blocks:
         if isinstance(block, Table):
             if block.caption:
                 typer.echo(f"\n{block.caption}")
-            print_columns(block.header, block.rows)
+            kept = [place for place, name in enumerate(block.header) if name not in hidden]
+            print_columns([block.header[place] for place in kept], ([row[place] for place in kept] for row in block.rows))
         else:
             typer.echo(block)
 
 
 def print_results(results: CampaignResults) -> None:
-    """Prints the results of a campaign below its summary: verdicts, checks, failures, and what it cost."""
-    campaign = results.campaign
+    """Prints the results of a campaign below its summary: curves, verdicts, checks, failures, and what it cost."""
+    campaign, shapes = results.campaign, results.setup.shapes
+    sets = {title: each.parameters for title, each in (("best", campaign.best), ("baseline", campaign.baseline)) if each}
+    print_curves(shapes, sets | {f"best of {each.name}": each.best.parameters for each in results.variants if each.best})
     typer.echo("")
     print_blocks(
         [
@@ -188,15 +200,17 @@ def print_results(results: CampaignResults) -> None:
             *lots_table(campaign.released),
             *failures_table(results.failures),
             *account_blocks(results.accounting),
-        ]
+        ],
+        coefficients_of(shapes),
     )
 
 
-def print_evaluation(evaluation: Evaluation) -> None:
+def print_evaluation(evaluation: Evaluation, shapes: Mapping[str, ShapeAnswer]) -> None:
     """Prints the parameters, the result in each scenario, and the measures if there is one scenario."""
     if not CampaignState(evaluation.state).ended:
         typer.echo(f"evaluation {evaluation.id} is {evaluation.state}")
-    typer.echo(parameters_text(evaluation.parameters))
+    typer.echo(parameters_text(evaluation.parameters, hidden=coefficients_of(shapes)))
+    print_curves(shapes, {"": evaluation.parameters})
     for note in evaluation.notes:
         typer.echo(f"note: {note}")
     if evaluation.error:
@@ -271,9 +285,14 @@ def saved(cells: CellCounts) -> float:
     return answered / cells.requested if cells.requested else 0.0
 
 
-def parameters_text(parameters: Mapping[str, float | str], digits: int | None = 6) -> str:
-    """Returns values as `P1=0.5 mode=eco`; `digits` as of `value_text`."""
-    return " ".join(f"{name}={value_text(value, digits)}" for name, value in parameters.items())
+def coefficients_of(shapes: Mapping[str, ShapeAnswer]) -> set[str]:
+    """Returns the parameters that curves and maps stand for."""
+    return {name for shape in shapes.values() for name in shape.names}
+
+
+def parameters_text(parameters: Mapping[str, float | str], digits: int | None = 6, hidden: Collection[str] = ()) -> str:
+    """Returns values as `P1=0.5 mode=eco`, without `hidden` ones; `digits` as of `value_text`."""
+    return " ".join(f"{name}={value_text(value, digits)}" for name, value in parameters.items() if name not in hidden)
 
 
 def duration(seconds: float) -> str:
@@ -291,10 +310,10 @@ def when(moment: datetime | None) -> str:
     return "" if moment is None else moment.astimezone().isoformat(sep=" ", timespec="seconds")
 
 
-def _set_text(shown: Best | Baseline) -> str:
+def _set_text(shown: Best | Baseline, hidden: Collection[str]) -> str:
     objective = "no result yet" if shown.objective is None else objective_text(shown.objective)
     broken = f"  {broken_text(shown)}" if shown.violation > 0 else ""
-    return f"{objective}{broken}  {parameters_text(shown.parameters, None)}"
+    return f"{objective}{broken}  {parameters_text(shown.parameters, None, hidden)}"
 
 
 def _text(value: object) -> str:
