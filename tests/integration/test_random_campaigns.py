@@ -20,16 +20,19 @@ from tests.support.problems import store, submit_checked
 from tests.support.runs import dispatcher, everything, finish, get, rows_of
 from tests.support.values import faults_of, present
 
+from drivecal.analysis.robustness import directions, vehicles
 from drivecal.campaigns.stages.replication import Replication
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
+from drivecal.domain.vehicles import VehicleParameter
 from drivecal.storage import generations, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import check_counters
 from drivecal.storage.outside import sets as outside_sets
 from drivecal.storage.outside.sets import OutsideSet
+from drivecal.storage.references import influence_maps
 
 NOISE = 0.3
 MANIFEST: dict[str, Any] = {
@@ -56,9 +59,9 @@ def noisy(setup: SetupRequest, cell: Cell) -> CellResult:
     return CellResult(cell.id, None, None, {"y": true_cost(x) + NOISE * (own + 2 * common)}, None, 7.0)
 
 
-def opened(path: Path, varied: dict[str, Any] | None = None, **simulator: Any) -> Database:
+def opened(path: Path, **changes: Any) -> Database:
     database = migrated(f"sqlite:///{path}")
-    store(database, MANIFEST | {"simulator": MANIFEST["simulator"] | simulator, "varied": varied or {}})
+    store(database, MANIFEST | changes)
     return database
 
 
@@ -146,6 +149,39 @@ def test_a_study_of_another_campaign_chooses_by_the_seeds_that_chose_there(tmp_p
     assert [row["parameters"] for row in present(document)["items"]] == [present(searched.best).parameters]
 
 
+def test_the_runs_that_a_study_compares_have_one_seed_and_others_have_others(tmp_path: Path) -> None:
+    def seeded(setup: SetupRequest, cell: Cell) -> CellResult:
+        """Much noise that all runs of a seed share. The set matters under even seeds, the mass under the second one."""
+        x, heavy = float(cell.parameters["x"]), setup.varied["mass"] - 2
+        y = 2 + setup.seed * 7 % 5 + x * (setup.seed % 2 == 0) + 0.1 * heavy * (setup.seed == 2)
+        return CellResult(cell.id, None, None, {"y": y}, None, 7.0)
+
+    parameters = MANIFEST["parameters"] | {"z": {"lower": 0, "upper": 1, "step": 0.005}}
+    database = opened(tmp_path / "studies.db", varied={"mass": {"lower": 1, "upper": 3, "nominal": 2}}, parameters=parameters)
+    analysis: dict[str, Any] = {
+        "sensitivity": {"intervals": 2, "samples": 4, "threshold": 0.001},
+        "budget": None,
+        "optimizer": None,
+    }
+    robust = {"delta": 0.1, "steps": 2, "samples": 3, "eta": 0.001, "sets": [{"x": 1, "z": 0}, {"x": 0, "z": 0}]}
+    ended = carried_out(database, driven=seeded, **analysis, robustness=robust, validation={"samples": 3, "references": 2})
+    rows = rows_of(database, ended)
+    with database.read() as connection:
+        influence = influence_maps.get(connection, present(ended.influence_map_id)).scenarios
+        robustness, validation = (
+            studies.get(connection, ended.sequence, stage) for stage in (StageName.ROBUSTNESS, StageName.VALIDATION)
+        )
+    database.dispose()
+    assert {name: each["influential"] for name, each in influence["city"].items()} == {"x": True, "z": False}
+    for stage, seeds in ((StageName.SENSITIVITY, 4), (StageName.ROBUSTNESS, 3), (StageName.VALIDATION, 3)):
+        assert {row.seed for row in rows if row.stage is stage} == set(range(1, seeds + 1))
+    masses = vehicles([VehicleParameter("mass", "kg", 2, 1, 3)], {"mass": 2}, 0.1, directions(1, 3, 1, 1))
+    first, second = present(robustness)["items"]
+    assert first["trials"][0]["deviations"]["city"] == pytest.approx(0.1 * abs(masses[1]["mass"] - 2))
+    assert (first["replicates"], first["objective"], second["objective"]) == (3, pytest.approx(13 / 3), pytest.approx(14 / 3))
+    assert [(row["wrong"], row["different"], row["compared"] > 0) for row in present(validation)["items"]] == [(0, 0, True)] * 2
+
+
 RATED: dict[str, Any] = {
     "replicates": {"most": 15},
     "budget": {"simulations": 160},
@@ -226,7 +262,7 @@ def test_a_simulator_that_says_random_and_is_not_gets_few_further_runs(database:
 
 
 def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: Path) -> None:
-    database = opened(tmp_path / "unsaid.db", random=False)
+    database = opened(tmp_path / "unsaid.db", simulator=MANIFEST["simulator"] | {"random": False})
     runs: list[int] = []
 
     def unsaid(setup: SetupRequest, cell: Cell) -> CellResult:

@@ -63,8 +63,8 @@ def vehicles(
 
 
 def deviation(nominal: Floats, scores: Floats, condition: Condition, least: float = 1.0) -> Floats:
-    """Returns what the condition compares with eta, shape (n_s,), for scores `nominal`, shape (n_s,), in the nominal vehicle and
-    `scores`, shape (samples, n_s), in the others. NaN if a vehicle has no result."""
+    """Returns what the condition compares with eta, shape (n_s,), for scores `nominal` in the nominal vehicle, shape (n_s,), or under the
+    seed of each other vehicle, shape (samples, n_s), and `scores`, shape (samples, n_s), in the others. NaN if one has no result."""
     away = np.abs(scores - nominal)
     if condition != "max":
         away = away / np.maximum(np.abs(nominal), least)
@@ -74,7 +74,7 @@ def deviation(nominal: Floats, scores: Floats, condition: Condition, least: floa
 def holds(deviations: Floats, nominal: Floats, settings: RobustnessSettings) -> bool:
     """Returns whether the condition holds in every scenario; false if a vehicle has no result. The rounding errors of the `deviations`
     follow from the size of the scores in the nominal vehicle, `nominal`."""
-    room = grains(nominal, settings.eta)
+    room = grains(np.atleast_2d(nominal), settings.eta).max(axis=0)
     within = deviations <= settings.eta + room if settings.condition == "max" else deviations < settings.eta
     return bool(within.all())  # a comparison with NaN is false
 
@@ -85,17 +85,18 @@ def undetected_share(samples: int, compared: int = 1) -> float:
     return float(1.0 - ((1.0 - 0.95) / max(1, compared)) ** (1.0 / samples))
 
 
-def vehicles_text(settings: Mapping[str, Any], compared: int) -> str:
+def vehicles_text(settings: Mapping[str, Any], compared: int, replicates: int = 1) -> str:
     """Returns a sentence about vehicles that were not simulated, in a box that holds. The recommended set was chosen by its boxes from
-    `compared` examined sets, all with vehicles in the same directions."""
+    `compared` examined sets, all with vehicles in the same directions. `replicates`: number of seeds."""
     samples = settings["samples"]
+    seeds = "Each vehicle has a seed, and is compared with the nominal one under that seed. " if replicates > 1 else ""
     if settings["condition"] == "mean":
         return (
-            f"A box holds if the mean over the vehicles simulated in it ({samples:,}) holds in every scenario; "
+            f"{seeds}A box holds if the mean over the vehicles simulated in it ({samples:,}) holds in every scenario; "
             "a single vehicle may change more."
         )
     return (
-        f"A box holds if the condition holds in every vehicle simulated in it ({samples:,}): up to "
+        f"{seeds}A box holds if the condition holds in every vehicle simulated in it ({samples:,}): up to "
         f"{100 * undetected_share(samples):.1f} % of all vehicles in a box may still break it if its set was chosen beforehand, and up to "
         f"{100 * undetected_share(samples, compared):.1f} % in a box of the recommended set, chosen from {compared:,} (95 % each)."
     )
@@ -150,7 +151,7 @@ class RobustnessStudy:
         nominal: Mapping[str, float],
         settings: RobustnessSettings,
     ) -> None:
-        """`nominal_scores` has the solutions' scores in the nominal vehicle, shape (n_solutions, n_s)."""
+        """`nominal_scores` has the solutions' scores in the nominal vehicle, shape (n_solutions, n_s), or by seed as in `deviation`."""
         self._scores = nominal_scores
         self._parameters, self._nominal, self._settings = parameters, nominal, settings
         self._trials: list[list[Trial]] = [[] for _ in nominal_scores]

@@ -150,12 +150,14 @@ class Phase:
     """Runs that can be made in any order. `number` counts from 0; several rounds of intervals or confirmations share a name.
 
     `points`: grid indices of the searched parameters by scenario, shape (n, n_searched). Scenarios without a run are missing.
-    Points may repeat; equal arrays are one object if all scenarios share them.
+    Points may repeat; equal arrays are one object if all scenarios share them. `samples`: the sample of each point by scenario, from 0,
+    shape (n,); runs of a random simulator have a seed for each.
     """
 
     number: int
     name: PhaseName
     points: Mapping[str, Indices]
+    samples: Mapping[str, Indices]
 
 
 class SensitivityAnalysis:
@@ -214,7 +216,9 @@ class SensitivityAnalysis:
                 self._points = self._drawn()
                 self._asked = {scenario: self._constraints.feasible(drawn) for scenario, drawn in self._points.items()}
             if any(mask.any() for mask in self._asked.values()):
-                return Phase(self._number, self._name, self._to_run(self._points))
+                points = self._to_run(self._points)
+                samples = {scenario: self._samples(scenario)[self._asked[scenario]] for scenario in points}
+                return Phase(self._number, self._name, points, samples)
             self._take({scenario: np.full(len(points), np.nan) for scenario, points in self._points.items()})
         return None
 
@@ -260,6 +264,13 @@ class SensitivityAnalysis:
         """Returns the points that are run; equal arrays stay one object."""
         kept = {id(drawn): drawn if (mask := self._asked[name]).all() else drawn[mask] for name, drawn in points.items()}
         return {scenario: kept[id(drawn)] for scenario, drawn in points.items() if self._asked[scenario].any()}
+
+    def _samples(self, scenario: str) -> Indices:
+        """Returns the sample of each point of the phase."""
+        if self._name != "intervals":
+            return self._designs[scenario].samples
+        runs = self._intervals[scenario]
+        return runs.design.samples[runs.rows()]
 
     def result(self) -> dict[str, ScenarioInfluence]:
         """Returns the results by scenario. Raises RuntimeError before the analysis is finished."""

@@ -17,6 +17,7 @@ and with the step law of the radial design.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -31,7 +32,7 @@ Unordered = npt.NDArray[np.bool_]
 """Parameters that are choices, shape (n_searched,)."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Design:
     """Points to run and which two of them make each elementary effect.
 
@@ -46,6 +47,15 @@ class Design:
     second: Indices
     steps: Floats
     judged: Floats
+
+    @cached_property
+    def samples(self) -> Indices:
+        """The sample of each point, from 0, shape (n,): the two runs of an effect belong to one; 0 for points without an effect."""
+        samples = np.zeros(len(self.points), dtype=np.int64)
+        made = ~np.isnan(self.steps)
+        numbers = np.broadcast_to(np.arange(self.first.shape[-1]), self.first.shape)[made]
+        samples[self.first[made]] = samples[self.second[made]] = numbers
+        return samples
 
     def effects(self, scores: Floats, span: float = COMFORT.span) -> Floats:
         """Elementary effects, shaped as `steps`, from the points' scores, shape (n,); NaN if one of the two runs failed.

@@ -389,6 +389,11 @@ class RobustnessRow(Answer):
     rank: int
     objective: float | None
     rating: float | None
+    replicates: int = 1
+    """Seeds of a random simulator: each vehicle of a box has one, under which it is compared with the nominal vehicle. Scores are means."""
+    lower: float | None = None
+    """Lower end of the interval of the objective, at `replicates.confidence`; null if the noise is unknown, and for the set that leads."""
+    upper: float | None = None
     degree: int
     at_least: bool
     radius: float

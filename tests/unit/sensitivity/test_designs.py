@@ -46,6 +46,8 @@ def assert_steps(design: Design, n_values: Indices, column: int, analysis: tuple
     """One analysis of the parameter in `column`, whose two points must lie in [lower, upper]."""
     one, other = design.points[design.first[analysis]], design.points[design.second[analysis]]
     assert np.all((one != other).sum(axis=1) == 1)
+    for ends in (design.first, design.second):
+        assert design.samples[ends[analysis]].tolist() == list(range(len(one))), "both runs of an effect have its sample"
     difference = (other - one)[:, column]
     assert np.all(np.abs(difference) >= max(1, (upper - lower) / 4))
     for points in (one, other):

@@ -81,6 +81,10 @@ class Bench:
         seed = seed if self.is_random or seed > 1 else 0
         return self if seed == self.seed else replace(self, seed=seed)
 
+    def seed_of(self, place: int) -> int:
+        """Returns the seed of a part of a study by its place: 1, 2, and so on; 0 if the simulator is not random."""
+        return place + 1 if self.is_random else 0
+
     @cached_property
     def requests(self) -> dict[str, SetupRequest]:
         """Run requests to workers by scenario."""

@@ -97,8 +97,10 @@ class CalibrationProblem:
         runs = self.expected_runs()
         saved = round(LIKELY * runs.calibration_at_most) if self.policy.reuses else 0
         notes = []
-        if not self.policy.reuses and not self.bench.is_random:
-            notes.append("the influence map answers no cell: checks in lots would simulate each cell that this search asks for")
+        if not self.policy.reuses:
+            why = "checks in lots would simulate each cell that this search asks for"
+            why = "runs of a random simulator answer equal sets under equal seeds only" if self.bench.is_random else why
+            notes.append(f"the influence map answers no cell: {why}")
         if runs.sensitivity > saved:
             words = f"it would probably save {saved:,} simulations, and takes at most {runs.sensitivity_at_most:,}"
             notes.append(f"the sensitivity analysis does not pay: {words}; leave it out, or let other campaigns use its map")
@@ -157,7 +159,9 @@ class CalibrationProblem:
             return 0
         searched = self.optimization is not None or wanted.of is not None
         solutions = len(self.robust_sets) + (wanted.solutions if searched else 0)
-        return solutions * len(self.scenarios) * (1 + wanted.steps * wanted.samples)
+        return (
+            solutions * len(self.scenarios) * ((wanted.samples if self.bench.is_random else 1) + wanted.steps * wanted.samples)
+        )
 
     def _validation_runs(self) -> int:
         wanted = self.specification.validation

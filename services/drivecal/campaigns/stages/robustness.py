@@ -2,13 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile
 from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.analysis.goals import Judged, valued_by
+from drivecal.analysis.goals import valued_by
 from drivecal.analysis.optima import one_per_region_first, regions
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy, failing_at_most
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
@@ -17,8 +16,9 @@ from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, Alternatives, unit_cube
+from drivecal.campaigns.stages.replication import SeededBenches
 from drivecal.campaigns.stages.stage import Round, StudyStage, exact_policy
-from drivecal.contracts.specification import RobustnessSpecification
+from drivecal.contracts.specification import ReplicatesSpecification, RobustnessSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore, RequestedCell
@@ -85,7 +85,10 @@ def check_source(connection: Connection, problem: CalibrationProblem) -> None:
 
 
 class RobustnessStage(StudyStage):
-    """Round 0 simulates the sets with the nominal vehicle if their scores are references' or unknown; round k simulates box k."""
+    """Round 0 simulates the sets with the nominal vehicle if their scores are references' or unknown; round k simulates box k.
+
+    Each vehicle of a box has a seed if the simulator is random, the same for all sets. It is compared with the nominal one under that seed.
+    """
 
     name = StageName.ROBUSTNESS
 
@@ -98,10 +101,12 @@ class RobustnessStage(StudyStage):
         self._wanted, self._settings = wanted, settings_of(wanted, problem.bench.scale)
         self._sign = problem.bench.scale.sign
         self._examined = self._requested() or self._choose()
-        self._scores = np.full((len(self._examined), len(problem.scenarios)), np.nan)
-        self._ratings = self._scores.copy()
-        self._judged: list[Judged | None] = [None] * len(self._examined)
-        """By examined set, with goals only: objectives and violations with the nominal vehicle."""
+        self._seeds = list(dict.fromkeys(map(problem.bench.seed_of, range(wanted.samples))))
+        self._benches = SeededBenches(problem.bench)
+        self._scores = np.full((len(self._examined), len(self._seeds), len(problem.scenarios)), np.nan)
+        self._standing = self._ranking(problem.specification.replicates)
+        self._nominal: list[EvaluatedSet | None] = [None] * len(self._examined)
+        """The examined sets with the nominal vehicle, over their seeds."""
         self._study: RobustnessStudy | None = None
 
     def _requested(self) -> list[Examined]:
@@ -113,6 +118,9 @@ class RobustnessStage(StudyStage):
         beside = {_key(row["parameters"]): (row["region"], row["to_worse"]) for row in document["items"]}
         return [Examined(sets[number], *beside.get(_key(sets[number].floats), (0, None))) for number in sorted(sets)]
 
+    def _ranking(self, wanted: ReplicatesSpecification) -> Ranking:
+        return Ranking(self._problem.weights, self._sign, self._goals, self._problem.bench.scale.span, wanted)
+
     def _choose(self) -> list[Examined]:
         """The named sets, then the best sets of the calibration, or its front, one of each region first. Simulations that this campaign
         sees correct copied scores of another campaign, as in that one's ranking."""
@@ -120,7 +128,7 @@ class RobustnessStage(StudyStage):
         with self._database.read() as connection:
             source = self._campaign if of is None else campaigns.get(connection, of)
             theirs = resolved_spec(source)
-            standing = Ranking(self._problem.weights, self._sign, goals, self._problem.bench.scale.span, theirs.replicates)
+            standing = self._ranking(theirs.replicates)
             standing.add(
                 results.answers(
                     *(connection, source.sequence, StageName.CALIBRATION),
@@ -146,12 +154,11 @@ class RobustnessStage(StudyStage):
         ]
 
     def _within(self, standing: Ranking) -> tuple[list[EvaluatedSet], list[EvaluatedSet]]:
-        """The sets that count as the best, which break constraints no more than the best set, and others."""
+        """The sets that count as the best or cannot be told from it, which break constraints no more than the best set, and others."""
         ranking = standing.ranking()
-        enough = 0
-        if ranking:
-            enough = sum(1 for _ in takewhile(ranking[0].equals, ranking))
-        return ranking[: min(enough, MOST_BEST)], ranking[enough : enough + MOST_WORSE]
+        best = [each for each in ranking if each.is_close or ranking[0].equals(each)]
+        chosen = {each.parameter_set for each in best}
+        return best[:MOST_BEST], [each for each in ranking if each.parameter_set not in chosen][:MOST_WORSE]
 
     @staticmethod
     def _on_front(standing: Ranking) -> tuple[list[EvaluatedSet], list[EvaluatedSet]]:
@@ -163,45 +170,45 @@ class RobustnessStage(StudyStage):
 
     @property
     def _at_most(self) -> int:
-        return len(self._examined) * len(self._problem.scenarios) * (1 + self._settings.steps * self._settings.samples)
+        settings = self._settings
+        return len(self._examined) * len(self._problem.scenarios) * (len(self._seeds) + settings.steps * settings.samples)
 
     def _ask(self) -> Round | None:
         bench, scenarios = self._problem.bench, self._problem.scenarios
         if self._study is None:
             cells = [
-                RequestedCell(index, scenario, examined.parameters)
+                RequestedCell(index, scenario, examined.parameters, seed=seed)
                 for index, examined in enumerate(self._examined)
                 for scenario in scenarios
+                for seed in self._seeds
             ]
-            return Round(0, [(bench, cells)], exact_policy(self._problem)) if cells else None
+            return Round(0, self._benches.with_cells(cells), exact_policy(self._problem)) if cells else None
         box = self._study.ask()
         if box is None:
             return None
         samples = self._settings.samples
         asked: list[tuple[Bench, list[RequestedCell]]] = []
-        by_vehicle: dict[tuple[tuple[str, float], ...], list[RequestedCell]] = {}
+        by_vehicle: dict[tuple[int, tuple[tuple[str, float], ...]], list[RequestedCell]] = {}
         for solution, vehicles in box.vehicles.items():
             for sample, vehicle in enumerate(vehicles):
-                cells = by_vehicle.setdefault(tuple(vehicle.items()), [])
+                cells = by_vehicle.setdefault((bench.seed_of(sample), tuple(vehicle.items())), [])
                 cells += [
                     RequestedCell(solution * samples + sample, scenario, self._examined[solution].parameters)
                     for scenario in scenarios
                 ]
-        for values, cells in by_vehicle.items():
-            asked.append((replace(bench, values={**bench.values, **dict(values)}), cells))
+        for (seed, values), cells in by_vehicle.items():
+            asked.append((replace(bench, values={**bench.values, **dict(values)}, seed=seed), cells))
         return Round(box.number, asked, exact_policy(self._problem))
 
     def _take(self, number: int, answers: Sequence[CellScore]) -> None:
         columns = {scenario: column for column, scenario in enumerate(self._problem.scenarios)}
         if number == 0:
-            cells: list[dict[str, CellScore]] = [{} for _ in self._examined]
             for answer in answers:
-                place = answer.individual, columns[answer.scenario]
+                place = answer.individual, self._seeds.index(answer.seed), columns[answer.scenario]
                 self._scores[place] = np.nan if answer.score is None else answer.score
-                self._ratings[place] = np.nan if answer.rating is None else answer.rating
-                cells[answer.individual][answer.scenario] = answer
-            if self._goals is not None:
-                self._judged = [self._goals.judge(answered) for answered in cells]
+            self._standing.add(answers)
+            numbers = {answer.individual: answer.parameter_set for answer in answers}
+            self._nominal = [self._standing.get(numbers[place]) for place in range(len(self._examined))]
             bench = self._problem.bench
             self._study = RobustnessStudy(self._scores, bench.varied, bench.values, self._settings)
             return
@@ -218,7 +225,11 @@ class RobustnessStage(StudyStage):
     def _outcome(self) -> dict[str, Any]:
         """The examined sets, most robust first."""
         known = self._study.result() if self._study is not None else [Robustness(0, False, 0.0, ())] * len(self._examined)
-        objectives, ratings, sign = self._objectives()
+        objectives, ratings = (
+            np.array([np.nan if each is None else getattr(each, name) for each in self._nominal], dtype=np.float64)
+            for name in ("objective", "rating")
+        )
+        sign = self._sign if self._goals is None else self._goals.objectives[0].sign
         span = self._problem.bench.scale.span if self._goals is None else self._goals.objectives[0].span
         worse = levels(np.where(np.isnan(objectives), np.inf, -sign * objectives), span).tolist()
         order = sorted(
@@ -239,56 +250,50 @@ class RobustnessStage(StudyStage):
         ]
         return {"items": rows, "settings": self._wanted.model_dump(mode="json", exclude={"sets"})}
 
-    def _objectives(self) -> tuple[Floats, Floats, int]:
-        """Returns weighted score (Eq. 6), or first objective, and rating of each set with the nominal vehicle, NaN if unknown, and the sign
-        of both."""
-        weights = np.array(list(self._problem.weights.values()))
-        objectives, ratings = self._scores @ weights, self._ratings @ weights
-        if self._goals is None:
-            return objectives, ratings, self._sign
-        first = self._goals.objectives[0]
-        amounts = np.array([np.nan if judged is None else judged.amounts[0] for judged in self._judged], dtype=np.float64)
-        return amounts, ratings if first.is_weighted_mean(self._problem.weights) else amounts, first.sign
-
     def _violation(self, number: int) -> float:
         """Returns by how much a set breaks constraints."""
-        judged = self._judged[number]
-        return 0.0 if judged is None else judged.violation
+        nominal = self._nominal[number]
+        return 0.0 if nominal is None else nominal.violation
 
     def _recommend(self, objectives: Floats, ratings: Floats, known: Sequence[Robustness]) -> tuple[int, str] | None:
         """Returns the most robust of the sets with the best objective or on the front, and the reason. Higher `ratings` are better."""
         usable = [number for number in range(len(known)) if not np.isnan(objectives[number])]
         if self._study is None or not usable:
             return None
-        best = self._best_of(usable, objectives)
+        best = self._best_of(usable)
         chosen = max(best, key=lambda number: (known[number].degree, known[number].radius, ratings[number], -number))
         degree = f"the largest degree of robustness ({known[chosen].degree}{' or more' if known[chosen].at_least else ''})"
         if self._goals is not None and len(self._goals.objectives) > 1:
             return chosen, f"of {len(best)} sets that no other examined set dominates, {degree}"
-        return chosen, f"the best objective ({objectives[chosen]:.4g}, {len(best)} sets), and of these {degree}"
+        best_one = "the best objective" if len(self._seeds) == 1 else "an objective that cannot be told from the best one"
+        return chosen, f"{best_one} ({objectives[chosen]:.4g}, {len(best)} sets), and of these {degree}"
 
-    def _best_of(self, usable: Sequence[int], objectives: Floats) -> list[int]:
-        """Returns the sets with the best objective, or with goals the non-dominated sets."""
-        if self._goals is None:
-            best = levels(-self._sign * objectives[usable], self._problem.bench.scale.span) == 0
-        else:
-            points = self._goals.signed(judged for number in usable if (judged := self._judged[number]) is not None)
-            best = self._goals.leading(points, np.array([self._violation(number) for number in usable], dtype=np.float64))
+    def _best_of(self, usable: Sequence[int]) -> list[int]:
+        """Returns the sets that cannot be told from the best one, or with goals the non-dominated sets."""
+        known = [each for number in usable if (each := self._nominal[number]) is not None]
+        first, best = min(known, key=self._standing.order), np.zeros(len(known), dtype=np.bool_)
+        if self._goals is not None:
+            points = self._goals.signed(judged for each in known if (judged := each.choice.judgement) is not None)
+            best = self._goals.leading(points, np.array([each.choice.violation for each in known], dtype=np.float64))
+        if self._goals is None or len(self._goals.objectives) == 1:
+            best |= [each.is_close or first.equals(each) for each in known]
         return [usable[place] for place in np.flatnonzero(best).tolist()]
 
     def _row(
         self, rank: int, solution: int, objective: float, rating: float, known: Robustness, recommended: tuple[int, str] | None
     ) -> dict[str, Any]:
-        scenarios, examined = self._problem.scenarios, self._examined[solution]
+        scenarios, examined, nominal = self._problem.scenarios, self._examined[solution], self._nominal[solution]
         is_recommended = recommended is not None and recommended[0] == solution
         return {
             "rank": rank,
             "objective": None if np.isnan(objective) else objective,
             "rating": None if np.isnan(rating) else rating,
+            "replicates": len(self._seeds),
+            **{name: getattr(nominal, name, None) for name in ("lower", "upper")},
             "parameters": examined.parameters.floats,
             "scores": {
                 scenario: None if np.isnan(score) else plain(score)
-                for scenario, score in zip(scenarios, self._scores[solution].tolist(), strict=True)
+                for scenario, score in zip(scenarios, self._scores[solution].mean(axis=0).tolist(), strict=True)
             },
             "region": examined.region,
             "to_worse": examined.to_worse,

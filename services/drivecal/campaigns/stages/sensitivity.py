@@ -11,6 +11,7 @@ from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.maps import analysis_to_document, basis_of, smallest_s_rel, stored_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.spaces import space_to_document
+from drivecal.campaigns.stages.replication import SeededBenches
 from drivecal.campaigns.stages.stage import Round, Stage, exact_policy
 from drivecal.contracts.campaign import CellCounts
 from drivecal.domain.campaigns import StageName
@@ -33,7 +34,8 @@ KEYS_AT_ONCE = 10_000
 class Sensitivity(Stage):
     """The analysis of a campaign; each phase is a round, and its intervals are several if they are chosen sequentially.
 
-    Runs are answered by equal parameter sets or simulated, never reused: reuse needs the map that they produce.
+    Each sample of a random simulator has a seed: an effect is a step under one seed, its statistics those over seeds. Runs are answered by
+    equal parameter sets or simulated, never reused: reuse needs the map that they produce.
     """
 
     name = StageName.SENSITIVITY
@@ -45,6 +47,7 @@ class Sensitivity(Stage):
         super().__init__(database, campaign, view)
         self._problem = problem
         self._analysis: SensitivityAnalysis = analysis
+        self._benches = SeededBenches(problem.bench)
         self._expected = problem.expected_runs()
         self._phase: Phase | None = None
         self._finished_phase: Phase | None = None
@@ -58,7 +61,7 @@ class Sensitivity(Stage):
         self._phase = self._analysis.ask()
         if self._phase is None:
             return None
-        return Round(self._phase.number, [(self._problem.bench, self._wanted(self._phase))], exact_policy(self._problem))
+        return Round(self._phase.number, self._benches.with_cells(self._wanted(self._phase)), exact_policy(self._problem))
 
     def _announce(self, connection: Connection, asked: Round) -> None:
         del asked
@@ -83,9 +86,11 @@ class Sensitivity(Stage):
             if id(points) not in sets:  # scenarios may share one array
                 sets[id(points)] = self._problem.space.parameter_sets(points)
         return [
-            RequestedCell(individual, scenario, parameters)
+            RequestedCell(individual, scenario, parameters, seed=self._problem.bench.seed_of(sample))
             for scenario, points in phase.points.items()
-            for individual, parameters in enumerate(sets[id(points)])
+            for individual, (parameters, sample) in enumerate(
+                zip(sets[id(points)], phase.samples[scenario].tolist(), strict=True)
+            )
         ]
 
     def _tell(self, asked: Round) -> None:

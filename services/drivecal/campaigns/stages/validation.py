@@ -10,6 +10,7 @@ from drivecal.analysis.validation import Differences, ReducibleSpace, Region, Va
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec, specification_of
+from drivecal.campaigns.stages.replication import SeededBenches
 from drivecal.campaigns.stages.stage import Round, StudyStage, exact_policy
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
@@ -51,7 +52,8 @@ def _regions(influence_map: InfluenceMap, scenario: str, parameter: Parameter) -
 
 
 class ValidationStage(StudyStage):
-    """One round: all bases and their variants, scenario by scenario. `individual` numbers them: base x (n_ref + 1), the base first."""
+    """One round: all bases and their variants, scenario by scenario. `individual` numbers them: base x (n_ref + 1), the base first.
+    A base of a random simulator has a seed, which its variants share."""
 
     name = StageName.VALIDATION
     uses_map = True
@@ -83,18 +85,18 @@ class ValidationStage(StudyStage):
     def _ask(self) -> Round | None:
         if self._differences is not None:
             return None
-        space, cells = self._problem.space, []
+        bench, space, cells = self._problem.bench, self._problem.space, []
         for scenario, pairs in self._designs.items():
             if pairs is None:
                 continue
             together = np.concatenate([pairs.bases[:, None], pairs.variants], axis=1).reshape(-1, pairs.bases.shape[1])
             allowed = self._problem.constraints.feasible(together)
             cells += [
-                RequestedCell(number, scenario, each)
+                RequestedCell(number, scenario, each, seed=bench.seed_of(number // (1 + self._references)))
                 for number, each in enumerate(space.parameter_sets(together))
                 if allowed[number]
             ]
-        return Round(0, [(self._problem.bench, cells)], exact_policy(self._problem)) if cells else None
+        return Round(0, SeededBenches(bench).with_cells(cells), exact_policy(self._problem)) if cells else None
 
     def _take(self, number: int, answers: Sequence[CellScore]) -> None:
         del number

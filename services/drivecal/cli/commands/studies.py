@@ -215,7 +215,7 @@ def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any])
             for row in rows
         ],
     )
-    typer.echo(vehicles_text(settings, len(rows)))
+    typer.echo(vehicles_text(settings, len(rows), rows[0].replicates))
     for row in rows:
         if row.recommended:
             typer.echo(f"recommended: rank {row.rank}, because it has {row.reason}")
