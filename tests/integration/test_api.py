@@ -87,8 +87,8 @@ def test_the_rows_of_a_campaign_come_in_pages_and_whole(api: RunningApi) -> None
     assert rest["next_cursor"] is None
     assert [(row["individual"], row["scenario"]) for row in rows] == [(i, s) for i in range(5) for s in ("S1", "S4")]
     names = ["id", "stage", "iteration", "individual", "scenario", *carried.problem.space.names]
-    names += ["outcome", "score", "rating", "reference", "audited", "agrees", "failure", "milliseconds", "worker"]
-    names += ["lot", "confidence", "sampled", "seed"]
+    names += ["outcome", "purpose", "score", "rating", "reference", "agrees", "failure", "milliseconds", "worker"]
+    names += ["runs", "lot", "confidence", "seed"]
     assert list(rows[0]) == names
     assert rows[2]["P1"] == -14.5
     assert (rows[2]["outcome"], rows[2]["score"], rows[2]["agrees"]) == ("simulated", 1, None)
@@ -99,7 +99,7 @@ def test_the_rows_of_a_campaign_come_in_pages_and_whole(api: RunningApi) -> None
     table = list(csv.DictReader(io.StringIO(text.text)))
     assert list(table[0]) == names
     assert [row["id"] for row in table] == [str(row["id"]) for row in rows]
-    assert (table[2]["P1"], table[2]["audited"], table[2]["reference"]) == ("-14.5", "false", "")
+    assert (table[2]["P1"], table[2]["purpose"], table[2]["reference"]) == ("-14.5", "search", "")
 
     parquet = pq.read_table(io.BytesIO(api.http.get(url, params={"format": "parquet"}).content))
     assert parquet.column_names == names

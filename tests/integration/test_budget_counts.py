@@ -21,6 +21,8 @@ from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import Finished, Lost
 from drivecal.plugins import registry
+from drivecal.storage import evaluations
+from drivecal.storage.maintenance.consistency import check_counters
 
 
 @dataclass
@@ -110,7 +112,11 @@ def test_runs_are_what_simulators_count_and_keep_to_the_budget(
         if (ended := get(database, campaign)).state.ended:
             break
         backend.kill()
-    assert ended.cells.runs == backend.started + backend.unknown
+    with database.read() as connection:
+        runs = evaluations.runs_by_purpose(connection, ended.sequence)
+        assert list(check_counters(connection)) == []
+    assert sum(runs.values()) == ended.cells.runs == backend.started + backend.unknown
+    assert runs["repeat"] > 0
     assert budget * 0.5 < campaign_answer(ended, ended.created_at, None).spent.simulations <= budget, ended.error
     database.dispose()
 

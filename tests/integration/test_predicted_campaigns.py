@@ -24,7 +24,7 @@ from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Outcome
+from drivecal.domain.evaluations import Outcome, Purpose
 from drivecal.storage import evaluations, lots
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -182,7 +182,9 @@ def test_a_simulation_that_confirms_a_predicted_set_is_explained_by_its_predicti
     believed = next(row for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED)
     place = believed.stage, ITERATIONS, 0, believed.scenario, believed.setup_id, believed.parameter_set_id
     with database.transaction() as connection:
-        (confirming,) = evaluations.insert(connection, campaign.sequence, [new_evaluation(*place, Outcome.SIMULATED)])
+        (confirming,) = evaluations.insert(
+            connection, campaign.sequence, [new_evaluation(*place, Outcome.SIMULATED, purpose=Purpose.CONFIRMATION)]
+        )
         explanation = explain(connection, confirming)
         connection.rollback()
     assert (explanation.reason, explanation.reference) == ("checked", None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -26,7 +27,7 @@ from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.vehicles import VehicleParameter
-from drivecal.storage import generations, studies
+from drivecal.storage import evaluations, generations, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import check_counters
@@ -81,7 +82,13 @@ def carried_out(
 
 @pytest.mark.parametrize("optimizer", [SPEC["optimizer"], POPULATIONS], ids=["cells", "population"])
 def test_the_best_set_is_known_by_runs_and_reported_by_others(database: Database, optimizer: dict[str, Any]) -> None:
-    ended = carried_out(database, optimizer=optimizer)
+    counted: list[int] = []
+
+    def counting(setup: SetupRequest, cell: Cell) -> CellResult:
+        counted.append(cell.id)
+        return noisy(setup, cell)
+
+    ended = carried_out(database, driven=counting, optimizer=optimizer, baseline={"x": 0.1})
     assert ended.state is CampaignState.SUCCEEDED
     assert ended.best is not None
     assert true_cost(float(ended.best.parameters["x"])) < true_cost(0.6) + NOISE
@@ -97,6 +104,11 @@ def test_the_best_set_is_known_by_runs_and_reported_by_others(database: Database
     assert ended.best.lower < ended.best.objective < ended.best.upper
     with database.read() as connection:
         assert list(check_counters(connection)) == []
+        runs = evaluations.runs_by_purpose(connection, ended.sequence)
+    assert sum(runs.values()) == len(counted)
+    assert runs == Counter(row.purpose for row in rows if row.runs) | {"start": 2, "report": 16}
+    assert {row.seed > 12 for row in rows if row.purpose == "report"} == {True}
+    assert runs.keys() == {"start", "search", "choice", "report"}
 
 
 def test_all_sets_meet_the_same_seeds_and_a_search_by_the_cell_asks_further_ones_where_they_tell_more(

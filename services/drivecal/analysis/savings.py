@@ -49,6 +49,7 @@ def account(
     confirmed: Mapping[str, Mapping[Outcome, int]] | None = None,
     predictors: Mapping[str, float] | None = None,
     dispatcher: float = 0.0,
+    runs_for: Mapping[str, int] | None = None,
 ) -> Accounting:
     """Returns the account of a campaign.
 
@@ -61,6 +62,7 @@ def account(
         confirmed: number of cells that were simulated after the search, by scenario and first answer.
         predictors: CPU time of the predictor, by scenario.
         dispatcher: CPU time of the dispatcher for reuse, besides the predictors.
+        runs_for: starts of the simulator by what they were for.
     """
     cpu_seconds, wall_seconds = sum(cost.run_seconds for cost in costs), sum(cost.occupied_run_seconds for cost in costs)
     runs = sum(cost.runs for cost in costs)
@@ -98,6 +100,7 @@ def account(
         sensitivity=sensitivity,
         map=used,
         scenarios=rows,
+        runs=runs_for or {},
         requested=requested,
         answered_without_simulation=answered,
         simulated=sum(row.simulated for row in rows),
@@ -189,8 +192,11 @@ def _map_cost(origin: MapOrigin, campaign: str) -> MapCost:
 
 
 def _remarks(accounting: Accounting) -> list[str]:
-    """Returns sentences about audits, confirmations, the map and its break-even."""
+    """Returns sentences about the runs, audits, confirmations, the map and its break-even."""
     remarks = []
+    if accounting.runs:
+        runs = " + ".join(f"{count:,} {name}" for name, count in accounting.runs.items())
+        remarks.append(f"The simulator ran {sum(accounting.runs.values()):,} times: {runs}.")
     if accounting.audited:
         price = f"{accounting.audited:,} copied answers in {accounting.audited_seconds:,.1f} s"
         remarks.append(f"Audits simulated {price}; they are not counted as saved.")

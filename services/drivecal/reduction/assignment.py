@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from drivecal.contracts.specification import ReductionMode
-from drivecal.domain.evaluations import Donor, Outcome, RequestedCell
+from drivecal.domain.evaluations import Donor, Outcome, Purpose, RequestedCell
 from drivecal.domain.parameters import ParameterSet
 from drivecal.reduction.audit import is_audited
 
@@ -64,8 +64,9 @@ def assign(
         donor = leader = None
         if policy.reuses and cell.reference_key is not None:
             kind = (cell.scenario, cell.reference_key)
-            donor = None if cell.is_given else references.get(kind)
-            leader = None if cell.is_given or donor is not None else same_class.get(kind)
+            is_given = cell.purpose is Purpose.START
+            donor = None if is_given else references.get(kind)
+            leader = None if is_given or donor is not None else same_class.get(kind)
             if donor is None and leader is None:
                 same_class[kind] = position
         has_donor = donor is not None or leader is not None
@@ -73,5 +74,6 @@ def assign(
         plan = Outcome.REUSED if has_donor and not inspected else Outcome.SIMULATED
         if plan is Outcome.SIMULATED:
             same_set[identity] = position
-        planned.append(replace(cell, plan=plan, donor=donor, leader=leader, inspected=inspected))
+        purpose = Purpose.AUDIT if inspected else cell.purpose
+        planned.append(replace(cell, plan=plan, donor=donor, leader=leader, purpose=purpose))
     return planned

@@ -23,7 +23,7 @@ from sqlalchemy import (
 
 from drivecal.contracts.campaign import GenerationCounts
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import NOT_SIMULATED, Donor, Outcome, OutcomeCosts, RequestedCell
+from drivecal.domain.evaluations import INSPECTED, NOT_SIMULATED, Donor, Outcome, OutcomeCosts, Purpose, RequestedCell
 from drivecal.storage import leases
 from drivecal.storage.engine.bulk import execute_rows, numbers, rows_among
 from drivecal.storage.engine.tables import campaigns, evaluations, ratings, runs
@@ -31,10 +31,7 @@ from drivecal.storage.references import metrics
 from drivecal.storage.references.runs import metrics as metrics_of_runs
 from drivecal.storage.references.runs import occupying
 
-AUDITED = and_(evaluations.c.inspected, evaluations.c.reference.is_not(None))
-"""Cells that were simulated to check the reference that they name."""
-SAMPLED = and_(evaluations.c.inspected, evaluations.c.reference.is_(None))
-"""Cells that were simulated to check their predictions."""
+AUDITED, SAMPLED = evaluations.c.purpose == Purpose.AUDIT, evaluations.c.purpose == Purpose.SAMPLE
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +50,8 @@ class AnsweredCell:
     attempts: int = 0
     agrees: bool | None = None
     detail: str | None = None
+    unstarted: int = 0
+    """Starts of its lease that did not happen."""
 
 
 def of_iteration(campaign_sequence: int, stage: StageName, iteration: int) -> tuple[ColumnElement[bool], ...]:
@@ -87,15 +86,20 @@ def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> tuple[int
     """
     if not answers:
         return 0, 0
+    # of an earlier attempt too: another cell's run may be the answer
+    ended = leases.end(connection, [answer.id for answer in answers])
+    started = {answer.id: ended.get(answer.id, (0, 0))[0] - answer.unstarted for answer in answers}
     statement = (
         update(evaluations)
         .where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))
-        .values({name: bindparam(f"new_{name}") for name in _ANSWER})
+        .values({name: bindparam(f"new_{name}") for name in (*_ANSWER, "runs")})
     )
-    rows = [{"evaluation": answer.id} | {f"new_{name}": getattr(answer, name) for name in _ANSWER} for answer in answers]
+    rows = [
+        {"evaluation": answer.id, "new_runs": started[answer.id]} | {f"new_{name}": getattr(answer, name) for name in _ANSWER}
+        for answer in answers
+    ]
     execute_rows(connection, statement, rows)
-    # of an earlier attempt too: another cell's run may be the answer
-    return leases.end(connection, [answer.id for answer in answers])
+    return sum(started.values()), sum(lost for _, lost in ended.values())
 
 
 def store(connection: Connection, column: str, values: Mapping[int, Any]) -> None:
@@ -112,7 +116,7 @@ def measured(connection: Connection, cells: Mapping[int, int | None]) -> dict[in
     return known | {row.id: row.metrics for row in rows_among(connection, query, evaluations.c.id, sorted(cells))}
 
 
-_ANSWER = tuple(field.name for field in fields(AnsweredCell) if field.name != "id")
+_ANSWER = tuple(field.name for field in fields(AnsweredCell) if field.name not in {"id", "unstarted"})
 
 
 def simulate(connection: Connection, evaluation_ids: Iterable[int], **more: Any) -> None:
@@ -208,7 +212,7 @@ def _row(campaign_sequence: int, cell: RequestedCell, number: int, together: Seq
     """`together`: the numbers of the cells that are inserted with it."""
     leader = None if cell.leader is None else together[cell.leader]
     answered = cell.donor if cell.answered_at_once else None
-    as_it_is = ("stage", "scenario", "setup_id", "parameter_set_id", "reference_key", "plan", "inspected", "seed", *_PREDICTION)
+    as_it_is = ("stage", "scenario", "setup_id", "parameter_set_id", "reference_key", "plan", "purpose", "seed", *_PREDICTION)
     return {name: getattr(cell, name) for name in as_it_is} | {
         "id": number,
         "campaign_sequence": campaign_sequence,
@@ -219,6 +223,7 @@ def _row(campaign_sequence: int, cell: RequestedCell, number: int, together: Seq
         "run_id": None if answered is None else answered.run,
         "reference": leader if leader is not None or cell.donor is None else cell.donor.evaluation,
         "attempts": 0,
+        "runs": 0,
     }
 
 
@@ -305,19 +310,18 @@ def places(connection: Connection, campaign_sequence: int, stage: StageName) -> 
 def counts(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> GenerationCounts:
     """Returns the answered cells of an iteration by outcome, and inspected ones."""
     table = evaluations.c
-    is_reference = table.reference.is_not(None).label("is_reference")
-    group = table.outcome, table.inspected, is_reference
+    group = table.outcome, table.purpose
     query = select(*group, func.count().label("cells")).where(*of_iteration(campaign_sequence, stage, iteration))
     counted: Counter[str] = Counter()
     for row in connection.execute(query.where(table.outcome.is_not(None)).group_by(*group)):
         counted.update({"requested": row.cells, row.outcome: row.cells})
-        if row.inspected:
-            counted["audited" if row.is_reference else "sampled"] += row.cells
+        if row.purpose in INSPECTED:
+            counted["audited" if row.purpose == Purpose.AUDIT else "sampled"] += row.cells
     return GenerationCounts(**counted)
 
 
-def confirmed(connection: Connection, campaign_sequence: int, iterations: int) -> dict[str, dict[Outcome, int]]:
-    """Returns the number of cells that a search simulated after its last iteration, by scenario and by what had answered them before."""
+def confirmed(connection: Connection, campaign_sequence: int) -> dict[str, dict[Outcome, int]]:
+    """Returns the number of cells that were simulated to confirm the best set, by scenario and by what had answered them before."""
     late, first = evaluations.alias("late"), evaluations.alias("first")
     same = (late.c.campaign_sequence, late.c.stage, late.c.scenario, late.c.parameter_set_id)
     earlier = (first.c.campaign_sequence, first.c.stage, first.c.scenario, first.c.parameter_set_id)
@@ -326,9 +330,7 @@ def confirmed(connection: Connection, campaign_sequence: int, iterations: int) -
         .join(first, and_(*(mine == theirs for mine, theirs in zip(same, earlier, strict=True))))
         .where(
             late.c.campaign_sequence == campaign_sequence,
-            late.c.stage == StageName.CALIBRATION,
-            late.c.iteration >= iterations,
-            first.c.iteration < iterations,
+            late.c.purpose == Purpose.CONFIRMATION,
             first.c.outcome.in_(NOT_SIMULATED),
         )
         .group_by(late.c.id, late.c.scenario)
@@ -338,6 +340,16 @@ def confirmed(connection: Connection, campaign_sequence: int, iterations: int) -
     for row in connection.execute(select(*answered.c, func.count().label("cells")).group_by(*answered.c)):
         counted.setdefault(row.scenario, {})[Outcome(row.outcome)] = row.cells
     return counted
+
+
+def runs_by_purpose(connection: Connection, campaign_sequence: int) -> dict[str, int]:
+    """Returns the starts of the simulator by what they were for, frequent ones first. All but the first one of each cell are `repeat`: they
+    check that equal runs are equal, or follow a breakdown or a lost worker. The sum is that of `CellCounts.runs` over all stages."""
+    cell, counted = evaluations.c, Counter[str]()
+    query = select(cell.purpose, func.count(), func.sum(cell.runs)).where(cell.campaign_sequence == campaign_sequence)
+    for purpose, cells, starts in connection.execute(query.where(cell.runs > 0).group_by(cell.purpose)):
+        counted.update({purpose: cells, "repeat": starts - cells})
+    return {name: runs for name, runs in counted.most_common() if runs}
 
 
 def costs_by_outcome(connection: Connection, campaign_sequence: int) -> list[OutcomeCosts]:

@@ -75,12 +75,6 @@ def populations(connection: Connection, campaign_sequence: int) -> list[list[lis
     return list(connection.scalars(query.order_by(generations.c.iteration)))
 
 
-def number(connection: Connection, campaign_sequence: int) -> int:
-    """Returns the number of iterations that were asked for."""
-    query = select(func.count()).where(generations.c.campaign_sequence == campaign_sequence)
-    return int(connection.scalar(query) or 0)
-
-
 def finish(connection: Connection, campaign_sequence: int, figures: Generation, objectives: Sequence[float | None]) -> None:
     """Stores the results of a generation; NaN among `objectives` becomes None."""
     connection.execute(

@@ -95,15 +95,15 @@ def current(connection: Connection, numbers: Mapping[int, int]) -> set[int]:
     return {evaluation for evaluation, number in rows if numbers[evaluation] == number}
 
 
-def end(connection: Connection, evaluation_ids: Sequence[int]) -> tuple[int, int]:
-    """Ends the leases of answered evaluations; returns their starts, and how many of these were lost. The caller stores the answers in the
-    same transaction."""
-    ended = [
-        row
+def end(connection: Connection, evaluation_ids: Sequence[int]) -> dict[int, tuple[int, int]]:
+    """Ends the leases of answered evaluations; returns the starts of each by id, and how many of these were lost. The caller stores the
+    answers in the same transaction."""
+    columns = leases.c.evaluation_id, _STARTS, leases.c.lost
+    return {
+        evaluation: (started, lost)
         for condition in among(connection, leases.c.evaluation_id, list(evaluation_ids))
-        for row in connection.execute(delete(leases).where(condition).returning(_STARTS, leases.c.lost))
-    ]
-    return sum(starts for starts, _ in ended), sum(lost for _, lost in ended)
+        for evaluation, started, lost in connection.execute(delete(leases).where(condition).returning(*columns))
+    }
 
 
 _STARTS = leases.c.starts + leases.c.running + leases.c.lost
@@ -122,10 +122,13 @@ def breakdowns(connection: Connection, evaluation_ids: Sequence[int]) -> dict[in
 
 
 def forget(connection: Connection, campaign_sequence: int) -> dict[StageName, tuple[int, int]]:
-    """Removes the leases of an ended campaign, whose other cells get no answer; returns their starts by stage, and how many were lost."""
+    """Removes the leases of an ended campaign, whose other cells get no answer, and notes the starts of each; returns their starts by
+    stage, and how many were lost."""
     pending = (evaluations.c.campaign_sequence == campaign_sequence) & evaluations.c.outcome.is_(None)
     sums = func.sum(_STARTS), func.sum(leases.c.lost)
     total = select(evaluations.c.stage, *sums).join(leases).where(pending).group_by(evaluations.c.stage)
     starts_by_stage = {StageName(stage): (int(count), int(lost)) for stage, count, lost in connection.execute(total)}
+    own = select(func.coalesce(func.sum(_STARTS), 0)).where(leases.c.evaluation_id == evaluations.c.id)
+    connection.execute(update(evaluations).where(pending).values(runs=own.scalar_subquery()))
     connection.execute(delete(leases).where(leases.c.evaluation_id.in_(select(evaluations.c.id).where(pending))))
     return starts_by_stage

@@ -22,7 +22,7 @@ from sqlalchemy import (
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NotFoundError
-from drivecal.domain.evaluations import NOT_SIMULATED, CellScore, Outcome
+from drivecal.domain.evaluations import INSPECTED, NOT_SIMULATED, CellScore, Outcome, Purpose
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.records import decode_cursor, encode_cursor
@@ -62,13 +62,15 @@ class StoredEvaluation:
     rating: float | None
     run_id: int | None
     reference: int | None
-    inspected: bool
-    """True if it was simulated to check the reference or the prediction that could have answered it."""
+    purpose: str
+    """A `Purpose`."""
     agrees: bool | None
     failure: str | None
     milliseconds: float | None
     worker: str | None
     attempts: int
+    runs: int
+    """Starts of the simulator for it, repeats and lost ones included."""
     detail: str | None
     """The reason of the failure, as reported by the worker or the pool."""
     lot: int | None
@@ -79,14 +81,19 @@ class StoredEvaluation:
     """Seed of the run; 0 if the simulator does not depend on one."""
 
     @property
+    def inspected(self) -> bool:
+        """True if it was simulated to check the reference or the prediction that could have answered it."""
+        return self.purpose in INSPECTED
+
+    @property
     def audited(self) -> bool:
         """True if it was simulated to check a reference."""
-        return self.inspected and self.reference is not None
+        return self.purpose == Purpose.AUDIT
 
     @property
     def sampled(self) -> bool:
         """True if it was simulated to check a prediction."""
-        return self.inspected and self.reference is None
+        return self.purpose == Purpose.SAMPLE
 
 
 _NAMES = tuple(field.name for field in fields(StoredEvaluation))

@@ -82,6 +82,9 @@ class Accounting(Answer):
     sensitivity: SensitivityCost
     map: MapCost | None
     scenarios: list[ScenarioAccount]
+    runs: dict[str, int] = Field(default_factory=dict)
+    """Starts of the simulator in all stages by what they were for, as `purpose` of the evaluations has it; all but the first one of a cell
+    are `repeat`: a check that equal runs are equal, or after a breakdown or a lost worker."""
     requested: int
     answered_without_simulation: int
     simulated: int
@@ -98,5 +101,5 @@ class Accounting(Answer):
     balance: list[BalanceItem] = Field(default_factory=list)
     """The addends of `net_seconds` that are not 0."""
     remarks: list[str] = Field(default_factory=list)
-    """Sentences about audits, confirmations, the map and its break-even."""
+    """Sentences about the runs, audits, confirmations, the map and its break-even."""
     sentence: str

@@ -182,11 +182,12 @@ PLACE = 5
 class EvaluationRow(Answer):
     """A requested cell; each parameter is a field with its name.
 
-    `outcome` is null while the answer is pending. `reference`: the evaluation that answered it, or that its audit did not trust.
-    `lot`: the lot of a predicted or reused
-    cell, also if its sample or the whole lot was simulated; `sampled`: a predicted cell was drawn, and `agrees` says whether the prediction
-    was right (a drawn cell of references is `audited`); `confidence`: the predictor's share of votes, 0 to 1, for every cell that it was
-    asked about.
+    `outcome` is null while the answer is pending. `purpose` says what the cell was asked for: `search`; `start`, the baseline and start
+    sets; `choice`, seeds that decide between sets; `report`, seeds that report the best one; `confirmation` of a copied or predicted score;
+    `audit` of the reference, or `sample` of the predictions that could have answered it (`agrees` says whether its prediction was right);
+    `evaluation`; or the name of another stage. `reference`: the evaluation that answered it, or that its audit did not trust. `lot`: the
+    lot of a predicted or reused cell, also if its sample or the whole lot was simulated; `confidence`: the predictor's share of votes,
+    0 to 1, for every cell that it was asked about.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -199,18 +200,19 @@ class EvaluationRow(Answer):
     individual: int
     scenario: str
     outcome: str | None
+    purpose: str
     score: Score | None
     rating: float | None
     reference: int | None
-    audited: bool
     agrees: bool | None
     failure: str | None
     milliseconds: float | None
     """CPU time of the cell's simulations, a second run included; null without one."""
     worker: str | None
+    runs: int = 0
+    """Starts of the simulator for it: 0 if another run answered it, more than 1 with repeats, breakdowns and lost workers."""
     lot: int | None = None
     confidence: float | None = None
-    sampled: bool = False
     seed: int | None = None
     """Seed of the run; null if the simulator does not depend on one."""
 

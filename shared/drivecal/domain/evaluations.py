@@ -30,6 +30,26 @@ NOT_SIMULATED = (Outcome.REUSED, Outcome.PREDICTED)
 """Outcomes for which no run of the very cell is known."""
 
 
+class Purpose(StrEnum):
+    """The reason for which a cell was asked for (`contracts.tables.EvaluationRow`); stages but the calibration have one each."""
+
+    SEARCH = "search"
+    START = "start"
+    CHOICE = "choice"
+    REPORT = "report"
+    CONFIRMATION = "confirmation"
+    AUDIT = "audit"
+    SAMPLE = "sample"
+    EVALUATION = "evaluation"
+    SENSITIVITY = "sensitivity"
+    ROBUSTNESS = "robustness"
+    VALIDATION = "validation"
+    CLAIMS = "claims"
+
+
+INSPECTED = (Purpose.AUDIT, Purpose.SAMPLE)
+
+
 class Failure(StrEnum):
     """Reason for which a simulated run is worth the scale's `failed`."""
 
@@ -91,21 +111,20 @@ class Donor(NamedTuple):
 class RequestedCell:
     """A cell that a stage asks for: `plan` and the fields after it are known once it is planned.
 
-    `individual` numbers the parameter sets of an iteration. `reference_key` is None without an influence map. `is_given` marks the baseline
-    and start sets: no reference answers their scores, because others are compared with them. `donor`: the stored result that answers the
-    cell, or that an inspection does not trust; `plan` is its basis, an equal set or an influence map. `leader`: position of the cell of
-    the same population whose simulation answers this cell.
+    `individual` numbers the parameter sets of an iteration. `reference_key` is None without an influence map. Of `purpose` START,
+    no reference answers the scores, because others are compared with them. `donor`: the stored result that answers the cell, or that an
+    inspection does not trust; `plan` is its basis, an equal set or an influence map. `leader`: position of the cell of the same population
+    whose simulation answers this cell.
     """
 
     individual: int
     scenario: str
     parameters: ParameterSet
     reference_key: bytes | None = None
-    is_given: bool = False
     plan: Outcome = Outcome.SIMULATED
     donor: Donor | None = None
     leader: int | None = None
-    inspected: bool = False
+    purpose: Purpose = Purpose.SEARCH
     is_released: bool = False
     """The donor answered the same cell in an equal campaign, after an inspection."""
     seed: int = 0
@@ -119,6 +138,11 @@ class RequestedCell:
     confidence: float | None = None
     predicted_score: float | None = None
     predicted_rating: float | None = None
+
+    @property
+    def inspected(self) -> bool:
+        """True if it is simulated to check an answer that it could have had."""
+        return self.purpose in INSPECTED
 
     @property
     def answered_at_once(self) -> bool:

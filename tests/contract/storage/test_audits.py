@@ -4,7 +4,7 @@ from tests.support.scales import COST
 from tests.support.storage import EVALUATOR, campaign, cell, sample_set_ids, setup_id, simulate
 
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import AuditCount, Outcome, Rating
+from drivecal.domain.evaluations import AuditCount, Outcome, Purpose, Rating
 from drivecal.storage import audits, evaluations, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import ratings, reference_keys, runs
@@ -20,9 +20,9 @@ def audited(connection: Connection) -> tuple[int, list[int]]:
     donor = evaluations.own_answers(connection, sequence, "S1", setup, sets)[sets[0]]
     ids: list[int] = []
     for number, (iteration, score) in enumerate([(1, 5), (1, 4), (2, 2)], 1):
-        one = cell(number, setup, sets[number], iteration=iteration, donor=donor, inspected=True)
+        one = cell(number, setup, sets[number], iteration=iteration, donor=donor, purpose=Purpose.AUDIT)
         ids += simulate(connection, sequence, [one], score=score)
-    ids += evaluations.insert(connection, sequence, [cell(4, setup, sets[4], iteration=2, donor=donor, inspected=True)])
+    ids += evaluations.insert(connection, sequence, [cell(4, setup, sets[4], iteration=2, donor=donor, purpose=Purpose.AUDIT)])
     evaluations.insert(connection, sequence, [cell(5, setup, sets[5], iteration=2, plan=Outcome.REUSED, donor=donor)])
     return sequence, ids
 
@@ -43,7 +43,7 @@ def test_a_donor_counts_as_the_campaigns_own_evaluator_rates_it(database: Databa
         simulate(connection, campaign(connection).sequence, [cell(0, setup, sets[0])], score=5)
         ratings.insert(connection, "learned 1", [(runs.largest_id(connection), Rating(2.0, 2))])
         donor = runs.look_up_exact(connection, setup, sets, "learned 1", 10**6)[sets[0]]
-        audit = cell(1, setup, sets[1], donor=donor, inspected=True)
+        audit = cell(1, setup, sets[1], donor=donor, purpose=Purpose.AUDIT)
         simulate(connection, sequence, [audit], score=2)
         assert audits.count(connection, sequence, "learned 1") == [AuditCount("S1", audited=1, different=0, wrong=0)]
         audits.settle(connection, sequence, StageName.CALIBRATION, 0, "learned 1")
@@ -57,7 +57,7 @@ def test_a_donor_of_the_campaigns_own_counts_as_it_was_answered_whatever_is_stor
         simulate(connection, faster, [cell(0, setup, sets[0])], score=5)
         simulate(connection, sequence, [cell(0, setup, sets[0])], score=2)
         donor = evaluations.own_answers(connection, sequence, "S1", setup, sets)[sets[0]]
-        simulate(connection, sequence, [cell(1, setup, sets[1], donor=donor, inspected=True)], score=2)
+        simulate(connection, sequence, [cell(1, setup, sets[1], donor=donor, purpose=Purpose.AUDIT)], score=2)
         assert audits.count(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=1, different=0, wrong=0)]
         audits.settle(connection, sequence, StageName.CALIBRATION, 0, EVALUATOR)
         assert [item.agrees for item in results.stream(connection, sequence) if item.audited] == [True]
@@ -105,7 +105,7 @@ def test_scores_without_steps_are_compared_by_their_scale(database: Database) ->
         ids: list[int] = []
         for number, score in enumerate([50.25 + 1e-9, 50.26, 52.25, 47.0], 1):
             one = cell(
-                number, setup, sets[number], donor=donor, inspected=True, reference_key=KEY if number == 1 else OTHER_KEY
+                number, setup, sets[number], donor=donor, purpose=Purpose.AUDIT, reference_key=KEY if number == 1 else OTHER_KEY
             )
             ids += simulate(connection, sequence, [one], score=score)
         audits.settle(connection, sequence, StageName.CALIBRATION, 0, EVALUATOR, COST)

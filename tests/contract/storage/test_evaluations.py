@@ -8,7 +8,7 @@ from tests.support.values import present
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NotFoundError
-from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.domain.evaluations import Donor, Outcome, Purpose
 from drivecal.storage import evaluations, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import AnsweredCell
@@ -40,7 +40,7 @@ def test_a_copy_of_a_stored_result_has_its_answer_at_once(database: Database) ->
         run = present(results.by_id(connection, simulated).run_id)
         donor = Donor(simulated, run, 6, 5.75, "collision")
         cells = [cell(0, setup, sets[0], plan=REPEATED, donor=donor), cell(1, setup, sets[1], plan=REUSED, donor=donor)]
-        audited = cell(2, setup, sets[2], donor=donor, inspected=True)
+        audited = cell(2, setup, sets[2], donor=donor, purpose=Purpose.AUDIT)
         ids = evaluations.insert(connection, second, [*cells, audited])
         copies = [results.by_id(connection, item) for item in ids[:2]]
         waiting = results.pending(connection, second)
@@ -59,7 +59,7 @@ def test_a_cell_that_waits_for_another_of_its_population_names_it(database: Data
         cells = [
             cell(0, setup, sets[0]),
             cell(1, setup, sets[0], plan=REPEATED, leader=0),
-            cell(2, setup, sets[1], leader=0, inspected=True),
+            cell(2, setup, sets[1], leader=0, purpose=Purpose.AUDIT),
         ]
         ids = evaluations.insert(connection, sequence, cells)
         waiting = results.pending(connection, sequence)

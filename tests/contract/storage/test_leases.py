@@ -67,7 +67,7 @@ def test_a_lease_counts_starts_before_they_happen(database: Database) -> None:
     take(database, ids[:2])
     with database.transaction() as connection:
         assert leases.starts(connection, ids) == 1 + 3
-        assert leases.end(connection, ids[:1]) == (2, 0)
+        assert leases.end(connection, ids[:1]) == {ids[0]: (2, 0)}
         sequence = connection.scalar(text("SELECT campaign_sequence FROM evaluations WHERE id = :id"), {"id": ids[0]})
         assert leases.forget(connection, int(sequence)) == {StageName.CALIBRATION: (2, 0)}
 
@@ -80,7 +80,7 @@ def test_starts_that_end_with_their_dispatcher_or_worker_are_lost(database: Data
     with database.transaction() as connection:
         leases.give_back(connection, {ids[1]: 0})
         assert leases.starts(connection, ids) == 2
-        assert leases.end(connection, ids) == (4, 3)
+        assert leases.end(connection, ids) == {ids[0]: (2, 1), ids[1]: (2, 2)}
 
 
 def test_what_has_its_answer_is_not_leased(database: Database) -> None:

@@ -6,7 +6,7 @@ import pytest
 from tests.support.storage import campaign, new_evaluation, new_run, sample_set_ids, setup_id, simulate
 
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Outcome
+from drivecal.domain.evaluations import Outcome, Purpose
 from drivecal.domain.scales import COMFORT
 from drivecal.storage import audits, campaigns, evaluations, lots, results
 from drivecal.storage.engine.database import Database
@@ -78,7 +78,7 @@ def test_a_lot_of_references_waits_is_drawn_as_audits_and_compared_with_its_refe
         drawn = [waiting[0].id, waiting[1].id, waiting[3].id]
         assert lots.references(connection, sequence, [number]) == {number: {reference, waiting[4].id}}
         assert lots.references(connection, sequence, []) == {}
-        evaluations.simulate(connection, drawn, inspected=True)
+        evaluations.simulate(connection, drawn, purpose=Purpose.AUDIT)
         cells = {cell.individual: cell for cell in results.pending(connection, sequence)}
         assert [(cells[0].plan, cells[0].audited, cells[0].sampled)] == [(Outcome.SIMULATED, True, False)]
         assert cells[0].reference == reference, "what it is compared with"
@@ -112,7 +112,7 @@ def test_samples_are_simulated_compared_and_known_with_their_weight(database: Da
         drawn = waiting[1]
         run = new_run(setup, drawn.parameter_set_id, evaluation=drawn.id, campaign_sequence=sequence, score=3, rating=3.1)
         (own,) = runs.insert_results(connection, [run])
-        evaluations.simulate(connection, [drawn.id], inspected=True)
+        evaluations.simulate(connection, [drawn.id], purpose=Purpose.SAMPLE)
         assert lots.errors_so_far(connection, sequence, [number]) == {}
     with database.transaction() as connection:
         cells = {cell.id: cell for cell in results.pending(connection, sequence)}

@@ -21,7 +21,7 @@ from tests.support.server import new_database
 from tests.support.storage import EVALUATOR, campaign, new_evaluation, new_run, sample_set_ids, sample_sets, setup_id
 
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Outcome
+from drivecal.domain.evaluations import Outcome, Purpose
 from drivecal.domain.events import EventKind
 from drivecal.storage import audits, campaigns, evaluations, events, leases, lots, results, revision_queries, studies
 from drivecal.storage.engine.bulk import LARGEST_IN
@@ -239,7 +239,7 @@ def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, sub
                 Outcome.SIMULATED,
                 reference_key=KEYS[n],
                 donor=donor,
-                inspected=True,
+                purpose=Purpose.AUDIT,
             )
             for n in range(30)
         ]

@@ -5,7 +5,7 @@ from dataclasses import replace
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.domain.evaluations import Donor, Outcome, RequestedCell
+from drivecal.domain.evaluations import Donor, Outcome, Purpose, RequestedCell
 from drivecal.domain.parameters import ParameterSet
 from drivecal.reduction.assignment import Policy, assign
 from drivecal.reduction.audit import is_audited
@@ -94,7 +94,7 @@ def test_every_leader_stands_earlier_and_is_simulated(
 
 
 def test_no_reference_answers_a_given_set_which_answers_others() -> None:
-    cells = [replace(_cell(0, "a", "k"), is_given=True), _cell(1, "b", "k")]
+    cells = [replace(_cell(0, "a", "k"), purpose=Purpose.START), _cell(1, "b", "k")]
     stored = assign(cells, Policy("influence"), {}, {("S1", b"k"): DONOR})
     assert _plans(stored) == [SIMULATED, (Outcome.REUSED, DONOR, None, False)]
     assert _plans(assign(cells, Policy("influence"), {}, {})) == [SIMULATED, (Outcome.REUSED, None, 0, False)]

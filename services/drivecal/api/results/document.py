@@ -122,7 +122,6 @@ def studies_of(connection: Connection, campaign: StoredCampaign) -> list[StudyRe
 def account_of(connection: Connection, campaign: StoredCampaign) -> Accounting:
     """Returns savings of cells answered without a simulation, cost of the sensitivity stage, and the break-even of its map."""
     rows = evaluations.costs_by_outcome(connection, campaign.sequence)
-    searched = generations.number(connection, campaign.sequence)
     predictors: dict[str, float] = defaultdict(float)
     for lot in lots.of_campaign(
         connection, campaign.sequence, Outcome.PREDICTED
@@ -135,9 +134,10 @@ def account_of(connection: Connection, campaign: StoredCampaign) -> Accounting:
         dict.fromkeys(known),
         rows,
         _map_origin(connection, campaign),
-        evaluations.confirmed(connection, campaign.sequence, searched),
+        evaluations.confirmed(connection, campaign.sequence),
         predictors,
         0.0 if campaign.search is None else campaign.search.reuse_seconds,
+        evaluations.runs_by_purpose(connection, campaign.sequence),
     )
 
 

@@ -306,7 +306,7 @@ class CellTracker:
             self._answer(cell, donor, answers)
         else:
             self.simulating_seconds += completion.result.milliseconds / 1000
-            self._return_unstarted(completion)
+            self.budget.left += completion.unstarted
             self._answer(cell, donor, answers, completion)
 
     def _answer(
@@ -328,7 +328,7 @@ class CellTracker:
         """Fails a cell without a result after all attempts. Copies of the same parameter set fail with it; other copies become orphans."""
         orphans: list[StoredEvaluation] = []
         if not completion.shared:
-            self._return_unstarted(completion)
+            self.budget.left += completion.unstarted
         detail = completion.result.detail
         if detail is not None:  # every database can store it so
             detail = detail[:LONGEST_DETAIL].encode(errors="replace").decode().replace("\0", "\ufffd")
@@ -351,10 +351,6 @@ class CellTracker:
         for position, other in enumerate(orphans):
             orphans[position] = self._pending[other.id] = replace(other, plan=Outcome.SIMULATED, reference=None)
         return orphans
-
-    def _return_unstarted(self, completion: Completed) -> None:
-        self._counts["runs"] -= completion.unstarted
-        self.budget.left += completion.unstarted
 
     def _close(self, cell: StoredEvaluation, outcome: Outcome, *, is_own: bool) -> None:
         self.budget.left += not is_own
@@ -392,7 +388,8 @@ class CellTracker:
 
 def _attempt(own: Completed | None) -> dict[str, Any]:
     """Returns the fields of the cell's own attempts; empty for a copy."""
-    return {} if own is None else {"milliseconds": own.result.milliseconds, "worker": own.worker, "attempts": own.attempts}
+    names = ("worker", "attempts", "unstarted")
+    return {} if own is None else {name: getattr(own, name) for name in names} | {"milliseconds": own.result.milliseconds}
 
 
 def _place(cell: StoredEvaluation) -> str:

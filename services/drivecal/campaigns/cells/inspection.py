@@ -14,7 +14,7 @@ from sqlalchemy import Connection
 from drivecal.campaigns.cells.planning import View
 from drivecal.contracts.campaign import ErrorRate
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Outcome, RequestedCell
+from drivecal.domain.evaluations import Outcome, Purpose, RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.domain.scales import Scale
 from drivecal.reduction.audit import error_rates, expected_error_rate
@@ -39,6 +39,10 @@ class _OpenLot:
     @property
     def plan(self) -> SamplingPlan:
         return SamplingPlan(self.lot.size, self.lot.sample, self.lot.acceptance)
+
+    @property
+    def purpose(self) -> Purpose:
+        return Purpose.SAMPLE if self.lot.kind is Outcome.PREDICTED else Purpose.AUDIT
 
 
 class Inspection:
@@ -68,7 +72,7 @@ class Inspection:
         for lot in self._open.values():
             if len(lot.members) == lot.lot.size:
                 sample = self._draw(connection, lot)
-                evaluations.simulate(connection, sample, inspected=True)
+                evaluations.simulate(connection, sample, purpose=lot.purpose)
                 drawn |= sample
         return drawn
 
@@ -79,7 +83,7 @@ class Inspection:
         for cell in chosen:
             del lot.members[cell.id]
             lot.sampled.add(cell.id)
-        return {cell.id: replace(cell, plan=Outcome.SIMULATED, inspected=True) for cell in chosen}
+        return {cell.id: replace(cell, plan=Outcome.SIMULATED, purpose=lot.purpose) for cell in chosen}
 
     def compare(self, cell: StoredEvaluation, score: float | None) -> bool | None:
         """Takes a sampled cell's simulated score, None without a result, and returns whether the prediction was right; None for other

@@ -11,7 +11,7 @@ from sqlalchemy import Connection
 from drivecal.campaigns.cells.earlier import EarlierVersion, answers_of
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Donor, RequestedCell
+from drivecal.domain.evaluations import Donor, Purpose, RequestedCell
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet
 from drivecal.execution.measures import MEASURES
@@ -135,6 +135,7 @@ def plan_cells(
         replace(
             cell,
             stage=stage,
+            purpose=cell.purpose if stage is StageName.CALIBRATION else Purpose(stage),
             iteration=iteration,
             setup_id=setup_ids[cell.scenario],
             parameter_set_id=set_ids[cell.parameters],

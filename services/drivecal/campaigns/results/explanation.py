@@ -13,12 +13,12 @@ from drivecal.contracts.explanation import Check, Difference, Explanation, Inspe
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NotFoundError
-from drivecal.domain.evaluations import Outcome
+from drivecal.domain.evaluations import Outcome, Purpose
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import billionths
 from drivecal.domain.scales import Scale
 from drivecal.reduction.explanation import CellComparison, Nearest, ParameterDifference, sentence
-from drivecal.storage import campaigns, generations, lots, results
+from drivecal.storage import campaigns, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.lots import StoredLot
 from drivecal.storage.references import influence_maps, parameter_sets, reference_keys, runs
@@ -116,9 +116,7 @@ _HITS: Mapping[Outcome, Reason] = {Outcome.REPEATED: "repeated", Outcome.REUSED:
 def _trusted(case: _Case) -> StoredEvaluation | None:
     """Returns the cell with the copied or predicted score that this cell's simulation confirmed after the search, None for other cells."""
     cell, specification = case.cell, case.specification
-    if specification is None or specification.optimizer is None or cell.stage is not StageName.CALIBRATION:
-        return None
-    if cell.iteration < generations.number(case.connection, cell.campaign_sequence):
+    if specification is None or specification.optimizer is None or cell.purpose != Purpose.CONFIRMATION:
         return None
     return results.first_copy(case.connection, cell.campaign_sequence, cell.scenario, cell.parameter_set_id)
 

@@ -39,7 +39,7 @@ from drivecal.contracts.campaign import CellCounts, ErrorRate, Released, Repaire
 from drivecal.contracts.tables import Generation
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
-from drivecal.domain.evaluations import RequestedCell
+from drivecal.domain.evaluations import Purpose, RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.optimizers.repair import RepairCount
@@ -311,9 +311,10 @@ class Calibration(Stage):
         number = self._next - 1
         asked, batch, problem = self._asked[number], self._batches.pop(0), self._problem
         sets = dict(zip(batch, problem.space.parameter_sets(asked.population[batch]), strict=True))
-        given = {individual: parameters in problem.start_sets for individual, parameters in sets.items()}
+        given = {number: Purpose.START for number, parameters in sets.items() if parameters in problem.start_sets}
+        purposes = dict.fromkeys(sets, Purpose.SEARCH) | given
         wanted = [
-            RequestedCell(individual, problem.scenarios[place], sets[individual], is_given=given[individual], seed=seed)
+            RequestedCell(individual, problem.scenarios[place], sets[individual], purpose=purposes[individual], seed=seed)
             for individual, place, seed in asked.cells
             if individual in sets
         ]
@@ -413,7 +414,7 @@ class Calibration(Stage):
             self._save(connection)
         if chosen is None:
             return None
-        wanted = [RequestedCell(0, scenario, parameters) for scenario in chosen.reused]
+        wanted = [RequestedCell(0, scenario, parameters, purpose=Purpose.CONFIRMATION) for scenario in chosen.reused]
         tried.append(chosen.parameter_set)
         return Round(first + len(tried) - 1, [(self._problem.bench, wanted)], Policy("exact"))
 

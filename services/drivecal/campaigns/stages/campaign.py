@@ -18,7 +18,7 @@ from drivecal.campaigns.stages.stage import Round, Stage
 from drivecal.campaigns.stages.validation import PredictionValidation, ValidationStage
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
-from drivecal.domain.evaluations import RequestedCell
+from drivecal.domain.evaluations import Purpose, RequestedCell
 from drivecal.execution.scheduling.in_flight import Completed, Work
 from drivecal.reduction.assignment import Policy
 from drivecal.storage import campaigns
@@ -53,7 +53,7 @@ class SingleEvaluation(Stage):
             return None
         self._asked = True
         bench, parameters = self._problem.bench, self._problem.parameter_set
-        cells = [RequestedCell(0, scenario, parameters) for scenario in bench.scenarios]
+        cells = [RequestedCell(0, scenario, parameters, purpose=Purpose.EVALUATION) for scenario in bench.scenarios]
         is_new = self._view.traced or self._problem.specification.fresh
         return Round(0, [(bench, cells)], Policy("off" if is_new else "exact"))
 

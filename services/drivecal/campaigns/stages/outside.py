@@ -19,7 +19,7 @@ from drivecal.campaigns.stages.asking import WINDOW, AskedRound, Asker
 from drivecal.campaigns.stages.calibration import Calibration
 from drivecal.campaigns.stages.stage import Round, Stage
 from drivecal.contracts.campaign import SearchEnd
-from drivecal.domain.evaluations import Outcome, RequestedCell
+from drivecal.domain.evaluations import Outcome, Purpose, RequestedCell
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.outside import sets as outside_sets
@@ -114,8 +114,9 @@ class OutsideSearch(Calibration):
         sets = problem.space.parameter_sets(population)
         self._asked[number] = AskedRound(population, np.ones(len(population), dtype=np.bool_), cells, {})
         self._next += 1
+        purpose = Purpose.SEARCH if self._offered else Purpose.START
         requested = [
-            RequestedCell(individual, problem.scenarios[place], sets[individual], is_given=not self._offered, seed=seed)
+            RequestedCell(individual, problem.scenarios[place], sets[individual], purpose=purpose, seed=seed)
             for individual, place, seed in cells
         ]
         return Round(number, self._benches.with_cells(requested), self._policy())

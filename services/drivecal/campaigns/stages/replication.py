@@ -14,7 +14,7 @@ from drivecal.campaigns.stages.answers import SearchAnswers
 from drivecal.campaigns.stages.stage import Round
 from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import RequestedCell
+from drivecal.domain.evaluations import Purpose, RequestedCell
 from drivecal.reduction.assignment import Policy
 from drivecal.storage import evaluations
 from drivecal.storage.references import parameter_sets
@@ -75,8 +75,9 @@ class Replication:
                 break
         sets = parameter_sets.load(connection, list({number for number, _ in chosen}))
         numbers = list(dict.fromkeys(number for number, _ in chosen))
+        choosing, purposes = replicates.choosing(self._problem.specification.replicates.most), (Purpose.CHOICE, Purpose.REPORT)
         cells = [
-            RequestedCell(numbers.index(number), scenario, sets[number], seed=seed)
+            RequestedCell(numbers.index(number), scenario, sets[number], purpose=purposes[seed > choosing], seed=seed)
             for number, seed in chosen
             for scenario in scenarios
         ]

@@ -252,12 +252,13 @@ evaluations = Table(
     Column("rating", Float),
     Column("run_id", Identity, ForeignKey("runs.id")),
     Column("reference", Identity),
-    Column("inspected", Boolean, nullable=False),  # simulated as a check of its reference, or of its prediction
+    Column("purpose", Name, nullable=False),  # what it was asked for (`domain.evaluations.Purpose`)
     Column("agrees", Boolean),
     Column("failure", Text),
     Column("milliseconds", Float),
     Column("worker", Text),
     Column("attempts", Integer, nullable=False),
+    Column("runs", Integer, nullable=False),  # starts of the simulator, as in `CellCounts`
     Column("detail", Text),
     Column("metrics", Document),  # of its own run, if it differs from the stored run of the same set
     # Set for cells that the predictor predicted. `lot` is set if it was trusted, or if references are to answer the cell.

@@ -25,7 +25,7 @@ from sqlalchemy import (
 
 from drivecal.contracts.campaign import CellCounts
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.evaluations import ANSWERED_BY_DONOR, Outcome
+from drivecal.domain.evaluations import ANSWERED_BY_DONOR, INSPECTED, Outcome
 from drivecal.storage.campaigns import by_stage
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import (
@@ -100,10 +100,11 @@ def check_counters(connection: Connection) -> Iterator[str]:
     stage, audited = type_coerce(evaluations.c.stage, SmallInteger), func.sum(case((AUDITED, 1), else_=0))
     sampled = func.sum(case((SAMPLED, 1), else_=0))
     columns = evaluations.c.campaign_sequence, stage, evaluations.c.outcome
-    by_outcome = select(*columns, func.count(), audited, sampled).group_by(*columns)
-    for sequence, number, outcome, count, audits, samples in connection.execute(by_outcome):
+    by_outcome = select(*columns, func.count(), audited, sampled, func.sum(evaluations.c.runs)).group_by(*columns)
+    for sequence, number, outcome, count, audits, samples, starts in connection.execute(by_outcome):
         cells = counted.setdefault((sequence, number), {})
         cells[outcome or "pending"] = count
+        cells["runs"] = cells.get("runs", 0) + starts
         if outcome == Outcome.SIMULATED:
             cells["audited"], cells["sampled"] = audits, samples
     for sequence, figures in connection.execute(select(generations.c.campaign_sequence, generations.c.figures)):
@@ -120,7 +121,7 @@ def check_counters(connection: Connection) -> Iterator[str]:
                     yield f"campaign {row.id} counts {count} {part} in its {stage_of}, its rows {cells.get(part, 0)}"
 
 
-_NOT_IN_ROWS = {"unrepeatable", "unscored", "cut", "runs", "lost", "discarded"}
+_NOT_IN_ROWS = {"unrepeatable", "unscored", "cut", "lost", "discarded"}
 _WHOLE = campaigns.c.deleted_at.is_(None)
 """Campaigns with all their cells: a deleted one counts its former cells."""
 
@@ -168,7 +169,7 @@ def check_lots(connection: Connection) -> Iterator[str]:
     cell = evaluations.c
     joined = evaluations.outerjoin(lots, lots.c.id == cell.lot)
     released = lots.c.verdict.is_not_distinct_from(LotVerdict.RELEASED)
-    unchecked = (cell.outcome == Outcome.PREDICTED) & (cell.inspected | cell.run_id.is_not(None) | ~released)
+    unchecked = (cell.outcome == Outcome.PREDICTED) & (cell.purpose.in_(INSPECTED) | cell.run_id.is_not(None) | ~released)
     yield from _cells(connection, joined, unchecked, "are predictions that no inspected lot released")
     uninspected = (cell.outcome == Outcome.REUSED) & cell.lot.is_not(None) & ~released
     yield from _cells(connection, joined, uninspected, "are reused, and their lots were not released")
@@ -176,7 +177,7 @@ def check_lots(connection: Connection) -> Iterator[str]:
     yield from _cells(connection, joined, other, "are copies in lots of another kind")
     members = (
         func.count(cell.id),
-        func.sum(case((cell.inspected, 1), else_=0)),
+        func.sum(case((cell.purpose.in_(INSPECTED), 1), else_=0)),
         # a reused answer whose reference has no result is simulated after the verdict
         func.sum(
             case((cell.outcome.is_(None) & ((lots.c.kind != Outcome.REUSED) | (cell.plan == Outcome.REUSED)), 1), else_=0)
