@@ -14,7 +14,8 @@ import pytest
 from tests.support.tree import PROJECT, ROOTS, modules, packages, parsed, shown
 
 LONGEST = 600
-MOST_MODULES = 16
+LEAST_PART = 80
+"""Lines from which half a module is a module."""
 TOP_LEVEL = {
     "services", "workers", "shared", "deploy", "tests", "docker-compose.yml", "pyproject.toml", "README.md", "Makefile", "LICENSE",
     "CHANGELOG.md", "docs",
@@ -132,10 +133,42 @@ def test_undocumented_things_would_be_found() -> None:
     assert undocumented(ast.parse(source), "") == ["A.b", "d"]
 
 
-def test_a_folder_can_be_overlooked() -> None:
-    """At most 16 modules next to the `__init__.py`, which says what the folder is for and exports its names."""
-    numbers = {shown(folder): len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) for folder in FOLDERS}
-    assert {name: number for name, number in numbers.items() if number > MOST_MODULES} == {}
+def bound(node: ast.stmt) -> set[str]:
+    """Returns the names that a statement of a module binds."""
+    if isinstance(node, (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
+        return {node.name}
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    return {
+        each.id
+        for target in targets
+        if isinstance(target, (ast.Name, ast.Tuple))
+        for each in ast.walk(target)
+        if isinstance(each, ast.Name)
+    }
+
+
+def is_glued(tree: ast.Module, length: int) -> bool:
+    """Returns whether a module falls into two parts of at least `LEAST_PART` lines, neither of which names anything of the other."""
+    nodes = [node for node in tree.body if bound(node)]
+    used = [{each.id for each in ast.walk(node) if isinstance(each, ast.Name)} for node in nodes]
+    for place, node in enumerate(nodes):
+        if min(node.lineno - nodes[0].lineno, length - node.lineno) >= LEAST_PART:
+            before, after = set[str]().union(*map(bound, nodes[:place])), set[str]().union(*map(bound, nodes[place:]))
+            if not before & set().union(*used[place:]) and not after & set().union(*used[:place]):
+                return True
+    return False
+
+
+def test_a_module_is_not_two_modules_one_after_the_other() -> None:
+    """The documents of a contract may know nothing of each other."""
+    sources = {shown(path): path.read_text(encoding="utf-8") for path in modules() if "contracts" not in path.parts}
+    assert [name for name, source in sources.items() if is_glued(ast.parse(source), len(source.splitlines()))] == []
+
+
+def test_a_module_binds_a_name_once() -> None:
+    """A second constant of the same name would be another value for whatever asks later."""
+    names = {shown(path): Counter(name for node in parsed(path).body for name in bound(node)) for path in modules()}
+    assert {module: name for module, counts in names.items() for name, count in counts.items() if count > 1} == {}
 
 
 def test_a_class_name_means_one_class() -> None:

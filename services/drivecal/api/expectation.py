@@ -18,8 +18,8 @@ from drivecal.campaigns.resolve.outside import indices_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.resolve.workbench import moved, stored_bundles
+from drivecal.campaigns.stages.prediction_validation import check_predictions, runs_at_most
 from drivecal.campaigns.stages.robustness import check_source
-from drivecal.campaigns.stages.validation import check_predictions, runs_at_most
 from drivecal.contracts.campaign import STUDIES, ExpectedRuns
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
 from drivecal.contracts.outside.sets import ProposedSet

@@ -62,10 +62,7 @@ class CellComparison:
 
     def blocking(self, stored: Integers) -> npt.NDArray[np.bool_]:
         """Returns the parameters of stored sets that forbid reuse, for `stored` coded as the cell's values; both of shape (n, n_p)."""
-        both_below = (stored < self._map.lower) & (self._values < self._map.lower)
-        both_above = (stored > self._map.upper) & (self._values > self._map.upper)
-        covered = self._map.covers(stored) & self._map.covers(self._values)
-        blocks: npt.NDArray[np.bool_] = (stored != self._values) & ~(covered & (~self._map.matters | both_below | both_above))
+        blocks: npt.NDArray[np.bool_] = self._map.codes(stored) != self._map.codes(self._values)
         return blocks
 
     def distances(self, stored: Integers, blocking: npt.NDArray[np.bool_]) -> Floats:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet, billionths, code
 
-BELOW, ANY, ABOVE = np.iinfo(np.int64).min, np.iinfo(np.int64).min + 1, np.iinfo(np.int64).max
+BELOW, ANY, ABOVE = SHARED = np.iinfo(np.int64).min, np.iinfo(np.int64).min + 1, np.iinfo(np.int64).max
 """Codes that neither a value in billionths nor a text can take."""
 
 
@@ -43,6 +43,20 @@ class MapColumns:
             covered[..., column] = np.isin(values[..., column], analysed)
         return covered
 
+    def codes(self, values: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Returns the class of each value, shape (..., n_p): the map treats values of a parameter with equal codes as the same."""
+        codes = np.where(values < self.lower, BELOW, np.where(values > self.upper, ABOVE, values))
+        return np.where(self.covers(values), np.where(self.matters, codes, ANY), values)
+
+    @property
+    def changes(self) -> set[int]:
+        """Values in billionths from which on values may have other codes than below, of any parameter."""
+        return {
+            *self.lower.tolist(),
+            *self._lowest.tolist(),
+            *(last + 1 for last in (*self.upper.tolist(), *self._highest.tolist())),
+        }
+
 
 def _limits(values: Sequence[Decimal | None], unlimited: int) -> npt.NDArray[np.int64]:
     return np.array([unlimited if value is None else billionths(value) for value in values], dtype=np.int64)
@@ -57,19 +71,10 @@ class ReferenceKeys:
         self._map = MapColumns(influence_map, scenario, ordered)
         self._header = "\0".join([scenario, *ordered]).encode()
 
-    def codes(self, values: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """The class of every value, shape (n, n_p), for `values` as `billionths_matrix` codes them, in the order of `names`.
-
-        Columns of the result are sorted by parameter name.
-        """
-        ordered = values[:, self._order]
-        codes = np.where(ordered < self._map.lower, BELOW, np.where(ordered > self._map.upper, ABOVE, ordered))
-        return np.where(self._map.covers(ordered), np.where(self._map.matters, codes, ANY), ordered)
-
     def keys(self, values: npt.NDArray[np.int64]) -> list[bytes]:
-        """Returns a key of 16 bytes per row of `values`, shape (n, n_p), as `codes` takes them."""
+        """Returns a key of 16 bytes per row of `values`, shape (n, n_p), as `billionths_matrix` codes them, in the order of `names`."""
         start = hashlib.blake2b(self._header, digest_size=16)
-        rows = np.ascontiguousarray(self.codes(values), dtype="<i8")
+        rows = np.ascontiguousarray(self._map.codes(values[:, self._order]), dtype="<i8")
         width = rows.shape[1] * 8
         data = rows.tobytes()
         keys: list[bytes] = []

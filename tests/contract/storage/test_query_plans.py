@@ -30,7 +30,7 @@ from drivecal.storage.engine.types import now
 from drivecal.storage.evaluations import AnsweredCell
 from drivecal.storage.maintenance import deletion
 from drivecal.storage.references import parameter_sets, reference_keys, runs
-from drivecal.storage.references.reference_keys import Integers
+from drivecal.storage.references.candidates import Integers
 
 ROWS = 4_000
 SMALL = {"reference_indexes", "leases", "processes", "traces", "lots"}

@@ -17,7 +17,7 @@ from drivecal.analysis.replicates import choosing, fewest, kept_back, rate_bound
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.goals import check_reuse, find_goals
+from drivecal.campaigns.resolve.goals import check_reuse, find_goals, normalise_weights
 from drivecal.campaigns.resolve.optimizer import Optimization, check_abilities, choose_optimizer, note_search, settled_search
 from drivecal.campaigns.resolve.spaces import (
     fixed_to_document,
@@ -211,7 +211,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     diagnostics = Diagnostics()
     workbench = find_workbench(specification, bundles, diagnostics)
     shapes = {} if workbench.function is None else workbench.function.shapes
-    weights, notes = resolvers.normalise_weights(specification.weights, workbench.scenarios, diagnostics)
+    weights, notes = normalise_weights(specification.weights, workbench.scenarios, diagnostics)
     variants = find_variants(specification, weights, workbench, diagnostics)
     weights = dict(variants.weights)
     optimization = choose_optimizer(specification, len(weights), diagnostics)

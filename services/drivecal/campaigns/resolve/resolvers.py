@@ -183,24 +183,3 @@ def plan_analysis(
         sequential=wanted.sequential,
     )
     return SensitivityAnalysis(constraints.space, scenarios, settings, scale, constraints)
-
-
-def normalise_weights(
-    given: Mapping[str, float], scenarios: Sequence[str], diagnostics: Diagnostics
-) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Positive weights by scenario, of sum 1 (Eq. 6), with a note that names the scenarios of weight 0."""
-    for name in given:
-        if scenarios and name not in scenarios:
-            diagnostics.add(
-                f"weights.{name}", f"there is no scenario {name!r} in the catalogue", f"one of {', '.join(scenarios)}"
-            )
-    weights = {name: float(given.get(name, 1.0)) for name in scenarios}
-    total = sum(weights.values())
-    if scenarios and total == 0:
-        diagnostics.add(
-            "weights", "all weights are 0, so nothing would be simulated", "give at least one scenario a positive weight"
-        )
-        return {}, ()
-    left_out = [name for name, weight in weights.items() if weight == 0]
-    notes = (f"not simulated because their weight is 0: {', '.join(left_out)}",) if left_out else ()
-    return {name: weight / total for name, weight in weights.items() if weight > 0}, notes

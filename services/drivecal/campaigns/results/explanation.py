@@ -21,7 +21,7 @@ from drivecal.reduction.explanation import CellComparison, Nearest, ParameterDif
 from drivecal.storage import campaigns, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.lots import StoredLot
-from drivecal.storage.references import influence_maps, parameter_sets, reference_keys, runs
+from drivecal.storage.references import candidates, influence_maps, parameter_sets, runs
 from drivecal.storage.results import StoredEvaluation
 
 
@@ -132,8 +132,8 @@ def _nearest(case: _Case) -> tuple[Nearest | None, int]:
     stored = 0
     place = (cell.stage, cell.iteration, cell.individual)
     sources = (
-        reference_keys.stored_sets(case.connection, cell.setup_id, case.evaluator, watermark, names),
-        reference_keys.own_sets(case.connection, cell.campaign_sequence, cell.scenario, place, names),
+        candidates.stored_sets(case.connection, cell.setup_id, case.evaluator, watermark, names),
+        candidates.own_sets(case.connection, cell.campaign_sequence, cell.scenario, place, names),
     )
     for rank, source in enumerate(sources):
         for sets in source:

@@ -12,10 +12,11 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationPro
 from drivecal.campaigns.stages.calibration import Calibration
 from drivecal.campaigns.stages.claims import ClaimCheck, checkable
 from drivecal.campaigns.stages.outside import OutsideSearch
+from drivecal.campaigns.stages.prediction_validation import PredictionValidation
 from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
 from drivecal.campaigns.stages.stage import Round, Stage
-from drivecal.campaigns.stages.validation import PredictionValidation, ValidationStage
+from drivecal.campaigns.stages.validation import ValidationStage
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import Purpose, RequestedCell

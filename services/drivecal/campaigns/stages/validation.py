@@ -1,28 +1,22 @@
-"""Validation stages: whether answers are the same if the influence map says so (Section V), and whether released predictions are right."""
+"""Validation of an influence map (Section V of the paper): answers must be the same if the map says so."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection
 
 from drivecal.analysis.validation import Differences, ReducibleSpace, Region, ValidationDesign, compared, design, mean_interval
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec, specification_of
 from drivecal.campaigns.stages.replication import SeededBenches
 from drivecal.campaigns.stages.stage import Round, StudyStage, exact_policy
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
-from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
+from drivecal.domain.evaluations import CellScore, RequestedCell
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.parameters import Parameter, ParameterSpace, billionths
-from drivecal.reduction.audit import clopper_pearson
-from drivecal.reduction.lots import draw
-from drivecal.storage import campaigns, lots, results
+from drivecal.domain.parameters import Parameter, ParameterSpace, code
+from drivecal.reduction.keys import SHARED, MapColumns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.results import StoredEvaluation
 
 
 def reducible_space(influence_map: InfluenceMap, scenario: str, space: ParameterSpace) -> ReducibleSpace:
@@ -31,24 +25,14 @@ def reducible_space(influence_map: InfluenceMap, scenario: str, space: Parameter
 
 
 def _regions(influence_map: InfluenceMap, scenario: str, parameter: Parameter) -> list[Region]:
-    """Returns grid indices whose values have one reference key, as far as the map covers them."""
-    influence, name = influence_map.influence(scenario, parameter.name), parameter.name
-    if parameter.choices:
-        analysed = influence_map.choices.get(name, frozenset(parameter.choices))
-        members = tuple(index for index, text in enumerate(parameter.choices) if text in analysed)
-        return [] if influence.influential else [members]
-    start, stop = 0, parameter.n_values
-    if name in influence_map.ranges:
-        lowest, highest = influence_map.ranges[name]
-        start, stop = parameter.first_from(billionths(lowest)), parameter.last_upto(billionths(highest)) + 1
-    if not influence.influential:
-        return [range(start, stop)]
-    regions: list[Region] = []
-    if influence.lower is not None:
-        regions.append(range(start, min(stop, parameter.first_from(billionths(influence.lower)))))
-    if influence.upper is not None:
-        regions.append(range(max(start, parameter.last_upto(billionths(influence.upper)) + 1), stop))
-    return regions
+    """Returns grid indices whose values have one code. Parameters have too many values for a table: codes change at the map's limits."""
+    columns, count = MapColumns(influence_map, scenario, [parameter.name]), parameter.n_values
+    changes = range(count) if parameter.choices else {0, *map(parameter.first_from, columns.changes)} - {count}
+    starts = np.array(sorted(changes), dtype=np.int64)
+    codes = columns.codes(np.array([[code(value)] for value in parameter.entries(starts)], dtype=np.int64))[:, 0]
+    stops = np.append(starts[1:], count)
+    regions = [(starts[codes == shared], stops[codes == shared]) for shared in SHARED]
+    return [tuple(first.tolist()) if parameter.choices else range(first[0], last[-1]) for first, last in regions if len(first)]
 
 
 class ValidationStage(StudyStage):
@@ -137,118 +121,3 @@ class ValidationStage(StudyStage):
             "lower_95": lower,
             "upper_95": upper,
         }
-
-
-FIELD = "validation.of"
-
-
-def check_predictions(connection: Connection, problem: CalibrationProblem) -> None:
-    """Raises InvalidInputError if `validation.of` names no ended campaign with released predictions, or one of another bench."""
-    wanted = problem.specification.validation
-    if wanted is None or wanted.of is None:
-        return
-    try:
-        source = campaigns.get(connection, wanted.of)
-    except NotFoundError as error:
-        raise InvalidInputError(Problem(FIELD, str(error), "GET /api/v1/campaigns lists what there is")) from error
-    if source.kind != "calibration" or not source.state.ended:
-        message = f"{wanted.of} is a {source.kind} that is {source.state}"
-        raise InvalidInputError(Problem(FIELD, message, "name a campaign that has ended"))
-    if source.cells.predicted == 0:
-        raise InvalidInputError(
-            Problem(FIELD, f"campaign {wanted.of} released no predictions", "name one with predicted cells")
-        )
-    theirs = resolved_spec(source)
-    own = {name: setup.fingerprint for name, setup in problem.bench.setups.items()}
-    if theirs.evaluator != problem.bench.evaluator_id or any(theirs.setups.get(name) != own[name] for name in own):
-        message = "its catalogue, driving function, vehicle or evaluator is another one, or has another version"
-        raise InvalidInputError(Problem(FIELD, message, "give the same, as `drivecal validate ID --predicted` does"))
-
-
-def runs_at_most(connection: Connection, problem: CalibrationProblem) -> int:
-    """Returns how many released predictions are simulated at most; 0 if the campaign validates none."""
-    wanted = problem.specification.validation
-    if wanted is None or wanted.of is None:
-        return 0
-    released = campaigns.get(connection, wanted.of).released
-    return sum(min(wanted.samples, released[name].predicted) for name in problem.scenarios if name in released)
-
-
-class PredictionValidation(StudyStage):
-    """One round: the released predictions of a campaign, or `samples` of them in each scenario, drawn by `seed`."""
-
-    name = StageName.VALIDATION
-
-    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
-        super().__init__(database, campaign, problem, view)
-        wanted = problem.specification.validation
-        if wanted is None or wanted.of is None:
-            raise ValueError("the campaign has no predictions to validate")
-        with database.read() as connection:
-            source = campaigns.get(connection, wanted.of)
-            stored = results.released(connection, source.sequence)
-            inspected = [
-                lot for lot in lots.of_campaign(connection, source.sequence, Outcome.PREDICTED) if lot.verdict is not None
-            ]
-        self._inspected = {name: sum(lot.size for lot in inspected if lot.scenario == name) for name in problem.scenarios}
-        self._reduction = specification_of(source).reduction
-        self._released = {name: [cell for cell in stored if cell.scenario == name] for name in problem.scenarios}
-        self._drawn = {name: _drawn(cells, wanted.samples, wanted.seed) for name, cells in self._released.items()}
-        self._differences: Mapping[str, Sequence[float]] | None = None
-
-    @property
-    def _at_most(self) -> int:
-        return sum(map(len, self._drawn.values()))
-
-    def _ask(self) -> Round | None:
-        if self._differences is not None:
-            return None
-        cells = [
-            RequestedCell(number, scenario, cell.parameters)
-            for scenario, drawn in self._drawn.items()
-            for number, cell in enumerate(drawn)
-        ]
-        return Round(0, [(self._problem.bench, cells)], exact_policy(self._problem)) if cells else None
-
-    def _take(self, number: int, answers: Sequence[CellScore]) -> None:
-        del number
-        differences: dict[str, list[float]] = {scenario: [] for scenario in self._drawn}
-        for answer in answers:
-            predicted = self._drawn[answer.scenario][answer.individual].score
-            if answer.score is not None and predicted is not None:
-                differences[answer.scenario].append(predicted - answer.score)
-        self._differences = differences
-
-    def _outcome(self) -> dict[str, Any]:
-        return {"items": [self._row(scenario) for scenario in self._drawn], "notes": []}
-
-    def _row(self, scenario: str) -> dict[str, Any]:
-        differences = [] if self._differences is None else self._differences[scenario]
-        unanswered = 0 if self._differences is None else len(self._drawn[scenario]) - len(differences)
-        scale = self._problem.bench.scale
-        counts = compared(np.array(differences, dtype=np.float64), scale)
-        tolerance = self._reduction.tolerance_on(scale) + scale.grain
-        lower, upper = clopper_pearson(counts["wrong"], counts["compared"]) if differences else (None, None)
-        drawn, beyond = len(self._drawn[scenario]), unanswered + sum(abs(difference) > tolerance for difference in differences)
-        return {
-            "scenario": scenario,
-            "reducible": 0,
-            "effects": 0,
-            "covered": 0,
-            "drawn": drawn,
-            "bases": drawn,
-            "references": 1,
-            "released": len(self._released[scenario]),
-            "inspected": self._inspected[scenario],
-            "beyond": beyond,
-            "beyond_lower_95": clopper_pearson(beyond, drawn)[0] if drawn and self._differences is not None else None,
-            "limit": self._reduction.limit,
-            **counts,
-            "lower_95": lower,
-            "upper_95": upper,
-        }
-
-
-def _drawn(cells: Sequence[StoredEvaluation], samples: int, seed: int) -> list[StoredEvaluation]:
-    identities = [str(cell.id).encode() for cell in cells]
-    return [cells[place] for place in draw(identities, min(samples, len(cells)), str(seed).encode())]

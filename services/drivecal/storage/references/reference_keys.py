@@ -13,26 +13,24 @@ run with one. The data up to a campaign's watermark decide which runs it can rat
 watermark agree.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from itertools import chain
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sqlalchemy import Connection, Row, Select, SmallInteger, literal, select, tuple_, type_coerce
+from sqlalchemy import Connection, Row, Select, SmallInteger, select, type_coerce
 
-from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.domain.evaluations import Donor
 from drivecal.storage.engine.bulk import insert, rows_among
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, reference_indexes, reference_keys, runs
+from drivecal.storage.engine.tables import parameter_sets, ratings, reference_indexes, reference_keys, runs
 from drivecal.storage.references.parameter_sets import parse
 
 KeyFunction = Callable[[tuple[str, ...], npt.NDArray[np.int64]], Sequence[bytes]]
 """Maps names and values in billionths, shape (n, n_p), to n keys of 16 bytes."""
-CHUNK = 50_000
-"""Runs per transaction: some 100 MB of memory, and other writers wait for about a second."""
+RUNS_AT_A_TIME = 50_000
+"""Those of a transaction: some 100 MB of memory, and other writers wait for about a second."""
 
 _ORIGIN = (
     runs.c.campaign_sequence,
@@ -40,6 +38,7 @@ _ORIGIN = (
     runs.c.iteration,
     runs.c.individual,
 )
+_COLUMNS = "reference_keys (index_id, key, run_id, evaluation_id, score, rating, failure, since)"
 _COPIED = (runs.c.evaluation_id, ratings.c.score, ratings.c.rating, runs.c.failure, ratings.c.since)
 
 
@@ -69,7 +68,7 @@ def sync(
     evaluator: str,
     upto_run_id: int,
     key_function: KeyFunction,
-    chunk: int = CHUNK,
+    chunk: int = RUNS_AT_A_TIME,
 ) -> int:
     """Computes the missing keys of one setup's runs up to `upto_run_id` that `evaluator` has rated. Returns their number.
 
@@ -187,83 +186,3 @@ def _insert(connection: Connection, rows: Sequence[tuple[Any, ...]]) -> None:
                 copy.write_row(row)
     elif rows:
         connection.exec_driver_sql(f"INSERT INTO {_COLUMNS} VALUES (?, ?, ?, ?, ?, ?, ?, ?)", rows)  # noqa: S608  # a constant
-
-
-_COLUMNS = "reference_keys (index_id, key, run_id, evaluation_id, score, rating, failure, since)"
-
-
-Integers = npt.NDArray[np.int64]
-CHUNK = 20_000
-"""Sets per chunk: some 20 MB of memory."""
-
-
-@dataclass(frozen=True, slots=True)
-class ReferenceCandidates:
-    """Parameter sets that have a result in one setup, all of the same parameters.
-
-    `values` are in billionths, shape (n, n_p), with columns in the requested order. `places` (campaign, stage, iteration, individual),
-    shape (n, 4), order references. `evaluations` are the ids of the evaluations that simulated the sets, shape (n,).
-    """
-
-    values: Integers
-    places: Integers
-    evaluations: Integers
-
-
-def stored_sets(
-    connection: Connection, setup_id: int, evaluator: str, watermark: int, names: Sequence[str]
-) -> Iterator[ReferenceCandidates]:
-    """The sets of a setup's runs that `evaluator` rated, both up to `watermark`. Sets of other parameters than `names` are left out: they
-    are of another function."""
-    origin = (runs.c.campaign_sequence, type_coerce(runs.c.stage, SmallInteger), runs.c.iteration, runs.c.individual)
-    query = (
-        select(runs.c.evaluation_id, *origin, parameter_sets.c.parameter_values)
-        .join(parameter_sets)
-        .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
-        .where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
-        .order_by(runs.c.id)
-    )
-    yield from _chunks(connection, query, names)
-
-
-def own_sets(
-    connection: Connection, campaign_sequence: int, scenario: str, before: tuple[StageName, int, int], names: Sequence[str]
-) -> Iterator[ReferenceCandidates]:
-    """The sets that the campaign itself has simulated in a scenario before a (stage, iteration, individual)."""
-    place = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual)
-    # Typed one by one: a tuple does not hand its types on, and stages are stored as numbers.
-    limit = tuple_(*(literal(value, column.type) for value, column in zip(before, place, strict=True)))
-    query = (
-        select(
-            evaluations.c.id,
-            evaluations.c.campaign_sequence,
-            type_coerce(evaluations.c.stage, SmallInteger),
-            evaluations.c.iteration,
-            evaluations.c.individual,
-            parameter_sets.c.parameter_values,
-        )
-        .join(parameter_sets)
-        .where(
-            evaluations.c.campaign_sequence == campaign_sequence,
-            evaluations.c.scenario == scenario,
-            evaluations.c.plan == Outcome.SIMULATED,
-            evaluations.c.outcome == Outcome.SIMULATED,
-            evaluations.c.run_id.is_not(None),
-            tuple_(*place) < limit,
-        )
-    )
-    yield from _chunks(connection, query, names)
-
-
-def _chunks(connection: Connection, query: Select[Any], names: Sequence[str]) -> Iterator[ReferenceCandidates]:
-    streamed = connection.execute(query.execution_options(yield_per=CHUNK))
-    for rows in streamed.partitions():
-        yield from _parsed(rows, names)
-
-
-def _parsed(rows: Sequence[Row[Any]], names: Sequence[str]) -> Iterator[ReferenceCandidates]:
-    heads = np.array([row[:-1] for row in rows], dtype=np.int64)
-    for present, positions, values in parse([row[-1] for row in rows]):
-        if set(present) == set(names):
-            order = [present.index(name) for name in names]
-            yield ReferenceCandidates(values[:, order], heads[positions, 1:], heads[positions, 0])
