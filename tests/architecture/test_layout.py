@@ -148,7 +148,7 @@ def bound(node: ast.stmt) -> set[str]:
 
 
 def is_glued(tree: ast.Module, length: int) -> bool:
-    """Returns whether a module falls into two parts of at least `LEAST_PART` lines, neither of which names anything of the other."""
+    """Returns whether a module falls into two parts of at least `LEAST_PART` lines, and neither part uses names of the other."""
     nodes = [node for node in tree.body if bound(node)]
     used = [{each.id for each in ast.walk(node) if isinstance(each, ast.Name)} for node in nodes]
     for place, node in enumerate(nodes):

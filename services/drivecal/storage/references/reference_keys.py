@@ -30,7 +30,7 @@ from drivecal.storage.references.parameter_sets import parse
 KeyFunction = Callable[[tuple[str, ...], npt.NDArray[np.int64]], Sequence[bytes]]
 """Maps names and values in billionths, shape (n, n_p), to n keys of 16 bytes."""
 RUNS_AT_A_TIME = 50_000
-"""Those of a transaction: some 100 MB of memory, and other writers wait for about a second."""
+"""Some 100 MB of memory, and other writers wait for about a second."""
 
 _ORIGIN = (
     runs.c.campaign_sequence,
