@@ -26,14 +26,14 @@ def test_a_sleeping_simulator_saves_the_workers_time(database: Database) -> None
     assert (first.cells.repeated, again.cells.simulated) == (0, 0)
     with database.read() as connection:
         accounts = [
-            account(each.id, each.state, ["city", "road"], evaluations.costs_by_outcome(connection, each.sequence), None)
+            account(each.id, ["city", "road"], evaluations.costs_by_outcome(connection, each.sequence), None)
             for each in (first, again)
         ]
         setups = (campaigns.get(connection, first.id).resolution or {})["setups"]
         expected = runs.recent_milliseconds(connection, list(setups.values()))
         occupied, _ = evaluations.occupied(connection, again.sequence, after=0)
     assert [each.clock for each in accounts] == ["wall", "wall"]
-    assert accounts[0].simulated_seconds == 90 * first.cells.simulated
+    assert sum(scenario.simulated_seconds for scenario in accounts[0].scenarios) == 90 * first.cells.simulated
     assert accounts[1].saved_seconds == 90 * again.cells.repeated
     assert abs(first.simulating_seconds - 0.005 * first.cells.simulated) < 1e-9, "CPU time stays CPU time"
     assert expected == 90_000.0

@@ -6,7 +6,7 @@ from itertools import accumulate
 from statistics import fmean
 from typing import Any, NamedTuple
 
-from drivecal.analysis.convergence import alternatives_at, best_at
+from drivecal.analysis.convergence import best_at
 from drivecal.contracts.campaign import OutcomeCounts
 from drivecal.contracts.comparison import ComparedGroup, Improvement
 from drivecal.contracts.tables import Generation
@@ -90,11 +90,6 @@ class Course:
     def converged_at(self) -> int | None:
         """Table 5, counted from 1."""
         return best_at(self.best)
-
-    @property
-    def alternatives_converged_at(self) -> int | None:
-        """Table 7, counted from 1."""
-        return alternatives_at(self.best, [each.alternatives for each in self.iterations])
 
     @property
     def simulations_to_converge(self) -> int | None:

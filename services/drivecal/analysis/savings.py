@@ -42,7 +42,6 @@ class MapOrigin:
 
 def account(
     campaign: str,
-    state: str,
     scenarios: Iterable[str],
     costs: Sequence[OutcomeCosts],
     origin: MapOrigin | None,
@@ -55,7 +54,6 @@ def account(
 
     Args:
         campaign: its id.
-        state: its state.
         scenarios: its scenarios, in the order of the account.
         costs: the costs of its cells.
         origin: the influence map in use.
@@ -81,10 +79,7 @@ def account(
     ]
     sensitivity = sensitivity_cost(costs)
     used = None if origin is None else _map_cost(origin, campaign)
-    requested, reused = sum(row.requested for row in rows), sum(row.reused for row in rows)
-    answered = sum(getattr(row, outcome) for row in rows for outcome in SAVING)
     savings = {outcome.value: sum(row.saved[outcome] for row in rows) for outcome in SAVING}
-    saved, saved_by_reuse = sum(savings.values()), savings[Outcome.REUSED]
     balance = [
         *(BalanceItem(name=name, label=f"{name} cells", seconds=seconds) for name, seconds in savings.items()),
         BalanceItem(name="sensitivity", label="sensitivity stage", seconds=-sensitivity.seconds),
@@ -92,8 +87,6 @@ def account(
         BalanceItem(name="dispatcher", label="dispatcher", seconds=-dispatcher),
     ]
     accounting = Accounting(
-        campaign=campaign,
-        state=state,
         clock="wall" if waits else "cpu",
         cpu_seconds=cpu_seconds,
         wall_seconds=max(wall_seconds, cpu_seconds),
@@ -101,22 +94,17 @@ def account(
         map=used,
         scenarios=rows,
         runs=runs_for or {},
-        requested=requested,
-        answered_without_simulation=answered,
-        simulated=sum(row.simulated for row in rows),
-        audited=sum(row.audited for row in rows),
-        share_without_simulation=answered / requested if requested else None,
-        share_reused=reused / requested if requested else None,
-        simulated_seconds=sum(row.simulated_seconds for row in rows),
-        audited_seconds=sum(row.audited_seconds for row in rows),
-        saved_seconds=saved,
+        saved_seconds=sum(savings.values()),
         net_seconds=sum(item.seconds for item in balance),
-        map_net_seconds=None if used is None else saved_by_reuse - used.seconds,
-        break_even=None if used is None else break_even(used.seconds, saved_by_reuse, requested),
+        break_even=None if used is None else break_even(used.seconds, savings[Outcome.REUSED], _requested(rows)),
         balance=[item for item in balance if item.seconds],
         sentence="",
     )
     return accounting.model_copy(update={"sentence": _sentence(accounting), "remarks": _remarks(accounting)})
+
+
+def _requested(scenarios: Iterable[ScenarioAccount]) -> int:
+    return sum(row.requested for row in scenarios)
 
 
 def _by_the_wall(costs: Iterable[OutcomeCosts]) -> list[OutcomeCosts]:
@@ -197,8 +185,8 @@ def _remarks(accounting: Accounting) -> list[str]:
     if accounting.runs:
         runs = " + ".join(f"{count:,} {name}" for name, count in accounting.runs.items())
         remarks.append(f"The simulator ran {sum(accounting.runs.values()):,} times: {runs}.")
-    if accounting.audited:
-        price = f"{accounting.audited:,} copied answers in {accounting.audited_seconds:,.1f} s"
+    if audited := sum(row.audited for row in accounting.scenarios):
+        price = f"{audited:,} copied answers in {sum(row.audited_seconds for row in accounting.scenarios):,.1f} s"
         remarks.append(f"Audits simulated {price}; they are not counted as saved.")
     confirmed = sum(row.confirmed for row in accounting.scenarios)
     if confirmed:
@@ -221,10 +209,11 @@ def _remarks(accounting: Accounting) -> list[str]:
 
 
 def _sentence(accounting: Accounting) -> str:
-    if accounting.share_without_simulation is None:
+    requested = _requested(accounting.scenarios)
+    if not requested:
         return f"No cell of the calibration stage has its answer yet; the sensitivity stage took {accounting.sensitivity.seconds:,.1f} s."
-    part = f"{100 * accounting.share_without_simulation:.1f} % of {accounting.requested:,}"
-    share = f"{part} requested cells were answered without a simulation"
+    answered = sum(getattr(row, outcome) for row in accounting.scenarios for outcome in SAVING)
+    share = f"{100 * answered / requested:.1f} % of {requested:,} requested cells were answered without a simulation"
     clock = "CPU time" if accounting.clock == "cpu" else "the workers' time"
     balance = f"that saved {accounting.saved_seconds:,.1f} s of {clock}"
     runs = f" ({accounting.sensitivity.simulated:,} runs)"

@@ -279,7 +279,6 @@ def _run(campaign: StoredCampaign, course: Course, *, success: bool) -> Compared
         mean=last.mean,
         converged_at=course.converged_at,
         simulations_to_converge=course.simulations_to_converge,
-        alternatives_converged_at=course.alternatives_converged_at,
         success=success,
         course=course.improvements,
     )

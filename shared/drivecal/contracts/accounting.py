@@ -64,18 +64,13 @@ class BalanceItem(Answer):
 class Accounting(Answer):
     """Savings and costs of a campaign, in cells and in CPU seconds of the workers.
 
-    Repeated, reused and predicted cells save `saved_seconds`, unless they were `confirmed`. Audited cells are simulated: they took
-    `audited_seconds`, and save nothing. `net_seconds` is the sum of the `balance`: an estimate of the CPU time of the same campaign without
-    reuse, less its own. `map_net_seconds` is the time that reused cells saved, less the cost of the map in any campaign; null without a
-    map. `share_without_simulation` is the share of repeated, reused and predicted cells among the requested ones, `share_reused` that of
-    reused cells; both are null before the first.
+    Repeated, reused and predicted cells save `saved_seconds`, unless they were `confirmed`. Audited cells are simulated, and save nothing.
+    `net_seconds` is the sum of the `balance`: an estimate of the CPU time of the same campaign without reuse, less its own.
 
     `clock` is `wall` if runs take more than twice their CPU time, else `cpu`. With `wall` all seconds of simulations are wall-clock
     time of the workers. The runs that answered cells took `cpu_seconds` and `wall_seconds`.
     """
 
-    campaign: str
-    state: str
     clock: Literal["cpu", "wall"] = "cpu"
     cpu_seconds: float = 0.0
     wall_seconds: float = 0.0
@@ -85,17 +80,8 @@ class Accounting(Answer):
     runs: dict[str, int] = Field(default_factory=dict)
     """Starts of the simulator in all stages by what they were for, as `purpose` of the evaluations has it; all but the first one of a cell
     are `repeat`: a check that equal runs are equal, or after a breakdown or a lost worker."""
-    requested: int
-    answered_without_simulation: int
-    simulated: int
-    audited: int
-    share_without_simulation: float | None
-    share_reused: float | None
-    simulated_seconds: float
-    audited_seconds: float
     saved_seconds: float
     net_seconds: float
-    map_net_seconds: float | None
     break_even: BreakEven | None
     """Null without a map, or with a map without a known cost."""
     balance: list[BalanceItem] = Field(default_factory=list)

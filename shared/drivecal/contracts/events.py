@@ -37,5 +37,4 @@ class CampaignProgress(CellsByStage):
     iteration: int | None = None
     """Iteration of the search, counted from 0."""
     progress: Progress = Progress()
-    best_objective: float | None = None
     seconds: Seconds = Seconds()

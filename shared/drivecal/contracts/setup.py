@@ -104,8 +104,6 @@ class ScenarioSetup(Answer):
     simulator: str | None = None
     files: str | None = None
     """Digest of the problem's files except `problem.yaml`."""
-    step_seconds: float | None = None
-    seed: int | None = None
     title: str = ""
     """For readers, if the scenario's data has one."""
 

@@ -140,13 +140,7 @@ def stored(event: StoredEvent, campaign: str) -> Message:
 
 def progress_of(snapshot: ProgressSnapshot, said: str | None, moment: datetime) -> CampaignProgress:
     """Returns the `CampaignProgress` of a running campaign. `said`: why it is degraded."""
-    return CampaignProgress.of(
-        snapshot,
-        state=state_of(snapshot),
-        degraded=said,
-        best_objective=None if snapshot.best is None else snapshot.best.objective,
-        seconds=seconds_of(snapshot, moment),
-    )
+    return CampaignProgress.of(snapshot, state=state_of(snapshot), degraded=said, seconds=seconds_of(snapshot, moment))
 
 
 def _unstored(campaign: str, trouble: str | None) -> Message:

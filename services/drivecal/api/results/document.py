@@ -130,7 +130,6 @@ def account_of(connection: Connection, campaign: StoredCampaign) -> Accounting:
     known = [*campaign.error_rate, *(row.scenario for row in rows if row.stage is StageName.CALIBRATION)]
     return account(
         campaign.id,
-        campaign.state,
         dict.fromkeys(known),
         rows,
         _map_origin(connection, campaign),
@@ -280,7 +279,6 @@ def _scenario(name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mappi
         known |= {"simulator": setup.simulator, "files": setup.document["files"], "title": str(data.get("title", ""))}
         known |= {"driving_function": setup.document.get("controller"), "vehicle": setup.document.get("vehicle")}
         known |= {"vehicle_parameters": dict(setup.varied) or None}
-        known |= {"step_seconds": data.get("step"), "seed": data.get("seed")} if "task" in data else {}
     return ScenarioSetup(scenario=name, weight=begun_with.weights[name], fingerprint=fingerprint, **known)
 
 

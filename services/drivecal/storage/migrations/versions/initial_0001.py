@@ -21,8 +21,6 @@ _DEFINED = [
 ]
 revision = f"0001_{sha256(repr(_DEFINED).encode()).hexdigest()[:12]}"
 down_revision = None
-branch_labels = None
-depends_on = None
 
 
 def upgrade() -> None:
