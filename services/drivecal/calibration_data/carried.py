@@ -1,6 +1,7 @@
 """Chosen values in a given file of calibration data: all else stays as it is."""
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,12 +15,17 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem, file_faults
 
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+_ORIGIN = {
+    "dcm": re.compile(rb"^\* state: (?:calibrated|prelimCalibrated)\r?\n\* date: .*\n(?:\* .+: .*\n)*", re.MULTILINE),
+    "cdfx": re.compile(rb"<CS-ENTRY>(?:(?!</CS-ENTRY>).)*<CSUS>drivecal</CSUS>.*?</CS-ENTRY>", re.DOTALL),
+}
 _Edit = tuple[int, int, str]  # begin, end and new text of what changes
 
 
-def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characteristic]) -> bytes:
-    """Returns the content of a base file with chosen values. A DCM or CDFX keeps every other byte; in another format than its own,
-    and of an A2L, what drivecal reads is written. Raises InvalidInputError for values that do not fit the base."""
+def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characteristic], written: bytes = b"") -> bytes:
+    """Returns the content of a base file with chosen values. A DCM or CDFX keeps every other byte, but if drivecal wrote their origin into
+    it, that becomes the one in the file that is `written` of them; in another format than its own, and of an A2L, what drivecal reads
+    is written. Raises InvalidInputError for values that do not fit the base."""
     file, ending = base.name, base.suffix.lower().removeprefix(".")
     with file_faults(base, "read", "give a DCM, CDFX or A2L file"):
         held = base.read_bytes()
@@ -36,7 +42,8 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
     for begin, last, text in sorted(_edits(known, replaced(known, chosen, file), ending)):
         pieces += [body[end:begin], text.encode("ascii", "xmlcharrefreplace") if ending == "cdfx" else text.encode()]
         end = last
-    return b"".join([*pieces, body[end:]])
+    edited, origin = b"".join([*pieces, body[end:]]), _ORIGIN[ending].search(written)
+    return edited if origin is None else _ORIGIN[ending].sub(origin[0].replace(b"\\", b"\\\\"), edited)
 
 
 def _edits(known: Mapping[str, Characteristic], changed: Mapping[str, Characteristic], form: str) -> Iterator[_Edit]:

@@ -542,12 +542,13 @@ class Client(Transport):
         place = ("campaigns", identifier, "calibration-file")
         listed = [f"{name}={label}" for name, label in (labels or {}).items()]
         chosen_by = {"set": rank, "front": front, "weights": weights, "score": score, "variant": variant}
-        query = {"format": form if base is None else "dcm", **chosen_by, "label": listed or None}
+        query = {"format": "dcm" if base is not None and form == "csv" else form, **chosen_by, "label": listed or None}
         response = self._request("GET", place, query=query)
         raise_for(response, *named(place))
         if base is None:
             return response.content
-        from drivecal.calibration_data import dcm  # half of a start of the command line, which few commands need
+        from drivecal.calibration_data import files  # half of a start of the command line, which few commands need
         from drivecal.calibration_data.carried import carried
 
-        return carried(base, form, dcm.read(response.content, "set").characteristics)
+        chosen = files.read(response.content, f"set.{query['format']}").characteristics
+        return carried(base, form, chosen, response.content)

@@ -91,6 +91,8 @@ def test_nothing_is_lost_in_a_file_also_for_another_reader(
         read = module.read(base.read_bytes(), base.name).characteristics
         assert list(map(plain, read)) == given
         assert module.write(read, QUALITY) == carried(base, form, read) == base.read_bytes()
+        later = module.write(read, replace(QUALITY, campaign="e" * 32, figures=(("rank", "2"), ("a \\1", "b"))))
+        assert carried(base, form, read, later) == later, "the origin is that of the later set"
     assert in_another_reader(base.with_suffix(".dcm")) == {each.name: expected(each) for each in given}
 
 
