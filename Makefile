@@ -5,8 +5,6 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 # Three processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
 WHOLE_FILES := $(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder
-# In a new clone every process of the tests and of their servers would compile the same functions at once: half a minute each.
-COMPILE_KERNELS := $(BIN)/python -m drivecal.runtime
 # Containers often set it. Every process that a server or a test starts would compile all that it imports: half of a start's time.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -21,17 +19,15 @@ demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST A
 
 test: $(INSTALLED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and PostgreSQL (minutes)
 	@$(BIN)/python -m tests.support.web
-	@$(COMPILE_KERNELS)
 	@$(WHOLE_FILES)
 
 test-slow: $(INSTALLED) ## run the long forms, which `make test` leaves out: whole campaigns, more kills, further cases (minutes)
 	@$(BIN)/python -m tests.support.web
-	@$(COMPILE_KERNELS)
 	@$(WHOLE_FILES) -m slow
 
 test-faults: $(INSTALLED) ## the long forms of all tests of `make test` and `make test-slow` but those in a browser: kill, stop and starve everything, every case, random examples (one to two hours)
 	@$(BIN)/python -m tests.support.web
-	@$(COMPILE_KERNELS)
+	@$(BIN)/python -m drivecal.runtime
 	@failed=0; export DRIVECAL_LONG=1; \
 	$(BIN)/pytest tests/faults -m faults --numprocesses 2 --dist load || failed=1; \
 	$(WHOLE_FILES) -m "slow or faults or not slow" --ignore tests/faults --ignore tests/browser || failed=1; \

@@ -3,6 +3,8 @@
 import gc
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Generator, Iterator
 
 import hypothesis
@@ -41,14 +43,15 @@ gc.disable()
 
 SHARE_RAY = {"tests/contract/backend/test_backend.py", "tests/faults/test_poison.py", "tests/integration/test_ray_backend.py"}
 """The files that use `ray_backend`: one process runs them all and starts Ray once."""
-LONG_FILES = {
-    *("test_kills.py", "test_page_views.py", "test_ray_backend.py", "test_highway.py", "test_serve.py", "test_backup.py"),
-    *("test_problems_whole_way.py", "test_tutorials.py", "test_notebooks.py", "test_how_tos.py"),
-    *("test_hostile_drives.py", "test_random_campaigns.py", "test_surrogate.py"),
-}
-"""Files that take most of a minute, in `make test` or only in `make test-slow`."""
+LONG_FILES = (
+    *("kills", "page_views", "backend", "poison", "ray_backend", "random_campaigns", "process", "outside_optimizers"),
+    *("children", "fmu", "guard", "cell_search", "problem", "supervisor", "surrogate", "check_cli", "page_sources"),
+    *("api_schema", "database", "api_corpus", "disk", "database_away", "documentation", "highway", "serve", "backup"),
+    *("hostile_drives", "problems_whole_way", "tutorials", "notebooks", "how_tos"),
+)
+"""Files that take longest, in `make test` or only in `make test-slow`: waiting files alternate with computing ones."""
 SUITES = ("compose", "faults", "browser", "integration", "contract", "golden", "architecture", "unit")
-"""Suites with long files come first."""
+"""Suites in the order of their files' lengths."""
 
 
 MARKERS = ("slow", "faults", "compose", "packages")
@@ -60,9 +63,21 @@ PARTIAL = ("slow", "faults")
 class WholeFiles(LoadFileScheduling):  # type: ignore[misc]  # xdist ships no types
     """Gives each process whole files, so that what a file starts is started once."""
 
+    def __init__(self, config: pytest.Config, log: Producer) -> None:
+        super().__init__(config, log)
+        self.kernels = subprocess.Popen([sys.executable, "-m", "drivecal.runtime"])
+
     def _split_scope(self, nodeid: str) -> str:
         file = str(super()._split_scope(nodeid))
         return "ray" if file in SHARE_RAY else file
+
+    def schedule(self) -> None:
+        """Starts the tests when the kernels are compiled, which happens while the processes collect them.
+
+        In a new clone every process of the tests and of their servers would compile the same functions at once: half a minute each.
+        """
+        assert self.kernels.wait() == 0, "the kernels were not compiled"
+        super().schedule()
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> WholeFiles | None:
@@ -102,8 +117,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         wanted[not any(map(item.get_closest_marker, unwanted))].append(item)
     config.hook.pytest_deselected(items=wanted[False])
     items[:] = wanted[True]
+    places = {f"test_{name}": place for place, name in enumerate(LONG_FILES)}
     items.sort(
-        key=lambda item: (item.path.name not in LONG_FILES, SUITES.index(item.path.relative_to(PROJECT / "tests").parts[0]))
+        key=lambda item: (
+            places.get(item.path.stem, len(places)),
+            SUITES.index(item.path.relative_to(PROJECT / "tests").parts[0]),
+        )
     )
 
 

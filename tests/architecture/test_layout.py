@@ -88,10 +88,17 @@ def test_whatever_is_public_is_documented() -> None:
 
 
 @cache
+def classes() -> list[ast.ClassDef]:
+    """Every class of the three roots."""
+    return [node for path in modules() for node in ast.walk(parsed(path)) if isinstance(node, ast.ClassDef)]
+
+
+@cache
 def documented_methods() -> Counter[str]:
     """How many classes of the three roots document a method of each name."""
-    classes = (node for path in modules() for node in ast.walk(parsed(path)) if isinstance(node, ast.ClassDef))
-    functions = (child for node in classes for child in node.body if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef)))
+    functions = (
+        child for node in classes() for child in node.body if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef))
+    )
     return Counter(child.name for child in functions if ast.get_docstring(child))
 
 
@@ -102,8 +109,7 @@ def methods_of(node: ast.ClassDef) -> set[str]:
 @cache
 def protocols() -> list[set[str]]:
     """The methods of every protocol of the three roots."""
-    classes = [node for path in modules() for node in ast.walk(parsed(path)) if isinstance(node, ast.ClassDef)]
-    return [methods_of(node) for node in classes if any(ast.unparse(base) == "Protocol" for base in node.bases)]
+    return [methods_of(node) for node in classes() if any(ast.unparse(base) == "Protocol" for base in node.bases)]
 
 
 def is_described_elsewhere(node: ast.Module | ast.ClassDef, name: str) -> bool:
@@ -172,8 +178,8 @@ def test_a_module_binds_a_name_once() -> None:
 
 
 def test_a_class_name_means_one_class() -> None:
-    classes = Counter(node.name for path in modules() for node in ast.walk(parsed(path)) if isinstance(node, ast.ClassDef))
-    assert [name for name, count in classes.items() if count > 1 and not name.startswith("_")] == []
+    names = Counter(node.name for node in classes())
+    assert [name for name, count in names.items() if count > 1 and not name.startswith("_")] == []
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:

@@ -73,7 +73,7 @@ def search(page: Page) -> Locator:
 def test_the_search_answers_questions_first(api: RunningApi, opening: Opening) -> None:
     page = opening(f"{api.url}/help")
     words = search(page)
-    for typed, heading in QUESTIONS.items():
+    for typed, heading in sample(list(QUESTIONS.items()), 4):
         words.fill(typed)
         expect(page.get_by_role("option").first).to_contain_text(heading)
 

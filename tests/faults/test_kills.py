@@ -51,22 +51,16 @@ def small_without_faults(tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
 
 
 @pytest.mark.timeout(1200)
-def test_a_small_campaign_outlives_all_processes_of_its_server(
-    server_on: MakeServer, small_without_faults: dict[str, Found]
-) -> None:
-    """The short form of what follows: all processes asleep for a second, then killed, and a worker without Ray."""
-    plan: list[tuple[Moment, Fault]] = [(Moment(0.2, 0.0), asleep_for(1.0)), (Moment(0.5, 0.0), kill_everything)]
-    server = server_on("sqlite", DRIVECAL_BACKEND="processes", DRIVECAL_WORKERS="1")
-    live(server, plan, small_without_faults, SMALL)
-
-
-@pytest.mark.timeout(1200)
-def test_a_small_campaign_outlives_its_database(
+def test_a_small_campaign_outlives_its_processes_and_its_database(
     server_on: MakeServer, small_without_faults: dict[str, Found], postgres: KillablePostgres
 ) -> None:
-    """The short form: PostgreSQL is killed and away for a second."""
-    server = server_on("postgresql", DRIVECAL_BACKEND="processes", DRIVECAL_WORKERS="1")
-    live(server, [(Moment(0.4, 0.0), outage(postgres, 1.0))], small_without_faults, SMALL)
+    """The short form of what follows: all processes sleep for a second, PostgreSQL is killed and away for one, everything is killed."""
+    plan: list[tuple[Moment, Fault]] = [
+        (Moment(0.1, 0.0), asleep_for(1.0)),
+        (Moment(0.3, 0.0), outage(postgres, 1.0)),
+        (Moment(0.5, 0.0), kill_everything),
+    ]
+    live(server_on("postgresql", DRIVECAL_BACKEND="processes", DRIVECAL_WORKERS="1"), plan, small_without_faults, SMALL)
 
 
 @pytest.mark.slow
