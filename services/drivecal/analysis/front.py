@@ -65,6 +65,15 @@ def scaled(points: Floats) -> Floats:
     return np.where(span > 0, (points - lowest) / np.where(span > 0, span, 1.0), 1.0)
 
 
+def by_weights(points: Floats, weights: Floats) -> tuple[npt.NDArray[np.intp], Floats]:
+    """Returns positions of points, the winner first, and all weighted sums of the scaled points, both of shape (n,).
+
+    `weights` has shape (m,). Sums that differ by their rounding are equal: the earlier point comes first.
+    """
+    sums = scaled(points) @ (weights / weights.sum())
+    return np.argsort(levels(-sums, 1.0), kind="stable"), sums
+
+
 def knee(points: Floats) -> int | None:
     """Returns the position of the point that lies farthest beyond the plane through the extremes; None without one.
 

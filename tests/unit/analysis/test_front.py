@@ -1,13 +1,17 @@
 """Fronts: against pymoo's sorting and by what their definitions say."""
 
+import json
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from pymoo.util.nds.non_dominated_sorting import NonDominatedSorting
+from tests.support.tree import PROJECT
 
-from drivecal.analysis.front import extremes, knee, non_dominated, scaled, winning_weights
+from drivecal.analysis.front import by_weights, extremes, knee, non_dominated, scaled, winning_weights
 from drivecal.plugins.ports import Floats
 
 
@@ -36,6 +40,15 @@ def test_only_the_least_violating_points_are_kept(front: Floats, data: st.DataOb
 
 def test_no_points_are_no_front() -> None:
     assert non_dominated(np.empty((0, 2))).shape == (0,)
+
+
+@pytest.mark.parametrize(
+    "case", json.loads((PROJECT / "tests/unit/web/page/front/winners.json").read_text()), ids=lambda case: case["about"]
+)
+def test_the_server_names_the_winner_that_the_page_names(case: dict[str, Any]) -> None:
+    signs = np.array([-1.0 if goal["direction"] == "minimise" else 1.0 for goal in case["goals"]])
+    order, _ = by_weights(signs * np.array(case["objectives"]), np.array(case["weights"]))
+    assert order[0] == case["winner"]
 
 
 def test_winning_weights_of_many_objectives_are_not_computed() -> None:

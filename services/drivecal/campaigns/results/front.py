@@ -8,7 +8,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from drivecal.analysis.front import WinningWeights, extremes, knee, non_dominated, scaled, winning_weights
+from drivecal.analysis.front import WinningWeights, by_weights, extremes, knee, non_dominated, winning_weights
 from drivecal.analysis.goals import Goals, valued_by, weighted_mean
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
@@ -84,9 +84,9 @@ class CampaignFront:
 
     def by_weights(self, weights: Mapping[str, float]) -> tuple["CampaignFront", Floats]:
         """The same front, best first by the weighted sum of the objectives scaled to it, with the sums, shape (n,)."""
-        shares = np.array([weights[goal.name] for goal in self.goals.objectives])
-        worths = scaled(self.points) @ (shares / shares.sum()) if self.members else np.empty(0)
-        order = np.argsort(-worths, kind="stable")
+        if not self.members:
+            return self, np.empty(0)
+        order, worths = by_weights(self.points, np.array([weights[goal.name] for goal in self.goals.objectives]))
         return CampaignFront(self.goals, self.ranked, [self.members[place] for place in order]), worths[order]
 
     def _signed(self, sets: Sequence[EvaluatedSet]) -> Floats:

@@ -2,23 +2,17 @@
 
 import type { FrontObjective, FrontRow } from "../server/types";
 
-export type Goal = Pick<FrontObjective, "name" | "direction" | "tolerance">;
+export type Goal = Pick<FrontObjective, "name" | "direction">;
 type Valued = Pick<FrontRow, "objectives">;
 
 /** The objectives of each set in shares of their ranges on the front: 0 is the worst, 1 the best, 1 where all are equal. As the API scales them. */
 export function shares(rows: readonly Valued[], goals: readonly Goal[]): number[][] {
-  const compared = rows.map(({ objectives }) => goals.map((goal) => comparedValue(objectives[goal.name] ?? NaN, goal)));
+  const compared = rows.map(({ objectives }) => goals.map(({ name, direction }) => (direction === "minimise" ? -1 : 1) * (objectives[name] ?? NaN)));
   const ends = goals.map((_, column) => compared.reduce<[number, number]>(([low, high], row) => [Math.min(low, row[column] as number), Math.max(high, row[column] as number)], [Infinity, -Infinity]));
   return compared.map((row) => row.map((value, column) => {
     const [low, high] = ends[column] as [number, number];
     return high > low ? (value - low) / (high - low) : 1;
   }));
-}
-
-/** More is better; differences up to the tolerance do not count. */
-function comparedValue(amount: number, { direction, tolerance }: Goal): number {
-  const sign = direction === "minimise" ? -1 : 1;
-  return sign * (tolerance > 0 ? Math.round(amount / tolerance) * tolerance : Number(amount.toFixed(9)));
 }
 
 /** Weights of sum 1; equal ones if all are 0. */
