@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
+import numpy as np
 import pytest
 import typer
 import yaml
+from scipy import stats
 from tests.support.computed import ComputedBackend
 from tests.support.problems import MANIFEST, heated, push
 from tests.support.runs import working
@@ -22,7 +24,7 @@ from typer.testing import CliRunner, Result
 
 from drivecal.cli.main import app
 from drivecal.client import Client
-from drivecal.contracts.work import Cell, CellResult
+from drivecal.contracts.work import Cell, CellResult, SetupRequest
 
 BASELINE = {f"P{number}": 0.5 for number in range(1, 12)}
 MEASURE = "peak_lateral_acceleration_mps2"
@@ -147,6 +149,39 @@ def test_scores_are_checked_by_name_and_a_campaigns_own_comes_first(checking: Ch
     for chosen, score in ((checking.file("set.json", MANIFEST["baseline"]), 25), (f"{campaign}#1", 7)):
         shown = json.loads(checking(chosen, "--problem", "heater", "--json").stdout)["scenarios"]
         assert {each["score"] for each in shown} == {score}
+
+
+def test_a_set_of_a_random_problem_is_checked_by_the_runs_that_report_it(checking: Checking) -> None:
+    def noisy(setup: SetupRequest, cell: Cell) -> CellResult:
+        noise = (setup.seed * 7 % 11, setup.seed % 2)
+        values = {"energy_kwh": 1 + 0.2 * noise[0], "discomfort": 1 + 0.1 * float(cell.parameters["gain"]) + 0.1 * noise[1]}
+        return CellResult(cell.id, None, None, values, None, 7.0)
+
+    push(checking.api.database, checking.folder / "heater", simulator=MANIFEST["simulator"] | {"random": True})
+    checking.backend.driven = noisy
+    campaign = searched(checking, problem="heater", budget={"simulations": 60})
+    sent = len(checking.backend.sent)
+    with Client(checking.api.url) as client:
+        best = client.solutions(campaign, limit=1).items[0]
+    document = json.loads(checking(f"{campaign}#1", "--json").stdout)
+    assert len(best.seeds) > 2
+    assert {each["scenario"]: each["score"] for each in document["scenarios"]} == pytest.approx(best.scores)
+    assert len(checking.backend.sent) == sent
+    bounds = [
+        {"measure": "energy_kwh", "at_most": 4},
+        {"measure": "energy_kwh", "at_most": 2.1},
+        {"measure": "energy_kwh", "at_least": 3},
+        {"score": "cost", "worse_by_at_most": 0.5},
+    ]
+    options = "--seeds", "8", "--limits", checking.file("limits.json", {"limits": bounds})
+    other = checking.file("other.json", best.parameters | {"gain": min(2.0, float(best.parameters["gain"]) + 0.01)})
+    checked = json.loads(checking(f"{campaign}#1", *options, "--baseline", other, "--json").stdout)
+    discomfort = 1 + 0.1 * float(best.parameters["gain"])
+    costs = [10 * (1 + 0.2 * (seed * 7 % 11)) + 5 * (discomfort + 0.1 * (seed % 2)) for seed in range(1, 9)]
+    within = stats.t.interval(0.95, 7, np.mean(costs), stats.sem(costs))
+    assert [checked["scenarios"][0][end] for end in ("lower", "upper")] == pytest.approx(within)
+    verdicts = {each["limit"]: (each["broken"] is not None, each["unsure"]) for each in checked["findings"]}
+    assert list(verdicts.values()) == [(False, False), (False, False), (True, True), (True, False), (False, False)]
 
 
 def broken(checked: Result) -> list[dict[str, Any]]:

@@ -42,6 +42,8 @@ class EvaluatedSet:
     """Seeds under which it has a result in every scenario."""
     failures: int = 0
     """Failed runs under these seeds."""
+    seeds: tuple[int, ...] = ()
+    """Seeds whose runs make the objective, if it ran under several."""
     standard_error: float | None = None
     """Standard error of the objective; None without randomness, and before the noise is known."""
     lower: float | None = None
@@ -221,7 +223,7 @@ class Ranking:
         objective = fmean(values) if quantile is None else quantile(values, [1 / len(values)] * len(values))
         if judgement is not None and len(judgement.amounts) == 1:
             judgement = replace(judgement, amounts=(objective,))
-        return replace(solution, objective=objective, judgement=judgement)
+        return replace(solution, objective=objective, judgement=judgement, seeds=tuple(seeds))
 
     def uncertainty(self, best: EvaluatedSet) -> dict[str, Any]:
         """Returns the uncertainty of the best set's objective, how many sets cannot be told from it, and the noise of each scenario."""

@@ -7,6 +7,7 @@ from functools import lru_cache
 from operator import attrgetter
 from typing import Any, get_args
 
+from drivecal.analysis import replicates
 from drivecal.api.live.dispatcher_health import degraded
 from drivecal.bundles.shapes import Shape
 from drivecal.campaigns.resolve.resolved_spec import stored_goals, stored_scale
@@ -144,18 +145,21 @@ def evaluation_row(stored: StoredEvaluation) -> dict[str, Any]:
     return row
 
 
-def evaluation_answer(stored: StoredCampaign, items: list[EvaluatedCell]) -> Evaluation:
-    """Returns a single evaluation as clients see it."""
-    scenario = stored.spec["scenario"]
-    scores = [item.score for item in items if item.score is not None]
-    complete = bool(items) and len(scores) == len(items)
+def evaluation_answer(stored: StoredCampaign, cells: Sequence[EvaluatedCell]) -> Evaluation:
+    """Returns a single evaluation as clients see it; `cells` by scenario, then by seed."""
+    scenario, by_scenario = stored.spec["scenario"], dict[str, list[EvaluatedCell]]()
+    for cell in cells:
+        by_scenario.setdefault(cell.scenario, []).append(cell)
+    items = list(map(_over_seeds, by_scenario.values()))
     only = items[0] if scenario is not None and items else None
+    by_seed = [_mean([cell.score for cell in run]) for run in zip(*by_scenario.values(), strict=True)]
     return Evaluation(
         id=stored.id,
         state=stored.state,
         parameters=stored.spec["parameters"],
         scenario=scenario,
-        objective=sum(scores) / len(scores) if complete else None,
+        objective=_mean(by_seed),
+        **_interval(by_seed),
         items=items,
         **{name: getattr(only, name, None) for name in ("outcome", "score", "rating", "failure", "metrics")},
         error=stored.error,
@@ -163,3 +167,41 @@ def evaluation_answer(stored: StoredCampaign, items: list[EvaluatedCell]) -> Eva
         unrepeatable=stored.cells.unrepeatable,
         links={"self": f"{ROOT}/evaluations/{stored.id}"},
     )
+
+
+def _over_seeds(cells: Sequence[EvaluatedCell]) -> EvaluatedCell:
+    """Returns the cells of a scenario under several seeds as one."""
+    if len(cells) == 1:
+        return cells[0]
+    scores, outcomes = [cell.score for cell in cells], [cell.outcome for cell in cells]
+    names = dict.fromkeys(name for cell in cells for name in cell.metrics or {})
+    metrics = {name: [(cell.metrics or {}).get(name) for cell in cells] for name in names}
+    changes: dict[str, Any] = {
+        "outcome": next((each for each in (None, "failed", "simulated") if each in outcomes), outcomes[0]),
+        "score": _mean(scores),
+        "rating": _mean([cell.rating for cell in cells]),
+        "milliseconds": sum(cell.milliseconds or 0.0 for cell in cells) or None,
+        "metrics": {name: _mean(values) for name, values in metrics.items()} or None,
+        "within": {name: (ends["lower"], ends["upper"]) for name, each in metrics.items() if (ends := _interval(each))},
+        "seeds": [seed for cell in cells for seed in cell.seeds],
+        "failures": sum(cell.failure is not None and cell.score is not None for cell in cells),
+        "scores": scores,
+        "failure": next((cell.failure for cell in cells if cell.failure), None),
+        "detail": next((cell.detail for cell in cells if cell.detail), None),
+    }
+    return cells[0].model_copy(update=changes | _interval(scores))
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    """Returns the mean of values; None if one is missing."""
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known and len(known) == len(values) else None
+
+
+def _interval(values: Sequence[float | None]) -> dict[str, float | None]:
+    """Returns the standard error of a mean and its 95 % interval; empty if a value is missing, and for a single one."""
+    known = [value for value in values if value is not None]
+    if len(known) < max(2, len(values)):
+        return {}
+    lower, upper = replicates.interval(known, None, 0.95)
+    return {"standard_error": (replicates.variance(known, 0.0, 0.0) / len(known)) ** 0.5, "lower": lower, "upper": upper}

@@ -88,8 +88,9 @@ def evaluate(
     driving_function: str | None = None,
     vehicle: str | Mapping[str, object] | None = None,
     evaluator: str | None = None,
+    seed: int = 1,
 ) -> LocalEvaluation:
-    """Simulates a parameter set in the given scenarios, or in all of the catalogue.
+    """Simulates a parameter set in the given scenarios, or in all of the catalogue. A random problem runs under the `seed`.
 
     `problem` is the folder of a problem of yours, which replaces the built-in motorway; `evaluator` is one of its scores, by default its
     first. Its simulator runs in a child process, as on a worker. `vehicle` is a model's name or the `vehicle` section of a campaign
@@ -106,6 +107,7 @@ def evaluate(
         "driving_function": driving_function,
         "vehicle": {"model": vehicle} if vehicle is None or isinstance(vehicle, str) else dict(vehicle),
         "evaluator": evaluator,
+        "seeds": [seed],
     }
     source = installed_bundles if bundle is None else lambda _: bundle
     names = [scenarios] if scenarios is None or isinstance(scenarios, str) else scenarios

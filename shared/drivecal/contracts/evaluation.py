@@ -10,7 +10,11 @@ from drivecal.domain.scales import Scale
 
 
 class EvaluatedCell(Answer):
-    """A cell of a single evaluation. `outcome`, `score` and `rating` are null while the answer is pending."""
+    """A scenario of a single evaluation. `outcome`, `score` and `rating` are null while the answer is pending.
+
+    Under several seeds, scores and metrics are means, null if a run lacks one. `id` and `worker` belong to the first run; the table
+    `evaluations` has a row for each.
+    """
 
     id: int
     scenario: str
@@ -26,6 +30,19 @@ class EvaluatedCell(Answer):
     """Reason of the missing result, if all attempts failed."""
     metrics: dict[str, float | None] | None = None
     """The measured metrics, their units in their names; null if this run does not define it."""
+    seeds: list[int] = Field(default_factory=list)
+    """Seeds of its runs; empty if the simulator does not depend on one."""
+    failures: int = 0
+    """Failed runs, if there are several."""
+    scores: list[Score | None] = Field(default_factory=list)
+    """Scores by seed, if there are several."""
+    standard_error: float | None = None
+    """Standard error of the score; this and the following are null for a single run."""
+    lower: float | None = None
+    """Lower end of its 95 % interval (Student)."""
+    upper: float | None = None
+    within: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    """95 % intervals of the metrics."""
 
 
 class CampaignOfEvaluation(Answer):
@@ -158,7 +175,12 @@ class Evaluation(Answer):
     scenario: str | None
     """Null if all scenarios of the catalogue were requested."""
     objective: float | None
-    """The mean score over the scenarios, null until all have one."""
+    """The mean score over scenarios and seeds, null until all have one."""
+    standard_error: float | None = None
+    """Standard error of the objective over the seeds; null for a single one."""
+    lower: float | None = None
+    """Lower end of its 95 % interval."""
+    upper: float | None = None
     items: list[EvaluatedCell]
     outcome: str | None = None
     score: Score | None = None

@@ -39,6 +39,7 @@ def _each_once(value: str | list[str]) -> str | list[str]:
 
 
 _Scenarios = Annotated[list[Identifier], Field(min_length=1, max_length=1000, json_schema_extra=UNIQUE)]
+Seed = Annotated[int, Field(ge=1, le=2**31 - 1)]
 Catalogue = Annotated[Identifier | _Scenarios, AfterValidator(_each_once)]
 """A catalogue of scenarios, or a list of their ids."""
 Curve = Annotated[list[Number], Field(max_length=1000)]
@@ -521,8 +522,8 @@ class EvaluationSpecification(Model):
 
     parameters: Annotated[Values, Field(min_length=1)]
     scenario: Identifier | None = None
-    seed: Annotated[int, Field(ge=1, le=2**31 - 1)] | None = None
-    """Seed of the run; null: 1 for a random simulator, and none for others."""
+    seeds: Annotated[int, Field(ge=1, le=1000)] | Annotated[list[Seed], Field(min_length=1, max_length=1000)] = 1
+    """Runs in a scenario, under the seeds 1, 2, ..., or their seeds. The answer has the means of several."""
     problem: ProblemName = DEFAULT_PROBLEM
     catalogue: Catalogue | None = None
     driving_function: Identifier | None = None

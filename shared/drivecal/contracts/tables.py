@@ -264,6 +264,8 @@ class Solution(Answer):
     """Seeds under which it ran in every scenario."""
     failures: int = 0
     """Failed runs under these seeds."""
+    seeds: Annotated[list[int], JSON_ONLY] = Field(default_factory=list)
+    """Seeds whose runs make objective and scores, if it ran under several: the last ones, which choose no set, if it has two of them."""
     standard_error: float | None = None
     """Standard error of the objective; this and the following are null if the simulator is not random, and while the noise is unknown."""
     lower: float | None = None

@@ -32,7 +32,7 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
 
 LARGEST_WEIGHT = 1e6
-_UNCERTAINTY = ("replicates", "failures", "standard_error", "lower", "upper", "probability_best", "runs_to_tell")
+_UNCERTAINTY = ("replicates", "failures", "seeds", "standard_error", "lower", "upper", "probability_best", "runs_to_tell")
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ def _specification(connection: Connection, number: int) -> tuple[EvaluationSpeci
     document |= {name: spec[name] for name in ("problem", "evaluator", "driving_function")}
     document["vehicle"] = spec["vehicle"] | {"parameters": dict(stored.varied)}
     if row.seed:
-        document["seed"] = row.seed
+        document["seeds"] = [row.seed]
     if "catalogue" in stored.document["data"]:
         document["catalogue"] = stored.document["data"]["catalogue"]
     specification = validated(EvaluationSpecification, document)

@@ -39,6 +39,7 @@ from drivecal.contracts.specification import (
 )
 from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.constraints import Constraints
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
 from drivecal.reduction.assignment import LIKELY, Policy
 from drivecal.sensitivity.analysis import SensitivityAnalysis
@@ -186,7 +187,9 @@ class EvaluationProblem:
 
     specification: EvaluationSpecification
     bench: Bench
+    """With the first seed."""
     parameter_set: ParameterSet
+    seeds: tuple[int, ...]
     notes: tuple[str, ...] = ()
 
     def resolution(self) -> dict[str, Any]:
@@ -310,12 +313,15 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
     Constraints(space, workbench.function.constraints).check(parameter_set, "parameters")
     specification = specification.model_copy(update=dict(workbench.settled) | {"parameters": parameter_set.floats})
     bench = workbench.make(scenarios, {})
-    if specification.seed is not None:
-        bench = bench.seeded(specification.seed)
+    given = specification.seeds
+    seeds = tuple(range(1, given + 1) if isinstance(given, int) else sorted(set(given)))
+    bench = bench.seeded(seeds[0])
+    if bench.bundle.manifest.simulator.deterministic and not bench.is_random and seeds != (1,):
+        raise InvalidInputError(Problem("seeds", "the simulator is deterministic: all seeds give one result", "leave it out"))
     notes = (*diagnostics.notes, *notes_off_grid(values, workbench.function))
     if bench.bundle.manifest.claims:
         notes += ("`added`, `removed` and `renamed` of problem.yaml answer campaigns only",)
-    return EvaluationProblem(specification, bench, parameter_set, notes)
+    return EvaluationProblem(specification, bench, parameter_set, seeds, notes)
 
 
 def trial() -> Batch:

@@ -13,6 +13,7 @@ from drivecal.campaigns.stages.calibration import Calibration
 from drivecal.campaigns.stages.claims import ClaimCheck, checkable
 from drivecal.campaigns.stages.outside import OutsideSearch
 from drivecal.campaigns.stages.prediction_validation import PredictionValidation
+from drivecal.campaigns.stages.replication import SeededBenches
 from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
 from drivecal.campaigns.stages.stage import Round, Stage
@@ -29,8 +30,8 @@ from drivecal.storage.references import influence_maps
 
 
 class SingleEvaluation(Stage):
-    """A parameter set in one or more scenarios. Answers come from equal parameter sets or a simulation, never by reuse; with time series
-    or if it is to be `fresh`, always from a new simulation."""
+    """A parameter set in one or more scenarios, under its seeds. Answers come from equal parameter sets or a simulation, never by reuse;
+    with time series or if it is to be `fresh`, always from a new simulation."""
 
     name = StageName.CALIBRATION
     ends_early = False
@@ -38,15 +39,16 @@ class SingleEvaluation(Stage):
     def __init__(self, database: Database, campaign: StoredCampaign, problem: EvaluationProblem, view: View) -> None:
         super().__init__(database, campaign, view)
         self._problem = problem
+        self._benches = SeededBenches(problem.bench)
         self._asked = False
 
     @property
     def _at_most(self) -> int:
-        return len(self._problem.bench.scenarios)
+        return len(self._problem.bench.scenarios) * len(self._problem.seeds)
 
     def _resume(self) -> list[Work]:
-        if not self._view.traced:
-            rate_stored_runs(self._database, self._view, only=self._problem.parameter_set)
+        for bench in () if self._view.traced else map(self._benches.of, self._problem.seeds):
+            rate_stored_runs(self._database, replace(self._view, bench=bench), only=self._problem.parameter_set)
         return []
 
     def _ask(self) -> Round | None:
@@ -54,17 +56,19 @@ class SingleEvaluation(Stage):
             return None
         self._asked = True
         bench, parameters = self._problem.bench, self._problem.parameter_set
-        cells = [RequestedCell(0, scenario, parameters, purpose=Purpose.EVALUATION) for scenario in bench.scenarios]
+        cells = [
+            RequestedCell(0, scenario, parameters, purpose=Purpose.EVALUATION, seed=seed)
+            for scenario in bench.scenarios
+            for seed in self._problem.seeds
+        ]
         is_new = self._view.traced or self._problem.specification.fresh
-        return Round(0, [(bench, cells)], Policy("off" if is_new else "exact"))
+        return Round(0, self._benches.with_cells(cells), Policy("off" if is_new else "exact"))
 
     def _tell(self, asked: Round) -> None:
         """Ends the evaluation. Raises NoResultError if a cell has no result; the rows hold the answers of the others."""
         del asked
         if failed := self._tracker.counts["failed"]:
-            raise NoResultError(
-                f"{failed:,} of the {len(self._problem.bench.scenarios):,} cells gave no result{self._causes()}"
-            )
+            raise NoResultError(f"{failed:,} of the {self._at_most:,} cells gave no result{self._causes()}")
 
 
 StageKind = (

@@ -229,14 +229,14 @@ class RobustnessStage(StudyStage):
             np.array([np.nan if each is None else getattr(each, name) for each in self._nominal], dtype=np.float64)
             for name in ("objective", "rating")
         )
-        sign = self._sign if self._goals is None else self._goals.objectives[0].sign
-        span = self._problem.bench.scale.span if self._goals is None else self._goals.objectives[0].span
+        violations = [0.0 if each is None else each.violation for each in self._nominal]
+        sign, span = next(((each.sign, each.span) for each in self._nominal if each is not None), (1, 0.0))
         worse = levels(np.where(np.isnan(objectives), np.inf, -sign * objectives), span).tolist()
         order = sorted(
             range(len(known)),
             key=lambda number: (
                 -known[number].degree,
-                self._violation(number),
+                violations[number],
                 worse[number],
                 -known[number].radius,
                 -_known(sign * float(ratings[number])),
@@ -249,11 +249,6 @@ class RobustnessStage(StudyStage):
             for rank, number in enumerate(order, start=1)
         ]
         return {"items": rows, "settings": self._wanted.model_dump(mode="json", exclude={"sets"})}
-
-    def _violation(self, number: int) -> float:
-        """Returns by how much a set breaks constraints."""
-        nominal = self._nominal[number]
-        return 0.0 if nominal is None else nominal.violation
 
     def _recommend(self, objectives: Floats, ratings: Floats, known: Sequence[Robustness]) -> tuple[int, str] | None:
         """Returns the most robust of the sets with the best objective or on the front, and the reason. Higher `ratings` are better."""

@@ -1,11 +1,12 @@
 """`drivecal check`: is a set still good?"""
 
+import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
-from math import isclose
 from pathlib import Path
+from statistics import stdev
 from typing import Annotated, Any, Self
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -13,8 +14,8 @@ import typer
 from pydantic import Field, model_validator
 
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, code_of_state, connect, tell
-from drivecal.cli.commands.evaluate import SECONDS_BETWEEN_QUESTIONS, ended
-from drivecal.cli.views.output import print_columns, print_json
+from drivecal.cli.commands.evaluate import SECONDS_BETWEEN_QUESTIONS, SeedsOption, ended
+from drivecal.cli.views.output import print_columns, print_json, within_text
 from drivecal.cli.views.progress import pauses
 from drivecal.client.client import Client
 from drivecal.configuration.documents import read_document
@@ -30,6 +31,8 @@ from drivecal.domain.scales import told
 Parameters = Mapping[str, Given]
 Axes = Mapping[str, Sequence[Sequence[float]]]
 CALIBRATION_FILES = (".dcm", ".cdfx")
+INTERVAL = ("standard_error", "lower", "upper")
+COLUMNS = ("scenario", "score", *INTERVAL, "baseline", "obtained", "broken")
 
 
 class SetLimit(GoalSpecification):
@@ -68,65 +71,97 @@ class LimitsFile(Model):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A limit in a scenario. `broken` says why it does not hold, None if it does."""
+    """A limit in a scenario. `broken` says why it does not hold, or why its runs do not tell (`unsure`); None if it holds."""
 
     scenario: str
     limit: str
     broken: str | None
+    unsure: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class CheckedSet:
-    """A set: its cells and the baseline's cells by score and scenario, and its limits. The campaign's score comes first, or the
-    problem's first one."""
+    """A set: its evaluations and the baseline's by score, and its limits. The campaign's score comes first, or the problem's first one."""
 
-    cells: Mapping[str, Mapping[str, EvaluatedCell]]
-    baseline: Mapping[str, Mapping[str, EvaluatedCell]]
+    evaluations: Mapping[str, Evaluation]
+    baseline: Mapping[str, Evaluation]
     problem: ProblemAnswer
-    differing: int = 0
-    """New runs that gave another result than the stored ones."""
-    notes: Sequence[str] = ()
 
     @property
-    def scenarios(self) -> Mapping[str, EvaluatedCell]:
-        """The cells of the first score."""
-        return next(iter(self.cells.values()))
+    def first(self) -> Evaluation:
+        """The evaluation by the first score."""
+        return next(iter(self.evaluations.values()))
+
+    @property
+    def notes(self) -> list[str]:
+        """The notes of all evaluations."""
+        noted = [f"{whose}{note}" for whose, each in self._each() for note in each.notes]
+        return list(dict.fromkeys(noted))
+
+    def _each(self) -> Iterator[tuple[str, Evaluation]]:
+        yield from (("baseline: ", each) for each in self.baseline.values())
+        yield from (("", each) for each in self.evaluations.values())
 
     def findings(self, limits: Sequence[SetLimit]) -> Iterator[Finding]:
         """Yields a finding for each scenario, which needs a result, and for each limit in its scenarios."""
-        for name, cell in self.scenarios.items():
-            yield Finding(name, "has a result", None if cell.score is not None else cell.detail or cell.failure or "no result")
+        for cell in self.first.items:
+            why = None if cell.score is not None else cell.detail or cell.failure or "no result"
+            yield Finding(cell.scenario, "has a result", why)
         for limit in limits:
-            for name in self.scenarios if limit.scenarios == "all" else limit.scenarios:
-                yield Finding(name, limit.text, self._broken(limit, name))
-        if self.differing and self.problem.simulator.get("deterministic") is not False:
+            for name in [cell.scenario for cell in self.first.items] if limit.scenarios == "all" else limit.scenarios:
+                yield self._finding(limit, name)
+        differing = sum(each.unrepeatable for _, each in self._each())
+        if differing and self.problem.simulator.get("deterministic") is not False:
             counted = (
-                f"{self.differing:,} runs gave another result; what they read besides the problem's files belongs into `inputs`"
+                f"{differing:,} runs gave another result; what they read besides the problem's files belongs into `inputs`"
             )
             yield Finding("all", "new runs give the stored results", counted)
 
-    def _broken(self, limit: SetLimit, scenario: str) -> str | None:
-        value = self._value(self.cells, limit, scenario)
-        if value is None:
-            return f"no value of {limit.label}"
-        if limit.worse_by_at_most is None:
-            low, high = limit.at_least, limit.at_most
-            holds = (low is None or value >= low) and (high is None or value <= high)
+    def _finding(self, limit: SetLimit, scenario: str) -> Finding:
+        cell, before = _cell(self.evaluations, limit, scenario), _cell(self.baseline, limit, scenario)
+        value, *within = _known(cell, limit)
+        if cell is None or value is None:
+            return Finding(scenario, limit.text, f"no value of {limit.label}")
+        shown = f"{limit.label} is {told(value)}{within_text(*within)}"
+        low, high = (value if end is None else end for end in within)
+        if limit.at_most is not None:
+            least, most = low - limit.at_most, high - limit.at_most
+        elif limit.at_least is not None:
+            least, most = limit.at_least - high, limit.at_least - low
         else:
-            before = self._value(self.baseline, limit, scenario)
-            if before is None:
-                return f"the baseline has no value of {limit.label}"
+            if before is None or before.score is None:
+                return Finding(scenario, limit.text, f"the baseline has no value of {limit.label}")
             sign = -1 if self.problem.scores[limit.score or ""]["direction"] == "minimise" else 1
-            holds = sign * (before - value) <= limit.worse_by_at_most
-            if not holds:
-                return f"{limit.label} is {told(value)}, and {told(before)} in the baseline"
-        return None if holds else f"{limit.label} is {told(value)}"
+            excess, half = sign * (before.score - value) - (limit.worse_by_at_most or 0.0), _half_width(cell, before)
+            least, most = excess - half, excess + half
+            shown += f", and {told(before.score)} in the baseline"
+        if most <= 0:
+            return Finding(scenario, limit.text, None)
+        unsure = least <= 0
+        return Finding(scenario, limit.text, f"unsure: {shown}; more --seeds may tell" if unsure else shown, unsure)
 
-    def _value(self, cells: Mapping[str, Mapping[str, EvaluatedCell]], limit: SetLimit, scenario: str) -> float | None:
-        cell = (next(iter(cells.values())) if limit.score is None else cells[limit.score]).get(scenario)
-        if cell is None or limit.score is not None:
-            return None if cell is None else cell.score
-        return (cell.metrics or {}).get(limit.measure or "")
+
+def _cell(evaluations: Mapping[str, Evaluation], limit: SetLimit, scenario: str) -> EvaluatedCell | None:
+    items = [each.items for score, each in evaluations.items() if limit.score in {None, score}][:1]
+    return next((item for listed in items for item in listed if item.scenario == scenario), None)
+
+
+def _known(cell: EvaluatedCell | None, limit: SetLimit) -> tuple[float | None, float | None, float | None]:
+    """Returns the value that is limited, and the ends of its interval."""
+    if cell is None or limit.measure is None:
+        return (None, None, None) if cell is None else (cell.score, cell.lower, cell.upper)
+    return (cell.metrics or {}).get(limit.measure), *cell.within.get(limit.measure, (None, None))
+
+
+def _half_width(cell: EvaluatedCell, before: EvaluatedCell) -> float:
+    """Returns half the width of the interval of a difference from the baseline, without what a seed does to both; 0 for a single run."""
+    pairs = zip(cell.scores, before.scores, strict=False)
+    differences = [one - other for one, other in pairs if one is not None and other is not None]
+    for each in (cell, before):
+        if each.standard_error and each.lower is not None and each.upper is not None:
+            student = (each.upper - each.lower) / 2 / each.standard_error
+            return student * stdev(differences) / math.sqrt(len(differences))
+    return 0.0
 
 
 @app.command()
@@ -136,6 +171,7 @@ def check(
     limits: Annotated[str | None, typer.Option(metavar="FILE", help="Limits of scores and measures, YAML or JSON.")] = None,
     baseline: Annotated[str | None, typer.Option(metavar="SET", help="A set to compare with, given as SET is.")] = None,
     names: Annotated[str | None, typer.Option(metavar="FILE", help="Labels of the parameters in DCM and CDFX files.")] = None,
+    seeds: SeedsOption = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Simulate the set and the baseline again.")] = False,
     junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the findings as JUnit XML.")] = None,
     summary: Annotated[Path | None, typer.Option(metavar="FILE", help="Append a summary in Markdown.")] = None,
@@ -143,30 +179,29 @@ def check(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check whether a set keeps its limits in every scenario; exit status 1 if not. Only what changed is simulated."""
+    """Check whether a set keeps its limits in every scenario; exit status 1 if not, and if its runs do not tell. Only what changed is
+    simulated. A set of a campaign runs under the seeds that report it, unless --seeds says how many."""
     wanted = [] if limits is None else validated(LimitsFile, dict(read_document(limits))).limits
     with connect(url) as client:
-        parameters, spec, axes = _set(client, chosen, names)
+        parameters, spec, axes, reported = _set(client, chosen, names)
         known = client.problem(problem or spec.get("problem", DEFAULT_PROBLEM))
         copied = DECIDING if problem is None else DECIDING - {"catalogue"}  # another push may have other scenarios
         settings = {name: spec[name] for name in copied if name in spec} | {"problem": known.digest}
+        settings["seeds"] = seeds or list(reported) or 1
         listed = settings.get("catalogue") or known.scenarios
         _refuse_other_axes(axes, known.shapes)
         _refuse_unknown(wanted, known, () if isinstance(listed, str) else listed, has_baseline=baseline is not None)
         evaluators = _evaluators(known, spec.get("evaluator"), wanted)
         own = parameters if spec and problem is None else known.parameters  # a driving function has its own
         wait = partial(ended, client, timeout=timeout, asking=pauses(SECONDS_BETWEEN_QUESTIONS, timeout))
-        compared: dict[str, dict[str, EvaluatedCell]] = {}
-        differing, notes = 0, list[str]()
+        compared: dict[str, Evaluation] = {}
         if baseline is not None:
-            before, _, theirs = _set(client, baseline, names)
+            before, _, theirs, _ = _set(client, baseline, names)
             _refuse_other_axes(theirs, known.shapes)
             values = _values(before, own, known.shapes)
-            compared, differing, noted = _evaluated(client, settings | {"parameters": values}, evaluators, wait, fresh=fresh)
-            notes += [f"baseline: {note}" for note in noted]
+            compared = _evaluated(client, settings | {"parameters": values}, evaluators, wait, fresh=fresh)
         document = settings | {"parameters": _values(parameters, own, known.shapes)}
-        cells, more, noted = _evaluated(client, document, evaluators, wait, fresh=fresh)
-    checked = CheckedSet(cells, compared, known, differing + more, [*notes, *noted])
+        checked = CheckedSet(_evaluated(client, document, evaluators, wait, fresh=fresh), compared, known)
     findings = list(checked.findings(wanted))
     if junit is not None:
         with file_faults(junit, "written", "give another file"):
@@ -178,7 +213,10 @@ def check(
     if as_json:
         print_json(_document(checked, findings))
     else:
-        print_columns(["scenario", "score", "baseline", "obtained", "broken"], _rows(checked, findings))
+        columns = [name for name in COLUMNS if checked.first.lower is not None or name not in INTERVAL]
+        print_columns(columns, [[row[name] for name in columns] for row in _rows(checked, findings)])
+        if within := within_text(checked.first.lower, checked.first.upper):
+            typer.echo(f"mean score {told(checked.first.objective)}{within}")
         for note in checked.notes:
             tell(f"note: {note}")
         for finding in broken:
@@ -186,8 +224,9 @@ def check(
     raise typer.Exit(ExitCode.FAILED if broken else ExitCode.OK)
 
 
-def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, Mapping[str, Any], Axes]:
-    """Returns the values of a set, the specification of its campaign, empty for a file, and the points of its curves as far as known."""
+def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, Mapping[str, Any], Axes, Sequence[int]]:
+    """Returns the values of a set, the specification of its campaign, empty for a file, the points of its curves as far as known, and the
+    seeds that report it."""
     identifier, mark, rank = given.rpartition("#")
     if mark and rank.isdecimal() and int(rank) > 0:
         campaign = client.campaign(client.full_id(identifier))
@@ -195,10 +234,11 @@ def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, Map
         if len(ranked) < int(rank):
             raise NotFoundError("set", given, f"the campaign has {len(ranked)} ranked sets")
         shapes = client.setup(campaign.id).shapes
-        return ranked[int(rank) - 1].parameters, campaign.spec, {name: shape.axes for name, shape in shapes.items()}
+        chosen = ranked[int(rank) - 1]
+        return chosen.parameters, campaign.spec, {name: shape.axes for name, shape in shapes.items()}, chosen.seeds
     if Path(given).suffix.lower() not in CALIBRATION_FILES:
         document = dict(read_document(given))
-        return document.get("parameters", document), {}, {}
+        return document.get("parameters", document), {}, {}, ()
     from drivecal.calibration_data import files
     from drivecal.calibration_data.characteristics import INDEX
     from drivecal.calibration_data.sections import axis_points, joined
@@ -214,14 +254,14 @@ def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, Map
         if each.values
     }
     listed += axis_points(listed)
-    return {by_label.get(each.name, each.name): each.given for each in listed if each.given is not None}, {}, axes
+    return {by_label.get(each.name, each.name): each.given for each in listed if each.given is not None}, {}, axes, ()
 
 
 def _refuse_other_axes(given: Axes, shapes: Mapping[str, ShapeAnswer]) -> None:
     """Raises InvalidInputError if values belong to other points than in the problem; a parameter such as `gain.x` is such points."""
     for name, shape in shapes.items():
         for letter, own, points in zip("xy", given.get(name, ()), shape.axes, strict=False):
-            same = all(isclose(one, other, rel_tol=1e-6, abs_tol=1e-6) for one, other in zip(own, points, strict=False))
+            same = all(math.isclose(one, other, rel_tol=1e-6, abs_tol=1e-6) for one, other in zip(own, points, strict=False))
             if not same and f"{name}.{letter}" not in shapes:
                 message = f"it has other points on axis {letter} than in the problem"
                 raise InvalidInputError(Problem(f"parameters.{name}", message, "give a set of this version of the problem"))
@@ -284,43 +324,37 @@ def _evaluated(
     wait: Callable[[Evaluation], Evaluation],
     *,
     fresh: bool = False,
-) -> tuple[dict[str, dict[str, EvaluatedCell]], int, list[str]]:
-    """Returns the cells of a set by score and scenario, the number of new runs that differ from stored ones, and notes.
+) -> dict[str, Evaluation]:
+    """Returns the evaluations of a set by score.
 
     With `fresh`, further scores rate the stored runs if the new ones are equal, and else new runs of their own.
     """
-    cells: dict[str, dict[str, EvaluatedCell]] = {}
-    differing, notes = 0, dict[str, None]()
+    evaluations: dict[str, Evaluation] = {}
     for score, evaluator in evaluators.items():
-        simulates = fresh and (not cells or differing > 0)
+        simulates = fresh and (not evaluations or any(each.unrepeatable for each in evaluations.values()))
         evaluation = wait(client.evaluate({**document, "evaluator": evaluator, "fresh": simulates}))
-        cells[score] = _cells(evaluation)
-        differing += evaluation.unrepeatable
-        notes |= dict.fromkeys(evaluation.notes)
-    return cells, differing, list(notes)
+        if not evaluation.items:
+            tell(f"the evaluation was not carried out: {evaluation.error or evaluation.state}")
+            raise typer.Exit(code_of_state(evaluation.state))
+        evaluations[score] = evaluation
+    return evaluations
 
 
-def _cells(evaluation: Evaluation) -> dict[str, EvaluatedCell]:
-    if not evaluation.items:
-        tell(f"the evaluation was not carried out: {evaluation.error or evaluation.state}")
-        raise typer.Exit(code_of_state(evaluation.state))
-    return {item.scenario: item for item in evaluation.items}
-
-
-def _rows(checked: CheckedSet, findings: Sequence[Finding]) -> Iterator[list[object]]:
-    before = next(iter(checked.baseline.values()), {})
-    for name, cell in checked.scenarios.items():
+def _rows(checked: CheckedSet, findings: Sequence[Finding]) -> Iterator[dict[str, Any]]:
+    before = {cell.scenario: cell.score for each in list(checked.baseline.values())[:1] for cell in each.items}
+    for cell in checked.first.items:
+        name, own = cell.scenario, {each: getattr(cell, each) for each in ("score", *INTERVAL)}
         broken = "; ".join(finding.limit for finding in findings if finding.scenario == name and finding.broken is not None)
-        yield [name, cell.score, before[name].score if name in before else None, cell.outcome, broken]
+        yield {"scenario": name, **own, "baseline": before.get(name), "obtained": cell.outcome, "broken": broken}
 
 
 def _document(checked: CheckedSet, findings: Sequence[Finding]) -> dict[str, Any]:
-    names = ("scenario", "score", "baseline", "obtained", "broken")
     return {
         "passed": all(finding.broken is None for finding in findings),
-        "notes": list(checked.notes),
-        "scenarios": [dict(zip(names, row, strict=True)) for row in _rows(checked, findings)],
-        "findings": [{"scenario": finding.scenario, "limit": finding.limit, "broken": finding.broken} for finding in findings],
+        "notes": checked.notes,
+        **{name: getattr(checked.first, name) for name in ("objective", *INTERVAL)},
+        "scenarios": list(_rows(checked, findings)),
+        "findings": [asdict(finding) for finding in findings],
     }
 
 
@@ -337,16 +371,18 @@ def _junit(chosen: str, findings: Sequence[Finding]) -> bytes:
 
 def _markdown(chosen: str, checked: CheckedSet, findings: Sequence[Finding]) -> str:
     broken = sum(finding.broken is not None for finding in findings)
-    simulated = sum(cell.outcome == "simulated" for cell in checked.scenarios.values())
+    simulated = sum(cell.outcome == "simulated" for cell in checked.first.items)
     lines = [
         f"### {'Passed' if not broken else 'Failed'}: `{chosen}` on {checked.problem.name}",
         "",
-        f"{len(findings) - broken} of {len(findings)} checks hold; {simulated} of {len(checked.scenarios)} scenarios were simulated.",
+        f"{len(findings) - broken} of {len(findings)} checks hold; {simulated} of {len(checked.first.items)} scenarios were simulated.",
         "",
-        "| scenario | score | baseline | obtained | broken |",
-        "|---|---|---|---|---|",
+        f"| {' | '.join(COLUMNS)} |",
+        f"|{'---|' * len(COLUMNS)}",
     ]
     for row in _rows(checked, findings):
-        shown = ["" if value is None else told(value) if isinstance(value, float | int) else str(value) for value in row]
+        shown = [
+            "" if value is None else told(value) if isinstance(value, float | int) else str(value) for value in row.values()
+        ]
         lines.append(f"| {' | '.join(text.replace('|', chr(92) + '|') for text in shown)} |")
     return "\n".join([*lines, "", ""])

@@ -21,6 +21,10 @@ from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, fi
 from drivecal.domain.scales import told
 
 SECONDS_BETWEEN_QUESTIONS = 0.3
+SeedsOption = Annotated[
+    int | None,
+    typer.Option(min=1, max=1000, metavar="N", help="Runs of a random simulator in each scenario, under the seeds 1 to N."),
+]
 SUFFIXES = (".csv", ".parquet", ".json")
 """Endings of files of time series."""
 
@@ -41,6 +45,7 @@ def evaluate(
     evaluator: Annotated[
         str | None, typer.Option(help="A score of the problem; on the motorway also reference, learned or a plug-in.")
     ] = None,
+    seeds: SeedsOption = None,
     trace: Annotated[
         Path | None,
         typer.Option(help="Write the run's time series there: .csv or .parquet (one row per step), .json (all of it)."),
@@ -49,7 +54,8 @@ def evaluate(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Simulate one parameter set and show its scores. Values may lie off the grid; a note names them."""
+    """Simulate one parameter set and show its scores, with several seeds their means and 95 % intervals. Values may lie off the grid; a
+    note names them."""
     differing = {} if vehicle_parameters is None else assignments(vehicle_parameters.split(","), "--vehicle-parameters")
     specification: dict[str, object] = {
         "parameters": settings(parameters, "parameters"),
@@ -58,11 +64,12 @@ def evaluate(
         "driving_function": driving_function,
         "vehicle": {"model": vehicle, "parameters": differing},
         "evaluator": evaluator,
+        "seeds": seeds or 1,
     }
     if scenario is not None:
         specification["scenario"] = scenario
-    if trace is not None and (scenario is None or trace.suffix not in SUFFIXES):
-        raise typer.BadParameter(f"--trace needs one --scenario and a file that ends in {', '.join(SUFFIXES)}")
+    if trace is not None and (scenario is None or (seeds or 1) > 1 or trace.suffix not in SUFFIXES):
+        raise typer.BadParameter(f"--trace needs one --scenario, one seed, and a file that ends in {', '.join(SUFFIXES)}")
     with connect(url) as client:
         queued = client.evaluate(specification)
         tell(f"evaluation {queued.id} is queued; `drivecal show {queued.id}` prints it as well")

@@ -215,22 +215,26 @@ def print_evaluation(evaluation: Evaluation, shapes: Mapping[str, ShapeAnswer]) 
         typer.echo(f"note: {note}")
     if evaluation.error:
         typer.echo(f"error: {evaluation.error}")
-    header = ["scenario", "outcome", "score", "rating", "failure", "CPU ms"]
-    print_columns(
-        header,
-        [[item.scenario, item.outcome, item.score, item.rating, item.failure, item.milliseconds] for item in evaluation.items],
-    )
+    names = ["scenario", "outcome", "score", "rating", "failure", "milliseconds"]
+    if any(len(item.seeds) > 1 for item in evaluation.items):
+        names[3:5] = ["standard_error", "lower", "upper", "failures"]
+    header = ["CPU ms" if name == "milliseconds" else name.replace("_", " ") for name in names]
+    print_columns(header, [[getattr(item, name) for name in names] for item in evaluation.items])
     for item in evaluation.items:
         if item.detail:
             typer.echo(f"{item.scenario}: {shortened(item.detail)}; --json shows all of it")
     if evaluation.objective is not None and len(evaluation.items) > 1:
-        typer.echo(f"mean score {objective_text(evaluation.objective)}")
+        typer.echo(f"mean score {objective_text(evaluation.objective)}{within_text(evaluation.lower, evaluation.upper)}")
     if evaluation.metrics:
         typer.echo("")
-        print_columns(
-            ["metric", "value"],
-            [[name, None if value is None else f"{value:.4g}"] for name, value in evaluation.metrics.items()],
-        )
+        shown = {name: None if value is None else f"{value:.4g}" for name, value in evaluation.metrics.items()}
+        within = {name: within_text(*ends) for name, ends in evaluation.items[0].within.items()}
+        print_columns(["metric", "value"], [[name, value and value + within.get(name, "")] for name, value in shown.items()])
+
+
+def within_text(lower: float | None, upper: float | None) -> str:
+    """Returns the 95 % interval of a mean, to follow it; empty without one."""
+    return "" if lower is None or upper is None else f" (95 %: {lower:.4g} to {upper:.4g})"
 
 
 def state_text(campaign: Campaign) -> str:
