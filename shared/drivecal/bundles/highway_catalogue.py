@@ -57,35 +57,28 @@ _OF = {"": "in the own lane", "left_": "in the lane to the left", "right_": "in 
 
 
 def _neighbours(prefix: str, place: str) -> dict[str, Quantity]:
-    exists = (
-        {} if prefix == "" else {f"{prefix}lane_exists": Quantity("1", f"1 if there is a lane to the {prefix[:-1]}, else 0")}
-    )
-    of_leader = {
-        "leader_exists": Quantity("1", f"1 if there is a leader {place}, at a gap below {FAR:g} m, else 0"),
-        "relative_speed": Quantity("m/s", f"speed of the leader {place} minus the own speed; 0 without one"),
+    exists = {f"{prefix}lane_exists": Quantity("1", f"1 if there is a lane to the {prefix[:-1]}, else 0")} if prefix else {}
+    return exists | {
+        f"{prefix}gap": Quantity("m", f"distance from the own front to the rear of the leader {place}; {FAR:g} without one"),
+        f"{prefix}leader_speed": Quantity("m/s", f"speed of the leader {place}; the own speed without one"),
+        f"{prefix}leader_acceleration": Quantity("m/s²", f"acceleration of the leader {place}; 0 without one"),
+        f"{prefix}rear_gap": Quantity(
+            "m", f"distance from the own rear to the front of the follower {place}; {FAR:g} without one"
+        ),
+        f"{prefix}follower_speed": Quantity("m/s", f"speed of the follower {place}; the own speed without one"),
+        f"{prefix}follower_acceleration": Quantity("m/s²", f"acceleration of the follower {place}; 0 without one"),
     }
-    return (
-        (of_leader if prefix == "" else {})
-        | exists
-        | {
-            f"{prefix}gap": Quantity(
-                "m", f"distance from the own front to the rear of the leader {place}; {FAR:g} without one"
-            ),
-            f"{prefix}leader_speed": Quantity("m/s", f"speed of the leader {place}; the own speed without one"),
-            f"{prefix}leader_acceleration": Quantity("m/s²", f"acceleration of the leader {place}; 0 without one"),
-            f"{prefix}rear_gap": Quantity(
-                "m", f"distance from the own rear to the front of the follower {place}; {FAR:g} without one"
-            ),
-            f"{prefix}follower_speed": Quantity("m/s", f"speed of the follower {place}; the own speed without one"),
-            f"{prefix}follower_acceleration": Quantity("m/s²", f"acceleration of the follower {place}; 0 without one"),
-        }
-    )
 
 
 SIGNALS: Mapping[str, Quantity] = MappingProxyType(
-    {name: quantity for prefix, place in _OF.items() for name, quantity in _neighbours(prefix, place).items()} | _OWN
+    _OWN
+    | {name: quantity for prefix, place in _OF.items() for name, quantity in _neighbours(prefix, place).items()}
+    | {
+        "leader_exists": Quantity("1", f"1 if there is a leader in the own lane, at a gap below {FAR:g} m, else 0"),
+        "relative_speed": Quantity("m/s", "speed of the leader in the own lane minus the own speed; 0 without one"),
+    }
 )
-"""Observations of a controller in each of its steps."""
+"""Observations of a controller in each of its steps, in the order of the loop."""
 
 OWN_DEFINITION = "own definition"
 _TIME_GAP = "ISO 15622, time gap"

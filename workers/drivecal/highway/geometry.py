@@ -1,8 +1,7 @@
 """Compiled geometry of lines and rectangles: points of a reference line, foot points on it, and rectangles that overlap.
 
 `line`, shape (n, 7): a reference line (s, x, y, heading, curvature) with cosine and sine of the heading, as from `with_directions`.
-`drivecal.domain.roads` has the same without a compiler. The planner has a `point_of` of its own, whose order of operations differs: all
-stored results have its bits.
+`drivecal.domain.roads` has the same without a compiler.
 """
 
 from math import cos, pi, sin, sqrt

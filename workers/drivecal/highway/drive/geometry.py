@@ -14,38 +14,13 @@ from math import atan, cos, inf, isnan, nan, pi, sin
 
 import numpy as np
 
+from drivecal.bundles import highway_catalogue
 from drivecal.domain.roads import Floats
 from drivecal.highway import geometry as shared
 from drivecal.highway.compilation import compiled_with
 from drivecal.highway.geometry import foot, frenet_motion, hit, point, swept
 
-_OF_LANE = ("gap", "leader_speed", "leader_acceleration", "rear_gap", "follower_speed", "follower_acceleration")
-NAMES: tuple[str, ...] = (
-    "time",
-    "speed",
-    "own_acceleration",
-    "lateral_acceleration",
-    "yaw_rate",
-    "side_slip",
-    "steering_angle",
-    "position",
-    "lane",
-    "lane_offset",
-    "heading_error",
-    "lane_width",
-    "lane_end",
-    "route_end",
-    "limit",
-    "limit_ahead",
-    "road_curvature",
-    "curvature_1s",
-    "curvature_2s",
-    "curvature_4s",
-    *_OF_LANE,
-    *(f"{side}_{name}" for side in ("left", "right") for name in ("lane_exists", *_OF_LANE)),
-    "leader_exists",
-    "relative_speed",
-)
+NAMES = tuple(highway_catalogue.SIGNALS)
 """Signals that a controller observes, in the order of `observe`."""
 SPEED, LIMIT_AHEAD, GAP, LEADER_SPEED = (NAMES.index(name) for name in ("speed", "limit_ahead", "gap", "leader_speed"))
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from drivecal.highway import geometry
 from drivecal.highway.compilation import compiled_with
 from drivecal.highway.planner import cost, lanes, plans, terms
 from drivecal.highway.planner.cost import SCALES
@@ -62,8 +63,8 @@ from drivecal.highway.planner.terms import (
     on_grid,
 )
 
-compiled = compiled_with(cost, lanes, plans, terms, error_model="numpy")
-inlined = compiled_with(cost, lanes, plans, terms, error_model="numpy", forceinline=True)
+compiled = compiled_with(cost, geometry, lanes, plans, terms, error_model="numpy")
+inlined = compiled_with(cost, geometry, lanes, plans, terms, error_model="numpy", forceinline=True)
 
 ALL = (1 << LANES) - 1
 """Bits of all lanes."""

@@ -48,7 +48,7 @@ class FrenetPlanner:
         s, heading, curvature = line[:, 0], line[:, 3], line[:, 4]
         speeds = desired_speeds(task, s)
         changes = [np.diff(column, append=column[-1]) / plans.SPACING for column in (curvature, speeds)]
-        self._road = np.ascontiguousarray(np.column_stack([line, speeds, np.cos(heading), np.sin(heading), *changes]))
+        self._road = np.ascontiguousarray(np.column_stack([line, np.cos(heading), np.sin(heading), speeds, *changes]))
         space = 0.5 * ego.width + CURB
         self._scenes, self._lateral_ends = [], []
         for wanted, other in ((task.start_lane, task.target_lane), (task.target_lane, task.start_lane)):

@@ -1,8 +1,8 @@
 """Compiled plans: their polynomials, the road below them, what can be driven, and the trajectory of a candidate.
 
 Arrays (float64, SI units, C order):
-road (n, 10): s, x, y, heading, curvature (as from `domain.roads.reference_line`, every `SPACING`), desired speed, cosine and sine of the
-    heading, change of curvature and of desired speed per metre until the next row
+road (n, 10): s, x, y, heading, curvature (as from `domain.roads.reference_line`, every `SPACING`), cosine and sine of the heading, desired
+    speed, change of curvature and of desired speed per metre until the next row
 scene (8,): wanted lane's centre, lane width, last lane, half length and half width of the ego vehicle, lowest and highest allowed d,
     time step of the trajectory
 lateral_ends (2, n_lateral): as from `lateral_ends`
@@ -21,7 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.scenarios import Task
+from drivecal.highway import geometry
 from drivecal.highway.compilation import compiled_with
+from drivecal.highway.geometry import point
 from drivecal.highway.planner import cost
 from drivecal.highway.planner.cost import LATEST_DECELERATION
 
@@ -91,8 +93,8 @@ def desired_speeds(task: Task, s: Floats) -> Floats:
     return np.sqrt(squared)
 
 
-compiled = compiled_with(cost, error_model="numpy")
-inlined = compiled_with(cost, error_model="numpy", forceinline=True)
+compiled = compiled_with(cost, geometry, error_model="numpy")
+inlined = compiled_with(cost, geometry, error_model="numpy", forceinline=True)
 """Python's error model checks every division for zero, and a loop that may raise is not vectorised."""
 
 LATERAL_PLANS, LONGITUDINAL_PLANS = 24, 12
@@ -120,32 +122,14 @@ LARGEST_BRAKING, LARGEST_THRUST = 6.0, 4.0
 
 
 @compiled
-def point_of(road: Any, s: float) -> tuple[float, float, float]:
-    """x, y and heading of the reference line at arc length s: as in `domain.roads.pose_on`."""
-    last = len(road) - 1
-    if s < 0.0 or s > last * SPACING:
-        row, ahead = (0, s) if s < 0.0 else (last, s - last * SPACING)
-        return road[row, 1] + ahead * road[row, 6], road[row, 2] + ahead * road[row, 7], road[row, 3]
-    row = min(int(s / SPACING), last - 1)
-    u = s - road[row, 0]
-    w = u / SPACING
-    from_start, from_end = w * (1.0 - w) ** 2 * SPACING, w * w * (w - 1.0) * SPACING
-    blend = w * w * (3.0 - 2.0 * w)
-    x0, y0, x1, y1 = road[row, 1], road[row, 2], road[row + 1, 1], road[row + 1, 2]
-    x = x0 + blend * (x1 - x0) + from_start * road[row, 6] + from_end * road[row + 1, 6]
-    y = y0 + blend * (y1 - y0) + from_start * road[row, 7] + from_end * road[row + 1, 7]
-    return x, y, road[row, 3] + u * (road[row, 4] + 0.5 * road[row, 8] * u)
-
-
-@compiled
 def road_ahead(road: Any, s: float) -> tuple[float, float, float]:
     """Curvature, its change by s, and the desired speed at s."""
     last = len(road) - 1
     if s < 0.0 or s > last * SPACING:
-        return 0.0, 0.0, road[0 if s < 0.0 else last, 5]
+        return 0.0, 0.0, road[0 if s < 0.0 else last, 7]
     row = min(int(s / SPACING), last - 1)
     u = s - road[row, 0]
-    return road[row, 4] + u * road[row, 8], road[row, 8], road[row, 5] + u * road[row, 9]
+    return road[row, 4] + u * road[row, 8], road[row, 8], road[row, 7] + u * road[row, 9]
 
 
 @compiled
@@ -291,7 +275,7 @@ def trace(road: Any, quintics: Any, quartics: Any, i: int, j: int, step: float, 
     for row in range(len(trajectory)):
         t = row * step
         s, d, d1, forward, curvature, speed, acceleration = motion_at(road, quintics, quartics, i, j, t)
-        x, y, heading = point_of(road, s)
+        x, y, heading, _, _ = point(road, s)
         if heading != before:
             before, cosine, sine = heading, cos(heading), sin(heading)
         trajectory[row, 0] = t

@@ -45,7 +45,7 @@ LIMITS: Mapping[str, tuple[float | None, float | None]] = {
 
 
 _MODULES = ("cost", "kernel", "lanes", "planner", "plans", "terms")
-ARITHMETIC = [Path(__file__).with_name(f"{name}.py") for name in _MODULES]
+ARITHMETIC = [Path(__file__).with_name(f"{name}.py") for name in _MODULES] + [Path(__file__).parents[1] / "geometry.py"]
 
 
 def version_of(code: bytes) -> str:

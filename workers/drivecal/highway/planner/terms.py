@@ -14,14 +14,15 @@ from typing import Any
 
 import numpy as np
 
+from drivecal.highway import geometry
 from drivecal.highway.compilation import compiled_with
 from drivecal.highway.planner import cost, lanes, plans
 from drivecal.highway.planner.cost import SCALES
 from drivecal.highway.planner.lanes import LANES, absolute, bits, floor, larger, load, lowest_bit, smaller, spread, store, where
 from drivecal.highway.planner.plans import INTERVAL, LATERAL_PLANS, LONGITUDINAL_PLANS, POINTS, lateral_at, road_ahead
 
-compiled = compiled_with(cost, lanes, plans, error_model="numpy")
-inlined = compiled_with(cost, lanes, plans, error_model="numpy", forceinline=True)
+compiled = compiled_with(cost, geometry, lanes, plans, error_model="numpy")
+inlined = compiled_with(cost, geometry, lanes, plans, error_model="numpy", forceinline=True)
 
 TIMES = 32
 """Points in time, filled up."""
