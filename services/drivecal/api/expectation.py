@@ -240,13 +240,11 @@ def expected_comparison(database: Database, limits: Limits, specification: Compa
     with database.read() as connection:
         compared_map(connection, problem)
         known = pace(connection, [setup.fingerprint for setup in problem.problems[0].bench.setups.values()])
-    return ExpectedComparison(
+    return ExpectedComparison.of(
+        known,
         runs=len(problem.runs),
         proposed=problem.proposed,
         at_most=problem.at_most,
-        milliseconds=known.milliseconds,
-        measured=known.measured,
-        workers=known.workers,
         seconds=known.seconds(problem.at_most),
         notes=list(dict.fromkeys(note for resolved in problem.problems for note in resolved.notes)),
     )

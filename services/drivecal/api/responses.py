@@ -153,17 +153,14 @@ def evaluation_answer(stored: StoredCampaign, cells: Sequence[EvaluatedCell]) ->
     items = list(map(_over_seeds, by_scenario.values()))
     only = items[0] if scenario is not None and items else None
     by_seed = [_mean([cell.score for cell in run]) for run in zip(*by_scenario.values(), strict=True)]
-    return Evaluation(
-        id=stored.id,
-        state=stored.state,
+    return Evaluation.of(
+        stored,
         parameters=stored.spec["parameters"],
         scenario=scenario,
         objective=_mean(by_seed),
         **_interval(by_seed),
         items=items,
         **{name: getattr(only, name, None) for name in ("outcome", "score", "rating", "failure", "metrics")},
-        error=stored.error,
-        notes=list(stored.notes),
         unrepeatable=stored.cells.unrepeatable,
         links={"self": f"{ROOT}/evaluations/{stored.id}"},
     )

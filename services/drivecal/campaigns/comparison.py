@@ -262,7 +262,8 @@ def _sign(resolved: ResolvedSpec) -> int:
 def _run(campaign: StoredCampaign, course: Course, *, success: bool) -> ComparedRun:
     analysed = campaign.counts(StageName.SENSITIVITY)
     last = course.iterations[-1] if course.iterations else Generation(iteration=0)
-    return ComparedRun(
+    return ComparedRun.of(
+        last,
         campaign=campaign.id,
         name=campaign.name,
         **course.conditions._asdict(),
@@ -272,11 +273,7 @@ def _run(campaign: StoredCampaign, course: Course, *, success: bool) -> Compared
         simulations=course.simulated,
         confirmations=course.confirmations,
         analysis=analysed.requested - analysed.repeated,
-        best=last.best,
         simulated_best=course.optimum,
-        rating=last.rating,
-        alternatives=last.alternatives,
-        mean=last.mean,
         converged_at=course.converged_at,
         simulations_to_converge=course.simulations_to_converge,
         success=success,

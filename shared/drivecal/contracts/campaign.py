@@ -23,7 +23,7 @@ class Answer(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", json_schema_serialization_defaults_required=True, defer_build=True)
 
     @classmethod
-    def of(cls, stored: object, **more: Any) -> Self:
+    def of(cls, stored: object, /, **more: Any) -> Self:
         """Returns the answer with the values that an object has under the names of its fields, and `more`, which count before these."""
         known = {name: getattr(stored, name) for name in cls.model_fields if name not in more and hasattr(stored, name)}
         return cls(**known, **more)

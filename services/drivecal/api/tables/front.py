@@ -43,11 +43,11 @@ def front_table(
         solution, parameters = member.solution, sets[member.solution.parameter_set].floats
         amounts = () if solution.judgement is None else solution.judgement.amounts
         rows.append(
-            FrontRow(
+            FrontRow.of(
+                solution,
                 rank=place + 1,
                 objectives=dict(zip(names, amounts, strict=True)),
                 weighted=worths[place],
-                violation=solution.violation,
                 undecided=solution.is_undecided,
                 constraints=front.goals.named_bounds(solution.judgement),
                 knee=front.knee == place,
@@ -55,15 +55,11 @@ def front_table(
                 wins=None if winning is None else winning[place].share,
                 weights=None if winning is None else [list(corner) for corner in winning[place].corners],
                 alternatives=member.alternatives,
-                replicates=solution.replicates,
                 degree=degrees.get(key_of(parameters)),
                 scores={name: plain(score) for name, score in solution.scores.items()},
                 values=front.goals.named_values(member.cells),
-                reused=list(solution.reused),
                 answers=answers[solution.parameter_set],
                 parameters=parameters,
-                iteration=solution.iteration,
-                individual=solution.individual,
             )
         )
     return rows
@@ -116,13 +112,11 @@ def _baseline(front: CampaignFront, baseline: EvaluatedSet) -> FrontBaseline | N
 
 def _objective(goal: Objective, column: int, front: CampaignFront) -> FrontObjective:
     amounts = [member.solution.judgement.amounts[column] for member in front.members if member.solution.judgement is not None]
-    return FrontObjective(
-        name=goal.name,
-        unit=goal.unit,
+    return FrontObjective.of(
+        goal,
         direction=(Direction.MAXIMISE if goal.sign > 0 else Direction.MINIMISE).value,
         aggregate=_aggregate_text(goal),
         scenarios=dict(goal.shares),
-        tolerance=goal.tolerance,
         best=max(amounts, key=lambda amount: goal.sign * amount, default=None),
         worst=min(amounts, key=lambda amount: goal.sign * amount, default=None),
     )

@@ -119,12 +119,10 @@ def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedS
         )
     ]
     items.sort(key=lambda item: -item.importance)
-    return ImportanceAnswer(
+    return ImportanceAnswer.of(
+        result,
         scenario=scenario,
         method=METHOD,
-        sets=result.sets,
-        held_out=result.held_out,
-        r2=result.r2,
         notes=_notes(database, campaign, resolved, scenario, items, result.r2),
         items=items,
     )

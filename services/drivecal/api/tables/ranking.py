@@ -32,7 +32,6 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
 
 LARGEST_WEIGHT = 1e6
-_UNCERTAINTY = ("replicates", "failures", "seeds", "standard_error", "lower", "upper", "probability_best", "runs_to_tell")
 
 
 @dataclass(frozen=True)
@@ -54,19 +53,12 @@ class CampaignRanking:
         with self.database.read() as connection:
             sets = parameter_sets.load(connection, [solution.parameter_set for solution in listed])
         return [
-            Solution(
+            Solution.of(
+                solution,
                 rank=rank,
-                objective=solution.objective,
-                rating=solution.rating,
                 parameters=sets[solution.parameter_set].floats,
-                scores=dict(solution.scores),
-                reused=list(solution.reused),
-                violation=solution.violation,
                 undecided=solution.is_undecided,
                 constraints={} if self.goals is None else self.goals.named_bounds(solution.judgement),
-                iteration=solution.iteration,
-                individual=solution.individual,
-                **{name: getattr(solution, name) for name in _UNCERTAINTY},
             )
             for rank, solution in enumerate(listed, start + 1)
         ]

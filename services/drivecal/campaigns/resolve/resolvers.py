@@ -171,15 +171,8 @@ def plan_analysis(
     wanted: SensitivitySpecification, constraints: Constraints, scenarios: Sequence[str], scale: Scale = COMFORT
 ) -> SensitivityAnalysis:
     """Plans a new sensitivity analysis. Raises InvalidInputError if the space does not allow it."""
-    threshold = wanted.threshold
-    settings = SensitivitySettings(
-        design=wanted.design,
-        intervals=wanted.intervals,
-        samples=wanted.samples,
-        threshold=thresholds.MuSigmaThresholds(threshold.mu, threshold.sigma)
-        if isinstance(threshold, SeparateThresholds)
-        else threshold,
-        seed=wanted.seed,
-        sequential=wanted.sequential,
-    )
+    threshold: thresholds.Threshold | SeparateThresholds = wanted.threshold
+    if isinstance(threshold, SeparateThresholds):
+        threshold = thresholds.MuSigmaThresholds(threshold.mu, threshold.sigma)
+    settings = SensitivitySettings(**wanted.model_dump(exclude={"threshold"}), threshold=threshold)
     return SensitivityAnalysis(constraints.space, scenarios, settings, scale, constraints)

@@ -160,16 +160,8 @@ def _reference(case: _Case, evaluation_id: int | None) -> tuple[Reference | None
         score = runs.scores(connection=case.connection, run_ids=[donor.run_id], evaluator=case.evaluator).get(
             donor.run_id, score
         )
-    reference = Reference(
-        evaluation=donor.id,
-        campaign=campaigns.by_sequence(case.connection, donor.campaign_sequence).id,
-        stage=donor.stage,
-        iteration=donor.iteration,
-        individual=donor.individual,
-        score=score,
-        failure=donor.failure,
-        claimed=claimed,
-    )
+    owner = campaigns.by_sequence(case.connection, donor.campaign_sequence)
+    reference = Reference.of(donor, evaluation=donor.id, campaign=owner.id, score=score, claimed=claimed)
     if claimed:
         return reference, []
     values = np.array([by_name[name] for name in case.cell.parameters.names], dtype=np.int64)
@@ -178,15 +170,12 @@ def _reference(case: _Case, evaluation_id: int | None) -> tuple[Reference | None
 
 def _difference(case: _Case, donor: StoredEvaluation, difference: ParameterDifference) -> Difference:
     influence, name = difference.influence, difference.parameter
-    return Difference(
-        parameter=name,
+    return Difference.of(
+        difference,
         value=case.cell.parameters.floats[name],
         reference_value=donor.parameters.floats[name],
-        region=difference.region,
-        reference_region=difference.reference_region,
         lower=None if influence.lower is None else float(influence.lower),
         upper=None if influence.upper is None else float(influence.upper),
-        blocks=difference.blocks,
     )
 
 
@@ -214,19 +203,11 @@ def _explanation(
 ) -> Explanation:
     cell = case.cell
     prediction = prediction or case.prediction
-    answer = Explanation(
+    answer = Explanation.of(
+        cell,
         evaluation=cell.id,
         campaign=case.campaign.id,
-        stage=cell.stage,
-        iteration=cell.iteration,
-        individual=cell.individual,
-        scenario=cell.scenario,
-        outcome=cell.outcome,
-        score=cell.score,
-        failure=cell.failure,
         parameters=cell.parameters.floats,
-        attempts=cell.attempts,
-        detail=cell.detail,
         reason=reason,
         sentence="",
         reference=reference,
@@ -255,14 +236,4 @@ def prediction_of(connection: Connection, cell: StoredEvaluation) -> Prediction 
 
 def inspected_lot(lot: StoredLot) -> InspectedLot:
     """Returns a stored lot as an explanation shows it."""
-    return InspectedLot(
-        id=lot.id,
-        size=lot.size,
-        sample=lot.sample,
-        acceptance=lot.acceptance,
-        tolerance=lot.tolerance,
-        limit=lot.aoql,
-        known=lot.known,
-        errors=lot.errors,
-        verdict=lot.verdict,
-    )
+    return InspectedLot.of(lot, limit=lot.aoql)

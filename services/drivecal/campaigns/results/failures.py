@@ -34,13 +34,11 @@ def broken_down(connection: Connection, campaign_sequence: int) -> list[FailureC
 
 def _reported(connection: Connection, campaign_sequence: int) -> list[FailureCause]:
     return [
-        FailureCause(
+        FailureCause.of(
+            group,
             kind="no_result" if group.outcome is Outcome.FAILED else "failed",
             cause=group.failure,
-            detail=group.detail,
             scenarios=[group.scenario],
-            cells=group.cells,
-            example=group.example,
         )
         for group in evaluations.failed_cells(connection, campaign_sequence, MOST_GROUPS)
     ]

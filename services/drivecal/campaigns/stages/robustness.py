@@ -18,13 +18,13 @@ from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, Alternatives, unit_cube
 from drivecal.campaigns.stages.replication import SeededBenches
 from drivecal.campaigns.stages.stage import Round, StudyStage, exact_policy
-from drivecal.contracts.specification import ReplicatesSpecification, RobustnessSpecification
+from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore, RequestedCell
 from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.rounding import levels
-from drivecal.domain.scales import Scale, plain
+from drivecal.domain.scales import plain
 from drivecal.plugins.ports import Floats
 from drivecal.storage import campaigns, results, studies
 from drivecal.storage.campaigns import StoredCampaign
@@ -39,19 +39,6 @@ class Examined:
     parameters: ParameterSet
     region: int
     to_worse: float | None
-
-
-def settings_of(wanted: RobustnessSpecification, scale: Scale) -> RobustnessSettings:
-    """The settings of the pure study."""
-    return RobustnessSettings(
-        delta=wanted.delta,
-        steps=wanted.steps,
-        samples=wanted.samples,
-        eta=wanted.eta,
-        condition=wanted.condition,
-        seed=wanted.seed,
-        least=scale.tolerance,
-    )
 
 
 def check_source(connection: Connection, problem: CalibrationProblem) -> None:
@@ -98,7 +85,8 @@ class RobustnessStage(StudyStage):
         wanted = problem.specification.robustness
         if wanted is None:
             raise ValueError("the campaign has no robustness stage")
-        self._wanted, self._settings = wanted, settings_of(wanted, problem.bench.scale)
+        given = wanted.model_dump(exclude={"solutions", "sets", "of"})
+        self._wanted, self._settings = wanted, RobustnessSettings(**given, least=problem.bench.scale.tolerance)
         self._sign = problem.bench.scale.sign
         self._examined = self._requested() or self._choose()
         self._seeds = list(dict.fromkeys(map(problem.bench.seed_of, range(wanted.samples))))
