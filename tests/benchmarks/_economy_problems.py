@@ -138,7 +138,7 @@ def of_folder(folder: Path, runner: Callable[[Path, Mapping[str, Any]], Callable
         if answer.get("failure"):
             return None
         scored = rate(formula, scale, answer.get("measures", answer), None)
-        return None if scored is None else scored.value
+        return None if scored is None else scored.score
 
     return EconomyProblem(folder.name, space, tuple(document["scenarios"]), scale, run, constraints, manifest.start)
 
@@ -182,6 +182,7 @@ def motorway() -> EconomyProblem:
     """The built-in motorway, S1 to S6."""
     from tests.benchmarks.evaluation import runner_of
 
+    from drivecal.highway.comfort.reference import REFERENCE
     from drivecal.highway.planner.plugin import FRENET
     from drivecal.highway.scenarios.highway import HIGHWAY
 
@@ -189,7 +190,8 @@ def motorway() -> EconomyProblem:
 
     def run(parameters: Mapping[str, Any], scenario: str) -> float | None:
         result = runner(scenario).run(list(parameters.values()))
-        return None if result.failure else float(result.rating.rating)
+        rated_as = HIGHWAY.scenarios[scenario].rated_as
+        return None if result.failure else float(REFERENCE.rate(rated_as, result.measures).rating)
 
     searched = ParameterSpace(FRENET.spaces["highway"])
     return EconomyProblem("motorway", searched, tuple(HIGHWAY.scenarios), COMFORT, run, Constraints(searched))
@@ -201,6 +203,7 @@ def random_motorway() -> EconomyProblem:
 
     from drivecal.bundles.highway import TaskScenario
     from drivecal.bundles.installed import installed_problems
+    from drivecal.highway.comfort.reference import REFERENCE
     from drivecal.highway.planner.plugin import FRENET
     from drivecal.highway.scenarios.highway import RANDOM_FOLDER
 
@@ -213,7 +216,7 @@ def random_motorway() -> EconomyProblem:
 
     def run(parameters: Mapping[str, Any], scenario: str, seed: int) -> float | None:
         result = runner(scenario, seed).run(list(parameters.values()))
-        return None if result.failure else float(result.rating.rating)
+        return None if result.failure else float(REFERENCE.rate(declared[scenario]["rated_as"], result.measures).rating)
 
     searched = ParameterSpace(FRENET.spaces["highway"])
     return EconomyProblem("random_motorway", searched, tuple(declared), COMFORT, run, Constraints(searched))

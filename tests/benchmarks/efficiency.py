@@ -130,10 +130,10 @@ def single_process_cost(cells: list[tuple[str, list[float]]]) -> float:
     """Seconds per cell in this process, scenario by scenario, each warmed up first."""
     driving_function, vehicle = registry.driving_function("frenet"), registry.vehicle("single_track")
     nominal = {parameter.name: parameter.nominal for parameter in vehicle.parameters}
-    catalogue, evaluator = registry.catalogue("highway"), registry.evaluator("reference")
+    catalogue = registry.catalogue("highway")
     seconds = 0.0
     for scenario in sorted({scenario for scenario, _ in cells}):
-        runner = TaskRunner(catalogue.scenarios[scenario], driving_function, vehicle.create(nominal), evaluator)
+        runner = TaskRunner(catalogue.scenarios[scenario], driving_function, vehicle.create(nominal))
         mine = [parameters for name, parameters in cells if name == scenario]
         runner.run(mine[0])
         begin = time.perf_counter()

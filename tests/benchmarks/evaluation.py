@@ -19,7 +19,6 @@ from scipy.stats import qmc
 
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway import sumo as sumo_calls
-from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
@@ -50,7 +49,7 @@ def latin_hypercube(count: int, seed: int) -> list[list[float]]:
 def runner_of(scenario: Scenario) -> TaskRunner:
     """With the vehicle's nominal values."""
     vehicle = SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
-    return TaskRunner(scenario, FRENET, vehicle, REFERENCE)
+    return TaskRunner(scenario, FRENET, vehicle)
 
 
 def alone(runner: TaskRunner) -> float:
@@ -85,7 +84,7 @@ def main() -> int:
     table: dict[str, dict[str, float]] = {}
     for name, scenario in HIGHWAY.scenarios.items():
         runner = runner_of(scenario)
-        full = [parameters for parameters in sets if runner.run(parameters).metrics["driven_s"] > scenario.duration - 0.05]
+        full = [parameters for parameters in sets if runner.run(parameters).measures["driven_s"] > scenario.duration - 0.05]
         full = full or sets
         own = np.zeros((ROUNDS, len(full)))
         unchanging, bare = [], []

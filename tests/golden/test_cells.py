@@ -16,12 +16,15 @@ from typing import Any
 
 import pytest
 
+from drivecal.domain.evaluations import Rating
+from drivecal.domain.scenarios import Scenario
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 from drivecal.plugins.setups import simulator
+from drivecal.plugins.simulators import RunOutcome
 
 FILE = Path(__file__).with_name("cells.json")
 SETS: dict[str, list[float]] = {
@@ -40,17 +43,23 @@ def versions() -> dict[str, str]:
     return plugins | {"simulator": simulator()} | digests
 
 
+def rated(scenario: Scenario, run: RunOutcome) -> Rating:
+    """The reference scale's rating."""
+    return Rating(0.0, 0) if run.failure else REFERENCE.rate(scenario.rated_as, run.measures)
+
+
 def results() -> dict[str, dict[str, Any]]:
     """Score, failure, and floats in hexadecimal, by cell."""
     outcome: dict[str, dict[str, Any]] = {}
     for name, scenario in HIGHWAY.scenarios.items():
         vehicle = SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
-        runner = TaskRunner(scenario, FRENET, vehicle, REFERENCE)
+        runner = TaskRunner(scenario, FRENET, vehicle)
         for label, parameters in SETS.items():
             result = runner.run(parameters)
-            floats = {"rating": result.rating.rating} | {metric: result.metrics[metric] for metric in METRICS}
+            rating = rated(scenario, result)
+            floats = {"rating": rating.rating} | {metric: result.measures[metric] for metric in METRICS}
             outcome[f"{name} {label}"] = {
-                "score": result.rating.score,
+                "score": rating.score,
                 "failure": result.failure,
                 "floats": {metric: value.hex() for metric, value in floats.items()},
             }

@@ -47,6 +47,4 @@ def bare(scenario: str = "S1", evaluator: str | None = "reference", fingerprint:
     digest = installed_problems()["highway"].digest
     mark = fingerprint or f"fingerprint of {scenario}"
     names: tuple[str, ...] = ()
-    return SetupRequest(
-        digest, "highway", scenario, {}, section, names, names, names, names, names, mark, evaluator=evaluator, is_driven=True
-    )
+    return SetupRequest(digest, "highway", scenario, {}, section, names, names, names, names, names, mark, evaluator=evaluator)

@@ -74,7 +74,7 @@ class CellValue:
             raise ValueError("the campaign's own score is stored, and not computed again")
         known = {name: value for name, value in measures.items() if value is not None}
         scored = rate(self._formula, self.scale, known, failure)
-        return None if scored is None else scored.value
+        return None if scored is None else scored.score
 
     @cached_property
     def _formula(self) -> Formula | None:

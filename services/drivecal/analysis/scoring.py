@@ -1,9 +1,9 @@
 """Scores of runs: formulas of measures. Pure."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from drivecal.bundles.expressions import Formula, UndefinedError
+from drivecal.domain.evaluations import Rating
 from drivecal.domain.scales import Scale
 
 LARGEST = 1e15
@@ -13,32 +13,23 @@ REMEDY = "widen `range` or give `failed`, a value worse than any run's"
 """Remedy for scores that are cut off."""
 
 
-@dataclass(frozen=True, slots=True)
-class Scored:
-    """A score. `undefined`: why the formula has no value, so that the run has the worth of a failed one. `cut`: the formula's value if it
-    is worse than that worth."""
-
-    value: float
-    undefined: str | None = None
-    cut: float | None = None
-
-
-def rate(formula: Formula, scale: Scale, measures: Mapping[str, float], failure: str | None) -> Scored | None:
-    """Returns the score of a run; None if it lacks a measure of the formula.
+def rate(formula: Formula, scale: Scale, measures: Mapping[str, float], failure: str | None) -> Rating | None:
+    """Returns the rating of a run; None if it lacks a measure of the formula.
 
     A failed run, and a run for which the formula is undefined, is worth `scale.failed`; no run is worth less.
     """
     if failure is not None:
-        return Scored(scale.failed)
+        return Rating(scale.failed, scale.failed)
     if not formula.names <= measures.keys():
         return None
     try:
         value = formula(measures)
     except UndefinedError as error:
-        return Scored(scale.failed, str(error))
+        return Rating(scale.failed, scale.failed, str(error))
     if abs(value) > LARGEST:
-        return Scored(scale.failed, f"{formula.text} is {value:g}, beyond {LARGEST:g}")
-    return Scored(scale.worth(value), cut=value if scale.cuts(value) else None)
+        return Rating(scale.failed, scale.failed, f"{formula.text} is {value:g}, beyond {LARGEST:g}")
+    worth = scale.worth(value)
+    return Rating(worth, worth, cut=value if scale.cuts(value) else None)
 
 
 def cut_text(scenario: str, score: str, value: float, failed: float) -> str:

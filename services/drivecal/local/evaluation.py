@@ -18,6 +18,7 @@ from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import DEFAULT_PROBLEM, EvaluationSpecification, Given
 from drivecal.contracts.work import Batch, BatchResult, Cell
 from drivecal.domain.errors import UnavailableError
+from drivecal.domain.scales import plain
 from drivecal.plugins.simulators import BusyError
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.worker import Worker
@@ -134,10 +135,8 @@ def _stored(folder: Path) -> Bundle:
 
 def _simulated(scenario: str, bench: Bench, cell: Cell) -> SimulatedCell:
     (result,) = _answer(Batch(bench.requests[scenario], (cell,))).results
-    score, rating = result.score, result.rating
-    if bench.rates and result.breakdown is None:
-        rated = bench.rate(scenario, result.metrics, result.failure)
-        score, rating = (None, None) if rated is None else (rated.score, rated.rating)
+    rated = None if result.breakdown is not None else bench.rate_result(scenario, result)
+    score, rating = (None, None) if rated is None else (plain(rated.score), rated.rating)
     error = None if result.breakdown is None else result.detail or result.breakdown
     return SimulatedCell(scenario, score, rating, result.metrics, result.failure, error, result.milliseconds)
 

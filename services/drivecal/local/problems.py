@@ -15,7 +15,7 @@ import numpy as np
 from drivecal.adapters.command import run_probe
 from drivecal.adapters.environment import sessions
 from drivecal.adapters.files import remove
-from drivecal.adapters.kinds import simulator
+from drivecal.adapters.kinds import simulator_of
 from drivecal.adapters.process import ProcessSession
 from drivecal.analysis.scoring import cut_text
 from drivecal.bundles.archives import unpack
@@ -24,18 +24,14 @@ from drivecal.bundles.expressions import Constraint
 from drivecal.bundles.installed import Bundle
 from drivecal.bundles.manifest import Manifest, ParameterEntry
 from drivecal.bundles.shapes import with_points
-from drivecal.campaigns.resolve.bench import Bench
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.workbench import constraints_of, find_workbench, parameters_of
-from drivecal.contracts.specification import EvaluationSpecification
+from drivecal.campaigns.resolve.workbench import bench_of, constraints_of, parameters_of
+from drivecal.contracts.specification import ProblemSpecification
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.domain.parameters import ParameterSpace
-from drivecal.domain.values import Argument, Setting
-from drivecal.plugins.runners import Runner
+from drivecal.domain.values import Setting
 from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
 from drivecal.runtime.compilation import prepare_cache
-from drivecal.runtime.runners import RefusedError, make_runner
 
 SEED = 20261121
 FAULTS = (NoMeasuresError, UnavailableError, OSError)
@@ -112,6 +108,8 @@ def run_problem(
     """Yields the result of each scenario. Raises UnavailableError if this machine cannot run the simulator."""
     conditions = {name: entry.nominal for name, entry in manifest.varied.items()}
     further = None if other is None else {**other, **conditions}
+    if manifest.is_driven:
+        prepare_cache()
     with _unpacked(archive) as folder:
         for scenario in manifest.scenarios:
             yield _checked(manifest, scenario, folder, {**parameters, **conditions}, further)
@@ -144,12 +142,14 @@ def _checked(
     units = {**manifest.reported, **manifest.series}
     parameter_units = manifest.arguments | {name: entry.unit for name, entry in manifest.varied.items()}
     declared = Declared(
-        manifest.problem, tuple(manifest.reported), manifest.failures, tuple(manifest.series), units, parameter_units, True
+        *(manifest.problem, tuple(manifest.reported), manifest.failures, tuple(manifest.series), units, parameter_units),
+        watched=True,
+        varied={name: entry.nominal for name, entry in manifest.varied.items()},
     )
 
     @contextmanager
     def opened() -> Iterator[SimulatorSession]:
-        session = _session(manifest, section, scenario, folder, declared)
+        session = simulator_of(section).open(section, scenario, manifest.scenarios[scenario], folder, declared)
         try:
             yield session
         finally:
@@ -197,56 +197,13 @@ def _checked(
     )
 
 
-def _session(
-    manifest: Manifest, section: Mapping[str, Any], scenario: str, folder: Path, declared: Declared
-) -> SimulatorSession:
-    """Opens the simulator of a scenario: in this process if drivecal's own planner drives it, else in a child."""
-    if not manifest.is_driven:
-        return simulator(manifest.simulator.kind).open(section, scenario, manifest.scenarios[scenario], folder, declared)
-    prepare_cache()
-    bench = _bench(manifest, scenario)
-    try:
-        return _OwnLoop(make_runner(bench.requests[scenario], folder))
-    except RefusedError as error:
-        raise UnavailableError(str(error)) from error
-
-
-def _bench(manifest: Manifest, scenario: str, score: str | None = None) -> Bench:
-    """Returns the bench of a scenario, with the problem's first score by default."""
-    wanted = EvaluationSpecification.model_construct(
-        parameters={}, problem=manifest.problem, evaluator=score or next(iter(manifest.scores))
-    )
-    diagnostics = Diagnostics()
-    make = find_workbench(wanted, lambda _: Bundle("", "", manifest), diagnostics).make
-    diagnostics.raise_if_any()
-    if make is None:
-        raise AssertionError("a part is missing without a finding")
-    return make([scenario], {})
-
-
-class _OwnLoop:
-    """The closed loop of this process as a session of a simulator."""
-
-    def __init__(self, runner: Runner) -> None:
-        self._runner = runner
-
-    def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = 1) -> RunOutcome:
-        """Drives one parameter set; it has no time series of a manifest's, and its scenario has the seed."""
-        del series, seed
-        began = time.thread_time()
-        result = self._runner.run([float(parameters[name]) for name in self._runner.parameters])  # type: ignore[arg-type]  # the planner has no curves
-        failure = None if result.failure is None else result.failure.value
-        return RunOutcome(result.metrics, failure, cpu_seconds=time.thread_time() - began)
-
-    def close(self) -> None:
-        """Keeps the simulation of the process, which the next session takes over."""
-
-
 def _rated(manifest: Manifest, scenario: str, outcome: RunOutcome) -> dict[str, Any]:
     """Returns the fields of a `CheckedRun`."""
-    rated = {
-        name: _bench(manifest, scenario, name).rate(scenario, outcome.measures, outcome.failure) for name in manifest.scores
+    benches = {
+        name: bench_of(ProblemSpecification(problem=manifest.problem, evaluator=name), lambda _: Bundle("", "", manifest))
+        for name in manifest.scores
     }
+    rated = {name: bench.rate(scenario, outcome.measures, outcome.failure) for name, bench in benches.items()}
     known = {name: scored for name, scored in rated.items() if scored is not None}
     return {
         "measures": {name: value for name, value in outcome.measures.items() if name in manifest.measures},

@@ -12,10 +12,16 @@ Kind = tuple[str, ...]
 """Key shared by requests whose cells cost about the same."""
 
 
+def runs_in_worker(section: Mapping[str, Any]) -> bool:
+    """Returns whether a simulator with this section of a manifest runs in the worker's own process: the code is drivecal's or an installed
+    plug-in's, none of a user's files is run."""
+    return section.get("kind") == "highway" and section["controller"]["kind"] == "planner"
+
+
 @dataclass(frozen=True, slots=True)
 class SetupRequest:
-    """A scenario of a problem, to be run with parameter sets. The worker returns measures. The coordinator rates them, but for the built-in
-    motorway, which a worker rates if the setup has an `evaluator`."""
+    """A scenario of a problem, to be run with parameter sets. The worker returns measures. The coordinator rates them, except if the setup
+    has an `evaluator`."""
 
     bundle: str
     """Digest of the problem's files. The worker has an archive of them, or a package there installs them."""
@@ -43,16 +49,12 @@ class SetupRequest:
     varied: Mapping[str, float] = field(default_factory=dict)
     """Values of the problem's varied parameters, which a run gets among its parameters."""
     evaluator: str | None = None
-    """Evaluator that rates the runs on the worker, which have the time series that it may need. None: the coordinator rates."""
-    evaluator_version: str | None = None
-    """The coordinator's: ratings of another one must not be stored under its name."""
+    """Name and version of the evaluator that rates the runs on the worker, because it needs their time series: ratings of another version
+    must not be stored as its own. None: the coordinator rates."""
     seed: int = 0
     """Seed of the runs; 0 if the simulator does not depend on one."""
     session: str = ""
     """Run fingerprint without the seed: one session of the simulator serves all seeds. Empty: the run fingerprint."""
-    is_driven: bool = False
-    """True if it runs in the worker's own process: the code is drivecal's or an installed plug-in's, none of a user's files is run."""
-
     resources: Mapping[str, int] = field(default_factory=dict)
     """Number of each scarce thing, such as licences, that a run holds."""
     shapes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -63,7 +65,7 @@ class SetupRequest:
     @property
     def keeps_resources(self) -> bool:
         """True if a session holds its resources between two runs, until it is closed."""
-        return bool(self.resources) and not self.renews and not self.is_driven
+        return bool(self.resources) and not self.renews and not runs_in_worker(self.simulator)
 
     @property
     def key(self) -> SetupKey:
@@ -86,7 +88,7 @@ class SetupRequest:
     @property
     def timeout(self) -> float | None:
         """Time limit of a run in a child process, s."""
-        return None if self.is_driven else float(self.simulator["timeout"])
+        return None if runs_in_worker(self.simulator) else float(self.simulator["timeout"])
 
 
 @dataclass(frozen=True, slots=True)

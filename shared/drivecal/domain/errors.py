@@ -4,10 +4,15 @@ Each message states in one sentence what is wrong and, if a remedy exists, how t
 they survive pickling between processes.
 """
 
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
+
+LONGEST_DETAIL = 500
+"""Largest length of an error's description in characters."""
 
 
 class DrivecalError(Exception):
@@ -127,3 +132,16 @@ def file_faults(file: object, verb: Literal["read", "written"], remedy: str) -> 
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise InvalidInputError(Problem(str(file), f"it cannot be {verb}: {reason}", remedy)) from error
+
+
+def describe(error: BaseException) -> str:
+    """Returns an error as one printable line: only the message of drivecal's own errors, type and location of others."""
+    frames = traceback.extract_tb(error.__traceback__)
+    if isinstance(error, DrivecalError) or not frames:
+        message, location = str(error), ""
+    else:
+        message = "".join(traceback.format_exception_only(error))
+        location = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})"
+    message = " ".join(message.split())
+    text = message[: LONGEST_DETAIL - len(location)] + location
+    return "".join(character if character.isprintable() else "?" for character in text)

@@ -83,19 +83,6 @@ class Rating:
     cut: float | None = None
 
 
-FAILED_RATING = Rating(rating=0.0, score=0)
-"""Rating of a failed run that a worker rates (the built-in motorway); other runs get the `failed` value of their scale."""
-
-
-@dataclass(frozen=True, slots=True)
-class RunResult:
-    """Result of one simulation: its rating, the measured metrics (names carry units), and the failure, if any."""
-
-    rating: Rating
-    metrics: Mapping[str, float]
-    failure: Failure | None = None
-
-
 class Donor(NamedTuple):
     """A stored, simulated result and the evaluation that simulated it. A look-up makes thousands, and a frozen dataclass takes three times
     as long."""

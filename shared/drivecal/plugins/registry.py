@@ -14,8 +14,8 @@ from typing import Any, cast
 
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.plugins.ports import Catalogue, DrivingFunction, Evaluator, OptimizerPlugin, Vehicle
-from drivecal.plugins.runners import DriveSimulator
 from drivecal.plugins.search import SearchPlugin
+from drivecal.plugins.simulators import InstalledSimulator
 
 CATALOGUES = "drivecal.scenarios"
 DRIVING_FUNCTIONS = "drivecal.driving_functions"
@@ -169,9 +169,9 @@ def optimizers() -> list[OptimizerPlugin | SearchPlugin]:
     return _usable(OPTIMIZERS)
 
 
-def simulator(name: str) -> DriveSimulator:
-    """Returns a simulator of driving functions by name. Raises InvalidInputError listing the installed names."""
-    return cast("DriveSimulator", _find(SIMULATORS, name, "simulator"))
+def simulator(name: str) -> InstalledSimulator:
+    """Returns a simulator of scenarios with a task by name. Raises InvalidInputError listing the installed names."""
+    return cast("InstalledSimulator", _find(SIMULATORS, name, "simulator"))
 
 
 def catalogue(name: str) -> Catalogue:

@@ -8,8 +8,9 @@ from typing import Any, Protocol
 
 from drivecal.contracts.evaluation import ReplayAnswer
 from drivecal.domain.errors import DrivecalError, UnavailableError
-from drivecal.domain.evaluations import Breakdown
+from drivecal.domain.evaluations import Breakdown, Rating
 from drivecal.domain.values import Argument
+from drivecal.plugins.ports import Named
 
 VERSIONS: Mapping[str, str] = MappingProxyType({"process": "1", "command": "1", "python": "1", "fmu": "1", "highway": "8"})
 """Version of the adapter of each kind that runs in child processes (`drivecal.adapters`). Here, because the coordinator needs it, too."""
@@ -39,7 +40,7 @@ class RunOutcome:
 
     `cpu_seconds` is the CPU time of child processes during the run, not part of the result. `start_seconds` is the time for another start
     of the simulator before the run, and belongs to no run. `queued_seconds` is the time that the run waited for a core. `replay` shows the
-    drive from above; `highway` alone reports it, with the series.
+    drive from above; `highway` alone reports it, with the series. `rating` is that of `Declared.evaluator`, None for a failed run.
     """
 
     measures: Mapping[str, float]
@@ -49,6 +50,7 @@ class RunOutcome:
     start_seconds: float = field(default=0.0, compare=False)
     queued_seconds: float = field(default=0.0, compare=False)
     replay: ReplayAnswer | None = field(default=None, compare=False)
+    rating: Rating | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +58,8 @@ class Declared:
     """Names that a manifest declares of a simulator's answers. Without declared `failures`, a simulator may report any name.
 
     `units` has the known units of measures and series by name; they decide no result. `parameters`: units of the parameters by name.
-    `watched`: drivecal records the files that a Python function opens.
+    `watched`: drivecal records the files that a Python function opens. `varied`: values of side conditions, which all runs of a session
+    have in common. `evaluator`: name of an installed evaluator that rates the time series of runs in this process.
     """
 
     problem: str
@@ -66,17 +69,19 @@ class Declared:
     units: Mapping[str, str] = field(default_factory=dict, compare=False)
     parameters: Mapping[str, str] = field(default_factory=dict, compare=False)
     watched: bool = field(default=False, compare=False)
+    varied: Mapping[str, float] = field(default_factory=dict)
+    evaluator: str | None = None
 
 
 class NoMeasuresError(DrivecalError):
     """A run has no result: its process crashed, hung, ran out of memory or answered something else. Costs this cell only.
 
-    `cpu_seconds`: CPU time that its child processes took all the same.
+    `cpu_seconds`: CPU time that its child processes took all the same. `is_contained`: it happened in a child process.
     """
 
-    def __init__(self, breakdown: Breakdown, detail: str, cpu_seconds: float = 0.0) -> None:
+    def __init__(self, breakdown: Breakdown, detail: str, cpu_seconds: float = 0.0, *, is_contained: bool = True) -> None:
         super().__init__(breakdown, detail, cpu_seconds)
-        self.breakdown, self.detail, self.cpu_seconds = breakdown, detail, cpu_seconds
+        self.breakdown, self.detail, self.cpu_seconds, self.is_contained = breakdown, detail, cpu_seconds, is_contained
 
     def __str__(self) -> str:
         return self.detail
@@ -119,3 +124,7 @@ class Simulator(Protocol):
         and UnsuitableError if no machine can.
         A start that fails in another way costs the first cell: `evaluate` reports it.
         """
+
+
+class InstalledSimulator(Named, Simulator, Protocol):
+    """A simulator behind the entry point group `drivecal.simulators`, which runs in the worker's own process."""

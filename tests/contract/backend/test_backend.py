@@ -72,7 +72,7 @@ def test_a_batch_comes_back_with_its_results_in_order(backend: Backend) -> None:
     event = collect(backend, 1)[1]
     assert isinstance(event, Finished)
     assert [result.id for result in event.result.results] == [11, 12, 13]
-    assert all(result.breakdown is None and result.score is not None for result in event.result.results)
+    assert all(result.breakdown is None and result.metrics for result in event.result.results)
     assert event.result.seconds > 0
     assert event.result.worker == worker
 

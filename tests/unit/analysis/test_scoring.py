@@ -3,17 +3,18 @@
 import pytest
 from tests.support.scales import COST
 
-from drivecal.analysis.scoring import Scored, rate
+from drivecal.analysis.scoring import rate
 from drivecal.bundles.expressions import Formula
+from drivecal.domain.evaluations import Rating
 
 FORMULA = Formula("1 / gap")
 
 
 def test_a_score_is_the_formula_s_value_and_never_worse_than_a_failed_run() -> None:
-    assert rate(FORMULA, COST, {"gap": 0.25, "other": 3.0}, None) == Scored(4.0)
-    assert rate(FORMULA, COST, {"gap": 0.001}, None) == Scored(100.0, cut=1000.0)
-    assert rate(FORMULA, COST, {"gap": 0.25}, "collision") == Scored(100.0)
-    assert rate(FORMULA, COST, {}, "collision") == Scored(100.0)
+    assert rate(FORMULA, COST, {"gap": 0.25, "other": 3.0}, None) == Rating(4.0, 4.0)
+    assert rate(FORMULA, COST, {"gap": 0.001}, None) == Rating(100.0, 100.0, cut=1000.0)
+    assert rate(FORMULA, COST, {"gap": 0.25}, "collision") == Rating(100.0, 100.0)
+    assert rate(FORMULA, COST, {}, "collision") == Rating(100.0, 100.0)
 
 
 def test_a_run_without_a_measure_of_the_formula_has_no_score() -> None:
@@ -24,5 +25,5 @@ def test_a_run_without_a_measure_of_the_formula_has_no_score() -> None:
 def test_no_value_and_an_immense_one_are_undefined(gap: float) -> None:
     scored = rate(FORMULA, COST, {"gap": gap}, None)
     assert scored is not None
-    assert scored.value == 100.0
+    assert scored.score == 100.0
     assert scored.undefined

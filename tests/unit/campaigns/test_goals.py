@@ -8,7 +8,6 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.vehicles import CLOSED_LOOP_MEASURES
-from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
@@ -94,9 +93,9 @@ def test_reuse_that_answers_one_score_is_settled_where_nobody_asked_for_it() -> 
 
 def test_the_measures_of_the_closed_loop_are_those_of_its_runs() -> None:
     vehicle = SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
-    runner = TaskRunner(HIGHWAY.scenarios["S1"], FRENET, vehicle, REFERENCE)
+    runner = TaskRunner(HIGHWAY.scenarios["S1"], FRENET, vehicle)
     values = [float(parameter.lower) for parameter in FRENET.spaces["highway"]]
-    assert runner.run(values).metrics.keys() == CLOSED_LOOP_MEASURES.keys()
+    assert runner.run(values).measures.keys() == CLOSED_LOOP_MEASURES.keys()
 
 
 def test_faults_of_variants_name_the_field() -> None:

@@ -25,7 +25,7 @@ LICENCES = {"carmaker": 2}
 
 def licensed(scenario: str = "S1", count: int = 1, *, keeps: bool = False) -> SetupRequest:
     """Returns a setup that needs licences. `keeps`: its program stays open between its runs."""
-    return replace(bare(scenario), resources={"carmaker": count}, is_driven=not keeps, simulator={"timeout": 60.0})
+    return replace(bare(scenario), resources={"carmaker": count}, renews=not keeps, simulator={"timeout": 60.0})
 
 
 def scheduler(total: dict[str, int], **options: float) -> Scheduler:

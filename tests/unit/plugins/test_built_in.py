@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from drivecal.plugins import ports, runners
+from drivecal.plugins import ports, simulators
 from drivecal.plugins.search import SearchPlugin
 
 PORTS: dict[str, type] = {
@@ -18,7 +18,7 @@ PORTS: dict[str, type] = {
     "drivecal.evaluators": ports.Evaluator,
     "drivecal.optimizers": ports.DeclaringOptimizerPlugin,
     "drivecal.scenarios": ports.Catalogue,
-    "drivecal.simulators": runners.DriveSimulator,
+    "drivecal.simulators": simulators.InstalledSimulator,
 }
 
 

@@ -21,8 +21,9 @@ from drivecal.adapters.command import DRIVER, CommandSession
 from drivecal.adapters.environment import Scratch
 from drivecal.adapters.process import ProcessSession
 from drivecal.bundles import units
+from drivecal.contracts.work import runs_in_worker
 from drivecal.domain.errors import NotFoundError, UnavailableError
-from drivecal.plugins import setups
+from drivecal.plugins import registry, setups
 from drivecal.plugins.simulators import VERSIONS, Declared, Simulator, SimulatorSession, UnsuitableError
 from drivecal.roads.network import network_file
 
@@ -43,6 +44,11 @@ Open = Callable[[Section, str, Mapping[str, Any], Path, Declared], SimulatorSess
 class _Kind:
     version: str
     open: Open
+
+
+def simulator_of(section: Section) -> Simulator:
+    """Returns the simulator of a manifest's section. Raises as `simulator`, and InvalidInputError if it is not installed."""
+    return registry.simulator(section["kind"]) if runs_in_worker(section) else simulator(section["kind"])
 
 
 def simulator(kind: str) -> Simulator:

@@ -1,29 +1,116 @@
-"""The built-in motorway as the simulator of driving functions. Light: libsumo and numba are imported by `load` and `runner` only."""
+"""The simulator of scenarios with a task, which drivecal's own closed loop drives in this process. Light: libsumo and numba are imported
+when a session opens."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from drivecal.bundles.fingerprints import model_of
+from drivecal.bundles.highway import TaskScenario
+from drivecal.domain.errors import InvalidInputError, UnavailableError, describe
+from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.scenarios import Scenario
-from drivecal.plugins.ports import DrivingFunction, Evaluator, Vehicle
-from drivecal.plugins.runners import DriveSimulator, Runner
+from drivecal.domain.values import Argument
+from drivecal.plugins import registry
+from drivecal.plugins.ports import SeriesEvaluator
+from drivecal.plugins.simulators import (
+    SEED,
+    VERSIONS,
+    Declared,
+    InstalledSimulator,
+    NoMeasuresError,
+    RunOutcome,
+    SimulatorSession,
+    UnsuitableError,
+)
+
+if TYPE_CHECKING:
+    from drivecal.highway.drive.tasks import TaskRunner
+
+
+def scenario_of(scenario: str, data: Mapping[str, Any], folder: Path) -> Scenario:
+    """Returns a scenario: of an installed catalogue, or of the problem's own data and files.
+
+    Args:
+        scenario: its id.
+        data: its data.
+        folder: the problem's files.
+
+    Raises:
+        InvalidInputError: its network cannot be driven.
+    """
+    if "catalogue" in data:
+        return registry.catalogue(data["catalogue"]).scenarios[scenario]
+    declared = TaskScenario.model_validate(data)
+    return declared.on(scenario, (folder / declared.network).read_bytes())
+
+
+class TaskSession:
+    """Runs of an installed driving function and an installed vehicle in one scenario. Sessions share the simulation of this process."""
+
+    def __init__(self, scenario: Scenario, section: Mapping[str, Any], declared: Declared) -> None:
+        """Finds the plug-ins. Raises InvalidInputError if one is not installed."""
+        self._scenario, self._random = scenario, section["random"]
+        self._function = registry.driving_function(section["controller"]["driving_function"])
+        self._fixed: Mapping[str, float] = section["controller"].get("values") or {}
+        own = section["vehicle"]
+        self._vehicle = registry.vehicle(model_of(own))
+        nominal = {parameter.name: parameter.nominal for parameter in self._vehicle.parameters}
+        changes = {} if isinstance(own, str) else {name: own[name] for name in nominal if own.get(name) is not None}
+        self._values = {**nominal, **changes, **declared.varied}
+        evaluator = None if declared.evaluator is None else registry.evaluator(declared.evaluator)
+        self._evaluator = evaluator if isinstance(evaluator, SeriesEvaluator) else None
+        self._runner: TaskRunner | None = None
+
+    def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = SEED) -> RunOutcome:
+        """Runs one parameter set. A scenario that is not random keeps its own seed instead of the first one.
+
+        Raises NoMeasuresError for all exceptions of plug-ins, and UnavailableError if a plug-in says that this machine cannot run it.
+        """
+        try:
+            runner = self._prepared(seed if self._random or seed != SEED else self._scenario.seed)
+            given = {**self._fixed, **parameters}
+            values: list[Any] = [given[name] for name in runner.parameters]
+            return runner.run([value if isinstance(value, str) else float(value) for value in values], series=series)
+        except UnavailableError:
+            raise
+        except (Exception, SystemExit) as error:  # a plug-in may raise any exception; the worker must survive
+            self._runner = None  # it may be in any state
+            cause = Breakdown.MEMORY if isinstance(error, MemoryError) else Breakdown.ERROR
+            raise NoMeasuresError(cause, describe(error), is_contained=False) from error
+
+    def close(self) -> None:
+        """Leaves the simulation of the process to the next session."""
+        self._runner = None
+
+    def _prepared(self, seed: int) -> "TaskRunner":
+        """Returns the runner for a seed."""
+        from drivecal.highway.drive.tasks import TaskRunner
+
+        if self._runner is None:
+            scenario = replace(self._scenario, seed=seed)
+            self._runner = TaskRunner(scenario, self._function, self._vehicle.create(self._values), self._evaluator)
+        self._runner.seed(seed)
+        return self._runner
 
 
 class Highway:
     """The closed loop of planner, vehicle and SUMO's traffic. A process can hold only one SUMO simulation."""
 
     name = "highway"
+    version = VERSIONS["highway"]
 
-    def load(self) -> None:
-        """Imports SUMO and the compiled kernels. Raises UnavailableError without SUMO."""
+    def open(
+        self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+    ) -> SimulatorSession:
+        """Opens a session. Raises UnavailableError without SUMO, and UnsuitableError if the scenario's network cannot be driven."""
         import_module("drivecal.highway.drive.tasks")
-
-    def runner(
-        self, scenario: Scenario, function: DrivingFunction, vehicle: Vehicle, values: Mapping[str, float], evaluator: Evaluator
-    ) -> Runner:
-        """Creates the runner of a setup."""
-        from drivecal.highway.drive.tasks import TaskRunner
-
-        return TaskRunner(scenario, function, vehicle.create(values), evaluator)
+        try:
+            return TaskSession(scenario_of(scenario, data, folder), section, declared)
+        except InvalidInputError as error:
+            raise UnsuitableError(str(error)) from error
 
 
-HIGHWAY: DriveSimulator = Highway()
+HIGHWAY: InstalledSimulator = Highway()

@@ -1,4 +1,4 @@
-"""Problem bundles on a worker: the open sessions of their simulators."""
+"""The open sessions of simulators on a worker."""
 
 import gzip
 import json
@@ -15,17 +15,18 @@ from pathlib import Path
 from typing import Any
 
 from drivecal.adapters.command import run_probe
-from drivecal.adapters.kinds import simulator
+from drivecal.adapters.kinds import simulator_of
 from drivecal.adapters.process import WATCH_SECONDS, ProcessSession
 from drivecal.bundles.fingerprints import parts_of
 from drivecal.bundles.shapes import Shape, with_points
-from drivecal.contracts.work import Cell, CellResult, SetupRequest
-from drivecal.domain.errors import ConflictError, UnavailableError
+from drivecal.contracts.work import Cell, CellResult, SetupRequest, runs_in_worker
+from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
+from drivecal.domain.scales import plain
+from drivecal.plugins import registry
 from drivecal.plugins.simulators import (
     MOST_SESSIONS,
     SEED,
-    VERSIONS,
     BusyError,
     Declared,
     NoMeasuresError,
@@ -122,6 +123,8 @@ def compressed(document: Mapping[str, Any]) -> bytes:
 
 log = logging.getLogger(__name__)
 
+MOST_IN_WORKER = 32
+"""Open sessions that hold no process. Studies of vehicle parameters use hundreds of setups."""
 IDLE_SECONDS = 600.0
 """Time without a run after which a session is closed: it may hold memory and a licence."""
 
@@ -132,17 +135,19 @@ class BundleSessions:
     def __init__(
         self,
         cache: BundleCache,
-        simulators: Callable[[str], Simulator] = simulator,
+        simulators: Callable[[Mapping[str, Any]], Simulator] = simulator_of,
         tools: Tools | None = None,
         clock: Callable[[], float] = time.monotonic,
         begins: Callable[[int], None] = lambda _: None,
     ) -> None:
-        """`simulators`: returns a simulator by its kind; `tools`: runs probes, by default in child processes; `begins`: see `Worker`."""
+        """`simulators`: returns the simulator of a section; `tools`: runs probes, by default in child processes; `begins`: see `Worker`."""
         self._begins = begins
         self._cache = cache
         self._tools = tools or Tools()
         self._simulators = simulators
         self._sessions: OrderedDict[tuple[str, ...], SimulatorSession] = OrderedDict()
+        self._in_worker: set[tuple[str, ...]] = set()
+        """Sessions that hold no process."""
         self._used: dict[tuple[str, ...], float] = {}
         """Time of the last run of each session."""
         self._failed_alone: dict[tuple[str, ...], float] = {}
@@ -200,7 +205,9 @@ class BundleSessions:
         session = self._session(setup)
         began = time.perf_counter()  # a start's time is no run's
         settings = {name: cell.parameters[name] for name in setup.parameters} | dict(setup.varied)
-        settings |= {name: int(settings[name]) for name in setup.integers}
+        settings |= {
+            name: int(settings[name]) for name in setup.integers if name in settings
+        }  # a campaign's planner may lack some
         shapes = {name: Shape.from_document(name, document) for name, document in setup.shapes.items()}
         parameters = with_points(settings, shapes, setup.simulator)
         self._starts += 1
@@ -212,25 +219,25 @@ class BundleSessions:
             milliseconds = milliseconds_since(start) + 1000 * error.cpu_seconds
             return CellResult(
                 *(cell.id, None, None, {}, None, milliseconds, error.breakdown.value, str(error)),
-                contained=True,
+                contained=error.is_contained,
                 starts=self._starts,
             )
         milliseconds = milliseconds_since(start) + 1000 * outcome.cpu_seconds
-        wall_milliseconds = 1000 * (time.perf_counter() - began - outcome.start_seconds - outcome.queued_seconds)
+        wall = 1000 * (time.perf_counter() - began - outcome.start_seconds - outcome.queued_seconds)
         if cell.check:
             self._begins(cell.id)
         repeats, spent = self._repeated(setup, parameters, outcome) if cell.check else (None, 0.0)
         return CellResult(
             id=cell.id,
-            rating=None,
-            score=None,
+            rating=None if outcome.rating is None else float(outcome.rating.rating),
+            score=None if outcome.rating is None else plain(float(outcome.rating.score)),
             metrics=dict(outcome.measures),
             failure=outcome.failure,
             milliseconds=milliseconds + spent,
             repeats=repeats,
             trace=trace,
             checking=spent,
-            wall_milliseconds=wall_milliseconds,
+            wall_milliseconds=None if runs_in_worker(setup.simulator) else wall,
             starts=self._starts,
         )
 
@@ -277,8 +284,11 @@ class BundleSessions:
         self._tools.check(setup, lambda: self._cache.folder(setup.bundle))
         if setup.session_key not in self._sessions:
             self._sessions[setup.session_key] = self._opened_alone(setup)
-            if len(self._sessions) > MOST_SESSIONS:
-                self._drop(next(iter(self._sessions)))
+            if is_here := runs_in_worker(setup.simulator):
+                self._in_worker.add(setup.session_key)
+            alike = [key for key in self._sessions if (key in self._in_worker) is is_here]
+            if len(alike) > (MOST_IN_WORKER if is_here else MOST_SESSIONS):
+                self._drop(alike[0])
         self._sessions.move_to_end(setup.session_key)
         if not self._watched:
             self._watched = True
@@ -288,7 +298,7 @@ class BundleSessions:
     def _opened_alone(self, setup: SetupRequest) -> SimulatorSession:
         """Opens a session, if need be without the others, which may hold the licence or the memory that it lacks. That is tried again only
         after IDLE_SECONDS: refused cells are asked for often, and the others would start again each time."""
-        refuse_other_parts(setup, self._simulators(setup.simulator["kind"]).version)
+        refuse_other_parts(setup, self._simulators(setup.simulator).version)
         tried = self._clock() - self._failed_alone.get(setup.session_key, -math.inf) < IDLE_SECONDS
         try:
             session = self._opened(setup)
@@ -311,14 +321,19 @@ class BundleSessions:
 
     def _opened(self, setup: SetupRequest) -> SimulatorSession:
         folder = self._cache.folder(setup.bundle)
-        chosen = self._simulators(setup.simulator["kind"])
         parameters = {name: setup.units.get(name, "1") for name in (*setup.parameters, *setup.varied)}
-        declared = Declared(setup.problem, setup.measures, setup.failures, setup.series, parameters=parameters)
-        return chosen.open(setup.simulator, setup.scenario, setup.data, folder, declared)
+        declared = Declared(
+            *(setup.problem, setup.measures, setup.failures, setup.series),
+            parameters=parameters,
+            varied=setup.varied,
+            evaluator=None if setup.evaluator is None else setup.evaluator.split()[0],
+        )
+        return self._simulators(setup.simulator).open(setup.simulator, setup.scenario, setup.data, folder, declared)
 
     def _drop(self, key: tuple[str, ...]) -> None:
         """Closes a session, which may be in any state."""
         self._used.pop(key, None)
+        self._in_worker.discard(key)
         session = self._sessions.pop(key, None)
         if session is not None:
             _close(session)
@@ -353,18 +368,28 @@ def _unable(error: OSError) -> UnavailableError:
     return UnavailableError(f"this machine cannot run simulators: {error}")
 
 
-def refuse_other_parts(setup: SetupRequest, adapter: str | None = None) -> None:
-    """Raises UnavailableError if the adapter, SUMO or a plug-in of a setup is another one here: the results are other ones, too.
+def refuse_other_parts(setup: SetupRequest, adapter: str) -> None:
+    """Raises UnavailableError if the adapter, SUMO or a plug-in of a setup is another one here, or cannot be loaded: the results are other
+    ones, too.
 
     Args:
         setup: the setup.
-        adapter: version of the adapter here, by default the installed one's.
+        adapter: version of the adapter here.
     """
     if not setup.document:
         return
-    installed = {"adapter": adapter or VERSIONS[setup.simulator["kind"]], **parts_of(setup.simulator, setup.data)}
+    installed: dict[str, str | None] = {"adapter": adapter}
+    try:
+        installed |= parts_of(setup.simulator, setup.data)
+        if setup.evaluator is not None:  # its version makes an evaluator check its shipped files
+            evaluator = registry.evaluator(setup.evaluator.split()[0])
+            installed["evaluator"] = f"{evaluator.name} {evaluator.version}"
+    except DrivecalError as error:
+        raise UnavailableError(str(error)) from error
+    except Exception as error:  # a badly installed package may raise any exception
+        raise UnavailableError(f"a plug-in cannot be loaded: {type(error).__name__}: {error}") from error
     for name, version in installed.items():
-        requested = setup.document.get(name)
+        requested = setup.evaluator if name == "evaluator" else setup.document.get(name)
         if version != requested:
             raise UnavailableError(
                 f"coordinator and worker differ: the {name} of kind {setup.simulator['kind']} is {requested} at the coordinator"

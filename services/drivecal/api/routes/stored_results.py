@@ -13,11 +13,11 @@ from drivecal.api.tables.paging import listed, page_or_file
 from drivecal.bundles.units import same
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
+from drivecal.campaigns.resolve.workbench import bench_of, stored_bundles
 from drivecal.campaigns.results.stored import StoredSimulation, given_sets, stored_simulations
 from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedResults, ImportedRow, Source
 from drivecal.contracts.outside.results import MOST_CELLS, ResultLookup, StoredCell, StoredCells
-from drivecal.contracts.specification import EvaluationSpecification, Given
+from drivecal.contracts.specification import ProblemSpecification
 from drivecal.contracts.strict_json import ProblemName
 from drivecal.contracts.tables import Kind, columns_of
 from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
@@ -35,8 +35,7 @@ BODY_MB = 8
 @computed
 def look_up(wanted: ResultLookup, database: DatabaseDependency) -> StoredCells:
     """Which of up to 10,000 cells are stored, with their answers. Nothing is simulated, and nothing is stored."""
-    document = wanted.model_dump(exclude={"sets"}) | {"parameters": wanted.sets[0]}
-    bench = _bench(database, EvaluationSpecification.model_validate(document))
+    bench = bench_of(ProblemSpecification.model_validate(wanted.model_dump(exclude={"sets"})), stored_bundles(database))
     if bench.to_probe is not None:
         raise ConflictError("results of this problem depend on versions that a worker reports; ask by POST /api/v1/evaluations")
     requested = len(wanted.sets) * len(bench.scenarios)
@@ -53,7 +52,7 @@ def look_up(wanted: ResultLookup, database: DatabaseDependency) -> StoredCells:
 @computed
 def store(given: ImportedResults, database: DatabaseDependency, owner: Owner) -> ImportAnswer:
     """Stores results from elsewhere. No campaign takes one in place of a simulation. The same again changes nothing."""
-    bench = _bench(database, _of_problem(given.problem, given.rows[0].parameters))
+    bench = bench_of(ProblemSpecification(problem=given.problem), stored_bundles(database))
     _check(given, bench)
     sets = given_sets(bench, [row.parameters for row in given.rows], "rows[{}].parameters")
     manifest = bench.bundle.manifest
@@ -99,19 +98,6 @@ def delete(query: Annotated[SourceOf, Query()], database: DatabaseDependency) ->
         return ImportDeleted(deleted=imported.remove(connection, query.problem, query.source))
 
 
-def _of_problem(problem: str, parameters: Mapping[str, Given], evaluator: str | None = None) -> EvaluationSpecification:
-    return EvaluationSpecification(problem=problem, parameters=dict(parameters), evaluator=evaluator)
-
-
-def _bench(database: Database, wanted: EvaluationSpecification) -> Bench:
-    diagnostics = Diagnostics()
-    workbench = find_workbench(wanted, stored_bundles(database), diagnostics)
-    diagnostics.raise_if_any()
-    if workbench.make is None:
-        raise AssertionError("a part is missing without a finding")
-    return workbench.make(workbench.scenarios, {})
-
-
 def _check(given: ImportedResults, bench: Bench) -> None:
     """Raises InvalidInputError for names that the problem does not have, and for units that differ from its own."""
     manifest, diagnostics = bench.bundle.manifest, Diagnostics()
@@ -151,7 +137,8 @@ def _beside_simulations(database: Database, problem: str, rows: Sequence[Importe
 
 
 def _simulated(database: Database, problem: str, rows: Sequence[ImportedValues], evaluator: str | None) -> _Simulated:
-    bench, sets = _bench(database, _of_problem(problem, rows[0].parameters.floats, evaluator)), [row.parameters for row in rows]
+    bench = bench_of(ProblemSpecification(problem=problem, evaluator=evaluator), stored_bundles(database))
+    sets = [row.parameters for row in rows]
     with database.read() as connection:  # results that depend on what workers report are not found: a look-up asks no worker
         simulations = stored_simulations(connection, bench, sets) if bench.to_probe is None else []
     form = bench.bundle.manifest.form  # a set of other curves has no simulation

@@ -18,7 +18,7 @@ from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
-from drivecal.domain.evaluations import ANSWERED_BY_DONOR, Donor, Outcome, Rating, RequestedCell
+from drivecal.domain.evaluations import ANSWERED_BY_DONOR, Breakdown, Donor, Outcome, Rating, RequestedCell
 from drivecal.domain.scales import plain
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduling.in_flight import Completed, RunBudget, Work
@@ -54,7 +54,7 @@ class ScoreFaults:
         worst = [
             (scenario, donor) for scenario, donor in stored if donor.failure is None and donor.score == self._bench.scale.failed
         ]
-        if not self._bench.rates or not worst:
+        if self._bench.evaluator is not None or not worst:
             return
         measures = runs.metrics(connection, {donor.run for _, donor in worst})
         for scenario, donor in worst:
@@ -198,8 +198,8 @@ class CellTracker:
                 continue
             if completion.result.id in late:
                 again.append(cell)
-            elif completion.result.breakdown is None:
-                finished.append((cell, completion, self._rating(cell, completion.result)))
+            elif (rating := self._rating(cell, completion.result)) is not None:
+                finished.append((cell, completion, rating))
             else:
                 orphans += self._break_down(cell, completion, answers)
         stored = runs.insert_results(connection, [self._new_run(*simulated) for simulated in finished])
@@ -286,16 +286,13 @@ class CellTracker:
             for cell, run in taken:
                 self._answer(cell, run, answers)
 
-    def _rating(self, cell: StoredEvaluation, result: CellResult) -> Rating:
-        """Returns a result's rating, which workers do not know for bundles. A failed run cannot beat it (`Scale.worth`)."""
-        bench, score, rating = self._view.bench, result.score, result.rating
-        if bench.rates and (rated := bench.rate(cell.scenario, result.metrics, result.failure)) is not None:
-            score, rating = rated.score, rated.rating
-            self.faults.note(cell.scenario, rated)
-        if score is None or rating is None:
-            raise ValueError(f"evaluation {cell.id} has no score, or lacks a measure that its score needs")
-        score, rating = (bench.scale.worth(value, failed=result.failure is not None) for value in (score, rating))
-        return Rating(float(rating), plain(score))
+    def _rating(self, cell: StoredEvaluation, result: CellResult) -> Rating | None:
+        """Returns a result's rating; None without a run, and if the run cannot be rated."""
+        rated = None if result.breakdown is not None else self._view.bench.rate_result(cell.scenario, result)
+        if rated is None:
+            return None
+        self.faults.note(cell.scenario, rated)
+        return Rating(float(rated.rating), plain(rated.score))
 
     def _simulated(
         self, cell: StoredEvaluation, completion: Completed, rating: Rating, run: StoredRun, answers: list[AnsweredCell]
@@ -329,11 +326,13 @@ class CellTracker:
         orphans: list[StoredEvaluation] = []
         if not completion.shared:
             self.budget.left += completion.unstarted
-        detail = completion.result.detail
+        cause, detail = completion.result.breakdown, completion.result.detail
+        if cause is None:
+            cause, detail = Breakdown.ERROR.value, "the run has no score, or lacks a measure that its score needs"
         if detail is not None:  # every database can store it so
             detail = detail[:LONGEST_DETAIL].encode(errors="replace").decode().replace("\0", "\ufffd")
         if self.broken is None:
-            self.broken = f"{cell.scenario}: {completion.result.breakdown}: {detail or 'no message'} ({_place(cell)})"
+            self.broken = f"{cell.scenario}: {cause}: {detail or 'no message'} ({_place(cell)})"
         for other in (cell, *self._copies.pop(cell.id, ())):
             if other.plan is Outcome.REUSED:
                 orphans.append(other)
@@ -341,7 +340,7 @@ class CellTracker:
             own = completion if other is cell and not completion.shared else None
             answers.append(
                 AnsweredCell(
-                    *(other.id, Outcome.FAILED, None, None, None, completion.result.breakdown),
+                    *(other.id, Outcome.FAILED, None, None, None, cause),
                     **_attempt(own),
                     agrees=self._inspection.compare(other, None),
                     detail=detail,

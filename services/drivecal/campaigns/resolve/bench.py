@@ -1,5 +1,6 @@
 """The bench of a campaign: everything except the parameter set that decides its results."""
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -11,7 +12,8 @@ from drivecal.bundles.expressions import Formula
 from drivecal.bundles.fingerprints import score_id, setup_document
 from drivecal.bundles.installed import Bundle
 from drivecal.bundles.manifest import Manifest, ScoreEntry
-from drivecal.contracts.work import SetupRequest
+from drivecal.contracts.work import CellResult, SetupRequest
+from drivecal.domain.errors import describe
 from drivecal.domain.evaluations import Rating
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.scales import Scale
@@ -19,6 +21,8 @@ from drivecal.domain.setups import Setup, base_of
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Evaluator, SeriesEvaluator
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -46,8 +50,6 @@ class Bench:
     """Rates the runs; None: the score has a formula."""
     seed: int = 0
     """Seed of all runs; 0 if the simulator does not depend on one."""
-    is_driven: bool = False
-    """True if the runs need no child process (`SetupRequest.is_driven`)."""
     repeat: float = 0.0
     """Share of simulated cells that run twice on a simulator that does not claim to be deterministic."""
     earlier: Manifest | None = None
@@ -89,7 +91,6 @@ class Bench:
     def requests(self) -> dict[str, SetupRequest]:
         """Run requests to workers by scenario."""
         manifest = self.bundle.manifest
-        rated = self.is_driven and self.evaluator is not None
         units = manifest.arguments
         units |= {name: entry.unit for name, entry in manifest.varied.items()}
         unseeded = self._setups(0) if self.seed else {}
@@ -111,11 +112,9 @@ class Bench:
                 tools=self.bundle.tools,
                 units=units,
                 varied=self.vehicles.get(name, self.values),
-                evaluator=self.evaluator.name if rated and self.evaluator else None,
-                evaluator_version=self.evaluator.version if rated and self.evaluator else None,
+                evaluator=self.evaluator_id if self.needs_series else None,
                 seed=self.seed,
                 session=unseeded[name].fingerprint if unseeded else "",
-                is_driven=self.is_driven,
                 resources=manifest.resources(base_of(name)),
                 renews=manifest.simulator.renews,
             )
@@ -143,18 +142,20 @@ class Bench:
 
     @property
     def needs_series(self) -> bool:
-        """True if stored runs lack the time series that the score needs."""
+        """True if the score needs the time series of runs, which workers alone have: they rate. Stored runs lack them."""
         return isinstance(self.evaluator, SeriesEvaluator)
-
-    @property
-    def rates(self) -> bool:
-        """True if the coordinator rates the results of workers. Otherwise workers do, because they have the time series of the run."""
-        return self.evaluator is None or not self.is_driven
 
     @property
     def repeated_share(self) -> float:
         """Share of simulated cells that run twice."""
         return 0.0 if self.bundle.manifest.simulator.deterministic else self.repeat
+
+    def rate_result(self, scenario: str, result: CellResult) -> Rating | None:
+        """Rates what a worker reports of a run: as `rate`, except if the worker has rated it by its time series."""
+        if result.rating is None or result.score is None:
+            return self.rate(scenario, result.metrics, result.failure)
+        failed = result.failure is not None
+        return Rating(self.scale.worth(result.rating, failed=failed), self.scale.worth(result.score, failed=failed))
 
     def rate(self, scenario: str, measures: Mapping[str, float | None], failure: str | None) -> Rating | None:
         """Rates a run by what is stored of it.
@@ -169,8 +170,7 @@ class Bench:
         """
         if self.evaluator is None:
             known = {name: value for name, value in measures.items() if value is not None}
-            scored = rate(self._formula, self.scale, known, failure)
-            return None if scored is None else Rating(scored.value, scored.value, scored.undefined, scored.cut)
+            return rate(self._formula, self.scale, known, failure)
         scale = self.scale
         if failure is not None:
             return Rating(scale.failed, scale.failed)
@@ -179,12 +179,15 @@ class Bench:
             rating = self.evaluator.rate(self._rated_as(scenario), values)
         except (KeyError, ValueError):  # a measure that was not reported then, or not finite
             return None
+        except Exception as error:  # noqa: BLE001  # a plug-in may raise any exception
+            log.warning("the evaluator %s cannot rate a run of %s: %s", self.evaluator.name, scenario, describe(error))
+            return None
         return Rating(scale.worth(rating.rating), scale.worth(rating.score)) if isfinite(rating.rating) else None
 
     def _rated_as(self, scenario: str) -> str:
         """Returns the class of a scenario for evaluators: its `rated_as`, or its id."""
         data = self.scenarios[scenario]
-        if "catalogue" in data and self.is_driven:
+        if "catalogue" in data and self.bundle.manifest.is_driven:
             return registry.catalogue(data["catalogue"]).scenarios[base_of(scenario)].rated_as
         return str(data.get("rated_as", base_of(scenario)))
 

@@ -30,6 +30,13 @@ class Diagnostics:
             self.problems.extend(error.problems)
             return None
 
+    def found(self, part: T | None) -> T:
+        """Returns a part that is there if there are no problems. Raises InvalidInputError with all problems."""
+        self.raise_if_any()
+        if part is None:
+            raise AssertionError("a part is missing without a finding")
+        return part
+
     def raise_if_any(self) -> None:
         """Raises InvalidInputError with all problems."""
         if self.problems:

@@ -47,11 +47,8 @@ def resolve_map(specification: InfluenceMapSpecification, bundles: BundleSource 
     """
     diagnostics = Diagnostics()
     named = specification.model_dump(include={"problem", "catalogue", "driving_function"})
-    workbench = find_workbench(ProblemSpecification.model_construct(**named), bundles, diagnostics)
-    diagnostics.raise_if_any()
-    function, scenarios = workbench.function, workbench.scenarios
-    if function is None:
-        raise AssertionError("a part is missing without a finding")
+    workbench = find_workbench(ProblemSpecification.model_validate(named), bundles, diagnostics)
+    function, scenarios = diagnostics.found(workbench.function), workbench.scenarios
     space = search_parameters(specification.parameters, function)
     parameters = {parameter.name: parameter for parameter in space}
     influences: dict[str, dict[str, Influence]] = {}

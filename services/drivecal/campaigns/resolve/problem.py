@@ -29,12 +29,13 @@ from drivecal.campaigns.resolve.spaces import (
     space_to_document,
 )
 from drivecal.campaigns.resolve.variants import find_variants, goals_of_variants
-from drivecal.campaigns.resolve.workbench import BundleSource, find_workbench, installed_bundles
+from drivecal.campaigns.resolve.workbench import BundleSource, bench_of, find_workbench, installed_bundles
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import (
     LARGEST_REPLICATES,
     CampaignSpecification,
     EvaluationSpecification,
+    ProblemSpecification,
     SensitivitySpecification,
 )
 from drivecal.contracts.work import Batch, Cell
@@ -247,17 +248,13 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     analysed = specification.sensitivity
     if constraints is not None and isinstance(analysed, SensitivitySpecification):
         diagnostics.attempt(lambda: resolvers.plan_analysis(analysed, constraints, tuple(weights)))
-    diagnostics.raise_if_any()
-    if workbench.make is None or space is None or constraints is None:
-        raise AssertionError("a part is missing without a finding")
+    make, space, allowed = diagnostics.found(workbench.make), diagnostics.found(space), diagnostics.found(constraints)
     specification = specification.model_copy(update=dict(workbench.settled) | settled_search(specification, optimization))
-    bench = replace(workbench.make(weights, variants.vehicles), repeat=specification.reduction.repeat)
+    bench = replace(make(weights, variants.vehicles), repeat=specification.reduction.repeat)
     resolvers.check_units(specification, bench.scale, diagnostics)
     notes += resolvers.note_predictions(specification, bench.scale)
     sets = baseline, start_sets, robust_sets
-    problem = CalibrationProblem(
-        specification, bench, space, weights, optimization, *sets, notes, constraints, goals, own_goals
-    )
+    problem = CalibrationProblem(specification, bench, space, weights, optimization, *sets, notes, allowed, goals, own_goals)
     _check_rates(problem, diagnostics)
     diagnostics.raise_if_any()
     return replace(problem, notes=(*notes, *diagnostics.notes, *problem.doubts_about_map()))
@@ -305,20 +302,18 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
         if workbench.function is None
         else free_values(specification.parameters, workbench.function, "parameters", diagnostics)
     )
-    diagnostics.raise_if_any()
-    if workbench.make is None or workbench.function is None:
-        raise AssertionError("a part is missing without a finding")
+    make, function = diagnostics.found(workbench.make), diagnostics.found(workbench.function)
     parameter_set = ParameterSet.of(values)
-    space = ParameterSpace(search_parameters(None, workbench.function))
-    Constraints(space, workbench.function.constraints).check(parameter_set, "parameters")
+    space = ParameterSpace(search_parameters(None, function))
+    Constraints(space, function.constraints).check(parameter_set, "parameters")
     specification = specification.model_copy(update=dict(workbench.settled) | {"parameters": parameter_set.floats})
-    bench = workbench.make(scenarios, {})
+    bench = make(scenarios, {})
     given = specification.seeds
     seeds = tuple(range(1, given + 1) if isinstance(given, int) else sorted(set(given)))
     bench = bench.seeded(seeds[0])
     if bench.bundle.manifest.simulator.deterministic and not bench.is_random and seeds != (1,):
         raise InvalidInputError(Problem("seeds", "the simulator is deterministic: all seeds give one result", "leave it out"))
-    notes = (*diagnostics.notes, *notes_off_grid(values, workbench.function))
+    notes = (*diagnostics.notes, *notes_off_grid(values, function))
     if bench.bundle.manifest.claims:
         notes += ("`added`, `removed` and `renamed` of problem.yaml answer campaigns only",)
     return EvaluationProblem(specification, bench, parameter_set, seeds, notes)
@@ -330,6 +325,7 @@ def trial() -> Batch:
     It compiles all kernels, which can exceed a batch's time limit. A worker with another version or without a working SUMO refuses it.
     Raises InvalidInputError if the coordinator lacks a plug-in.
     """
-    problem = resolve(CampaignSpecification())
-    middle = problem.space.parameter_set((problem.space.n_values // 2).tolist())
-    return Batch(problem.bench.requests[problem.scenarios[0]], (Cell(0, middle.floats),))
+    bench = bench_of(ProblemSpecification())
+    space = ParameterSpace(bench.parameters)
+    middle = space.parameter_set((space.n_values // 2).tolist())
+    return Batch(next(iter(bench.requests.values())), (Cell(0, middle.floats),))

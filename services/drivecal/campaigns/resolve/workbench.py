@@ -128,6 +128,13 @@ def constraints_of(manifest: Manifest) -> dict[str, Allows]:
     return {text: Constraint(text, known) for text in manifest.conditions}
 
 
+def bench_of(wanted: Wanted, source: BundleSource = installed_bundles) -> Bench:
+    """Returns the bench of all scenarios that a specification names. Raises InvalidInputError with every problem."""
+    diagnostics = Diagnostics()
+    workbench = find_workbench(wanted, source, diagnostics)
+    return diagnostics.found(workbench.make)(workbench.scenarios, {})
+
+
 def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostics) -> Workbench:
     """Returns the problem that a specification names, as far as it exists."""
     try:
@@ -174,9 +181,7 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
     def make(chosen: Collection[str], others: Mapping[str, Mapping[str, float]]) -> Bench:
         listed = {name: data[base_of(name)] for name in chosen}
         seed, simulated = 1 if manifest.simulator.random else 0, (section, varied, values, others)
-        return Bench(
-            bundle, score, function.name, parameters, listed, *simulated, evaluator, seed=seed, is_driven=manifest.is_driven
-        )
+        return Bench(bundle, score, function.name, parameters, listed, *simulated, evaluator, seed=seed)
 
     settled: dict[str, Any] = {"problem": bundle.digest, "evaluator": score}
     if evaluator is not None and evaluator.name != manifest.scores[score].evaluator:

@@ -10,9 +10,9 @@ from multiprocessing.connection import Connection
 
 from drivecal.cluster import pulse
 from drivecal.cluster.guard import end_with_parent
-from drivecal.domain.errors import DrivecalError
+from drivecal.domain.errors import DrivecalError, describe
 from drivecal.execution.processes.calls import START, RemoteAnswer, RemoteCall
-from drivecal.runtime.worker import Worker, describe
+from drivecal.runtime.worker import Worker
 
 
 def main() -> int:

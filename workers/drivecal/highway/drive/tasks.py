@@ -1,27 +1,30 @@
-"""Simulation and rating of parameter sets in one scenario with a task, by an installed driving function in the worker itself."""
+"""Simulation of parameter sets in one scenario with a task, by an installed driving function in the worker itself."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
 from drivecal.bundles.highway import HighwayScenario
-from drivecal.contracts.evaluation import ReplayPlan, SeriesAnswer
+from drivecal.contracts.evaluation import ReplayPlan
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.evaluations import FAILED_RATING, Failure, Rating, RunResult
+from drivecal.domain.evaluations import Failure
 from drivecal.domain.roads import Floats
 from drivecal.domain.scenarios import FARTHEST, Scenario, TrafficVehicle
 from drivecal.highway.comfort.metrics import comfort_metrics
 from drivecal.highway.drive.control import PlannerControl
-from drivecal.highway.drive.loop import FinishedRun, Loop
+from drivecal.highway.drive.loop import Loop
 from drivecal.highway.drive.measures import TICK, Record, jerks
 from drivecal.highway.drive.replay import DriveRecorder
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.traffic import Traffic
-from drivecal.plugins.ports import DrivingFunction, Evaluator, Series, SeriesEvaluator, VehicleModel
+from drivecal.plugins.ports import DrivingFunction, Series, SeriesEvaluator, VehicleModel
+from drivecal.plugins.simulators import RunOutcome
 from drivecal.roads.carriageway import carriageway, corridor_of
 from drivecal.roads.corridor import Corridor
 
@@ -111,54 +114,67 @@ def road_of(scenario: Scenario) -> HighwayRoad:
 
 
 class TaskRunner:
-    """Simulates and rates parameter sets in one scenario, in the only SUMO simulation of this process.
+    """Simulates parameter sets in one scenario, in the only SUMO simulation of this process.
 
     Runners of several scenarios may coexist; switching between them costs a reload of some milliseconds. Equal parameters give equal bits,
     independent of earlier runs.
     """
 
     def __init__(
-        self, scenario: Scenario, driving_function: DrivingFunction, vehicle: VehicleModel, evaluator: Evaluator
+        self,
+        scenario: Scenario,
+        driving_function: DrivingFunction,
+        vehicle: VehicleModel,
+        evaluator: SeriesEvaluator | None = None,
     ) -> None:
-        """Creates a runner. `vehicle`: as from `Vehicle.create`; runners must not share it.
+        """Creates a runner.
+
+        Args:
+            scenario: the scenario, with the seed of the first runs.
+            driving_function: what drives.
+            vehicle: as from `Vehicle.create`; runners must not share it.
+            evaluator: rates the runs.
 
         Raises InvalidInputError if the scenario cannot be driven, and TrafficError if SUMO refuses it.
         """
-        scenario = drawn(scenario)
         self.parameters = tuple(parameter.name for parameter in next(iter(driving_function.spaces.values())))
         """Names of the driving function's parameters in the order of `run`."""
-        self._scenario = scenario
-        self._evaluator = evaluator
-        self._series_evaluator = evaluator if isinstance(evaluator, SeriesEvaluator) else None  # isinstance takes microseconds
-        self._vehicle = vehicle
+        self._function, self._vehicle, self._evaluator = driving_function, vehicle, evaluator
         self._folder = TemporaryDirectory()
-        folder = Path(self._folder.name)
-        (folder / NETWORK).write_bytes(scenario.network)
-        drifts = {other.id: drift_offsets(other, scenario) for other in scenario.traffic if other.drift}
+        (Path(self._folder.name) / NETWORK).write_bytes(scenario.network)
         self._road = road_of(scenario)
-        traffic = Traffic(scenario.id, described(scenario), folder / NETWORK, self._road, scenario.step, folder, drifts=drifts)
-        control = PlannerControl(driving_function.create(scenario))
-        self._loop = Loop(traffic, vehicle, control, verge=0.0, heading=scenario.ego.heading)
+        self._prepare(scenario)
 
-    def run(self, parameters: Sequence[float]) -> RunResult:
-        """Runs one simulation with these parameter values, in the order of the driving function's parameters.
+    def _prepare(self, scenario: Scenario) -> None:
+        """Prepares the runs under the scenario's seed, which other vehicles and the planner may depend on."""
+        self._given, self._scenario = scenario, drawn(scenario)
+        folder = Path(self._folder.name)
+        drifts = {other.id: drift_offsets(other, scenario) for other in scenario.traffic if other.drift}
+        vehicles = described(self._scenario)
+        traffic = Traffic(scenario.id, vehicles, folder / NETWORK, self._road, scenario.step, folder, drifts=drifts)
+        control = PlannerControl(self._function.create(self._scenario))
+        self._loop = Loop(traffic, self._vehicle, control, verge=0.0, heading=scenario.ego.heading)
 
-        Raises TrafficError if SUMO fails, which is not a result, unlike a `failure` of the driving function.
+    def seed(self, number: int) -> None:
+        """Sets the seed of the next runs."""
+        if number != self._given.seed:
+            self._prepare(replace(self._given, seed=number))
+
+    def run(self, parameters: Sequence[Any], *, series: bool = False) -> RunOutcome:
+        """Runs one simulation.
+
+        Args:
+            parameters: values in the order of the driving function's parameters.
+            series: the outcome has time series and a replay.
+
+        Raises TrafficError if SUMO fails, and ValueError if a measure or the rating is not finite.
         """
-        return self._result(self._loop.run(parameters))
-
-    def trace(self, parameters: Sequence[float]) -> tuple[RunResult, SeriesAnswer]:
-        """Runs the same simulation and returns its time series, too."""
-        recorder = TaskRecorder(self._scenario)
+        recorder = TaskRecorder(self._scenario) if series else None
         finished = self._loop.run(parameters, watch=recorder)
-        result = self._result(finished)
-        return result, recorder.answer(finished.record, result, self._road.corridor)
-
-    def _result(self, finished: FinishedRun) -> RunResult:
         motion, dynamics = finished.record.motion, finished.record.dynamics
         offsets = target_offsets(motion, self._scenario)
-        series = Series(dynamics, offsets[1:])
-        metrics = comfort_metrics(series.dynamics, series.offset) | {
+        signals = Series(dynamics, offsets[1:])
+        metrics = comfort_metrics(signals.dynamics, signals.offset) | {
             "driven_s": (len(motion) - 1) * self._scenario.step,
             "final_offset_m": offsets.item(-1),
             "final_speed_error_mps": speed_errors(motion[-1:], self._scenario).item(),
@@ -166,15 +182,16 @@ class TaskRunner:
         measured = getattr(self._vehicle, "metrics", None)  # `SelfMeasuring`, in some vehicles only after a run
         if measured is not None:
             metrics |= measured
-        failure = None if finished.failure is None else Failure(finished.failure)
+        failure, rating = finished.failure, None
         if failure is None and not fulfilled(motion, self._scenario):
-            failure = Failure.TASK_MISSED
-        return RunResult(FAILED_RATING if failure else self._rating(metrics, series), metrics, failure)
-
-    def _rating(self, metrics: Mapping[str, float], series: Series) -> Rating:
-        if self._series_evaluator is not None:
-            return self._series_evaluator.rate_series(self._scenario.rated_as, series)
-        return self._evaluator.rate(self._scenario.rated_as, metrics)
+            failure = Failure.TASK_MISSED.value
+        if failure is None and self._evaluator is not None:
+            rating = self._evaluator.rate_series(self._scenario.rated_as, signals)
+        outcome = RunOutcome({name: float(value) for name, value in metrics.items()}, failure, rating=rating)
+        numbers = {**outcome.measures, **({} if rating is None else {"rating": rating.rating, "score": rating.score})}
+        if wrong := [f"{name} is {value}" for name, value in numbers.items() if not isfinite(value)]:
+            raise ValueError(f"{' and '.join(wrong)}; results must be finite")
+        return outcome if recorder is None else recorder.completed(outcome, finished.record, self._road.corridor)
 
 
 def target_offsets(motion: Floats, scenario: Scenario) -> Floats:
@@ -230,8 +247,9 @@ class TaskRecorder:
         for name, row in zip(traffic.names, np.hstack([traffic.neighbours[:, :4], traffic.outlines[:, :3]]), strict=True):
             self._others[name].append(row)
 
-    def answer(self, record: Record, result: RunResult, corridor: Corridor) -> SeriesAnswer:
-        """Returns the recorded run, with a value after each step. A last step that left the road has none: SUMO never received it."""
+    def completed(self, outcome: RunOutcome, record: Record, corridor: Corridor) -> RunOutcome:
+        """Returns the outcome with what was recorded: a value after each step. A last step that left the road has none: SUMO never received
+        it."""
         n, step = len(self._poses) - 1, self._scenario.step
         ends = np.arange(1, n + 1) * round(step / TICK) - 1
         series = {"time_s": (np.arange(1, n + 1) * step).tolist()}
@@ -243,9 +261,5 @@ class TaskRecorder:
             others = _columns(NEIGHBOUR_COLUMNS, np.array(rows[1:]).reshape(-1, len(NEIGHBOUR_COLUMNS)))
             series |= {f"{name}_{quantity}": values for quantity, values in others.items()}
         replay = self._drive.replay(record, self._scenario.ego.length, corridor)
-        return SeriesAnswer(
-            measures=dict(result.metrics),
-            failure=result.failure.value if result.failure else None,
-            series=series,
-            replay=None if replay is None else replay.model_copy(update={"plans": self._plans}),
-        )
+        replay = None if replay is None else replay.model_copy(update={"plans": self._plans})
+        return replace(outcome, series=series, replay=replay)

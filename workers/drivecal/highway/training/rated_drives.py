@@ -1,6 +1,6 @@
 """Manoeuvres for training the comfort evaluator: runs of the built-in scenarios and synthetic profiles, rated by the reference scale."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,21 +42,15 @@ class RatedDrive:
 
 
 class _Recorder:
-    """An evaluator that rates by the reference scale and keeps the channels of the last run."""
-
-    name, version = "recorder", "1"
+    """Rates by the reference scale and keeps the channels of the last run."""
 
     def __init__(self) -> None:
         self.channels: Integers | None = None
 
-    def rate(self, rated_as: str, metrics: Mapping[str, float]) -> Rating:
-        """Rates by the reference scale."""
-        return reference.rate(Manoeuvre(rated_as), metrics)
-
     def rate_series(self, rated_as: str, series: Series) -> Rating:
         """Rates by the reference scale and keeps the channels."""
         self.channels = channels_of(series.dynamics, series.offset)
-        return self.rate(rated_as, comfort_metrics(series.dynamics, series.offset))
+        return reference.rate(Manoeuvre(rated_as), comfort_metrics(series.dynamics, series.offset))
 
 
 def group_of_set(number: int) -> str:
@@ -85,7 +79,7 @@ def simulated(total: int, numbers: Sequence[int], seed: int) -> list[RatedDrive]
             row = zip(unit[number], space, strict=True)
             values = [float(parameter.value(round(u * (parameter.n_values - 1)))) for u, parameter in row]
             result = runners[number % 2].run(values)
-            if result.failure is None and recorder.channels is not None:
+            if result.rating is not None and recorder.channels is not None:
                 group = group_of_set(number)
                 name = f"{group} {scenario.id}"
                 drives.append(RatedDrive(Manoeuvre(scenario.rated_as), group, name, recorder.channels, result.rating.rating))
