@@ -180,7 +180,7 @@ def _over_seeds(cells: Sequence[EvaluatedCell]) -> EvaluatedCell:
         "milliseconds": sum(cell.milliseconds or 0.0 for cell in cells) or None,
         "metrics": {name: _mean(values) for name, values in metrics.items()} or None,
         "within": {name: (ends["lower"], ends["upper"]) for name, each in metrics.items() if (ends := _interval(each))},
-        "seeds": [seed for cell in cells for seed in cell.seeds],
+        "seeds": [seed for cell in cells for seed in cell.seeds or [1]],
         "failures": sum(cell.failure is not None and cell.score is not None for cell in cells),
         "scores": scores,
         "failure": next((cell.failure for cell in cells if cell.failure), None),

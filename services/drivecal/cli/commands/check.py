@@ -213,7 +213,7 @@ def check(
     if as_json:
         print_json(_document(checked, findings))
     else:
-        columns = [name for name in COLUMNS if checked.first.lower is not None or name not in INTERVAL]
+        columns = [name for name in COLUMNS if name not in INTERVAL or any(cell.scores for cell in checked.first.items)]
         print_columns(columns, [[row[name] for name in columns] for row in _rows(checked, findings)])
         if within := within_text(checked.first.lower, checked.first.upper):
             typer.echo(f"mean score {told(checked.first.objective)}{within}")
