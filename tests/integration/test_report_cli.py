@@ -92,7 +92,7 @@ def test_a_cell_is_explained_within_its_campaign(run: Run, api: RunningApi, ende
 def test_show_prints_the_account_and_gives_it_as_json(run: Run, api: RunningApi, ended: str) -> None:
     printed = run("show", ended).stdout
     shown = json.loads(run("show", ended, "--json").stdout)
-    assert shown["accounting"]["requested"] == 10
+    assert shown["cells"]["requested"] == 10
     assert shown["id"] == ended
     assert "in CPU time of the workers" in printed
     assert shown["accounting"]["sentence"] in printed
