@@ -1,13 +1,13 @@
 """Campaigns with several objectives and constraints: searched, predicted and confirmed by a dispatcher."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import pytest
 from tests.support.computed import ComputedBackend, rating_of
 from tests.support.runs import get, nothing_matters, post_map, run, submit
-from tests.support.several import SEARCH, installed
+from tests.support.several import SEARCH, SEVERAL, installed
 from tests.support.values import present
 
 from drivecal.analysis.solutions import Ranking
@@ -40,6 +40,13 @@ def measured(scenario: str, cell: Cell) -> CellResult:
     return CellResult(cell.id, rating, 0 if failure else round(rating), {JERK: jerk}, failure, 7.0)
 
 
+def amounts(parameters: Mapping[str, Any], weights: Mapping[str, float]) -> tuple[float, float]:
+    """Mean comfort and largest jerk of a set."""
+    given = {name: measured(name, Cell(0, parameters)) for name in weights}
+    jerks = [20.0 if answer.failure else answer.metrics[JERK] for answer in given.values()]
+    return sum(weight * (given[name].score or 0) for name, weight in weights.items()), max(jerks)
+
+
 def backend() -> ComputedBackend:
     return ComputedBackend(answer=measured)
 
@@ -66,15 +73,16 @@ def test_a_score_and_a_measure_are_searched_together(database: Database) -> None
     assert [each[1] for each in front] == sorted((each[1] for each in front), reverse=True)
     assert present(ended.best).objective == pytest.approx(front[0][0])
     with database.read() as connection:
-        rows = list(results.stream(connection, ended.sequence))
-    by_set: dict[int, dict[str, results.StoredEvaluation]] = {}
-    for row in rows:
-        by_set.setdefault(row.parameter_set_id, {})[row.scenario] = row
-    for cells in by_set.values():
-        given = {name: measured(name, Cell(0, row.parameters.floats)) for name, row in cells.items()}
-        comfort = float(np.mean([answer.score or 0 for answer in given.values()]))
-        jerk = max(20.0 if answer.failure else answer.metrics[JERK] for answer in given.values())
-        assert any(each[0] >= comfort - 1e-9 and each[1] <= jerk + 1e-9 for each in front), "a set beyond the front"
+        asked = {(row.iteration, row.individual): row.parameters for row in results.stream(connection, ended.sequence)}
+    resolved = resolved_spec(ended)
+    bare = SEVERAL.create(SEVERAL.settings.model_validate(SEARCH), resolved.space.n_values)
+    for iteration in range(SEARCH["iterations"]):
+        sets = resolved.space.parameter_sets(bare.ask().population)
+        assert sets == [asked[iteration, individual] for individual in range(len(sets))], "the optimizer was told otherwise"
+        told = [amounts(each.floats, resolved.weights) for each in sets]
+        bare.tell(np.array(told) * (1, -1), np.zeros(len(sets)))
+        for comfort, jerk in told:
+            assert any(each[0] >= comfort - 1e-9 and each[1] <= jerk + 1e-9 for each in front), "a set beyond the front"
 
 
 def test_one_score_in_several_scenarios_is_answered_by_references_and_confirmed(database: Database) -> None:

@@ -1,7 +1,6 @@
-"""CMA-ES behind the port, whose answers are replayed: resumable, and refused if it proposes otherwise."""
+"""CMA-ES, whose answers are replayed: refused if it proposes otherwise. Promises of every optimizer: `test_optimizers.py`."""
 
 import importlib
-import json
 import sys
 
 import numpy as np
@@ -31,18 +30,6 @@ def drive(optimizer: Optimizer, iterations: int) -> list[Indices]:
     return result
 
 
-@pytest.mark.parametrize("asked", [False, True])
-def test_a_resumed_run_equals_an_uninterrupted_one(asked: bool) -> None:
-    whole = drive(CMA_ES.create(SETTINGS, GRID), 6)
-    first = CMA_ES.create(SETTINGS, GRID)
-    begun = drive(first, 3)
-    if asked:
-        first.ask()
-    second = CMA_ES.restore(SETTINGS, GRID, json.loads(json.dumps(first.state(), allow_nan=False)))
-    resumed = begun + drive(second, 3)
-    assert all(np.array_equal(a, b) for a, b in zip(resumed, whole, strict=True))
-
-
 @pytest.mark.parametrize("since", [0, 1, 2, 3])
 @pytest.mark.parametrize("asked", [False, True])
 def test_a_refused_replay_names_the_first_iteration_that_differs(since: int, asked: bool) -> None:
@@ -67,20 +54,6 @@ def test_a_strategy_that_draws_otherwise_is_refused() -> None:
     with pytest.raises(ReplayError) as refused:
         CMA_ES.restore(CMA_ES.settings(population=12, seed=8), GRID, saved.state())
     assert refused.value.iteration == 1
-
-
-def test_a_state_of_another_population_is_refused() -> None:
-    state = CMA_ES.create(SETTINGS, GRID).state()
-    with pytest.raises(InvalidInputError, match=r"\(12, 4\).*\(5, 4\)"):
-        CMA_ES.restore(CMA_ES.settings(population=5), GRID, state)
-
-
-def test_telling_twice_is_refused() -> None:
-    optimizer = CMA_ES.create(SETTINGS, GRID)
-    answers = patchy(optimizer.ask().population)
-    optimizer.tell(*answers)
-    with pytest.raises(RuntimeError):
-        optimizer.tell(*answers)
 
 
 def test_one_whose_library_is_missing_says_which_extra_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:

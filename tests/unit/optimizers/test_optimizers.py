@@ -16,6 +16,7 @@ from tests.support.effort import examples
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM, GeneticSettings, RandomSettings
+from drivecal.optimizers.cma_es import CMA_ES
 from drivecal.optimizers.genetic import BitEncoding
 from drivecal.optimizers.population import ranking
 from drivecal.optimizers.repair import checked_proposal
@@ -25,8 +26,9 @@ HIGHWAY = np.array([59, 201, 201, 2001, 1501, 101, 201, 2001, 101, 201, 201])
 SMALL = np.array([5, 16, 3, 40])
 
 Told = list[tuple[Indices, npt.NDArray[np.bool_]]]
-every = pytest.mark.parametrize("plugin", [GENETIC, RANDOM, SWARM], ids=["genetic", "random", "swarm"])
-replacing = pytest.mark.parametrize("plugin", [GENETIC, RANDOM], ids=["genetic", "random"])
+every = pytest.mark.parametrize("plugin", [GENETIC, RANDOM, SWARM, CMA_ES], ids=lambda plugin: plugin.name)
+unreplayed = pytest.mark.parametrize("plugin", [GENETIC, RANDOM, SWARM], ids=lambda plugin: plugin.name)
+replacing = pytest.mark.parametrize("plugin", [GENETIC, RANDOM], ids=lambda plugin: plugin.name)
 
 
 def chosen(plugin: OptimizerPlugin, **values: Any) -> BaseModel:
@@ -66,7 +68,7 @@ def assert_same(one: Told, other: Told) -> None:
         assert np.array_equal(changed, other_changed)
 
 
-@every
+@unreplayed
 @given(seed=st.integers(0, 2**63 - 1), stop=st.integers(0, 6), asked=st.booleans(), population=st.integers(2, 30))
 @settings(max_examples=examples(60))
 def test_a_resumed_run_equals_an_uninterrupted_one(
