@@ -13,8 +13,6 @@ from tests.support.values import present
 
 from drivecal.api import submission
 from drivecal.api.expectation import expected
-from drivecal.campaigns.resolve.problem import resolve_evaluation
-from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.campaigns.results.explanation import explain
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
@@ -48,6 +46,12 @@ def push(database: Database, parameters: dict[str, Any], model: str = "", **clai
 
 def carried_out(database: Database, **changes: Any) -> StoredCampaign:
     return finish(database, submit_checked(database, SPEC | changes), dispatcher(database, ComputedBackend(driven=driven)))
+
+
+def evaluated(database: Database, parameters: dict[str, Any], **changes: Any) -> StoredCampaign:
+    specification = EvaluationSpecification.model_validate({"problem": "acc", "parameters": parameters} | changes)
+    single = submission.evaluate(database, LIMITS, specification, None)
+    return finish(database, single, dispatcher(database, ComputedBackend(driven=driven)))
 
 
 def foretold(database: Database, **changes: Any) -> list[str]:
@@ -122,6 +126,27 @@ def test_a_wrong_claim_ends_the_campaign_and_is_named(database: Database, value:
     assert ended.cells.requested == (0 if value == 19 else ended.cells.repeated)
 
 
+@pytest.mark.parametrize("value", [19, 20])
+def test_runs_of_the_earlier_version_answer_evaluations_once_a_campaign_has_checked_them(
+    database: Database, value: float
+) -> None:
+    earlier = carried_out(database)
+    first, last = (
+        row.parameters.floats | {"jerk_max": value} for row in (rows_of(database, earlier)[place] for place in (0, -1))
+    )
+    push(database, BEFORE | JERK, added={"jerk_max": value})
+    unchecked = evaluated(database, first)
+    assert unchecked.cells.simulated == 2
+    assert ("added.jerk_max" in (unchecked.error or "")) == (value == 19), "its own runs are compared"
+    carried_out(database, fixed={"jerk_max": value})
+    after = evaluated(database, last)
+    assert after.cells.repeated == (2 if value == 20 else 0)
+    assert after.state is (CampaignState.SUCCEEDED if value == 20 else CampaignState.FAILED)
+    assert evaluated(database, last, fresh=True).state is CampaignState.SUCCEEDED, "claims say nothing about new runs"
+    with database.read() as connection:
+        assert [list(check(connection)) for check in CHECKS.values()] == [[] for _ in CHECKS]
+
+
 def test_nothing_is_claimed_without_a_claim_about_each_difference(database: Database) -> None:
     carried_out(database)
     push(database, BEFORE | JERK | {"k": {"lower": 0, "upper": 9}}, added={"jerk_max": 20})
@@ -132,8 +157,6 @@ def test_nothing_is_claimed_without_a_claim_about_each_difference(database: Data
     push(database, BEFORE | JERK | {"k": {"lower": 0, "upper": 9}}, "changed", added={"jerk_max": 20})
     assert any("model.py" in note for note in carried_out(database, fixed=fixed).notes)
     assert any("model.py" in note for note in foretold(database, fixed=fixed))
-    single = EvaluationSpecification(problem="acc", parameters={"x": 0, "n": 1, "jerk_max": 20, "k": 3})
-    assert any("`added`" in note for note in resolve_evaluation(single, stored_bundles(database)).notes)
 
 
 def test_a_rerun_on_other_curves_takes_lists_anew_and_refuses_coefficients(database: Database) -> None:

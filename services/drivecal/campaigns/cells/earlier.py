@@ -1,5 +1,6 @@
 """Stored runs of earlier versions of a problem, which answer its cells if the manifest says what they mean."""
 
+import sys
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -10,6 +11,7 @@ from drivecal.bundles.archives import MANIFEST, files_of
 from drivecal.bundles.manifest import Manifest
 from drivecal.bundles.shapes import with_coefficients
 from drivecal.campaigns.resolve.bench import Bench
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.parameters import ParameterSet, ParameterSpace, Setting, Value, decimal
@@ -89,6 +91,18 @@ def bench_of(version: EarlierVersion, bench: Bench) -> Bench:
     return replace(bench, earlier=version.manifest)
 
 
+def present_version(bench: Bench) -> EarlierVersion:
+    """Returns the present version, whose runs answer its own cells."""
+    return EarlierVersion(bench.bundle.manifest, {each.name: each.name for each in bench.parameters}, {}, {})
+
+
+def checked_cells(connection: Connection, bench: Bench) -> list[tuple[str, ParameterSet]]:
+    """Returns the present cells that campaigns simulated to check claims."""
+    settings = bench.evaluator_id, sys.maxsize, MOST_SCENARIOS, (StageName.CLAIMS,)
+    known = _setup_ids(connection, bench).items()
+    return [(name, run.parameters) for name, number in known for run in runs.rated(connection, number, *settings)]
+
+
 def earlier_versions(connection: Connection, bench: Bench) -> tuple[EarlierVersion, ...]:
     """Returns the pushed versions of a problem whose runs its manifest speaks of, last pushed first."""
     manifest = bench.bundle.manifest
@@ -125,39 +139,30 @@ def unclaimed(connection: Connection, digest: str, manifest: Manifest) -> list[s
     return notes
 
 
-@dataclass(frozen=True, slots=True)
-class EarlierCell:
-    """A stored run of an earlier version, and the present set that it answers."""
-
-    version: EarlierVersion
-    scenario: str
-    parameters: ParameterSet
-    run: RatedRun
-
-
 def sample(
     connection: Connection, bench: Bench, versions: Collection[EarlierVersion], space: ParameterSpace, watermark: int
-) -> list[EarlierCell]:
-    """Returns the stored cells that check claims: the same for every campaign, as far as its space and scenarios hold them."""
-    cells: list[EarlierCell] = []
+) -> list[tuple[EarlierVersion, str, ParameterSet]]:
+    """Returns the cells whose runs of earlier versions check claims: the same for every campaign, as far as its space and scenarios hold
+    them."""
+    cells = []
     for version in versions:
         known = _setup_ids(connection, bench_of(version, bench))
         for scenario, setup_id in islice(known.items(), max(1, MOST_SCENARIOS // len(versions))):
             stored = _answering(connection, bench, version, setup_id, space, watermark)
-            cells += [EarlierCell(version, scenario, *cell) for cell in islice(stored, max(1, SAMPLE // len(known)))]
+            cells += [(version, scenario, each) for each in islice(stored, max(1, SAMPLE // len(known)))]
     return cells
 
 
 def _answering(
     connection: Connection, bench: Bench, version: EarlierVersion, setup_id: int, space: ParameterSpace, watermark: int
-) -> Iterator[tuple[ParameterSet, RatedRun]]:
+) -> Iterator[ParameterSet]:
     """Yields the sets in the space that an earlier version's runs in a setup answer, in a random order that is always the same."""
     names = {*version.kept.values(), *version.removed}
     others = {*version.kept, *version.added} - names
     for run in runs.in_order_of_keys(connection, setup_id, bench.evaluator_id, watermark, names, others):
         present = version.after(run.parameters, space.names)
         if present is not None and place_in(space, present) is not None:
-            yield present, run
+            yield present
 
 
 def place_in(space: ParameterSpace, parameters: ParameterSet) -> tuple[int, ...] | None:

@@ -315,7 +315,7 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
         raise InvalidInputError(Problem("seeds", "the simulator is deterministic: all seeds give one result", "leave it out"))
     notes = (*diagnostics.notes, *notes_off_grid(values, function))
     if bench.bundle.manifest.claims:
-        notes += ("`added`, `removed` and `renamed` of problem.yaml answer campaigns only",)
+        notes += ("`added`, `removed` and `renamed` of problem.yaml answer once a campaign has checked them",)
     return EvaluationProblem(specification, bench, parameter_set, seeds, notes)
 
 

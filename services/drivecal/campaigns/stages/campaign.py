@@ -3,14 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from drivecal.campaigns.cells.earlier import earlier_versions, unclaimed
+from drivecal.campaigns.cells.earlier import bench_of, checked_cells, earlier_versions, unclaimed
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.maps import check_basis, stored_map, warnings_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem
 from drivecal.campaigns.stages.calibration import Calibration
-from drivecal.campaigns.stages.claims import ClaimCheck, checkable
+from drivecal.campaigns.stages.claims import ClaimCheck, checkable, compare
 from drivecal.campaigns.stages.outside import OutsideSearch
 from drivecal.campaigns.stages.prediction_validation import PredictionValidation
 from drivecal.campaigns.stages.replication import SeededBenches
@@ -19,7 +19,7 @@ from drivecal.campaigns.stages.sensitivity import Sensitivity
 from drivecal.campaigns.stages.stage import Round, Stage
 from drivecal.campaigns.stages.validation import ValidationStage
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import NoResultError
+from drivecal.domain.errors import InvalidInputError, NoResultError
 from drivecal.domain.evaluations import Purpose, RequestedCell
 from drivecal.execution.scheduling.in_flight import Completed, Work
 from drivecal.reduction.assignment import Policy
@@ -37,9 +37,17 @@ class SingleEvaluation(Stage):
     ends_early = False
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: EvaluationProblem, view: View) -> None:
-        super().__init__(database, campaign, view)
-        self._problem = problem
-        self._benches = SeededBenches(problem.bench)
+        is_new = view.traced or problem.specification.fresh
+        with database.read() as connection:
+            versions = () if is_new else earlier_versions(connection, problem.bench)
+            cells = checked_cells(connection, problem.bench) if versions else []
+        for version in versions:
+            rate_stored_runs(database, replace(view, bench=bench_of(version, problem.bench)))
+        compared = [(version, *compare(database, view, [version], cells)) for version in versions]
+        checked = tuple(version for version, number, faults in compared if number and not faults)
+        super().__init__(database, campaign, replace(view, earlier=checked))
+        self._unchecked = [version for version in versions if version not in checked]
+        self._problem, self._is_new, self._benches = problem, is_new, SeededBenches(problem.bench)
         self._asked = False
 
     @property
@@ -61,12 +69,17 @@ class SingleEvaluation(Stage):
             for scenario in bench.scenarios
             for seed in self._problem.seeds
         ]
-        is_new = self._view.traced or self._problem.specification.fresh
-        return Round(0, self._benches.with_cells(cells), Policy("off" if is_new else "exact"))
+        return Round(0, self._benches.with_cells(cells), Policy("off" if self._is_new else "exact"))
 
     def _tell(self, asked: Round) -> None:
-        """Ends the evaluation. Raises NoResultError if a cell has no result; the rows hold the answers of the others."""
+        """Ends the evaluation. Raises NoResultError if a cell has no result; the rows hold the answers of the others. Raises
+        InvalidInputError if runs of earlier versions differ from these, although claims that no campaign has checked make them equal."""
         del asked
+        parameters = self._problem.parameter_set
+        cells = [(scenario, parameters) for scenario in self._problem.bench.scenarios]
+        _, faults = compare(self._database, self._view, self._unchecked, cells)
+        if faults:
+            raise InvalidInputError(*faults)
         if failed := self._tracker.counts["failed"]:
             raise NoResultError(f"{failed:,} of the {self._at_most:,} cells gave no result{self._causes()}")
 
@@ -151,7 +164,7 @@ class StagedCampaign(Job):
             view = replace(self._view, earlier=earlier_versions(connection, self._problem.bench))
             unused = unclaimed(connection, bundle.digest, bundle.manifest)
         sampled = checkable(self._database, view, self._problem) if view.earlier else []
-        used = tuple(version for version in view.earlier if any(cell.version is version for cell in sampled))
+        used = tuple(version for version in view.earlier if any(each is version for each, *_ in sampled))
         self._view = replace(view, earlier=used)
         claims = ", ".join(dict.fromkeys(claim for version in used for claim in version.claims))
         checked = f"a sample of {len(sampled)} was checked by simulation in the stage claims"

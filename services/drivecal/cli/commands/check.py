@@ -95,7 +95,7 @@ class CheckedSet:
     @property
     def notes(self) -> list[str]:
         """The notes of all evaluations."""
-        noted = [f"{whose}{note}" for whose, each in self._each() for note in each.notes]
+        noted = [f"{whose}{note}" for whose, each in self._each() for note in (*each.notes, each.error) if note]
         return list(dict.fromkeys(noted))
 
     def _each(self) -> Iterator[tuple[str, Evaluation]]:
