@@ -94,7 +94,7 @@ def usual_work(api: ApiProcess) -> None:
         refused(api.http.get(f"/api/v1/campaigns/{NOBODY}"))
 
     with ThreadPoolExecutor(16) as pool:
-        list(pool.map(ask, range(80)))
+        list(pool.map(ask, range(40)))
 
 
 def chunks(megabytes: int | None) -> Iterator[bytes]:

@@ -44,7 +44,7 @@ def test_what_is_asked_for_does_not_depend_on_the_order_of_answers(tmp_path: Pat
     result = []
     for seed in range(2):
         database = migrated(f"sqlite:///{tmp_path / f'{seed}.db'}")
-        result.append(everything(database, carried_out(database, seed, budget={"simulations": 100}, **BY_CELL)))
+        result.append(everything(database, carried_out(database, seed, budget={"simulations": 50}, **BY_CELL)))
         database.dispose()
     assert result[0] == result[1]
 

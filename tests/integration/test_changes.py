@@ -66,7 +66,7 @@ def changed(parameters: Any) -> list[str]:
 
 
 def test_the_smallest_change_that_reaches_a_limit_is_found(database: Database) -> None:
-    best = carried_out(database).best
+    best = carried_out(database, budget={"simulations": 90}).best
     assert best is not None
     assert best.violation == 0
     assert changed(best.parameters) == ["p1", "p2"]

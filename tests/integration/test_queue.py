@@ -38,7 +38,7 @@ TINY: dict[str, Any] = {
     "optimizer": {"kind": "genetic", "population": 16, "iterations": 4, "seed": 3},
     "catalogue": ["S1", "S2"],
 }
-BY_CELL: dict[str, Any] = {"optimizer": {"kind": "cell_search"}, "budget": {"simulations": 90}, "catalogue": ["S1", "S2"]}
+BY_CELL: dict[str, Any] = {"optimizer": {"kind": "cell_search"}, "budget": {"simulations": 60}, "catalogue": ["S1", "S2"]}
 BOLD_MAP = {
     scenario: {f"P{i}": {"influential": False} for i in range(1, 12) if i not in left}
     for scenario, left in {"S1": (1, 2), "S2": (3, 4)}.items()

@@ -10,6 +10,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -107,13 +108,17 @@ def _note(event: str, arguments: tuple[object, ...]) -> None:
         strays.append(path)
 
 
-sys.addaudithook(_note)  # stays as long as the process
+@cache
+def _watch() -> None:
+    """Adds the hook, which stays as long as the process and makes every import and query of other tests slower."""
+    sys.addaudithook(_note)
 
 
 @contextmanager
 def at_home() -> Iterator[None]:
     """Fails if Python opens a file elsewhere than in `PLACES` in this thread. Programs that it starts are not seen."""
     global _watched  # noqa: PLW0603  # the hook of the process cannot be taken away
+    _watch()
     strays: list[str] = []
     _watched = threading.get_ident(), strays
     try:

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+from sqlalchemy import select
 from tests.support.computed import ComputedBackend
 from tests.support.server import RunningApi
 
@@ -20,6 +21,7 @@ from drivecal.execution.backend import Backend
 from drivecal.execution.pool import StoredLeases, WorkPool
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
 from drivecal.storage.results import StoredEvaluation
@@ -152,12 +154,13 @@ def run(database: Database, campaign: StoredCampaign, backend: ComputedBackend |
 
 def finish(database: Database, campaign: StoredCampaign, working: Dispatcher) -> StoredCampaign:
     """Works until a campaign has ended, successfully or not."""
+    ended = select(tables.campaigns.c.ended_at.is_not(None)).where(tables.campaigns.c.id == campaign.id)
     for _ in range(MOST_STEPS):
-        now = get(database, campaign)
-        if now.state.ended:
-            return now
+        with database.read() as connection:
+            if connection.scalar(ended):
+                return campaigns.get(connection, campaign.id)
         working.step()
-    raise AssertionError(f"the campaign did not end: {now}")
+    raise AssertionError(f"the campaign did not end: {get(database, campaign)}")
 
 
 def run_posted(api: RunningApi, document: Mapping[str, Any], backend: ComputedBackend) -> str:

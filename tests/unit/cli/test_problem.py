@@ -48,7 +48,7 @@ def check(folder: str, *options: str) -> tuple[int, dict[str, Any]]:
     return result.exit_code, json.loads(result.stdout)
 
 
-@pytest.mark.slow("process", "command")
+@pytest.mark.slow("process", "python")
 @pytest.mark.parametrize("kind", ["process", "command", "python"])
 def test_a_new_problem_works_as_it_is(tmp_path: Path, kind: str) -> None:
     folder = str(tmp_path / "mine")
@@ -57,6 +57,8 @@ def test_a_new_problem_works_as_it_is(tmp_path: Path, kind: str) -> None:
     assert f"{folder}/problem.yaml" in json.loads(made.stdout)["files"]
     code, report = check(folder)
     assert (code, report["name"]) == (0, "mine")
+    needs_a_new_process = None if kind == "command" else True
+    assert {scenario["other"]["alone"] for scenario in report["scenarios"]} == {needs_a_new_process}
     assert command("problem", "init", kind, "mine", "--folder", folder).exit_code == 2, "nothing is overwritten"
 
 
@@ -73,6 +75,7 @@ def test_every_scenario_is_run_twice_in_the_middle_of_the_space(write: Write) ->
     assert (city["scenario"], city["measures"], city["scores"]) == ("city", {"energy": 32.5}, {"cost": 10 / 32.5})
     assert (city["repeats"], len(city["seconds"]), city["error"]) == (True, 2, None)
     assert road["measures"] == {"energy": 62.5}
+    assert [scenario["other"]["alone"] for scenario in report["scenarios"]] == [True, True]
     assert (len(report["digest"]), report["files"]) == (64, ["model.py", "problem.yaml"])
 
 
@@ -108,7 +111,6 @@ def test_state_kept_from_the_first_run_is_a_warning(write: Write) -> None:
     assert [scenario["other"]["alone"] for scenario in report["scenarios"]] == [False, False]
     assert [warning.split(":")[0] for warning in report["warnings"]] == ["city", "road"]
     assert all("new process" in warning for warning in report["warnings"])
-    assert [scenario["other"]["alone"] for scenario in check(write())[1]["scenarios"]] == [True, True]
     unclaimed = check(write(STATEFUL, deterministic=False))[1]
     assert ([scenario["other"]["alone"] for scenario in unclaimed["scenarios"]], unclaimed["warnings"]) == ([None, None], [])
 
@@ -118,12 +120,6 @@ def test_a_set_that_has_a_result_after_others_only_is_a_warning(write: Write) ->
     code, report = check(write(model))
     assert (code, len(report["warnings"])) == (0, 2)
     assert all("no start" in scenario["other"]["alone_error"] for scenario in report["scenarios"])
-
-
-def test_a_command_needs_no_new_process(tmp_path: Path) -> None:
-    folder = str(tmp_path / "mine")
-    command("problem", "init", "command", "mine", "--folder", folder)
-    assert {scenario["other"]["alone"] for scenario in check(folder)[1]["scenarios"]} == {None}
 
 
 def test_the_table_shows_scores_measures_and_times(write: Write) -> None:

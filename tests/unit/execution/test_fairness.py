@@ -140,7 +140,7 @@ def test_a_setup_in_a_vehicle_that_was_never_driven_costs_what_others_of_its_kin
 _costs = st.fixed_dictionaries({scenario: st.floats(0.0005, 0.6) for scenario in ("S1", "S2", "S3")})
 
 
-@settings(max_examples=examples(60), deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @example(3, {"S1": 0.5, "S2": 0.5, "S3": 0.001}, ["S1", "S3", "S3"], 2)
 @example(3, {"S1": 0.0005, "S2": 0.5, "S3": 0.001}, ["S1", "S1", "S2"], 2)
 @given(st.integers(1, 6), _costs, st.lists(st.sampled_from(["S1", "S2", "S3"]), min_size=2, max_size=4), st.integers(2, 4))

@@ -145,7 +145,7 @@ rooms = st.integers(1, 9)
 windows = st.integers(1, 4)
 
 
-@settings(max_examples=examples(5), deadline=None)
+@settings(max_examples=examples(3), deadline=None)
 @given(seed=st.integers(0, 1000), room=rooms, window=windows, steps=st.booleans(), data=st.data())
 def test_cells_are_new_feasible_and_within_room_and_budget_and_a_resumed_search_asks_for_the_same(
     seed: int, room: int, window: int, steps: bool, data: st.DataObject

@@ -133,7 +133,7 @@ def test_it_rates_as_the_training_framework_does(manoeuvre: Manoeuvre) -> None:
 
 
 def test_training_again_gives_the_same_bits() -> None:
-    drives = [drive for number in range(20) if (drive := synthetic(Manoeuvre.LANE_KEEPING, number, seed=5)) is not None]
+    drives = [drive for number in range(8) if (drive := synthetic(Manoeuvre.LANE_KEEPING, number, seed=5)) is not None]
     once, again = (comfort.fit(drives, comfort.rated_by_panel(drives), seed=2).regression for _ in range(2))
     for name in ("channels", "biases", "weights", "intercept"):
         np.testing.assert_array_equal(getattr(once, name), getattr(again, name))
