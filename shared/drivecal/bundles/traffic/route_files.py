@@ -31,6 +31,7 @@ MOST_VEHICLES = 2000
 MOST_READ = 10_000
 """Elements that SUMO reads of a file: the time that its schema takes for wrong ones grows with the square."""
 MOST_FAULTS = 20
+MOST_DRAWN = 100  # routes of a distribution that are looked at for each vehicle
 MOST_SEARCHED = 200_000  # edges that are looked at for ways of trips; SUMO judges the others
 OWN_TYPES = frozenset(f"DEFAULT_{kind}TYPE" for kind in ("VEH", "BIKE", "TAXI", "PED", "RAIL", "CONTAINER"))  # SUMO's
 LONG = 1e9
@@ -74,6 +75,9 @@ IGNORED = ("param", "person", "personFlow", "container", "containerFlow")
 _REFERENCES = {"type": "type", "vTypes": "type", "route": "route", "routes": "route"}
 NAMES = frozenset({"id", "from", "to", "via", "edges", "edge", "lane", *_REFERENCES})
 _NUMBER = re.compile(r"(?i)\b(?:nan|inf(?:inity)?)\b|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d*)?")
+_NEEDED = ("from", "route", "type")
+_WHOLE = re.compile(r"[-+]?\d+")
+_DRAWN = re.compile(r"^normc?\(([^(),]+)(?:,[-+.\deE]+)*\)$")  # a time that is drawn, with its mean
 _BLANKS = re.compile(r"\s*([(),])\s*")  # SUMO takes them inside of values and not around them, its schema neither
 LIMITS = {
     ("vType", "tau"): (1e-3, LONG),
@@ -224,26 +228,64 @@ class _Reader:
         self._departing.append((begin, element))
 
     def _check_start(self, element: Element) -> None:
-        """Checks that a vehicle can start with its type's speed in its lane, and that a way leads to a trip's end."""
+        """Checks that a vehicle can start with its type's speed in its lane, and that its way leads to its stops and its end."""
         values, route = element.values, element.optional("route")
         of_type = kind.values if (kind := self._given["type"].get(values.get("type", "DEFAULT_VEHTYPE"))) else {}
         fastest = finite(of_type.get("maxSpeed", "")) or FASTEST.get(of_type.get("vClass", ""), 200 / 3.6)
         if (finite(values.get("departSpeed", "")) or 0.0) > fastest and (kind is None or kind.element == "vType"):
             raise element.fault(f"departSpeed is above the {fastest:.4g} m/s of the type", "give less, or the type a maxSpeed")
-        route = route or self._given["route"].get(values.get("route", ""))
         ways = [edge for key in ("from", "via", "to") for edge in values.get(key, "").split() if "from" in values]
-        edges = ways or ("" if route is None else route.values.get("edges", "")).split()
-        lane = values.get("departLane", "").strip()
-        if lane.isdigit() and edges and self._network.lane(f"{edges[0]}_{lane}") is None:
-            raise element.fault(f"{shown(edges[0], 80)} has no lane {lane}", "give a departLane from 0, the rightmost")
         for begin, end in pairwise(ways):
-            reached, fresh = {begin}, [begin]
-            while fresh and end not in reached and self._searched < MOST_SEARCHED:
-                self._searched += 1
-                fresh += {link.end for link in self._network.connections.get(fresh.pop(), ())} - reached
-                reached.update(fresh)
-            if end not in reached and not fresh:
-                raise element.fault(f"no way leads from {shown(begin, 80)} to {shown(end, 80)}", "give edges that lead there")
+            self._check_way(element, begin, end)
+        named = route or self._given["route"].get(values.get("route", "") if not ways else "")
+        drawn = () if named is None else named.values.get("routes", "").split(None, MOST_DRAWN)[:MOST_DRAWN]
+        inside = [*map(self._given["route"].get, drawn), *([] if named is None else named.every("route")), named]
+        lane, stops = values.get("departLane", "").strip(), element.every("stop")
+        for each in inside:
+            left, before = (ways, []) if each is None else (each.values.get("edges", "").split(), each.every("stop"))
+            self._searched += len(inside) - 1
+            if not left or self._searched > MOST_SEARCHED:  # SUMO judges
+                continue
+            if _WHOLE.fullmatch(lane) and self._network.lane(f"{left[0]}_{int(lane)}") is None:
+                raise element.fault(f"{shown(left[0], 80)} has no lane {lane}", "give a departLane from 0, the rightmost")
+            at = self._along(element, "departPos", left[0], 0.0)
+            for stop in (*before, *stops):
+                edge, place = self._halt(stop)
+                if edge.startswith(":"):
+                    continue  # on a junction: SUMO judges
+                back = edge == left[0] and place < at
+                if ways:
+                    self._check_way(stop, left[0], edge, back=back)
+                elif edge not in left[back:]:
+                    raise stop.fault("it is not ahead on the route", "give a lane of it, behind departPos and earlier stops")
+                left, at = [edge] if ways else left[left.index(edge, back) :], place
+            if stops and values.get("to"):
+                back = ways[0] != ways[-1] and self._along(element, "arrivalPos", ways[-1], inf) < at
+                self._check_way(element, left[0], ways[-1], back=back)
+
+    def _check_way(self, element: Element, begin: str, end: str, *, back: bool = False) -> None:
+        """Checks that a way leads from an edge to another, or with `back` around to the same edge."""
+        reached, fresh = set[str](), [begin] if begin != end or back else []
+        while fresh and end not in reached and self._searched < MOST_SEARCHED:
+            self._searched += 1
+            fresh += {link.end for link in self._network.connections.get(fresh.pop(), ())} - reached
+            reached.update(fresh)
+        if (begin != end or back) and end not in reached and not fresh:
+            raise element.fault(f"no way leads from {shown(begin, 80)} to {shown(end, 80)}", "give edges that lead there")
+
+    def _along(self, element: Element, key: str, edge: str, default: float) -> float:
+        """Returns a place along an edge (m), which may be given from its end."""
+        place = finite(element.values.get(key, ""))
+        return default if place is None else place + self._network.edges[edge].lanes[0].length * (place < 0)
+
+    def _halt(self, stop: Element) -> tuple[str, float]:
+        """Returns the edge of a stop and its end along it (m)."""
+        edge = stop.values["lane"].rpartition("_")[0] if "lane" in stop.values else stop.values["edge"]
+        length = self._network.edges[edge].lanes[0].length
+        begin, end = self._along(stop, "startPos", edge, 0.0), self._along(stop, "endPos", edge, length)
+        if not 0 <= begin <= end <= length:
+            raise stop.fault(f"it lies from {begin:g} to {end:g} m of {length:g} m", "give startPos and endPos in the lane")
+        return edge, end
 
     def _check(self, element: Element) -> None:
         """Checks the attributes of an element and of those inside of it, and its edges."""
@@ -263,6 +305,17 @@ class _Reader:
                 numbers = [finite(part) for part in (text.removeprefix("exp(").rstrip(")"), *_NUMBER.findall(text))]
                 if None in numbers[1:] or not all(low <= number <= high for number in numbers[:1] if number is not None):
                     raise element.fault(f"{key} is {shown(text, 40)}", f"give a number from {low:g} to {high:g}")
+                if (element.element, key) == ("vType", "speedFactor") and len(numbers) in {2, 5}:
+                    usual = CLASSES.get(element.values.get("vClass", ""), CLASSES["passenger"])[2]
+                    own = finite(element.values.get("speedDev", ""))
+                    drawn = *filter(None, numbers[1:]), usual if own is None else own, 0.2, 2.0
+                    mean, spread, low, high = drawn[:4]
+                    if spread > 0 and not low - 3 * spread <= mean <= high + 3 * spread:
+                        raise element.fault(
+                            f"{key} is {mean:g}, and is drawn from {low:g} to {high:g}", "give one between, or no speedDev"
+                        )
+            elif key in _NEEDED and not element.values[key].strip():
+                raise element.fault(f"{key} is empty", "fill it in, or leave it out")
         self._check_places(element)
         for key, kind in _REFERENCES.items():
             for name in element.values.get(key, "").split():
@@ -277,13 +330,23 @@ class _Reader:
         kind = "type" if tag.startswith("vType") else "route" if tag.startswith("route") else "vehicle"
         if name in self._taken[kind] or (kind == "vehicle" and name.rpartition(".")[0] in self._taken[kind]):
             raise element.fault(f"another {kind} has the same id, here or in the scenario", "rename one")
+        if tag.endswith("Distribution"):
+            listed = element.values.get(f"{tag[:-12]}s", "").split()
+            shares = element.values.get("probabilities", "").split() if listed else []
+            members = [self._given[kind][other] if kind == "type" else None for other in listed[len(shares) :]]
+            members += element.every("vType", "route")
+            rest = ["1" if each is None else each.values.get("probability", "1") for each in members]
+            if None in map(finite, shares) or not sum(finite(each) or 0.0 for each in shares[: len(listed)] + rest):
+                remedy = f"give it a {kind}, and one of them a number above 0 as probability"
+                raise element.fault(f"nothing can be drawn of it, with probabilities {shown(' '.join(shares), 40)}", remedy)
         self._taken[kind] |= {name} - {""}
         self._given[kind] |= {name: element} if name else {}
 
     def _check_places(self, element: Element) -> None:
         """Checks that the network has the edges and the lane of an element, and links from each edge of a route to the next."""
         route = element.values.get("edges", "").split()
-        alone = (edge for key in ("edge", "from", "via", "to") for edge in element.values.get(key, "").split())
+        alone = [edge for key in ("from", "via", "to") for edge in element.values.get(key, "").split()]
+        alone += [element.values["edge"]] if "edge" in element.values else []
         for edges in (route, *([edge] for edge in alone)):
             for _, message, remedy in self._network.faults(edges):
                 raise element.fault(message, remedy)
@@ -293,6 +356,8 @@ class _Reader:
             _seconds(element, "duration", "0") < 0 or {"lane", "edge"}.isdisjoint(element.values)
         ):
             raise element.fault("a stop needs a place, and no duration below 0", "give lane or edge, and a duration")
+        if element.element == "stop":
+            self._halt(element)
         if element.element == "route" and not route:
             raise element.fault("the route has no edges", "give it edges")
 
@@ -311,9 +376,9 @@ def _copied(element: Element, read: list[Element]) -> ET.Element:
 def _seconds(element: Element, key: str, default: str | None = None) -> float:
     """Returns a time in seconds, which may be written as days, hours, minutes and seconds with colons."""
     text = element.text(key, default)
-    parts = [finite(part) for part in reversed(text.split(":"))]
+    parts = [finite(part) for part in reversed(_DRAWN.sub(r"\1", _BLANKS.sub(r"\1", text.strip())).split(":"))]
     total = sum((inf if part is None else part) * unit for part, unit in zip(parts, (1.0, 60.0, 3600.0, 86400.0), strict=False))
-    if not abs(total) <= LONG or len(parts) > 4:
+    if not abs(total) <= LONG or len(parts) not in {1, 3, 4}:
         raise element.fault(f"{key} is {shown(text, 40)}, which is not a time", "give seconds, e.g. 12.5")
     return total
 

@@ -1,9 +1,13 @@
 """SUMO route files: what is on the list is passed on to SUMO, everything else is refused with file, line and element."""
 
+from contextlib import suppress
+from pathlib import Path
+from random import Random
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
+from tests.support.networks import entrance
 from tests.support.scenario_files import ROUTES, with_routes
 from tests.support.values import faults_of, present
 
@@ -11,11 +15,15 @@ from drivecal.bundles.highway_checks import scenario_problems
 from drivecal.bundles.traffic.elements import Element
 from drivecal.bundles.traffic.route_files import RouteTraffic
 from drivecal.domain.errors import InvalidInputError
+from drivecal.highway import sumo
 
 ROUTE = '<route id="r" edges="before beside after"/>'
 VEHICLE = '<vehicle id="a" route="r" depart="0" departPos="150" departSpeed="28"{}/>'
 TYPED = VEHICLE.format(' type="t"')
 FLOW = '<flow id="f" route="r" {}/>'
+STOP = VEHICLE.format("").replace("/>", "><stop {}/></vehicle>")
+TRIP = '<trip id="a" depart="0" from="before" to="after" {}</trip>'
+DRAWN = '<vType id="t"/><vTypeDistribution id="d" {}/>' + VEHICLE.format(' type="d"')
 
 
 def file(content: str) -> bytes:
@@ -51,6 +59,18 @@ def refusal(content: str | bytes, **data: Any) -> str:
     return problem.message
 
 
+def is_driven(content: bytes, folder: Path) -> bool:
+    """Returns whether SUMO drives a file for 25 s."""
+    for name, text in (("road.net.xml", entrance()), ("a.rou.xml", content)):
+        (folder / name).write_bytes(text)
+    with suppress(*sumo.SUMO_ERRORS):
+        sumo.load(sumo.options(str(folder / "road.net.xml"), str(folder / "a.rou.xml"), 1.0, 1))
+        for _ in range(25):
+            sumo.simulation.step()
+        return True
+    return False
+
+
 def test_sumo_reads_a_file_as_it_is_without_what_has_no_effect() -> None:
     car, lorry, through, *vehicles = elements(ROUTES)
     assert car.attrib.items() >= {"carFollowModel": "IDM", "lcAssertive": "2", "speedFactor": "normc(1,0.1,0.2,2)"}.items()
@@ -82,9 +102,17 @@ def test_sumo_reads_a_file_as_it_is_without_what_has_no_effect() -> None:
         FLOW.format('begin="0" end="20" number="5"'),
         '<vType id="t" apparentDecel="1e05"/><vType id="a"/>' + TYPED + '<trip id="b" depart="0" from="before" to="after"/>',
         '<vType id="DEFAULT_BIKETYPE" length="2"/>' + VEHICLE.format(' type="DEFAULT_TAXITYPE"'),
+        *map(DRAWN.format, ('vTypes="t"', 'vTypes="t" probabilities="0.5 0.5"', 'vTypes="t DEFAULT_VEHTYPE" probabilities="0 1"')),
+        *(VEHICLE.format(more).replace("150", place) for more, place in (
+            (' arrivalPos="9999"', "9999"), (' arrivalPos="-9999"', "-9999"), (' departLane="+1"', "splitFront"))),
+        *map(STOP.format, (
+            'lane="before_0" endPos="-5" duration="norm(5,1)"', 'lane="before_0" startPos="180" endPos="180" duration="0:01:00"',
+            'lane=":b_1_0" duration="3"', 'lane="after_0" duration="1"', 'edge="beside" lane="before_0" duration="1"')),
+        *map(TRIP.format, ('><stop lane="before_0" endPos="2" duration="3"/>', 'via="beside"><stop lane="before_0" duration="1"/>')),
     ],
-)
-def test_what_sumo_drives_is_passed_on(content: str) -> None:
+)  # fmt: skip
+def test_what_sumo_drives_is_passed_on(content: str, tmp_path: Path) -> None:
+    assert is_driven(file(content), tmp_path)
     read = elements(content)
     given = list(ET.fromstring(file(content)))
     assert [ET.tostring(element).strip() for element in read] == [ET.tostring(element).strip() for element in given]
@@ -137,6 +165,57 @@ def test_everything_else_is_refused_with_line_and_element(content: str, part: st
     message = refusal(content)
     assert message.startswith("a.rou.xml: line ")
     assert part in message
+
+
+@pytest.mark.parametrize(
+    ("content", "place"),
+    [
+        *((STOP.format(f'lane="{text}" duration="1"'), "<stop>") for text in (
+            "ramp_0", 'before_0" endPos="9999', 'before_0" endPos="149', 'before_0" endPos="-9999', 'before_0" startPos="180" endPos="170',
+            'before_0" startPos="-9999', 'before_0" until="1:00', 'beside_0" duration="1"/><stop lane="before_0')),
+        (STOP.format('edge=" before" duration="1"'), "<stop>"), (TRIP.format('><stop lane="ramp_0" duration="1"/>'), "<stop>"),
+        (TRIP.format('departPos="9"><stop lane="before_0" endPos="8" duration="1"/>'), "<stop>"),
+        (TRIP.format('arrivalPos="9"><stop lane="after_0" endPos="10" duration="1"/>'), "<trip id=a>"),
+        ('<route id="q" edges="before"><stop lane="after_0" duration="1"/></route><vehicle id="b" route="q" depart="0"/>', "<stop>"),
+        *((DRAWN.format(text), "<vTypeDistribution id=d>") for text in (
+            "", 'vTypes=""', 'vTypes="t" probabilities="true"', 'vTypes="t" probabilities="1 x"', 'vTypes="t" probabilities="0"')),
+        ('<vType id="u" probability="0"/><vTypeDistribution id="d" vTypes="u"/>' + VEHICLE.format(""), "<vTypeDistribution id=d>"),
+        *((f'<routeDistribution id="d" {text}/>' + VEHICLE.format(""), "<routeDistribution id=d>") for text in (
+            "", 'routes="r" probabilities="true"')),
+        *((VEHICLE.format(f' departLane="{lane}"'), "<vehicle id=a>") for lane in ("+5", "5", "99999999999", "-1", "1.0")),
+        *((VEHICLE.format("").replace(old, new), "<vehicle id=a>") for old, new in (
+            ("28", "fast"), ("28", "-1"), ("28", "99"), ("150", "far"), ("150", "1e400"))),
+    ],
+)  # fmt: skip
+def test_what_sumo_refuses_is_refused_at_its_element(content: str, place: str, tmp_path: Path) -> None:
+    assert not is_driven(file(content), tmp_path)
+    assert refusal(content).startswith(f"a.rou.xml: line 3, {place}: ")
+
+
+MORE = f"""<vTypeDistribution id="mixed" vTypes="car lorry" probabilities="0.7 0.3"/>
+<routeDistribution id="ways"><route id="w" edges="before beside"/><route id="v" edges="before beside after"/></routeDistribution>
+<vehicle id="drawn" type="mixed" route="ways" depart="1" departLane="0" departPos="50"/>
+{TRIP.format('departPos="20"><stop lane="before_1" endPos="90" duration="2"/><stop edge="beside" startPos="2" endPos="40" until="30"/>')}"""
+
+
+@pytest.mark.parametrize("tries", [40, 300])
+@pytest.mark.slow("300")
+def test_mutated_files_that_pass_load_in_sumo(tries: int, tmp_path: Path) -> None:
+    passed = 0
+    for seed in range(tries):
+        draw, root = Random(seed), ET.fromstring(ROUTES.replace(b"</routes>", f"{MORE}</routes>".encode()))
+        parent = draw.choice([each for each in root.iter() if len(each)])
+        element, value = draw.choice([*parent]), draw.choice(["-1", "0", "0.5", "7", "95", "1e4", "true", "", "+2"])
+        key, kind = draw.choice([*element.attrib, "none"]), draw.randrange(3)
+        parent.extend([element] * (kind == 2))
+        element.attrib.update({key: value} if kind == 1 else {})
+        if kind == 0:
+            element.attrib.pop(key, None)
+        with suppress(InvalidInputError):
+            content = traffic(ET.tostring(root)).content
+            passed += 1
+            assert is_driven(content, tmp_path), ET.tostring(element)
+    assert passed > tries / 5
 
 
 @pytest.mark.parametrize(
