@@ -2,10 +2,10 @@
 
 import asyncio
 import random
-from typing import Any
+from contextlib import AbstractContextManager
 
 import pytest
-from sqlalchemy import text
+from sqlalchemy import Connection, text
 from tests.support.storage import campaign
 
 from drivecal.api.live import streams
@@ -102,14 +102,14 @@ def test_a_database_that_does_not_answer_is_told_and_so_is_its_return(
         stored = campaign(connection)
     reason = "the database does not answer"
     away = False
-    really = EventHub._read
+    really = Database.read
 
-    def read(hub: EventHub, *known: Any) -> object:
+    def read(each: Database) -> AbstractContextManager[Connection]:
         if away:
             raise UnavailableError(reason)
-        return really(hub, *known)
+        return really(each)
 
-    monkeypatch.setattr(EventHub, "_read", read)
+    monkeypatch.setattr(Database, "read", read)
 
     async def told() -> list[str]:
         nonlocal away

@@ -95,7 +95,7 @@ def test_what_is_not_marked_is_posted_again(database: Database, monkeypatch: pyt
             raise SystemExit
 
         with monkeypatch.context() as patched:
-            patched.setattr(Webhook, "_mark", crash)
+            patched.setattr(events, "mark_posted", crash)
             with pytest.raises(SystemExit):
                 Webhook(database, url).post()
         Webhook(database, url).post()

@@ -1,69 +1,92 @@
-"""Lots of a campaign that was interrupted."""
+"""Lots of a campaign, over stored rows."""
 
+from collections.abc import Collection, Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from sqlalchemy import Connection
+from tests.support.databases import migrated
+from tests.support.storage import EVALUATOR, campaign, cell, new_run, sample_set_ids, setup_id
 
 from drivecal.campaigns.cells.inspection import Inspection, check_reuse
 from drivecal.contracts.campaign import ErrorRate
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.scales import COMFORT
-from drivecal.storage import audits, lots
-from drivecal.storage.lots import LotVerdict, StoredLot
+from drivecal.storage import evaluations, lots, results
+from drivecal.storage.evaluations import AnsweredCell
+from drivecal.storage.lots import LotVerdict, NewLot
+from drivecal.storage.references import runs
+from drivecal.storage.results import StoredEvaluation
 
-REFERENCE = 17
 NOTHING: Any = None
 
 
-def test_a_lot_that_was_sampled_whole_still_has_its_verdict_when_its_reference_is_simulated(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    verdicts: dict[int, tuple[LotVerdict, int]] = {}
-    lot = StoredLot(1, 0, "S1", 3, 3, 0, 1.0, 0.02, 0, 0.0, Outcome.REUSED, 1, None, None)
-    monkeypatch.setattr(lots, "of_campaign", lambda *_: [lot])
-    monkeypatch.setattr(lots, "errors_so_far", lambda *_: {})
-    monkeypatch.setattr(lots, "references", lambda *_: {1: {REFERENCE}})
-    monkeypatch.setattr(lots, "conclude", lambda _, concluded: verdicts.update(concluded))
-    monkeypatch.setattr(audits, "wrong_in_lots", lambda *_: {})
-    monkeypatch.setattr(audits, "trusted", lambda *_: {})
-    connection: Any = None
-    waiting: Any = {REFERENCE: SimpleNamespace(id=REFERENCE, lot=None, inspected=False)}
-    resumed = Inspection(1, "reference 1", COMFORT)
-    assert resumed.load(connection, waiting) == {}
-    assert resumed.conclude(connection, waiting) == ([], [])
-    assert verdicts == {}
-    assert resumed.conclude(connection, {}) == ([], [])
-    assert verdicts == {1: (LotVerdict.RELEASED, 0)}
+@pytest.fixture
+def connection(tmp_path: Path) -> Iterator[Connection]:
+    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    with database.transaction() as opened:
+        yield opened
+    database.dispose()
+
+
+def stored(connection: Connection, kind: Outcome, sample: int, **members: Any) -> tuple[int, int]:
+    """Stores a cell that is to be simulated and a lot of three others. Returns the ids of the campaign and of the lot."""
+    sequence, setup, sets = campaign(connection).sequence, setup_id(connection), sample_set_ids(connection, 4)
+    (number,) = lots.insert(connection, sequence, [NewLot(0, 0, "S1", 3, sample, 0, 0.0, 0.05, 400, 0.0, kind)])
+    others = [cell(place, setup, sets[place], plan=kind, lot=number, **members) for place in (1, 2, 3)]
+    evaluations.insert(connection, sequence, [cell(0, setup, sets[0]), *others])
+    return sequence, number
+
+
+def simulate(connection: Connection, cells: Collection[StoredEvaluation], score: float) -> None:
+    for each in cells:
+        run = new_run(each.setup_id, each.parameter_set_id, evaluation=each.id, individual=each.individual, score=score)
+        (result,) = runs.insert_results(connection, [run])
+        evaluations.answer(connection, [AnsweredCell(each.id, Outcome.SIMULATED, score, score, result.id)])
+
+
+def resumed(
+    connection: Connection, sequence: int
+) -> tuple[Inspection, dict[int, StoredEvaluation], dict[int, StoredEvaluation]]:
+    """Returns an inspection that starts from the rows, the cells that it drew, and all that wait."""
+    inspection = Inspection(sequence, EVALUATOR, COMFORT)
+    waiting = {each.id: each for each in results.pending(connection, sequence)}
+    return inspection, inspection.load(connection, waiting), waiting
+
+
+def test_a_lot_that_was_sampled_whole_has_its_verdict_after_its_reference(connection: Connection) -> None:
+    sequence, number = stored(connection, Outcome.REUSED, sample=3, leader=0)
+    _, drawn, _ = resumed(connection, sequence)
+    simulate(connection, drawn.values(), 5.0)
+    inspection, drawn, waiting = resumed(connection, sequence)
+    assert (len(drawn), len(waiting)) == (0, 1)
+    assert inspection.conclude(connection, waiting) == ([], [])
+    assert lots.by_id(connection, number).verdict is None
+    simulate(connection, waiting.values(), 5.0)
+    assert inspection.conclude(connection, {}) == ([], [])
+    concluded = lots.by_id(connection, number)
+    assert (concluded.verdict, concluded.errors) == (LotVerdict.RELEASED, 0)
 
 
 @pytest.mark.parametrize(("score", "verdict"), [(4.0, LotVerdict.RELEASED), (5.0, LotVerdict.REJECTED)])
-def test_released_predictions_are_answered_by_lot(monkeypatch: pytest.MonkeyPatch, score: float, verdict: LotVerdict) -> None:
-    """A statement for each cell, with an end for a lease that it never had, took as long as the plan of the next batch."""
-    verdicts: dict[int, tuple[LotVerdict, int]] = {}
-    answered: list[int] = []
-    lot = StoredLot(1, 0, "S1", 3, 1, 0, 0.0, 0.05, 400, 0.0, Outcome.PREDICTED, 7, None, None)
-    monkeypatch.setattr(lots, "of_campaign", lambda *_: [lot])
-    monkeypatch.setattr(lots, "errors_so_far", lambda *_: {})
-    monkeypatch.setattr(lots, "conclude", lambda _, concluded: verdicts.update(concluded))
-    monkeypatch.setattr(lots, "release_predictions", lambda _, __, numbers: answered.extend(numbers))
-    cells: Any = {
-        number: SimpleNamespace(id=number, lot=7, inspected=number == 1, predicted_score=4.0, predicted_rating=4.2)
-        for number in (1, 2, 3)
-    }
-    inspection = Inspection(1, "reference 1", COMFORT)
-    assert inspection.load(NOTHING, cells) == {}
-    assert inspection.conclude(NOTHING, cells) == ([], [])
-    assert inspection.compare(cells[1], score) is (verdict is LotVerdict.RELEASED)
-    released, simulated = inspection.conclude(NOTHING, {2, 3})
-    assert {number: told for number, (told, _) in verdicts.items()} == {7: verdict}
+def test_predictions_of_a_released_lot_answer_its_cells(connection: Connection, score: float, verdict: LotVerdict) -> None:
+    prediction = {"predicted_score": 4.0, "predicted_rating": 4.2, "confidence": 0.9}
+    sequence, number = stored(connection, Outcome.PREDICTED, sample=1, **prediction)
+    inspection, drawn, waiting = resumed(connection, sequence)
+    (sampled,) = drawn.values()
+    assert inspection.conclude(connection, waiting) == ([], [])
+    simulate(connection, [sampled], score)
+    assert inspection.compare(sampled, score) is (verdict is LotVerdict.RELEASED)
+    _, simulated = inspection.conclude(connection, waiting.keys() - drawn.keys())
+    assert lots.by_id(connection, number).verdict is verdict
+    rows = [each for each in results.stream(connection, sequence) if each.lot == number and each.id not in drawn]
     if verdict is LotVerdict.RELEASED:
-        answers = [(answer.outcome, answer.score, answer.rating) for _, answer in released]
-        assert answers == [(Outcome.PREDICTED, 4.0, 4.2)] * 2
-        assert (answered, simulated) == ([7], [])
+        assert [(each.outcome, each.score, each.rating) for each in rows] == [(Outcome.PREDICTED, 4.0, 4.2)] * 2
+        assert simulated == []
     else:
-        assert (answered, released) == ([], [])
-        assert simulated == [cells[2], cells[3]]
+        assert [(each.outcome, each.id) for each in rows] == [(None, each.id) for each in simulated]
 
 
 def test_reuse_without_an_influence_map_is_not_checked() -> None:

@@ -137,14 +137,14 @@ def test_a_lost_answer_is_asked_for_until_the_server_is_back(waits: list[float],
     refused = httpx.ConnectError("refused")
     with server(campaign("queued")) as (client, script):
         errors: list[httpx.TransportError] = [httpx.ReadError("reset"), *[refused] * 12]
-        ask = client._http.request
+        ask = httpx.Client.request
 
         def request(*arguments: Any, **options: Any) -> httpx.Response:
             if errors:
                 raise errors.pop(0)
             return ask(*arguments, **options)
 
-        monkeypatch.setattr(client._http, "request", request)
+        monkeypatch.setattr(httpx.Client, "request", request)
         assert client.submit({}).state == "queued"
         assert len(script.requests) == 1
         errors += [httpx.ReadError("reset"), *[refused] * 500]
@@ -162,7 +162,7 @@ def test_a_network_that_is_gone_after_a_lost_answer_is_not_waited_for(
         def request(*_: Any, **__: Any) -> httpx.Response:
             raise errors.pop(0)
 
-        monkeypatch.setattr(client._http, "request", request)
+        monkeypatch.setattr(httpx.Client, "request", request)
         with pytest.raises(UnavailableError):
             client.submit({})
     assert (errors, waits) == ([], [1.0])

@@ -74,7 +74,8 @@ def test_a_slow_refusal_is_not_repeated_within_the_same_start(
         now[0] += seconds
         raise sumo.SUMO_ERRORS[0](f"no lane in '{tmp_path}/traffic.rou.xml'")
 
-    monkeypatch.setattr(sumo, "_load", refused)
+    monkeypatch.setattr("libsumo.isLoaded", lambda: False)
+    monkeypatch.setattr("libsumo.start", refused)
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     said = refusal(NETWORK, tmp_path / "traffic.rou.xml")
     assert len(arguments) == loads

@@ -1,6 +1,9 @@
 """Notes on OpenDRIVE files, and lanes that have no place in them."""
 
 import re
+import subprocess
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import pytest
 from tests.support.opendrive_files import FILES, edited
@@ -18,9 +21,17 @@ from drivecal.roads.opendrive import read_opendrive
 NAME = "road.xodr"
 
 
-def _raw(content: bytes) -> bytes:
-    file = read_opendrive(content, NAME)
-    return conversion._run(conversion._normalized(content, file), file)[0]
+def netconvert_writes(monkeypatch: pytest.MonkeyPatch, change: Callable[[bytes], bytes], said: str = "") -> None:
+    run = conversion.run_netconvert
+
+    def changed(arguments: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
+        process, file = run(arguments, folder), folder / "road.net.xml"
+        network = file.read_bytes()
+        file.write_bytes(change(network))
+        assert said or file.read_bytes() != network
+        return subprocess.CompletedProcess(process.args, process.returncode, process.stdout + said, process.stderr)
+
+    monkeypatch.setattr(conversion, "run_netconvert", changed)
 
 
 def test_equal_notes_are_one_with_the_first_places_and_how_many_more() -> None:
@@ -41,10 +52,9 @@ def test_the_last_note_counts_those_that_are_left_out() -> None:
 
 
 def test_warnings_of_netconvert_that_differ_in_names_are_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    raw = _raw(FILES["two_way"]())
-    warnings = [f"Edge '{number}' has no lanes." for number in range(60)]
-    monkeypatch.setattr(conversion, "_run", lambda *_: (raw, warnings))
-    assert converted(FILES["two_way"](), NAME).notes[-1:] == ("netconvert: Edge '0' has no lanes. (and 59 like it)",)
+    warnings = "".join(f"Warning: Edge '{number}' has no lanes.\n" for number in range(60))
+    netconvert_writes(monkeypatch, lambda network: network, warnings)
+    assert "netconvert: Edge '0' has no lanes. (and 59 like it)" in converted(FILES["two_way"](), NAME).notes
 
 
 def test_elements_that_nothing_reads_are_noted_by_tag_once_with_all_that_they_hold() -> None:
@@ -59,12 +69,9 @@ def test_elements_that_nothing_reads_are_noted_by_tag_once_with_all_that_they_ho
 
 
 def test_a_lane_that_is_not_in_the_file_is_noted_and_no_route_leads_over_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    content = FILES["two_way"]()
-    raw = _raw(content)
-    lost = re.sub(rb'(<lane id="-5#1_1".*?key="origId" value=)"5_-2"', rb'\1"9_-2"', raw, count=1, flags=re.DOTALL)
-    assert lost != raw
-    monkeypatch.setattr(conversion, "_run", lambda *_: (lost, []))
-    result = converted(content, NAME)
+    lane = re.compile(rb'(<lane id="-5#1_1".*?key="origId" value=)"5_-2"', re.DOTALL)
+    netconvert_writes(monkeypatch, lambda network: lane.sub(rb'\1"9_-2"', network, count=1))
+    result = converted(FILES["two_way"](), NAME)
     (note,) = [note for note in result.notes if note.startswith("edge -5#1, lane 1")]
     assert "9_-2" in note
     network = read_network(result.network, NAME)
@@ -81,12 +88,8 @@ def test_a_way_through_a_junction_that_the_file_does_not_have_is_noted_and_refus
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """netconvert names a lane of the connecting road that is not there: its own arc would be driven."""
-    content = FILES["entrance"]()
-    raw = _raw(content)
-    lost = raw.replace(b'value="10_-1"', b'value="10_-7"')
-    assert lost != raw
-    monkeypatch.setattr(conversion, "_run", lambda *_: (lost, []))
-    result = converted(content, NAME)
+    netconvert_writes(monkeypatch, lambda network: network.replace(b'value="10_-1"', b'value="10_-7"'))
+    result = converted(FILES["entrance"](), NAME)
     assert any(note.startswith("junction between -1_") and "10_-7" in note for note in result.notes)
     with pytest.raises(InvalidInputError) as error:
         corridor(read_network(result.network, NAME), ["-1", "-2#0"], NAME)

@@ -90,7 +90,7 @@ campaigns = Table(
     Column("started_at", UtcDateTime),
     Column("ended_at", UtcDateTime),
     Column("tags", DocumentOf(tuple[str, ...]), nullable=False, server_default="[]"),
-    # A deleted campaign's row stays with the cells that made runs of the reference table (`storage.retention.deletion`).
+    # A deleted campaign's row stays with the cells that made runs of the reference table (`storage.maintenance.deletion`).
     Column("deleted_at", UtcDateTime),
     Column("finish_at", UtcDateTime),  # when an outside optimizer said that it proposes no more sets
     *(
