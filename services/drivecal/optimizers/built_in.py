@@ -1,7 +1,6 @@
 """The built-in optimizers as plug-ins, with the settings that a campaign's `optimizer` section may hold."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar, get_args
 
@@ -15,7 +14,6 @@ from drivecal.optimizers.population import RandomSearch, start_population
 from drivecal.optimizers.swarm import ParticleSwarm
 from drivecal.plugins.ports import Ability, DeclaringOptimizerPlugin, Optimizer
 
-ONE_OBJECTIVE: frozenset[Ability] = frozenset(get_args(Ability)) - {"objectives"}
 Share = Annotated[float, Field(gt=0, le=1)]
 
 
@@ -67,15 +65,6 @@ class SwarmSettings(OptimizerSpecification):
 Chosen = TypeVar("Chosen", bound=OptimizerSpecification)
 
 
-@dataclass(frozen=True, slots=True)
-class Beginning:
-    """Start of an optimizer. CMA-ES has random numbers of its own, and does not use `generator`."""
-
-    population: Indices
-    n_values: Indices
-    generator: np.random.Generator
-
-
 class Resumable(Optimizer, Protocol):
     """An optimizer whose state can be replaced by a saved one."""
 
@@ -83,35 +72,25 @@ class Resumable(Optimizer, Protocol):
         """Continues from `state`. Raises InvalidInputError if it does not fit."""
 
 
-class BuiltIn(ABC, Generic[Chosen]):
-    """Base of this package's plug-ins: see `drivecal.plugins.ports.DeclaringOptimizerPlugin`.
+@dataclass
+class BuiltIn(Generic[Chosen]):
+    """A plug-in of this package: see `drivecal.plugins.ports.DeclaringOptimizerPlugin`.
 
-    All kinds of parameters are alike to them: positions, bits and ranks of choices follow the order of their lists.
+    All kinds of parameters are alike to it: positions, bits and ranks of choices follow the order of their lists.
     """
 
     name: str
-
-    @property
-    @abstractmethod
-    def settings(self) -> type[Chosen]:
-        """Validates the campaign's `optimizer` section."""
-
-    def _renewed(self, settings: Chosen) -> int:  # a hook
-        """Returns the largest number of individuals that an iteration after the first requests."""
-        return settings.population
-
-    @abstractmethod
-    def _optimizer(self, settings: Chosen, begin: Beginning) -> Resumable:
-        """Returns an optimizer that starts from a population."""
-
-    @property
-    def supports(self) -> frozenset[Ability]:
-        return ONE_OBJECTIVE
+    settings: type[Chosen]
+    begin: Callable[[Chosen, Indices, Indices, np.random.Generator], Resumable]
+    """Returns an optimizer with settings, a start population, grid sizes, and a source of all its random numbers."""
+    renewed: Callable[[Chosen], int] = lambda chosen: chosen.population
+    """Returns the largest number of individuals that an iteration after the first requests."""
+    supports: frozenset[Ability] = frozenset(get_args(Ability)) - {"objectives"}
 
     def requested_individuals(self, settings: BaseModel) -> int:
         """Returns the size of the first population, plus the individuals that each further iteration renews."""
         chosen = self._checked(settings)
-        return chosen.population + (chosen.iterations - 1) * self._renewed(chosen)
+        return chosen.population + (chosen.iterations - 1) * self.renewed(chosen)
 
     def create(
         self,
@@ -123,7 +102,7 @@ class BuiltIn(ABC, Generic[Chosen]):
         chosen = self._checked(settings)
         generator = np.random.Generator(np.random.PCG64(chosen.seed))
         first = start_population(chosen.start, chosen.population, n_values, generator, start)
-        return self._optimizer(chosen, Beginning(first, n_values, generator))
+        return self.begin(chosen, first, n_values, generator)
 
     def restore(
         self,
@@ -135,8 +114,7 @@ class BuiltIn(ABC, Generic[Chosen]):
         """See `drivecal.plugins.ports.DeclaringOptimizerPlugin`. Raises InvalidInputError if the state does not fit."""
         chosen = self._checked(settings)
         blank = np.zeros((chosen.population, len(n_values)), dtype=np.int64)
-        generator = np.random.Generator(np.random.PCG64(chosen.seed))
-        optimizer = self._optimizer(chosen, Beginning(blank, n_values, generator))
+        optimizer = self.begin(chosen, blank, n_values, np.random.Generator(np.random.PCG64(chosen.seed)))
         optimizer.resume(state)
         return optimizer
 
@@ -146,56 +124,29 @@ class BuiltIn(ABC, Generic[Chosen]):
         return settings
 
 
-class GeneticPlugin(BuiltIn[GeneticSettings]):
-    """`optimizer: {kind: genetic}`."""
-
-    name = "genetic"
-    settings = GeneticSettings
-
-    def _renewed(self, settings: GeneticSettings) -> int:
-        return pairs_per_generation(settings.population, settings.selection, settings.recombination)  # one child per pair
-
-    def _optimizer(self, settings: GeneticSettings, begin: Beginning) -> GeneticAlgorithm:
-        return GeneticAlgorithm(
-            begin.population,
-            begin.n_values,
-            selection=settings.selection,
-            recombination=settings.recombination,
-            mutation=settings.mutation,
-            generator=begin.generator,
-        )
-
-
-class RandomPlugin(BuiltIn[RandomSettings]):
-    """`optimizer: {kind: random}`."""
-
-    name = "random"
-    settings = RandomSettings
-
-    def _renewed(self, settings: RandomSettings) -> int:
-        return settings.renewed
-
-    def _optimizer(self, settings: RandomSettings, begin: Beginning) -> RandomSearch:
-        return RandomSearch(begin.population, begin.n_values, renewed=settings.renewed, generator=begin.generator)
-
-
-class SwarmPlugin(BuiltIn[SwarmSettings]):
-    """`optimizer: {kind: swarm}`."""
-
-    name = "swarm"
-    settings = SwarmSettings
-
-    def _optimizer(self, settings: SwarmSettings, begin: Beginning) -> ParticleSwarm:
-        return ParticleSwarm(
-            begin.population,
-            begin.n_values,
-            c1=settings.c1,
-            c2=settings.c2,
-            inertia=settings.inertia,
-            generator=begin.generator,
-        )
-
-
-GENETIC: DeclaringOptimizerPlugin = GeneticPlugin()
-RANDOM: DeclaringOptimizerPlugin = RandomPlugin()
-SWARM: DeclaringOptimizerPlugin = SwarmPlugin()
+GENETIC: DeclaringOptimizerPlugin = BuiltIn(
+    "genetic",
+    GeneticSettings,
+    lambda chosen, first, n_values, generator: GeneticAlgorithm(
+        first,
+        n_values,
+        selection=chosen.selection,
+        recombination=chosen.recombination,
+        mutation=chosen.mutation,
+        generator=generator,
+    ),
+    lambda chosen: pairs_per_generation(chosen.population, chosen.selection, chosen.recombination),  # one child per pair
+)
+RANDOM: DeclaringOptimizerPlugin = BuiltIn(
+    "random",
+    RandomSettings,
+    lambda chosen, first, n_values, generator: RandomSearch(first, n_values, renewed=chosen.renewed, generator=generator),
+    lambda chosen: chosen.renewed,
+)
+SWARM: DeclaringOptimizerPlugin = BuiltIn(
+    "swarm",
+    SwarmSettings,
+    lambda chosen, first, n_values, generator: ParticleSwarm(
+        first, n_values, c1=chosen.c1, c2=chosen.c2, inertia=chosen.inertia, generator=generator
+    ),
+)

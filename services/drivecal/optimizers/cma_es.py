@@ -17,7 +17,7 @@ from pydantic import ConfigDict, Field
 from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.errors import InvalidInputError, Problem, ReplayError
 from drivecal.domain.parameters import Indices
-from drivecal.optimizers.built_in import Beginning, BuiltIn
+from drivecal.optimizers.built_in import BuiltIn
 from drivecal.optimizers.population import dump_floats, load_floats, ranking
 from drivecal.optimizers.repair import checked_answers, fitting, searchable
 from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats, Proposal
@@ -134,14 +134,6 @@ def _digest(population: Indices) -> str:
     return sha256(shape.encode() + population.astype("<i8").tobytes()).hexdigest()[:16]
 
 
-class CmaPlugin(BuiltIn[CmaSettings]):
-    """`optimizer: {kind: cma_es}`."""
-
-    name = "cma_es"
-    settings = CmaSettings
-
-    def _optimizer(self, settings: CmaSettings, begin: Beginning) -> CmaEs:
-        return CmaEs(settings, begin.population, begin.n_values)
-
-
-CMA_ES: DeclaringOptimizerPlugin = CmaPlugin()
+CMA_ES: DeclaringOptimizerPlugin = BuiltIn(
+    "cma_es", CmaSettings, lambda chosen, first, n_values, _: CmaEs(chosen, first, n_values)
+)

@@ -28,11 +28,8 @@ class SurrogatePlugin:
     settings: type[BaseModel] = SurrogateSettings
     supports: frozenset[Ability] = frozenset(get_args(Ability))
 
-    def begin(self, settings: BaseModel, task: SearchTask) -> Search:
+    def begin(self, settings: BaseModel, task: SearchTask) -> "SurrogateSearch":
         """Begins a search."""
-        return self._begin(settings, task)
-
-    def _begin(self, settings: BaseModel, task: SearchTask) -> "SurrogateSearch":
         from drivecal.optimizers.surrogate.search import (
             SurrogateSearch,  # scipy takes seconds, which not every command need pay
         )
@@ -50,7 +47,7 @@ class SurrogatePlugin:
         state: Mapping[str, Any],
     ) -> Search:
         """Returns the search after these rounds."""
-        search = self._begin(settings, task)
+        search = self.begin(settings, task)
         search.restore(rounds, answers, state)
         return search
 
