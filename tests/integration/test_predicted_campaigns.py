@@ -68,11 +68,11 @@ def test_a_sample_is_compared_and_its_lot_released_or_simulated_whole(predicted:
     rows = rows_of(database, campaign)
     for lot in (lot for lot in lots_of(database, campaign) if lot.size):
         members = [row for row in rows if row.lot == lot.id]
-        sample = [row for row in members if row.sampled]
+        sample = [row for row in members if row.purpose == "sample"]
         assert (len(members), len(sample)) == (lot.size, lot.sample)
         assert lot.errors == sum(row.agrees is False for row in sample)
         assert all(row.agrees == (row.score == row.predicted_score) for row in sample)
-        rest = {row.outcome for row in members if not row.sampled}
+        rest = {row.outcome for row in members if row.purpose != "sample"}
         assert lot.verdict is (LotVerdict.RELEASED if lot.errors <= lot.acceptance else LotVerdict.REJECTED)
         assert rest <= ({Outcome.PREDICTED} if lot.verdict is LotVerdict.RELEASED else {Outcome.SIMULATED, Outcome.FAILED})
 
@@ -82,7 +82,9 @@ def test_sizes_of_errors_are_those_in_the_samples_of_released_lots(predicted: tu
     released = {lot.id: lot for lot in lots_of(database, campaign) if lot.verdict is LotVerdict.RELEASED}
     for scenario, summary in campaign.released.items():
         sampled = [
-            row for row in rows_of(database, campaign) if row.sampled and row.lot in released and row.scenario == scenario
+            row
+            for row in rows_of(database, campaign)
+            if row.purpose == "sample" and row.lot in released and row.scenario == scenario
         ]
         sizes = [abs((row.score or 0) - (row.predicted_score or 0)) for row in sampled]
         weights = [released[row.lot or 0].size / released[row.lot or 0].sample for row in sampled]

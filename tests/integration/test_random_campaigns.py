@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from itertools import product
 from pathlib import Path
 from statistics import NormalDist, fmean
 from typing import Any
@@ -22,6 +23,9 @@ from tests.support.runs import dispatcher, everything, finish, get, rows_of
 from tests.support.values import faults_of, present
 
 from drivecal.analysis.robustness import directions, vehicles
+from drivecal.api.tables.front import front_table, summary
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.front import front_of
 from drivecal.campaigns.stages.replication import Replication
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -218,6 +222,21 @@ def test_a_set_whose_failures_are_rare_enough_is_the_best(database: Database) ->
     assert 0.05 <= abs(float(kept.parameters["x"]) - 0.6) < 0.1
     assert (kept.violation, kept.undecided, kept.constraints["failures"]) == (0.0, False, 0.0)
     assert kept.constraints["failures_upper"] <= 0.2
+    rows = front_table(database, rated, front_of(database, rated, resolved_spec(rated)))
+    assert {(row.violation, row.undecided, row.constraints["failures_upper"] <= 0.2) for row in rows} == {(0.0, False, True)}
+
+
+def test_the_values_of_a_front_have_intervals_and_sets_that_may_belong_to_it_are_counted(database: Database) -> None:
+    names = ("city", "road")
+    objectives = [{"name": name, "measure": "y", "direction": "minimise", "scenarios": [name]} for name in names]
+    ended = carried_out(database, objectives=objectives)
+    front = front_of(database, ended, resolved_spec(ended))
+    rows, known = front_table(database, ended, front), summary(front)
+    for row, name in product(rows, names):
+        lower, upper = (row.uncertainty[f"{name}_{end}"] for end in ("lower", "upper"))
+        assert lower < true_cost(float(row.parameters["x"])) < upper
+        assert upper - lower > 2 * row.uncertainty[f"{name}_error"] > 0
+    assert 1 <= known.close < known.evaluated - known.size, "some sets are surely beaten"
 
 
 @pytest.mark.parametrize(

@@ -70,9 +70,9 @@ def test_counts_of_lots_cells_and_campaign_agree(inspected: tuple[Database, Stor
     outcomes = Counter(row.outcome for row in rows)
     assert campaign.cells.reused == outcomes[Outcome.REUSED] > 0
     released = {lot.id for lot in stored if lot.verdict is LotVerdict.RELEASED}
-    drawn_twice = sum(row.lot in released and not row.audited and row.outcome is Outcome.SIMULATED for row in rows)
+    drawn_twice = sum(row.lot in released and row.purpose != "audit" and row.outcome is Outcome.SIMULATED for row in rows)
     assert sum(lot.released for lot in stored) == campaign.cells.reused + drawn_twice
-    assert campaign.cells.audited == sum(row.audited for row in rows) == sum(lot.sample for lot in stored)
+    assert campaign.cells.audited == sum(row.purpose == "audit" for row in rows) == sum(lot.sample for lot in stored)
     assert campaign.cells.sampled == 0, "these are drawn predictions"
     assert {lot.verdict for lot in stored} == {LotVerdict.RELEASED, LotVerdict.REJECTED}
     for scenario, rate in campaign.error_rate.items():
@@ -104,11 +104,11 @@ def test_a_sample_is_compared_with_its_references_and_its_lot_released_or_simula
     twins_of_all: list[tuple[StoredEvaluation, StoredEvaluation]] = []
     for lot in lots_of(database, campaign):
         members = [row for row in rows if row.lot == lot.id]
-        sample = [row for row in members if row.audited]
+        sample = [row for row in members if row.purpose == "audit"]
         assert (len(members), len(sample)) == (lot.size, lot.sample)
         differences = [abs((row.score or 0) - (by_id[row.reference or 0].score or 0)) for row in sample]
         assert lot.errors == sum(difference > lot.tolerance for difference in differences)
-        rest = [row for row in members if not row.audited]
+        rest = [row for row in members if row.purpose != "audit"]
         if lot.verdict is LotVerdict.RELEASED:
             known = {row.parameter_set_id: row for row in sample}
             twins = [row for row in rest if row.parameter_set_id in known]

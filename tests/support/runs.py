@@ -123,7 +123,7 @@ def everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
     cells = [
         (
             *(row.iteration, row.individual, row.scenario, tuple(row.parameters.floats.values()), row.outcome, row.score),
-            *(row.rating, row.failure, row.audited, row.agrees),
+            *(row.rating, row.failure, row.purpose, row.agrees),
             None if row.reference is None else numbered.get(row.reference, "earlier"),
         )
         for row in rows

@@ -287,6 +287,16 @@ def allocate(standing: SetStatistics, room: int, most: int, confidence: float) -
     return chosen
 
 
+def unbeaten(known: Sequence[SetStatistics], front: Sequence[int], confidence: float) -> npt.NDArray[np.bool_]:
+    """Returns which sets no set of a front is known to beat in every objective, shape (n,). `known` has the statistics by objective."""
+    means, errors = np.stack([each.means for each in known], axis=1), np.stack([each.errors for each in known], axis=1)
+    beaten = np.zeros(len(means), dtype=np.bool_)
+    for place in front:
+        margins = NormalDist().inv_cdf(confidence) * np.hypot(errors[place], errors)
+        beaten |= (means[place] - means >= margins).all(axis=1)
+    return ~beaten
+
+
 def to_tell(standing: SetStatistics, leader: int, rival: int, confidence: float) -> int | None:
     """Returns how many runs of each of two sets would tell them apart; None if they are equal so far."""
     distance = abs(standing.means[leader] - standing.means[rival])

@@ -295,6 +295,22 @@ class Ranking:
             known = replace(known, variances=np.full(len(numbers), np.nan), spreads=np.full(len(numbers), np.nan))
         return numbers, known
 
+    def by_objective(self) -> tuple[list[int], list[SetStatistics]]:
+        """Returns what the seeds that choose say of each objective, and the ids of the sets; nothing while no set has several seeds. Needs
+        goals."""
+        if self._goals is None or not self._samples:
+            return [], []
+        numbers, last = sorted(self._solutions), max(max(self._runs[number]) for number in self._solutions)
+        samples = np.full((len(self._goals.objectives), len(numbers), min(last, self._choosing)), np.nan)
+        for place, number in enumerate(numbers):
+            for seed, cells in self._runs[number].items():
+                solution = self._solution(number, cells) if seed <= self._choosing else None
+                if solution is not None and solution.judgement is not None:
+                    samples[:, place, seed - 1] = solution.judgement.amounts
+        kept = np.isfinite(samples[0]).any(axis=1)
+        known = [replicates.assess(goal.sign * each[kept]) for goal, each in zip(self._goals.objectives, samples, strict=True)]
+        return np.array(numbers)[kept].tolist(), known
+
     def _chosen_by(self, solution: EvaluatedSet) -> dict[int, float]:
         objectives = self._samples.get(solution.parameter_set)
         if objectives is None:

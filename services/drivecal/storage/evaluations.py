@@ -316,7 +316,7 @@ def counts(connection: Connection, campaign_sequence: int, stage: StageName, ite
     for row in connection.execute(query.where(table.outcome.is_not(None)).group_by(*group)):
         counted.update({"requested": row.cells, row.outcome: row.cells})
         if row.purpose in INSPECTED:
-            counted["audited" if row.purpose == Purpose.AUDIT else "sampled"] += row.cells
+            counted[INSPECTED[row.purpose]] += row.cells
     return GenerationCounts(**counted)
 
 

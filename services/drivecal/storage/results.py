@@ -22,7 +22,7 @@ from sqlalchemy import (
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NotFoundError
-from drivecal.domain.evaluations import INSPECTED, NOT_SIMULATED, CellScore, Outcome, Purpose
+from drivecal.domain.evaluations import NOT_SIMULATED, CellScore, Outcome, Purpose
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.records import decode_cursor, encode_cursor
@@ -62,8 +62,7 @@ class StoredEvaluation:
     rating: float | None
     run_id: int | None
     reference: int | None
-    purpose: str
-    """A `Purpose`."""
+    purpose: Purpose
     agrees: bool | None
     failure: str | None
     milliseconds: float | None
@@ -80,24 +79,9 @@ class StoredEvaluation:
     seed: int
     """Seed of the run; 0 if the simulator does not depend on one."""
 
-    @property
-    def inspected(self) -> bool:
-        """True if it was simulated to check the reference or the prediction that could have answered it."""
-        return self.purpose in INSPECTED
-
-    @property
-    def audited(self) -> bool:
-        """True if it was simulated to check a reference."""
-        return self.purpose == Purpose.AUDIT
-
-    @property
-    def sampled(self) -> bool:
-        """True if it was simulated to check a prediction."""
-        return self.purpose == Purpose.SAMPLE
-
 
 _NAMES = tuple(field.name for field in fields(StoredEvaluation))
-_PARAMETERS, _PLAN, _OUTCOME = map(_NAMES.index, ("parameters", "plan", "outcome"))
+_PARAMETERS, _PLAN, _OUTCOME, _PURPOSE = map(_NAMES.index, ("parameters", "plan", "outcome", "purpose"))
 
 
 def by_id(connection: Connection, evaluation_id: int) -> StoredEvaluation:
@@ -330,7 +314,7 @@ def _evaluations(rows: Iterable[Row[Any]]) -> Iterator[StoredEvaluation]:
     for row in rows:
         values = list(row)
         values[_PARAMETERS] = parsed(values[_PARAMETERS])
-        values[_PLAN] = Outcome(values[_PLAN])
+        values[_PLAN], values[_PURPOSE] = Outcome(values[_PLAN]), Purpose(values[_PURPOSE])
         if values[_OUTCOME] is not None:
             values[_OUTCOME] = Outcome(values[_OUTCOME])
         yield StoredEvaluation(*values)

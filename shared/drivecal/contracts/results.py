@@ -133,6 +133,8 @@ class FrontSummary(Answer):
     evaluated: int
     feasible: int
     size: int
+    close: int = 0
+    """Further sets whose runs do not tell that a set of the front beats them in every objective; 0 if the simulator is not random."""
     copied: int
     knee: int | None
     extremes: dict[str, int] = Field(default_factory=dict)

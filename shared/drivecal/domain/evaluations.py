@@ -47,7 +47,8 @@ class Purpose(StrEnum):
     CLAIMS = "claims"
 
 
-INSPECTED = (Purpose.AUDIT, Purpose.SAMPLE)
+INSPECTED = {Purpose.AUDIT: "audited", Purpose.SAMPLE: "sampled"}
+"""Purposes of cells that are simulated to check an answer that they could have had, and the names of their counts."""
 
 
 class Failure(StrEnum):
@@ -125,11 +126,6 @@ class RequestedCell:
     confidence: float | None = None
     predicted_score: float | None = None
     predicted_rating: float | None = None
-
-    @property
-    def inspected(self) -> bool:
-        """True if it is simulated to check an answer that it could have had."""
-        return self.purpose in INSPECTED
 
     @property
     def answered_at_once(self) -> bool:

@@ -31,7 +31,7 @@ def test_audits_are_settled_by_comparing_the_score_with_the_donors(database: Dat
     with database.transaction() as connection:
         sequence, (equal, other, later, waiting) = audited(connection)
         audits.settle(connection, sequence, StageName.CALIBRATION, 1, EVALUATOR)
-        agrees = {item.id: item.agrees for item in results.stream(connection, sequence) if item.audited}
+        agrees = {item.id: item.agrees for item in results.stream(connection, sequence) if item.purpose == "audit"}
     assert agrees == {equal: True, other: False, later: None, waiting: None}
 
 
@@ -60,7 +60,7 @@ def test_a_donor_of_the_campaigns_own_counts_as_it_was_answered_whatever_is_stor
         simulate(connection, sequence, [cell(1, setup, sets[1], donor=donor, purpose=Purpose.AUDIT)], score=2)
         assert audits.count(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=1, different=0, wrong=0)]
         audits.settle(connection, sequence, StageName.CALIBRATION, 0, EVALUATOR)
-        assert [item.agrees for item in results.stream(connection, sequence) if item.audited] == [True]
+        assert [item.agrees for item in results.stream(connection, sequence) if item.purpose == "audit"] == [True]
 
 
 @pytest.mark.parametrize(("scores", "expected"), [((5, 5), {}), ((5, 4), {"S1": 1}), ((5, 4, 3), {"S1": 1})])
@@ -110,6 +110,6 @@ def test_scores_without_steps_are_compared_by_their_scale(database: Database) ->
             ids += simulate(connection, sequence, [one], score=score)
         audits.settle(connection, sequence, StageName.CALIBRATION, 0, EVALUATOR, COST)
         assert audits.count(connection, sequence, EVALUATOR, COST) == [AuditCount("S1", audited=4, different=3, wrong=1)]
-        agrees = {item.id: item.agrees for item in results.stream(connection, sequence) if item.audited}
+        agrees = {item.id: item.agrees for item in results.stream(connection, sequence) if item.purpose == "audit"}
         assert [agrees[entry] for entry in ids] == [True, False, False, False]
         assert audits.contradictions(connection, sequence, None, EVALUATOR, 10**6, COST) == {"S1": 1}

@@ -27,7 +27,7 @@ def test_a_population_gets_its_ids_in_order_and_waits(database: Database) -> Non
     assert [item.id for item in waiting] == ids
     assert [entry.individual for entry in waiting] == list(range(2500))
     assert [element.parameters for element in waiting] == sample_sets(2500)
-    assert {(member.plan, member.reference, member.audited, member.attempts) for member in waiting} == {
+    assert {(member.plan, member.reference, member.purpose == "audit", member.attempts) for member in waiting} == {
         (SIMULATED, None, False, 0)
     }
 
@@ -47,7 +47,7 @@ def test_a_copy_of_a_stored_result_has_its_answer_at_once(database: Database) ->
     assert [entry.outcome for entry in copies] == [REPEATED, REUSED]
     result = {(copy.score, copy.rating, copy.failure, copy.run_id, copy.reference) for copy in copies}
     assert result == {(6, 5.75, "collision", run, simulated)}
-    assert [(element.id, element.plan, element.reference, element.audited) for element in waiting] == [
+    assert [(element.id, element.plan, element.reference, (element.purpose == "audit")) for element in waiting] == [
         (ids[2], SIMULATED, simulated, True)
     ]
 
@@ -63,7 +63,7 @@ def test_a_cell_that_waits_for_another_of_its_population_names_it(database: Data
         ]
         ids = evaluations.insert(connection, sequence, cells)
         waiting = results.pending(connection, sequence)
-    assert [(item.plan, item.reference, item.audited) for item in waiting] == [
+    assert [(item.plan, item.reference, (item.purpose == "audit")) for item in waiting] == [
         (SIMULATED, None, False),
         (REPEATED, ids[0], False),
         (SIMULATED, ids[0], True),

@@ -80,7 +80,7 @@ def test_a_lot_of_references_waits_is_drawn_as_audits_and_compared_with_its_refe
         assert lots.references(connection, sequence, []) == {}
         evaluations.simulate(connection, drawn, purpose=Purpose.AUDIT)
         cells = {cell.individual: cell for cell in results.pending(connection, sequence)}
-        assert [(cells[0].plan, cells[0].audited, cells[0].sampled)] == [(Outcome.SIMULATED, True, False)]
+        assert [(cells[0].plan, cells[0].purpose)] == [(Outcome.SIMULATED, "audit")]
         assert cells[0].reference == reference, "what it is compared with"
         answers = [
             AnsweredCell(drawn[0], Outcome.SIMULATED, 4, 4.0, donor.run),
@@ -116,7 +116,7 @@ def test_samples_are_simulated_compared_and_known_with_their_weight(database: Da
         assert lots.errors_so_far(connection, sequence, [number]) == {}
     with database.transaction() as connection:
         cells = {cell.id: cell for cell in results.pending(connection, sequence)}
-        assert (cells[drawn.id].plan, cells[drawn.id].sampled) == (Outcome.SIMULATED, True)
+        assert (cells[drawn.id].plan, cells[drawn.id].purpose) == (Outcome.SIMULATED, "sample")
         evaluations.answer(
             connection, [AnsweredCell(drawn.id, Outcome.SIMULATED, 3, 3.1, own.id, milliseconds=8.0, agrees=False)]
         )

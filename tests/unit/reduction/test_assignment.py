@@ -22,7 +22,7 @@ def _cell(individual: int, label: str, reference_key: str | None = None, scenari
 
 
 def _plans(cells: list[RequestedCell]) -> list[tuple[Outcome, Donor | None, int | None, bool]]:
-    return [(cell.plan, cell.donor, cell.leader, cell.inspected) for cell in cells]
+    return [(cell.plan, cell.donor, cell.leader, cell.purpose == "audit") for cell in cells]
 
 
 SIMULATED = (Outcome.SIMULATED, None, None, False)
@@ -86,7 +86,7 @@ def test_every_leader_stands_earlier_and_is_simulated(
             assert one.leader < position
             assert result[one.leader].plan is Outcome.SIMULATED
             assert cells[one.leader].scenario == cells[position].scenario
-        if one.plan in {Outcome.REPEATED, Outcome.REUSED} or one.inspected:
+        if one.plan in {Outcome.REPEATED, Outcome.REUSED} or one.purpose == "audit":
             assert one.leader is not None
         if one.plan is Outcome.REPEATED:
             assert one.leader is not None

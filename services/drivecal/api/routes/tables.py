@@ -220,6 +220,7 @@ def list_front(campaign_id: str, query: FrontQuery, database: DatabaseDependency
     rows = front_table(database, campaign, front, query.weights)
     keys: dict[str, list[str] | dict[str, Kind]] = {
         "objectives": [goal.name for goal in front.goals.objectives],
+        "uncertainty": list(next(iter(front.uncertainty.values()), {})),
         "constraints": front.goals.bound_names,
         "scores": list(resolved.weights),
         "values": front.goals.value_names,

@@ -18,7 +18,7 @@ from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
-from drivecal.domain.evaluations import ANSWERED_BY_DONOR, Breakdown, Donor, Outcome, Rating, RequestedCell
+from drivecal.domain.evaluations import ANSWERED_BY_DONOR, INSPECTED, Breakdown, Donor, Outcome, Rating, RequestedCell
 from drivecal.domain.scales import plain
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduling.in_flight import Completed, RunBudget, Work
@@ -253,7 +253,7 @@ class CellTracker:
 
     def _work(self, cells: Sequence[StoredEvaluation]) -> list[Work]:
         by_setup: dict[int, list[Cell]] = {}
-        for pending in sorted(cells, key=lambda cell: not cell.inspected):  # lots wait for their samples
+        for pending in sorted(cells, key=lambda cell: cell.purpose not in INSPECTED):  # lots wait for their samples
             by_setup.setdefault(pending.setup_id, []).append(self._cell(pending))
         return [
             Work(
@@ -356,9 +356,8 @@ class CellTracker:
         del self._pending[cell.id]
         self._counts["pending"] -= 1
         self._count(outcome)
-        if outcome is Outcome.SIMULATED:
-            self._counts["audited"] += cell.audited
-            self._counts["sampled"] += cell.sampled
+        if outcome is Outcome.SIMULATED and cell.purpose in INSPECTED:
+            self._counts[INSPECTED[cell.purpose]] += 1
 
     def _count(self, outcome: Outcome) -> None:
         self._counts["requested"] += 1

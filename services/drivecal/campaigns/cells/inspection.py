@@ -14,7 +14,7 @@ from sqlalchemy import Connection
 from drivecal.campaigns.cells.planning import View
 from drivecal.contracts.campaign import ErrorRate
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Outcome, Purpose, RequestedCell
+from drivecal.domain.evaluations import INSPECTED, Outcome, Purpose, RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.domain.scales import Scale
 from drivecal.reduction.audit import error_rates, expected_error_rate
@@ -64,7 +64,7 @@ class Inspection:
         for number, references in lots.references(connection, self._campaign, reused).items():
             self._open[number].awaited = references & pending.keys()
         for cell in pending.values():
-            if cell.lot in self._open and cell.inspected:
+            if cell.lot in self._open and cell.purpose in INSPECTED:
                 self._open[cell.lot].sampled.add(cell.id)
             elif cell.lot in self._open:
                 self._open[cell.lot].members[cell.id] = cell
@@ -89,7 +89,7 @@ class Inspection:
         """Takes a sampled cell's simulated score, None without a result, and returns whether the prediction was right; None for other
         cells. Samples of references are compared by the verdict, for their references may still be simulated."""
         lot = self._open.get(cell.lot or 0)
-        if lot is None or not cell.inspected:
+        if lot is None or cell.purpose not in INSPECTED:
             return None
         lot.sampled.discard(cell.id)
         if lot.lot.kind is not Outcome.PREDICTED or cell.predicted_score is None:

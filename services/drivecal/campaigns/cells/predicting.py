@@ -26,7 +26,7 @@ from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.contracts.campaign import Released
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import CellScore, Donor, Outcome, RequestedCell
+from drivecal.domain.evaluations import INSPECTED, CellScore, Donor, Outcome, RequestedCell
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scales import Scale, plain
 from drivecal.reduction.assignment import LIKELY
@@ -289,7 +289,7 @@ class LotPlanner:
                 for place, cell in enumerate(cells)
                 if cell.scenario == scenario
                 and cell.plan is Outcome.SIMULATED
-                and not cell.inspected
+                and cell.purpose not in INSPECTED
                 and cell.individual in self._rows
             ]
             for place in here:
@@ -355,7 +355,7 @@ class LotPlanner:
         """Yields each cell with its believed score, the mean and the variance."""
         prior = {scenario: learner.newest() for scenario, learner in self._learners.items() if scenario not in self._forecasts}
         for cell in cells:
-            if cell.donor is not None and not cell.inspected:
+            if cell.donor is not None and cell.purpose not in INSPECTED:
                 yield cell, float(cell.donor.score), float(cell.donor.score), 0.0
             elif cell.scenario in prior:
                 mean, variance = prior[cell.scenario]

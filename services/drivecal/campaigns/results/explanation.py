@@ -13,7 +13,7 @@ from drivecal.contracts.explanation import Check, Difference, Explanation, Inspe
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NotFoundError
-from drivecal.domain.evaluations import Outcome, Purpose
+from drivecal.domain.evaluations import INSPECTED, Outcome, Purpose
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import billionths
 from drivecal.domain.scales import Scale
@@ -93,10 +93,8 @@ def explain(connection: Connection, evaluation_id: int) -> Explanation:
     case = _Case(connection, cell, campaigns.by_sequence(connection, cell.campaign_sequence))
     if cell.outcome is Outcome.FAILED:
         return _explanation(case, "failed")
-    if cell.audited:
+    if cell.purpose in INSPECTED:
         return _explanation(case, "checked", *_reference(case, cell.reference))
-    if cell.sampled:
-        return _explanation(case, "checked")
     if cell.plan is Outcome.PREDICTED:
         return _explanation(case, "predicted")
     if (reason := _HITS.get(cell.plan)) is not None:
@@ -116,7 +114,7 @@ _HITS: Mapping[Outcome, Reason] = {Outcome.REPEATED: "repeated", Outcome.REUSED:
 def _trusted(case: _Case) -> StoredEvaluation | None:
     """Returns the cell with the copied or predicted score that this cell's simulation confirmed after the search, None for other cells."""
     cell, specification = case.cell, case.specification
-    if specification is None or specification.optimizer is None or cell.purpose != Purpose.CONFIRMATION:
+    if specification is None or specification.optimizer is None or cell.purpose is not Purpose.CONFIRMATION:
         return None
     return results.first_copy(case.connection, cell.campaign_sequence, cell.scenario, cell.parameter_set_id)
 
@@ -228,8 +226,8 @@ def prediction_of(connection: Connection, cell: StoredEvaluation) -> Prediction 
     return Prediction(
         score=cell.predicted_score,
         confidence=cell.confidence,
-        sampled=cell.sampled,
-        agrees=cell.agrees if cell.sampled else None,
+        sampled=cell.purpose is Purpose.SAMPLE,
+        agrees=cell.agrees if cell.purpose is Purpose.SAMPLE else None,
         lot=None if cell.lot is None else inspected_lot(lots.by_id(connection, cell.lot)),
     )
 

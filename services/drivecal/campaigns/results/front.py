@@ -1,13 +1,14 @@
 """The front of a campaign: its non-dominated sets by stored rows, what sets it apart, and how two of its sets differ."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby
 from operator import attrgetter
 
 import numpy as np
 
+from drivecal.analysis import replicates
 from drivecal.analysis.front import WinningWeights, by_weights, extremes, knee, non_dominated, winning_weights
 from drivecal.analysis.goals import Goals, valued_by, weighted_mean
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
@@ -30,6 +31,10 @@ class CampaignFront:
     goals: Goals
     ranked: Sequence[EvaluatedSet]
     members: Sequence[FrontMember]
+    uncertainty: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
+    """Standard error and interval of each objective by the id of a set; empty without randomness, and before the noise is known."""
+    close: int = 0
+    """Further sets that cannot be told from sets that no other set dominates."""
 
     @cached_property
     def points(self) -> Floats:
@@ -87,7 +92,7 @@ class CampaignFront:
         if not self.members:
             return self, np.empty(0)
         order, worths = by_weights(self.points, np.array([weights[goal.name] for goal in self.goals.objectives]))
-        return CampaignFront(self.goals, self.ranked, [self.members[place] for place in order]), worths[order]
+        return replace(self, members=[self.members[place] for place in order]), worths[order]
 
     def _signed(self, sets: Sequence[EvaluatedSet]) -> Floats:
         return self.goals.signed(each.judgement for each in sets if each.judgement is not None)
@@ -108,7 +113,23 @@ def front_of(database: Database, campaign: StoredCampaign, resolved: ResolvedSpe
                 connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=valued_by(goals)
             )
         )
-    return CampaignFront(goals, [each.choice for each in ranking.ranking()], ranking.front())
+    front = CampaignFront(goals, [each.choice for each in ranking.ranking()], ranking.front())
+    numbers, known = ranking.by_objective()
+    confidence = resolved.replicates.confidence
+    if not known or not front.members or not all(each.is_known for each in known):
+        return front
+    uncertainty: dict[int, dict[str, float]] = {number: {} for number in numbers}
+    for goal, each in zip(goals.objectives, known, strict=True):
+        middles, halves = (goal.sign * each.means).tolist(), each.half_widths(confidence).tolist()
+        for number, error, middle, half in zip(numbers, each.standard_errors.tolist(), middles, halves, strict=True):
+            named = {"error": error, "lower": middle - half, "upper": middle + half}
+            uncertainty[number] |= {f"{goal.name}_{end}": value for end, value in named.items()}
+    places = [place for place, number in enumerate(numbers) if number in front.ranks]
+    least = front.members[0].solution.violation
+    rivals = {each.parameter_set for each in front.ranked if each.violation <= least or each.is_undecided} - front.ranks.keys()
+    unbeaten = replicates.unbeaten(known, places, confidence).tolist()
+    close = sum(number in rivals for number, is_open in zip(numbers, unbeaten, strict=True) if is_open)
+    return replace(front, uncertainty=uncertainty, close=close)
 
 
 def answers_of(database: Database, campaign: StoredCampaign, sets: Sequence[EvaluatedSet]) -> dict[int, dict[str, str]]:

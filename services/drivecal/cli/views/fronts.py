@@ -29,7 +29,7 @@ def front_blocks(rows: Sequence[FrontRow], summary: FrontSummary, limit: int = S
     cells = [
         [
             row.rank,
-            *(f"{amount:.6g}" for amount in row.objectives.values()),
+            *(f"{amount:.6g}{_interval(row, name)}" for name, amount in row.objectives.items()),
             *(f"{row.weighted:.4f}" for _ in weighted),
             *(f"{amount:.6g}" for amount in row.constraints.values()),
             *(percent(row.wins, 1), row.alternatives, *(row.replicates for _ in seeds), row.degree),
@@ -53,7 +53,16 @@ def front_lines(summary: FrontSummary) -> list[str]:
         lines.append(f"{objective.direction} {objective.name} ({objective.aggregate}){ends}")
     lines += [f"subject to {constraint}" for constraint in summary.constraints]
     lines += [_baseline_line(summary, summary.baseline)] if summary.baseline is not None else []
-    return [*lines, f"{summary.evaluated:,} sets evaluated, {summary.feasible:,} feasible, {summary.size:,} on the front"]
+    close = f", {summary.close:,} more cannot be told from these" if summary.close else ""
+    return [
+        *lines,
+        f"{summary.evaluated:,} sets evaluated, {summary.feasible:,} feasible, {summary.size:,} on the front{close}",
+    ]
+
+
+def _interval(row: FrontRow, name: str) -> str:
+    ends = [row.uncertainty.get(f"{name}_{end}") for end in ("lower", "upper")]
+    return "" if None in ends else f" ({' to '.join(f'{end:.4g}' for end in ends)})"
 
 
 def _baseline_line(summary: FrontSummary, baseline: FrontBaseline) -> str:

@@ -257,13 +257,8 @@ def state_text(campaign: Campaign) -> str:
 
 def cells_text(cells: CellCounts) -> str:
     """Returns the cells by outcome, on one line: `1,200 requested = 800 simulated + 300 reused + 100 repeated`."""
-    checks = [
-        *([f"{cells.audited:,} of the simulated were audits"] if cells.audited else []),
-        *([f"{cells.sampled:,} predictions were simulated as samples"] if cells.sampled else []),
-    ]
-    listed = f" ({'; '.join(checks)})" if checks else ""
     kept = f"; {cells.carried_over:,} more carried over from the iteration before" if cells.carried_over else ""
-    return f"{cells.requested:,} requested = {_sum(cells)}{listed}{kept}"
+    return f"{cells.requested:,} requested = {_sum(cells)}{kept}"
 
 
 def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:

@@ -4,6 +4,7 @@ Each check returns a message per fault.
 """
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -41,7 +42,6 @@ from drivecal.storage.engine.tables import (
     runs,
 )
 from drivecal.storage.engine.types import ORDER
-from drivecal.storage.evaluations import AUDITED, SAMPLED
 from drivecal.storage.lots import LotVerdict
 from drivecal.storage.maintenance.backup import last_numbers
 from drivecal.storage.references.runs import largest_id
@@ -96,29 +96,27 @@ ROWS = 100
 
 def check_counters(connection: Connection) -> Iterator[str]:
     """The counters of each campaign count its cells, and add up."""
-    counted: dict[tuple[int, int], dict[str, int]] = {}
-    stage, audited = type_coerce(evaluations.c.stage, SmallInteger), func.sum(case((AUDITED, 1), else_=0))
-    sampled = func.sum(case((SAMPLED, 1), else_=0))
-    columns = evaluations.c.campaign_sequence, stage, evaluations.c.outcome
-    by_outcome = select(*columns, func.count(), audited, sampled, func.sum(evaluations.c.runs)).group_by(*columns)
-    for sequence, number, outcome, count, audits, samples, starts in connection.execute(by_outcome):
-        cells = counted.setdefault((sequence, number), {})
-        cells[outcome or "pending"] = count
-        cells["runs"] = cells.get("runs", 0) + starts
-        if outcome == Outcome.SIMULATED:
-            cells["audited"], cells["sampled"] = audits, samples
+    counted: dict[tuple[int, int], Counter[str]] = {}
+    stage = type_coerce(evaluations.c.stage, SmallInteger)
+    columns = evaluations.c.campaign_sequence, stage, evaluations.c.outcome, evaluations.c.purpose
+    by_outcome = select(*columns, func.count(), func.sum(evaluations.c.runs)).group_by(*columns)
+    for sequence, number, outcome, purpose, count, starts in connection.execute(by_outcome):
+        cells = counted.setdefault((sequence, number), Counter())
+        cells.update({outcome or "pending": count, "runs": starts})
+        if outcome == Outcome.SIMULATED and purpose in INSPECTED:
+            cells[INSPECTED[purpose]] += count
     for sequence, figures in connection.execute(select(generations.c.campaign_sequence, generations.c.figures)):
-        calibrated = counted.setdefault((sequence, ORDER[StageName.CALIBRATION]), {})
-        calibrated["carried_over"] = calibrated.get("carried_over", 0) + figures.carried_over
+        calibrated = counted.setdefault((sequence, ORDER[StageName.CALIBRATION]), Counter())
+        calibrated["carried_over"] += figures.carried_over
     query = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(_WHOLE).order_by(campaigns.c.sequence)
     for row in connection.execute(query):
         for stage_of in StageName:
-            cells = counted.get((row.sequence, ORDER[stage_of]), {})
-            cells["requested"] = sum(cells.get(outcome, 0) for outcome in Outcome)
-            cells["proposed"] = sum(cells.get(part, 0) for part in ("carried_over", "pending", "requested"))
+            cells = counted.get((row.sequence, ORDER[stage_of]), Counter())
+            cells["requested"] = sum(cells[outcome] for outcome in Outcome)
+            cells["proposed"] = sum(cells[part] for part in ("carried_over", "pending", "requested"))
             for part, count in CellCounts(**row.stages.get(stage_of, {})).model_dump().items():
-                if part not in _NOT_IN_ROWS and count != cells.get(part, 0):
-                    yield f"campaign {row.id} counts {count} {part} in its {stage_of}, its rows {cells.get(part, 0)}"
+                if part not in _NOT_IN_ROWS and count != cells[part]:
+                    yield f"campaign {row.id} counts {count} {part} in its {stage_of}, its rows {cells[part]}"
 
 
 _NOT_IN_ROWS = {"unrepeatable", "unscored", "cut", "lost", "discarded"}
@@ -171,7 +169,7 @@ def check_lots(connection: Connection) -> Iterator[str]:
     cell = evaluations.c
     joined = evaluations.outerjoin(lots, lots.c.id == cell.lot)
     released = lots.c.verdict.is_not_distinct_from(LotVerdict.RELEASED)
-    unchecked = (cell.outcome == Outcome.PREDICTED) & (cell.purpose.in_(INSPECTED) | cell.run_id.is_not(None) | ~released)
+    unchecked = (cell.outcome == Outcome.PREDICTED) & (cell.purpose.in_(list(INSPECTED)) | cell.run_id.is_not(None) | ~released)
     yield from _cells(connection, joined, unchecked, "are predictions that no inspected lot released")
     uninspected = (cell.outcome == Outcome.REUSED) & cell.lot.is_not(None) & ~released
     yield from _cells(connection, joined, uninspected, "are reused, and their lots were not released")
@@ -179,7 +177,7 @@ def check_lots(connection: Connection) -> Iterator[str]:
     yield from _cells(connection, joined, other, "are copies in lots of another kind")
     members = (
         func.count(cell.id),
-        func.sum(case((cell.purpose.in_(INSPECTED), 1), else_=0)),
+        func.sum(case((cell.purpose.in_(list(INSPECTED)), 1), else_=0)),
         # a reused answer whose reference has no result is simulated after the verdict
         func.sum(
             case((cell.outcome.is_(None) & ((lots.c.kind != Outcome.REUSED) | (cell.plan == Outcome.REUSED)), 1), else_=0)

@@ -20,6 +20,7 @@ export function tableOf(rows: readonly FrontRow[], parameters: readonly { name: 
   add("rank", (row) => row.rank);
   for (const [name, values] of Object.entries(further)) add(name, (_, place) => values[place]);
   spread(objectiveColumn, (row) => row.objectives);
+  spread(objectiveColumn, (row) => row.uncertainty ?? {});
   add("violation", (row) => row.violation);
   add("undecided", (row) => row.undecided);
   spread((key) => `constraint_${key}`, (row) => row.constraints);
