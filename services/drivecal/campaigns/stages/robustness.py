@@ -1,6 +1,6 @@
 """The robustness stage: simulates the best sets with other vehicles (Section IV-D of the paper) and ranks them by their tolerance."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,7 +9,7 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.goals import valued_by
 from drivecal.analysis.optima import one_per_region_first, regions
-from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy, failing_at_most
+from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy, failing_at_most, key_of
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.bench import Bench
@@ -103,8 +103,8 @@ class RobustnessStage(StudyStage):
         with self._database.read() as connection:
             sets = results.sets_at(connection, self._campaign.sequence, self.name, 0)
             document = studies.get(connection, self._campaign.sequence, self.name) or {"items": []}
-        beside = {_key(row["parameters"]): (row["region"], row["to_worse"]) for row in document["items"]}
-        return [Examined(sets[number], *beside.get(_key(sets[number].floats), (0, None))) for number in sorted(sets)]
+        beside = {key_of(row["parameters"]): (row["region"], row["to_worse"]) for row in document["items"]}
+        return [Examined(sets[number], *beside.get(key_of(sets[number].floats), (0, None))) for number in sorted(sets)]
 
     def _ranking(self, wanted: ReplicatesSpecification) -> Ranking:
         return Ranking(self._problem.weights, self._sign, self._goals, self._problem.bench.scale.span, wanted)
@@ -220,6 +220,7 @@ class RobustnessStage(StudyStage):
         violations = [0.0 if each is None else each.violation for each in self._nominal]
         sign, span = next(((each.sign, each.span) for each in self._nominal if each is not None), (1, 0.0))
         worse = levels(np.where(np.isnan(objectives), np.inf, -sign * objectives), span).tolist()
+        rated = np.where(np.isnan(ratings), -np.inf, sign * ratings).tolist()
         order = sorted(
             range(len(known)),
             key=lambda number: (
@@ -227,7 +228,7 @@ class RobustnessStage(StudyStage):
                 violations[number],
                 worse[number],
                 -known[number].radius,
-                -_known(sign * float(ratings[number])),
+                -rated[number],
                 number,
             ),
         )
@@ -299,11 +300,3 @@ class RobustnessStage(StudyStage):
                 for trial in known.trials
             ],
         }
-
-
-def _key(parameters: Mapping[str, float | str]) -> frozenset[tuple[str, float | str]]:
-    return frozenset(parameters.items())
-
-
-def _known(value: float) -> float:
-    return -np.inf if np.isnan(value) else float(value)

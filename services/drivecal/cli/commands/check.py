@@ -96,6 +96,8 @@ class CheckedSet:
     def notes(self) -> list[str]:
         """The notes of all evaluations."""
         noted = [f"{whose}{note}" for whose, each in self._each() for note in (*each.notes, each.error) if note]
+        if self.problem.simulator.get("random") and not any(cell.scores for cell in self.first.items):
+            noted.append("a random simulator ran once in each scenario; --seeds N tests limits by intervals")
         return list(dict.fromkeys(noted))
 
     def _each(self) -> Iterator[tuple[str, Evaluation]]:
@@ -180,14 +182,15 @@ def check(
     as_json: JsonOption = False,
 ) -> None:
     """Check whether a set keeps its limits in every scenario; exit status 1 if not, and if its runs do not tell. Only what changed is
-    simulated. A set of a campaign runs under the seeds that report it, unless --seeds says how many."""
+    simulated. A set of a campaign runs under the seeds that report it, with --seeds N under N seeds beginning there."""
     wanted = [] if limits is None else validated(LimitsFile, dict(read_document(limits))).limits
     with connect(url) as client:
         parameters, spec, axes, reported = _set(client, chosen, names)
         known = client.problem(problem or spec.get("problem", DEFAULT_PROBLEM))
         copied = DECIDING if problem is None else DECIDING - {"catalogue"}  # another push may have other scenarios
         settings = {name: spec[name] for name in copied if name in spec} | {"problem": known.digest}
-        settings["seeds"] = seeds or list(reported) or 1
+        first = min(reported, default=1)  # a set looks better than it is under the seeds before, which chose it
+        settings["seeds"] = list(range(first, first + seeds)) if seeds else list(reported) or 1
         listed = settings.get("catalogue") or known.scenarios
         _refuse_other_axes(axes, known.shapes)
         _refuse_unknown(wanted, known, () if isinstance(listed, str) else listed, has_baseline=baseline is not None)
