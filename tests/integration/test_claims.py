@@ -116,33 +116,20 @@ def test_a_search_by_the_cell_begins_with_runs_of_the_earlier_version(database: 
 
 
 @pytest.mark.parametrize("value", [19, 20])
-def test_a_wrong_claim_ends_the_campaign_and_is_named(database: Database, value: float) -> None:
-    earlier = carried_out(database)
+def test_a_wrong_claim_ends_campaigns_and_evaluations_and_is_named(database: Database, value: float) -> None:
+    earlier, is_wrong = carried_out(database), value == 19
+    stored = [row.parameters.floats | {"jerk_max": value} for row in rows_of(database, earlier)]
     push(database, BEFORE | JERK, added={"jerk_max": value})
-    ended = carried_out(database, fixed={"jerk_max": value})
-    assert (ended.state is CampaignState.FAILED) == (value == 19)
-    assert ("added.jerk_max" in (ended.error or "")) == (value == 19)
-    assert (earlier.id in (ended.error or "")) == (value == 19)
-    assert ended.cells.requested == (0 if value == 19 else ended.cells.repeated)
-
-
-@pytest.mark.parametrize("value", [19, 20])
-def test_runs_of_the_earlier_version_answer_evaluations_once_a_campaign_has_checked_them(
-    database: Database, value: float
-) -> None:
-    earlier = carried_out(database)
-    first, last = (
-        row.parameters.floats | {"jerk_max": value} for row in (rows_of(database, earlier)[place] for place in (0, -1))
-    )
-    push(database, BEFORE | JERK, added={"jerk_max": value})
-    unchecked = evaluated(database, first)
-    assert unchecked.cells.simulated == 2
-    assert ("added.jerk_max" in (unchecked.error or "")) == (value == 19), "its own runs are compared"
-    carried_out(database, fixed={"jerk_max": value})
-    after = evaluated(database, last)
-    assert after.cells.repeated == (2 if value == 20 else 0)
-    assert after.state is (CampaignState.SUCCEEDED if value == 20 else CampaignState.FAILED)
-    assert evaluated(database, last, fresh=True).state is CampaignState.SUCCEEDED, "claims say nothing about new runs"
+    before, ended, after = (
+        evaluated(database, stored[0]), carried_out(database, fixed={"jerk_max": value}), evaluated(database, stored[-1])
+    )  # fmt: skip
+    for each in (before, ended, after):
+        assert (each.state is CampaignState.FAILED) == is_wrong
+        assert [text in (each.error or "") for text in ("added.jerk_max", earlier.id)] == [is_wrong] * 2
+    assert ended.cells.requested == (0 if is_wrong else ended.cells.repeated)
+    assert before.cells.simulated == 2, "a sample would take more runs"
+    assert after.cells.repeated == (0 if is_wrong else 2)
+    assert evaluated(database, stored[-1], fresh=True).state is CampaignState.SUCCEEDED, "claims say nothing about new runs"
     with database.read() as connection:
         assert [list(check(connection)) for check in CHECKS.values()] == [[] for _ in CHECKS]
 

@@ -119,6 +119,13 @@ def test_sets_of_another_curve_begin_no_search_and_have_no_simulation(api: Runni
         with working(api.database, ComputedBackend(answer=heated)):
             simulated(client, parameters=given["parameters"])
         assert [item.difference is None for item in client.imported("heater")] == [False]
+        nearly = SET | {"tank": [0, 1, 9]}
+        with pytest.warns(UserWarning, match=r"rows\[0\]\.parameters\.tank"):
+            client.import_results([given | {"parameters": nearly}], **HEAD | {"source": "house 8"})
+        asked = client.ask_tell({"problem": "heater"}).campaign
+        with pytest.warns(UserWarning, match=r"sets\[0\]\.parameters\.tank"):
+            client.propose(asked.id, [{"key": "a", "parameters": nearly}])
+        client.delete_imported("heater", "house 8")
         pushed(0, 1, 9)
         assert [item.difference for item in client.imported("heater")] == [None]
         refused = api.http.post("/api/v1/campaigns", json=search)

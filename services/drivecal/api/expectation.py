@@ -183,7 +183,7 @@ def _imported_sets(database: Database, problem: CalibrationProblem, source: str,
     given = dict.fromkeys(row.parameters for row in rows)
     sets = [ProposedSet(key=str(number), parameters=dict(each.floats)) for number, each in enumerate(given)]
     try:
-        points = problem.space.parameter_sets(indices_of(problem, sets))
+        points = problem.space.parameter_sets(indices_of(problem, sets, Diagnostics()))
     except InvalidInputError as error:
         remedy = "name the sets that fit in `start_sets`, or change the bounds"
         raise InvalidInputError(*(Problem(field, str(fault), remedy) for fault in error.problems)) from error

@@ -23,9 +23,9 @@ _Edit = tuple[int, int, str]  # begin, end and new text of what changes
 
 
 def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characteristic], written: bytes = b"") -> bytes:
-    """Returns the content of a base file with chosen values. A DCM or CDFX keeps every other byte, but if drivecal wrote their origin into
-    it, that becomes the one in the file that is `written` of them; in another format than its own, and of an A2L, what drivecal reads
-    is written. Raises InvalidInputError for values that do not fit the base."""
+    """Returns the content of a base file with chosen values. A DCM or CDFX keeps every other byte but an origin that drivecal wrote, which
+    becomes that of the `written` file of these values; in another format, and of an A2L, what drivecal reads is written. Raises
+    InvalidInputError for values that do not fit the base."""
     file, ending = base.name, base.suffix.lower().removeprefix(".")
     with file_faults(base, "read", "give a DCM, CDFX or A2L file"):
         held = base.read_bytes()

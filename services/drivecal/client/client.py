@@ -3,10 +3,11 @@
 import json
 import time
 import uuid
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from http import HTTPStatus
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import httpx
 from pydantic import ValidationError
@@ -44,6 +45,7 @@ from drivecal.domain.errors import OverloadError
 if TYPE_CHECKING:
     from drivecal.configuration.problems import Pushed
 
+Noted = TypeVar("Noted", AcceptedSets, ImportAnswer)
 Action = Literal["pause", "resume", "cancel", "finish"]
 Table = Literal[TableName, "front/evaluated"]
 
@@ -227,7 +229,7 @@ class Client(Transport):
 
     def propose(self, identifier: str, sets: Sequence[Mapping[str, Any]]) -> AcceptedSets:
         """Sends up to 1,000 sets to a campaign with an external optimizer: `{"key": "a1", "parameters": {...}}`. Once per key."""
-        return self._call(AcceptedSets, "POST", "campaigns", identifier, "sets", document={"sets": list(sets)})
+        return _noted(self._call(AcceptedSets, "POST", "campaigns", identifier, "sets", document={"sets": list(sets)}))
 
     def answers(self, identifier: str, after: int = 0, wait: float = 0.0) -> AnswerPage:
         """Returns the answers of proposed sets after a number, by cell; waits for one if there is none yet.
@@ -402,7 +404,7 @@ class Client(Transport):
         """
         head = {"problem": problem, "source": source, "date": date, "units": dict(units or {})}
         posted = (self._post(ImportAnswer, "results", document={**head, "rows": list(piece)}) for piece in in_pieces(rows))
-        return sum(answer.stored for answer in posted)
+        return sum(_noted(answer).stored for answer in posted)
 
     def imported(self, problem: str, source: str | None = None) -> list[ImportedRow]:
         """Returns a problem's results from elsewhere, all or from one source, with the stored simulations of the same sets."""
@@ -552,3 +554,9 @@ class Client(Transport):
 
         chosen = files.read(response.content, f"set.{query['format']}").characteristics
         return carried(base, form, chosen, response.content)
+
+
+def _noted(answer: Noted) -> Noted:
+    for note in answer.notes:
+        warnings.warn(note, stacklevel=3)
+    return answer

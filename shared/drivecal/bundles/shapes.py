@@ -17,6 +17,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from drivecal.bundles.expressions import Constraint
 from drivecal.bundles.simulators import Text, Unit
+from drivecal.contracts.setup import points_at
 from drivecal.contracts.specification import Given, Model
 from drivecal.contracts.strict_json import Number
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -222,11 +223,7 @@ class Shape:
         Args:
             settings: the values of a set by name.
         """
-        values: Floats = np.array([settings[name] for name in self.names], dtype=np.float64).reshape(self.counts)
-        for weights in self.weights:
-            values = np.moveaxis(np.tensordot(weights, values, axes=(1, 0)).astype(np.float64), 0, -1)
-        points: Points = _on_grid(np.clip(values, self.lower, self.upper), self.lower, self.step or 0.0).tolist()
-        return points
+        return points_at(self.weights, [settings[name] for name in self.names], self.lower, self.upper, self.step)
 
     def settings(self, points: Points, field: str, ranges: Ranges | None = None) -> dict[str, float]:
         """Returns the coefficients of the nearest curve or map (least squares) of the form, or the values as single points.
@@ -273,9 +270,8 @@ class Shape:
             rows = np.concatenate([units, -units, form])
             system, unit = np.vstack([(rows @ inverse).T, limits - rows @ free]), np.append(0 * free, 1.0)
             residual = system @ nnls(system, unit)[0] - unit
-            away = (
-                0 * free if residual[-1] > -1e-12 else -residual[:-1] / residual[-1]
-            )  # nothing within the bounds has the form
+            has_form = residual[-1] <= -1e-12  # else nothing within the bounds has the form
+            away = -residual[:-1] / residual[-1] if has_form else 0 * free
             fitted = self.lower + span * (free + inverse @ away)
             fitted = np.clip(_on_grid(fitted, lower, step), lower, upper)
             if (form @ fitted >= least - 1e-12).all():

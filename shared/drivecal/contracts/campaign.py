@@ -333,8 +333,7 @@ class Campaign(CellsByStage):
     ended_by: SearchEnd | Literal["cancelled", "failed"] | None = None
     """Why the search ended; null before, and without a search."""
     curves: dict[str, dict[str, Any]] = {}
-    """Curves and maps of the best set: `names` of the coefficients, support points (`axes`), `values` there, and in the answer about an
-    ended campaign alone the range of its `good` sets."""
+    """Curves and maps of the best set: `names` of coefficients, `axes`, `values`; of an ended campaign alone the range of `good` sets."""
     repaired: Repaired = Repaired()
     seconds: Seconds = Seconds()
     error: str | None = None

@@ -1,12 +1,13 @@
 """Answers about a campaign's setup: its problem and all that decides its runs."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from pydantic import Field, computed_field
 
 from drivecal.contracts.campaign import Answer
 from drivecal.contracts.tables import parameter_column
-from drivecal.domain.values import Points
+from drivecal.domain.values import Points, Setting
 
 
 class SearchedParameter(Answer):
@@ -71,24 +72,19 @@ class ShapeAnswer(Answer):
         Args:
             parameters: a value for each of `names`, and others.
         """
-        given = [float(parameters[name]) for name in self.names]
-        along, *rest = self.weights
-        if not rest:
-            return [self._rounded(each) for each in _weighed(along, given)]
-        width = len(rest[0][0])
-        rows = [_weighed(rest[0], given[start : start + width]) for start in range(0, len(given), width)]
-        columns = [_weighed(along, list(column)) for column in zip(*rows, strict=True)]
-        return [[self._rounded(each) for each in row] for row in zip(*columns, strict=True)]
-
-    def _rounded(self, value: float) -> float:
-        value = min(max(value, self.lower), self.upper)
-        if self.step is not None:
-            value = self.lower + round((value - self.lower) / self.step) * self.step
-        return round(value, 9) + 0.0
+        return points_at(self.weights, [parameters[name] for name in self.names], self.lower, self.upper, self.step)
 
 
-def _weighed(weights: Sequence[Sequence[float]], values: Sequence[float]) -> list[float]:
-    return [sum(weight * value for weight, value in zip(row, values, strict=True)) for row in weights]
+def points_at(weights: Sequence[Any], coefficients: list[Setting], lower: float, upper: float, step: float | None) -> Points:
+    """Returns the values at the support points of a curve, of a map a list for each point of x; on the grid from `lower` on."""
+    import numpy as np  # the command line starts without it
+
+    values = np.array(coefficients, dtype=np.float64).reshape([np.shape(along)[1] for along in weights])
+    for along in weights:
+        values = np.moveaxis(np.tensordot(along, values, axes=(1, 0)), 0, -1)
+    values = np.clip(values, lower, upper)
+    points: Points = (np.round(lower + np.rint((values - lower) / step) * step if step else values, 9) + 0.0).tolist()
+    return points
 
 
 class ScenarioSetup(Answer):

@@ -56,17 +56,13 @@ def test_elsewhere_nothing_is_displayed(monkeypatch: pytest.MonkeyPatch, shell: 
     assert output.shown == []
 
 
-def test_a_running_campaign_has_a_bar_and_a_best_set_shows_curves() -> None:
+def test_a_running_campaign_has_a_bar_and_an_ended_one_has_none() -> None:
     shown = STATES[1]._repr_html_()
     assert '<progress value="5" max="9">' in shown
     assert "<td>seconds left</td><td>4</td>" in shown
     ended = STATES[1].model_validate(STATES[1].model_dump() | {"state": "succeeded", "ended_at": "2026-01-01T00:00:00Z"})
     assert "<progress" not in ended._repr_html_()
     assert "seconds left" not in ended._repr_html_()
-    best = {"objective": 0.5, "parameters": {"gain_1": 3.0, "mass": 2.0}, "scores": {}, "alternatives": 1}
-    curve = {"names": ["gain_1"], "axes": [[0, 5]], "values": [3.0, 2.2]}
-    shown = Campaign.model_validate(ended.model_dump() | {"best": best, "curves": {"gain": curve}})._repr_html_()
-    assert ("<td>gain at [0, 5]</td><td>[3.0, 2.2]</td>" in shown, "gain_1" in shown) == (True, False)
 
 
 def test_rows_are_a_list_and_a_table() -> None:

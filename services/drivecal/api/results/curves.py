@@ -8,8 +8,8 @@ from sqlalchemy import Connection
 
 from drivecal.api.tables.ranking import ranking
 from drivecal.bundles.manifest import Manifest
-from drivecal.bundles.shapes import Shape, ShapeEntry
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
+from drivecal.bundles.shapes import ShapeEntry
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.resolve.workbench import bundles_of
 from drivecal.contracts.setup import GoodSets, ShapeAnswer
 from drivecal.domain.errors import NotFoundError
@@ -24,13 +24,19 @@ NEAR = 0.01
 
 def shapes_of(manifest: Manifest) -> dict[str, ShapeAnswer]:
     """Returns the curves and maps of a problem by name."""
-    entries = {name: entry for name, entry in manifest.parameters.items() if isinstance(entry, ShapeEntry)}
-    return {name: _answer(manifest.shapes[name], entry) for name, entry in entries.items()}
+    answers = {}
+    for name, entry in manifest.parameters.items():
+        if isinstance(entry, ShapeEntry):
+            shape, described = (
+                manifest.shapes[name],
+                entry.model_dump(include={"lower", "upper", "step", "unit", "description"}),
+            )
+            described |= {"axes": list(map(list, shape.axes)), "axis_units": list(entry.axis_units), "names": list(shape.names)}
+            answers[name] = ShapeAnswer(weights=[each.tolist() for each in shape.weights], **described)
+    return answers
 
 
-def shapes_with_good_sets(
-    database: Database, connection: Connection, campaign: StoredCampaign, begun_with: ResolvedSpec
-) -> dict[str, ShapeAnswer]:
+def shapes_with_good_sets(database: Database, connection: Connection, campaign: StoredCampaign) -> dict[str, ShapeAnswer]:
     """Returns the curves and maps of a campaign's problem with the range of its good sets; nothing for a problem that is gone."""
     try:
         manifest = bundles_of(connection)(campaign.spec["problem"]).manifest
@@ -39,23 +45,13 @@ def shapes_with_good_sets(
     answers = shapes_of(manifest)
     if not answers or campaign.best is None:
         return answers
-    ranked = ranking(database, campaign, begun_with, None)
+    ranked = ranking(database, campaign, resolved_spec(campaign), None)
     near = ranked.scale.tolerance or NEAR * ranked.scale.span
     feasible = [each for each in ranked.ranked[:MOST_SETS] if each.violation == ranked.ranked[0].violation]
     good = list(takewhile(lambda each: abs(each.objective - feasible[0].objective) <= near + 1e-9, feasible))
     sets = [each.parameters for each in replace(ranked, ranked=good).solutions(0, len(good))]
-    if not sets:
-        return answers
-    values = {name: np.array([shape.values(each) for each in sets]) for name, shape in manifest.shapes.items()}
-    ranges = {
-        name: GoodSets(sets=len(sets), within=near, lower=each.min(axis=0).tolist(), upper=each.max(axis=0).tolist())
-        for name, each in values.items()
-    }
-    return {name: answer.model_copy(update={"good": ranges[name]}) for name, answer in answers.items()}
-
-
-def _answer(shape: Shape, entry: ShapeEntry) -> ShapeAnswer:
-    described = entry.model_dump(include={"lower", "upper", "step", "unit", "description"})
-    weights = [each.tolist() for each in shape.weights]
-    axes = [list(axis) for axis in shape.axes]
-    return ShapeAnswer(names=list(shape.names), axes=axes, axis_units=list(entry.axis_units), weights=weights, **described)
+    for name, shape in manifest.shapes.items() if sets else ():
+        values = np.array([shape.values(each) for each in sets])
+        ends = {"lower": values.min(axis=0).tolist(), "upper": values.max(axis=0).tolist()}
+        answers[name] = answers[name].model_copy(update={"good": GoodSets(sets=len(sets), within=near, **ends)})
+    return answers

@@ -96,7 +96,7 @@ def setup_of(database: Database, connection: Connection, campaign: StoredCampaig
         server=version("drivecal"),
         settings=settings_of(campaign.spec, scenarios, begun_with.evaluator),
         constraints=[] if begun_with.goals is None else [bound_text(bound) for bound in begun_with.goals.bounds],
-        shapes=shapes_with_good_sets(database, connection, campaign, begun_with),
+        shapes=shapes_with_good_sets(database, connection, campaign),
     )
 
 

@@ -135,8 +135,7 @@ def _written(database: Database, campaign: str, query: CalibrationFileOf) -> byt
     known = results_of(database, stored, front, (chosen.iteration, chosen.individual))
     figures = [*figures_of(known, chosen, given, query.score), *([("variant", query.variant)] if query.variant else [])]
     shapes = known.setup.shapes
-    coefficients = {name for shape in shapes.values() for name in shape.names}
-    parameters = [parameter for parameter in known.setup.parameters if parameter.name not in coefficients]
+    parameters = [each for each in known.setup.parameters if not any(each.name in shape.names for shape in shapes.values())]
     named = labels_of(settings(query.label, "label"), [*shapes, *(parameter.name for parameter in parameters)])
     content = characteristics_of(chosen.parameters, parameters, named) + curves_of(chosen.parameters, shapes, named)
     return write(query.format, content, quality_of(known, chosen, figures))

@@ -15,6 +15,7 @@ from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import Parameters
 from drivecal.api.live.streams import EventHub
 from drivecal.api.routes.campaigns import accepted
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.outside import indices_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
@@ -37,7 +38,8 @@ LOOK_SECONDS, LONGEST_LOOK = 0.05, 0.5
 def propose(campaign_id: str, proposed: ProposedSets, request: Request, database: DatabaseDependency) -> AcceptedSets:
     """Takes sets of an outside optimizer. They are stored before the answer; sending them again, with the same keys, changes nothing."""
     problem = _problem(database, campaign_id)
-    indices = indices_of(problem, proposed.sets)
+    diagnostics = Diagnostics()
+    indices = indices_of(problem, proposed.sets, diagnostics)
     listed = [each.scenarios and [name for name in problem.scenarios if name in each.scenarios] for each in proposed.sets]
     sets = [
         OutsideSet(each.key, row, names, each.replicates)
@@ -47,17 +49,12 @@ def propose(campaign_id: str, proposed: ProposedSets, request: Request, database
         campaign = outside_sets.external_campaign(connection, campaign_id)
         refuse_others(request, campaign_id, campaign.owner)
         numbers = outside_sets.add(connection, campaign, sets)
-    made = problem.space.parameter_sets(indices)
-    shapes = problem.bench.bundle.manifest.shapes
-    changed = {
-        each.key: parameters.floats
-        for each, parameters in zip(proposed.sets, made, strict=True)
-        if any(
-            (shapes[name].values(parameters.floats) if name in shapes else parameters.floats[name]) != value
-            for name, value in each.parameters.items()
-        )
-    }
-    return AcceptedSets(numbers=numbers, weights=dict(problem.weights), changed=changed)
+    changed, shapes = {}, problem.bench.bundle.manifest.shapes
+    for each, made in zip(proposed.sets, problem.space.parameter_sets(indices), strict=True):
+        taken = made.floats | {name: shape.values(made.floats) for name, shape in shapes.items()}
+        if any(taken[name] != value for name, value in each.parameters.items()):
+            changed[each.key] = made.floats
+    return AcceptedSets(numbers=numbers, weights=dict(problem.weights), changed=changed, notes=diagnostics.notes)
 
 
 @lru_cache(maxsize=64)

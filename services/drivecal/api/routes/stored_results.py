@@ -42,7 +42,7 @@ def look_up(wanted: ResultLookup, database: DatabaseDependency) -> StoredCells:
     if requested > MOST_CELLS:
         message = f"{len(wanted.sets):,} sets in {len(bench.scenarios):,} scenarios are {requested:,} cells"
         raise InvalidInputError(Problem("sets", message, f"give at most {MOST_CELLS:,}"))
-    sets = given_sets(bench, wanted.sets, "sets[{}]")
+    sets = given_sets(bench, wanted.sets, "sets[{}]", Diagnostics())
     with database.read() as connection:
         simulations = stored_simulations(connection, bench, sets)
     return StoredCells(requested=requested, items=[StoredCell.of(each, set=each.place) for each in simulations])
@@ -54,7 +54,8 @@ def store(given: ImportedResults, database: DatabaseDependency, owner: Owner) ->
     """Stores results from elsewhere. No campaign takes one in place of a simulation. The same again changes nothing."""
     bench = bench_of(ProblemSpecification(problem=given.problem), stored_bundles(database))
     _check(given, bench)
-    sets = given_sets(bench, [row.parameters for row in given.rows], "rows[{}].parameters")
+    diagnostics = Diagnostics()
+    sets = given_sets(bench, [row.parameters for row in given.rows], "rows[{}].parameters", diagnostics)
     manifest = bench.bundle.manifest
     rows = [
         ImportedValues(given.source, given.date.isoformat(), owner, row.scenario, own, row.scores, row.measures, manifest.form)
@@ -62,7 +63,8 @@ def store(given: ImportedResults, database: DatabaseDependency, owner: Owner) ->
     ]
     with database.transaction() as connection:
         stored = imported.add(connection, manifest.problem, rows)
-    return ImportAnswer(stored=stored, known=len({(row.scenario, row.parameters.key) for row in rows}) - stored)
+    known = len({(row.scenario, row.parameters.key) for row in rows}) - stored
+    return ImportAnswer(stored=stored, known=known, notes=diagnostics.notes)
 
 
 class ImportedOf(TableOf):

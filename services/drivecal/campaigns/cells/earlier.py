@@ -98,7 +98,7 @@ def present_version(bench: Bench) -> EarlierVersion:
 
 def checked_cells(connection: Connection, bench: Bench) -> list[tuple[str, ParameterSet]]:
     """Returns the present cells that campaigns simulated to check claims."""
-    settings = bench.evaluator_id, sys.maxsize, MOST_SCENARIOS, (StageName.CLAIMS,)
+    settings = bench.evaluator_id, sys.maxsize, MOST_SCENARIOS, StageName.CLAIMS
     known = _setup_ids(connection, bench).items()
     return [(name, run.parameters) for name, number in known for run in runs.rated(connection, number, *settings)]
 

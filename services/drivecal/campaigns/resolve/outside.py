@@ -13,15 +13,15 @@ from drivecal.domain.parameters import Indices, ParameterSpace, Setting, Value, 
 from drivecal.optimizers.external import ExternalSettings
 
 
-def indices_of(problem: CalibrationProblem, proposed: Sequence[ProposedSet]) -> Indices:
-    """Returns the nearest grid points of proposed sets, shape (n, n_searched).
+def indices_of(problem: CalibrationProblem, proposed: Sequence[ProposedSet], diagnostics: Diagnostics) -> Indices:
+    """Returns the nearest grid points of proposed sets, shape (n, n_searched); adds notes.
 
     With `infeasible: repair` values outside of the bounds become the bounds, and sets that break constraints near feasible ones.
     Raises InvalidInputError naming each faulty field.
     """
     settings = None if problem.optimization is None else problem.optimization.settings
     repairs = isinstance(settings, ExternalSettings) and settings.infeasible == "repair"
-    space, constraints, diagnostics = problem.space, problem.search_constraints, Diagnostics()
+    space, constraints = problem.space, problem.search_constraints
     rows = np.zeros((len(proposed), len(space.searched)), dtype=np.int64)
     for number, each in enumerate(proposed):
         field = f"sets[{number}].parameters"

@@ -28,9 +28,9 @@ class StoredSimulation:
     metrics: dict[str, float | None]
 
 
-def given_sets(bench: Bench, given: Sequence[Values], field: str) -> list[ParameterSet]:
-    """Returns parameter sets with a value for each parameter. Raises InvalidInputError with each fault, in `field` with its number."""
-    diagnostics = Diagnostics()
+def given_sets(bench: Bench, given: Sequence[Values], field: str, diagnostics: Diagnostics) -> list[ParameterSet]:
+    """Returns parameter sets with a value for each parameter; adds notes. Raises InvalidInputError with each fault, in `field` with its
+    number."""
     function = Function(bench.function, {"": bench.parameters}, {}, {}, bench.bundle.manifest.shapes)
     sets = [free_values(each, function, field.format(number), diagnostics) for number, each in enumerate(given)]
     diagnostics.raise_if_any()

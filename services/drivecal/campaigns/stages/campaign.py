@@ -75,8 +75,7 @@ class SingleEvaluation(Stage):
         """Ends the evaluation. Raises NoResultError if a cell has no result; the rows hold the answers of the others. Raises
         InvalidInputError if runs of earlier versions differ from these, although claims that no campaign has checked make them equal."""
         del asked
-        parameters = self._problem.parameter_set
-        cells = [(scenario, parameters) for scenario in self._problem.bench.scenarios]
+        cells = [(scenario, self._problem.parameter_set) for scenario in self._problem.bench.scenarios]
         _, faults = compare(self._database, self._view, self._unchecked, cells)
         if faults:
             raise InvalidInputError(*faults)

@@ -1,8 +1,9 @@
 """The first stage of a campaign whose problem says what runs of its earlier versions mean: simulates a sample of them again."""
 
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
+from typing import Any
 
 from drivecal.campaigns.cells.earlier import EarlierVersion, answers_of, bench_of, present_version, sample
 from drivecal.campaigns.cells.planning import View
@@ -21,9 +22,6 @@ from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import runs
-
-_Values = tuple[float, Mapping[str, float | None], str | None]
-"""Score, measures and failure of a run."""
 
 
 def checkable(database: Database, view: View, problem: CalibrationProblem) -> list[tuple[EarlierVersion, str, ParameterSet]]:
@@ -76,33 +74,28 @@ def compare(
         own = answers_of(connection, bench, [present_version(bench)], cells, sys.maxsize)
         for version in versions:
             stored = answers_of(connection, bench, [version], own, view.watermark)
-            values = runs.values_of(
-                connection, {run.evaluation for cell, other in stored.items() for run in (own[cell], other)}
-            )
+            made = [*stored.values(), *(own[cell] for cell in stored)]
+            values = runs.values_of(connection, {run.evaluation for run in made})
             for cell, other in stored.items():
                 difference = _difference(bench, *((run.score, *values[run.evaluation]) for run in (own[cell], other)))
                 if difference is not None:
-                    number = results.by_id(connection, other.evaluation).campaign_sequence
-                    made_by = f"evaluation {other.evaluation} of {campaigns.by_sequence(connection, number).id}"
+                    maker = campaigns.by_sequence(connection, results.by_id(connection, other.evaluation).campaign_sequence)
+                    made_by = f"evaluation {other.evaluation} of {maker.id}"
                     return compared, [_refusal(claim, *cell, made_by, difference) for claim in version.claims]
             compared += len(stored)
     return compared, []
 
 
-def _difference(bench: Bench, now: _Values, then: _Values) -> str | None:
-    """Returns how a new run differs from a stored one."""
-    values: dict[str, tuple[float | None, float | None]] = {bench.score: (now[0], then[0])}
-    if bench.bundle.manifest.simulator.deterministic:
+def _difference(bench: Bench, now: Sequence[Any], then: Sequence[Any]) -> str | None:
+    """Returns how a new run differs from a stored one; each has a score, measures and a failure."""
+    exact, values = bench.bundle.manifest.simulator.deterministic, {bench.score: (now[0], then[0])}
+    if exact:
         values |= {name: (value, then[1][name]) for name, value in now[1].items() if name in then[1]}
-        wrong = [name for name, pair in values.items() if None not in pair and pair[0] != pair[1]]
-        if not wrong and (now[2] is None) != (then[2] is None):
-            return f"fails {'no more' if now[2] is None else 'now'}"
-    else:
-        wrong = [bench.score] if bench.scale.is_wrong(now[0] - then[0]) else []
-    for name in wrong:
-        new, old = map(repr if len({told(value) for value in values[name]}) == 1 else told, values[name])
-        return f"has {name} {new} now, and {old} in the stored run"
-    return None
+    for name, pair in values.items():
+        if None not in pair and (pair[0] != pair[1] if exact else bench.scale.is_wrong(pair[0] - pair[1])):
+            new, old = map(repr if told(pair[0]) == told(pair[1]) else told, pair)
+            return f"has {name} {new} now, and {old} in the stored run"
+    return f"fails {'no more' if now[2] is None else 'now'}" if exact and (now[2] is None) != (then[2] is None) else None
 
 
 def _refusal(claim: str, scenario: str, parameters: ParameterSet, made_by: str, difference: str) -> Problem:

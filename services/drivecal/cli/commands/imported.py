@@ -1,5 +1,6 @@
 """`drivecal results`: results of vehicles, test benches and other tools."""
 
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -33,6 +34,7 @@ def import_(
     with connect(url) as client:
         known = client.problem(problem)
         rows, units = read_results(Path(file), known)
+        warnings.showwarning = lambda message, *_: tell(f"note: {message}")
         stored = client.import_results(rows, problem=known.name, source=source, date=date, units=units)
     if as_json:
         print_json({"stored": stored, "known": len(rows) - stored})

@@ -143,21 +143,17 @@ class RatedRun:
 
 
 def rated(
-    connection: Connection,
-    setup_id: int,
-    evaluator: str,
-    watermark: int,
-    limit: int,
-    stages: Collection[StageName] = tuple(StageName),
+    connection: Connection, setup_id: int, evaluator: str, watermark: int, limit: int, stage: StageName | None = None
 ) -> list[RatedRun]:
-    """Returns the last `limit` runs of a setup and `stages` up to `watermark`, in the order of references."""
+    """Returns the last `limit` runs of a setup up to `watermark`, of one `stage` or all, in the order of references."""
     place = runs.c.campaign_sequence, runs.c.stage, runs.c.iteration, runs.c.individual, runs.c.id
     query = (
         select(runs.c.evaluation_id, parameter_sets.c.parameter_values, ratings.c.score, ratings.c.rating)
         .select_from(
             runs.join(parameter_sets).join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
         )
-        .where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark, runs.c.stage.in_(stages))
+        .where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
+        .where(*(() if stage is None else (runs.c.stage == stage,)))
         .order_by(*(column.desc() for column in place))
         .limit(limit)
     )

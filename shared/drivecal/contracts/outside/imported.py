@@ -44,10 +44,11 @@ class ImportedResults(Model):
 
 
 class ImportAnswer(Answer):
-    """How many cells are new, and how many were stored before with the same values."""
+    """How many cells are new, and how many were stored before with the same values; `notes` on lists that coefficients give only nearly."""
 
     stored: int
     known: int
+    notes: list[str]
 
 
 class ImportDeleted(Answer):

@@ -45,12 +45,13 @@ class ProposedSets(Model):
 class AcceptedSets(Answer):
     """Stored sets: their `numbers` in the campaign by key; `changed` has the values of sets that were rounded or repaired.
 
-    `weights` has the share of each scenario in the objective.
+    `weights` has the share of each scenario in the objective. `notes` name lists that coefficients give only nearly.
     """
 
     numbers: dict[str, int]
     weights: dict[str, float]
     changed: dict[str, dict[str, float | str]]
+    notes: list[str]
 
 
 class CancelledSet(Answer):

@@ -11,8 +11,7 @@ type Rows = readonly (readonly number[])[];
 /** The values of a set: a row for each support point of x, with a value for each of y; a curve has a single row. */
 export function rowsOf(shape: ShapeAnswer, parameters: Values): number[][] {
   const given = shape.names.map((name) => Number(parameters[name]));
-  const [along = [], across] = shape.weights;
-  if (across === undefined) return [weighed(along, given).map((value) => rounded(value, shape))];
+  const [along = [], across = []] = shape.weights.length === 1 ? [[[1]], ...shape.weights] : shape.weights; // a curve is a map of one row
   const width = across[0]?.length ?? 1;
   const rows = Array.from({ length: given.length / width }, (_, row) => weighed(across, given.slice(row * width, (row + 1) * width)));
   return along.map((weights) => across.map((_, column) => rounded(sum(weights, rows.map((row) => row[column] ?? 0)), shape)));
