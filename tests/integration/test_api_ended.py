@@ -47,11 +47,11 @@ def test_results_are_read_as_before_when_the_plug_ins_are_gone(api: RunningApi, 
     assert [api.http.get(url).text for url in urls] == before
 
 
-@pytest.mark.parametrize("table", ["solutions", "influence", "evaluations", "generations"])
-def test_a_crafted_cursor_counts_nothing_from_the_end(api: RunningApi, table: str) -> None:
+def test_a_crafted_cursor_counts_nothing_from_the_end(api: RunningApi) -> None:
     campaign = posted(api, "campaigns", SMALL)
     analyse(api.database, campaign["id"], lambda _, values: round(7 * min(values["P1"], 0.5)))
     carry_out(api.database, campaign["id"])
-    position: tuple[int | str, ...] = (-3, 0, 0, "S1") if table == "evaluations" else (-3,)
-    response = api.http.get(f"/api/v1/campaigns/{campaign['id']}/{table}", params={"cursor": encode_cursor(*position)})
-    assert (response.status_code, response.json()["errors"][0]["field"]) == (422, "cursor")
+    for table in ("solutions", "influence", "evaluations", "generations"):
+        position: tuple[int | str, ...] = (-3, 0, 0, "S1") if table == "evaluations" else (-3,)
+        response = api.http.get(f"/api/v1/campaigns/{campaign['id']}/{table}", params={"cursor": encode_cursor(*position)})
+        assert (response.status_code, response.json()["errors"][0]["field"]) == (422, "cursor")

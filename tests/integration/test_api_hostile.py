@@ -60,6 +60,7 @@ def post(api: RunningApi, path: str, content: bytes, content_type: str = "applic
     return api.http.post(path, content=content, headers={"Content-Type": content_type})
 
 
+@pytest.mark.slow("postgresql")
 @pytest.mark.parametrize("path", POSTS)
 @pytest.mark.parametrize(
     "content_type", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data", "", "é;;=", "json"]

@@ -33,7 +33,7 @@ def _installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "driving_function", lambda *_: MIXED)
 
 
-@pytest.mark.slow("swarm", "random")
+@pytest.mark.slow("swarm", "random", "cma_es")
 @pytest.mark.parametrize("kind", ["genetic", "swarm", "random", "cma_es"])
 def test_every_optimizer_keeps_constraints_and_resumes_exactly(database: Database, kind: str) -> None:
     wanted = WANTED | {

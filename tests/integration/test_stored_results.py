@@ -1,21 +1,17 @@
 """Look-ups of stored results."""
 
-from pathlib import Path
-from typing import Any
-
-import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.runs import working
-from tests.support.server import problem_of, serving
+from tests.support.server import RunningApi, problem_of
 
 from drivecal.client import Client
 
 BASELINE: dict[str, float | str] = {f"P{number}": 0.5 for number in range(1, 12)}
 
 
-def test_stored_cells_are_found_and_nothing_is_simulated(tmp_path: Path) -> None:
+def test_stored_cells_are_found_and_nothing_is_simulated(api: RunningApi) -> None:
     backend = ComputedBackend()
-    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api, Client(api.url) as client:
+    with Client(api.url) as client:
         assert client.look_up([BASELINE]).items == []
         with working(api.database, backend):
             stored = client.evaluate({"parameters": BASELINE})
@@ -32,16 +28,11 @@ def test_stored_cells_are_found_and_nothing_is_simulated(tmp_path: Path) -> None
         assert client.look_up([BASELINE], vehicle={"model": "hybrid"}).items == []
 
 
-@pytest.mark.parametrize(
-    ("body", "field"),
-    [
+def test_a_lookup_is_refused_by_the_faulty_field(api: RunningApi) -> None:
+    for body, field in (
         ({"sets": [BASELINE] * 2_000}, "sets"),
         ({"sets": [BASELINE, BASELINE | {"other": 1}]}, "sets[1].other"),
         ({"sets": [{"P1": 0.5}], "problem": "nonsense"}, "problem"),
-    ],
-    ids=["too many", "unknown name", "unknown problem"],
-)
-def test_a_lookup_is_refused_by_the_faulty_field(tmp_path: Path, body: dict[str, Any], field: str) -> None:
-    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
+    ):
         refused = api.http.post("/api/v1/results/lookup", json=body)
         assert problem_of(refused, 422)["errors"][0]["field"] == field
