@@ -14,7 +14,7 @@ from tests.support.runs import everything, get, post_map, submit
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.errors import UnavailableError
-from drivecal.execution.pool import StoredLeases, WorkPool
+from drivecal.execution.pool import Leases, WorkPool
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -56,7 +56,7 @@ class Patience:
 
 def dispatcher(database: Any, backend: ComputedBackend) -> Dispatcher:
     ticks = iter(range(10**9))
-    return Dispatcher(database, WorkPool(backend, StoredLeases(database)), clock=lambda: float(next(ticks)))
+    return Dispatcher(database, WorkPool(backend, Leases(database)), clock=lambda: float(next(ticks)))
 
 
 def shaky(database: Database, seed: int, share: float) -> Any:

@@ -10,7 +10,7 @@ from drivecal.contracts.specification import CampaignSpecification
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Heartbeat, Leadership
 from drivecal.domain.campaigns import CampaignState
-from drivecal.execution.pool import StoredLeases, WorkPool
+from drivecal.execution.pool import Leases, WorkPool
 from drivecal.storage import campaigns, processes
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -32,7 +32,7 @@ class _Beating(Dispatcher):
         leadership = Leadership.begin(database)
         own, ticks = database.fenced(leadership.fence), iter(range(10**9))
         self.heartbeat = Heartbeat(own, leadership)
-        pool = WorkPool(backend, StoredLeases(own), clock=lambda: backend.now)
+        pool = WorkPool(backend, Leases(own), clock=lambda: backend.now)
         super().__init__(own, pool, self.heartbeat.tell, clock=lambda: float(next(ticks)))
 
     def step(self) -> None:

@@ -18,7 +18,7 @@ from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
-from drivecal.execution.pool import StoredLeases, WorkPool
+from drivecal.execution.pool import Leases, WorkPool
 from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.storage import campaigns, events, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -75,7 +75,7 @@ def dispatcher(database: Database, simulated: Simulated, backend: ComputedBacken
     ticks = iter(range(10**9))
     own = database.fenced(Leadership.begin(database).fence)
     policy = None if backend is None else BatchPolicy(largest=1)
-    pool = WorkPool(backend or ComputedBackend(answer=simulated), StoredLeases(own), policy)
+    pool = WorkPool(backend or ComputedBackend(answer=simulated), Leases(own), policy)
     return Dispatcher(own, pool, clock=lambda: float(next(ticks)))
 
 

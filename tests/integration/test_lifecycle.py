@@ -22,7 +22,7 @@ from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Outcome
-from drivecal.execution.pool import StoredLeases, WorkPool
+from drivecal.execution.pool import Leases, WorkPool
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -57,7 +57,7 @@ def _dispatcher(database: Database, backend: ComputedBackend) -> Dispatcher:
     """A newly elected one."""
     Leadership.begin(database)
     ticks = iter(range(10**9))
-    return Dispatcher(database, WorkPool(backend, StoredLeases(database)), clock=lambda: float(next(ticks)))
+    return Dispatcher(database, WorkPool(backend, Leases(database)), clock=lambda: float(next(ticks)))
 
 
 def _busy(database: Database) -> tuple[StoredCampaign, HeldBackend, Dispatcher]:

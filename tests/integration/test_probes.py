@@ -10,7 +10,7 @@ from tests.support.runs import finish, get, request
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
-from drivecal.execution.pool import StoredLeases, WorkPool
+from drivecal.execution.pool import Leases, WorkPool
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -50,7 +50,7 @@ def submit(database: Database, **changes: Any) -> StoredCampaign:
 
 def dispatcher(database: Database, backend: FakeBackend) -> Dispatcher:
     own = database.fenced(Leadership.begin(database).fence)
-    return Dispatcher(own, WorkPool(backend, StoredLeases(own), clock=lambda: backend.now), clock=lambda: backend.now)
+    return Dispatcher(own, WorkPool(backend, Leases(own), clock=lambda: backend.now), clock=lambda: backend.now)
 
 
 def ended(database: Database, campaign: StoredCampaign, backend: FakeBackend | None = None) -> StoredCampaign:

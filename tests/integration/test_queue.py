@@ -24,7 +24,7 @@ from drivecal.domain.errors import SupersededError
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.measures import MEASURES
-from drivecal.execution.pool import StoredLeases, WorkPool
+from drivecal.execution.pool import Leases, WorkPool
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.plugins import registry
 from drivecal.storage import campaigns, leases
@@ -98,7 +98,7 @@ def mortal(database: Database, seed: int, fate: Fate) -> Dispatcher:
     backend = MortalBackend(seed)
     backend.fate = fate
     ticks = iter(range(10**9))
-    return Dispatcher(own, WorkPool(backend, StoredLeases(own)), clock=lambda: float(next(ticks)))
+    return Dispatcher(own, WorkPool(backend, Leases(own)), clock=lambda: float(next(ticks)))
 
 
 def late_results() -> float:
@@ -269,7 +269,7 @@ def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Dat
     ticks = iter(range(10**9))
 
     def limited(most: int) -> Dispatcher:
-        pool = WorkPool(Silent(), StoredLeases(own))
+        pool = WorkPool(Silent(), Leases(own))
         return Dispatcher(own, pool, running_campaigns=most, clock=lambda: float(next(ticks)))
 
     working = limited(2)

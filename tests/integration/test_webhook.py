@@ -23,7 +23,7 @@ from drivecal.dispatch.heartbeat import Leadership
 from drivecal.dispatch.webhook import NAME, Webhook
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.events import EventKind
-from drivecal.execution.pool import StoredLeases, WorkPool
+from drivecal.execution.pool import Leases, WorkPool
 from drivecal.execution.scheduling.resources import Resources
 from drivecal.storage import campaigns, events, processes
 from drivecal.storage.campaigns import StoredCampaign
@@ -212,7 +212,7 @@ def test_a_campaign_whose_own_run_holds_the_only_licence_has_not_stalled(databas
     campaign = submission.submit(database, Limits.of(load_settings(resources="carmaker=1")), document, None)
     backend = FakeBackend(2, {"city": 900.0, "road": 900.0})
     own = database.fenced(Leadership.begin(database).fence)
-    pool = WorkPool(backend, StoredLeases(own), clock=lambda: backend.now, resources=Resources({"carmaker": 1}))
+    pool = WorkPool(backend, Leases(own), clock=lambda: backend.now, resources=Resources({"carmaker": 1}))
     carrying_out = Dispatcher(own, pool, clock=lambda: backend.now)
     while not backend.sizes:  # the optimizer computes
         carrying_out.step()

@@ -14,7 +14,7 @@ from tests.support.runs import finish, run
 
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
-from drivecal.execution.pool import StoredLeases, WorkPool
+from drivecal.execution.pool import Leases, WorkPool
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -52,7 +52,7 @@ def mortal(database: Database, dies: Callable[[], bool], backend: ComputedBacken
 
     own: Any = InterceptedDatabase(database.fenced(Leadership.begin(database).fence), moment)
     ticks = iter(range(10**9))
-    return Dispatcher(own, WorkPool(backend, StoredLeases(own)), clock=lambda: float(next(ticks)))
+    return Dispatcher(own, WorkPool(backend, Leases(own)), clock=lambda: float(next(ticks)))
 
 
 def at(moment: int) -> Callable[[], bool]:

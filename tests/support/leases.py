@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from drivecal.domain.errors import UnavailableError
+from drivecal.execution.pool import Leases
 
 
 @dataclass
-class MemoryLeases:
+class MemoryLeases(Leases):
     """`fails`: the next exchanges, one entry each, fail before (`before`) or after (`after`) they were done. `denied`: never granted."""
 
     fails: list[str] = field(default_factory=list)

@@ -18,7 +18,7 @@ from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import StageName
 from drivecal.execution.backend import Backend
-from drivecal.execution.pool import StoredLeases, WorkPool
+from drivecal.execution.pool import Leases, WorkPool
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
@@ -141,7 +141,7 @@ def dispatcher(database: Database, backend: Backend | None = None, **settings: A
     """A newly elected one, that looks and reports in every step. Those before write nothing any more."""
     ticks = iter(range(10**9))
     own = database.fenced(Leadership.begin(database).fence)
-    pool = WorkPool(backend or ComputedBackend(), StoredLeases(own))
+    pool = WorkPool(backend or ComputedBackend(), Leases(own))
     return Dispatcher(own, pool, clock=lambda: float(next(ticks)), **settings)
 
 

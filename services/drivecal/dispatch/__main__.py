@@ -25,7 +25,7 @@ from drivecal.dispatch.heartbeat import Heartbeat, Leadership
 from drivecal.dispatch.webhook import Webhook
 from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableError
 from drivecal.execution.backend import BackendLostError
-from drivecal.execution.pool import StoredLeases, WorkPool
+from drivecal.execution.pool import Leases, WorkPool
 from drivecal.execution.scheduling.resources import Resources
 from drivecal.execution.supervised import SupervisedBackend, WorkerLimits
 from drivecal.storage import bundles
@@ -102,7 +102,7 @@ def _dispatch(
     try:
         dispatcher = Dispatcher(
             database,
-            WorkPool(backend, StoredLeases(database), resources=resources),
+            WorkPool(backend, Leases(database), resources=resources),
             heartbeat.tell,
             running_campaigns=settings.running_campaigns,
         )

@@ -5,7 +5,6 @@ import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import Protocol
 
 from drivecal.contracts.work import BatchResult, SetupKey, SetupRequest
 from drivecal.domain.errors import UnavailableError
@@ -24,8 +23,11 @@ Counts = Mapping[int, int]
 """Numbers by cell id."""
 
 
-class Leases(Protocol):
-    """Leases cells before they are sent. A lease holds until the cell's answer is stored, or until it is given back."""
+class Leases:
+    """Leases cells in the database before they are sent. A lease holds until the cell's answer is stored, or until it is given back."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
 
     def exchange(
         self, returned: Counts, wanted: Counts, seconds: float, *, unstarted: Counts, twice: Collection[int]
@@ -34,20 +36,9 @@ class Leases(Protocol):
 
         Both map cell ids to the number of breakdowns so far. `unstarted`: starts of the simulator that did not happen for returned cells;
         `twice`: wanted cells that are simulated twice. Returns the lease number of each granted cell; the others belong to another
-        process or have an answer. Raises UnavailableError if the outcome is unknown: call it again with the wanted cells given back.
+        process or have an answer. Raises UnavailableError if the outcome is unknown: call it again with the wanted cells given back;
+        and SupersededError if another dispatcher was elected.
         """
-
-
-class StoredLeases:
-    """Leases in the database."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
-
-    def exchange(
-        self, returned: Counts, wanted: Counts, seconds: float, *, unstarted: Counts, twice: Collection[int]
-    ) -> Mapping[int, int]:
-        """Updates leases in one transaction. Raises UnavailableError, and SupersededError if another dispatcher was elected."""
         with MEASURES.lease.time(), self._database.transaction() as connection:
             leases.give_back(connection, returned, unstarted)
             return leases.take(connection, wanted, seconds, twice)
