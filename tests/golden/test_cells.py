@@ -1,8 +1,8 @@
 """A handful of cells repeat their results to the last digit: no change of the numerics goes unnoticed.
 
 drivecal finds stored results by fingerprint, so a change of results needs a new version. `FRENET.version` follows its sources, a
-scenario's digest its definition. Raise `SINGLE_TRACK.version`, `REFERENCE.version` and `drivecal.plugins.setups.CLOSED_LOOP` (traffic,
-loop and metrics) by hand. Then write the file again: `python tests/golden/test_cells.py`.
+scenario's digest its definition. Raise `SINGLE_TRACK.version`, `REFERENCE.version` and `VERSIONS` of `drivecal.plugins.simulators`
+(traffic, loop and metrics) by hand. Then write the file again: `python tests/golden/test_cells.py`.
 
 Another kind of processor differs in the last bits, which a closed loop enlarges: up to 6e-7 of a value were seen between two kinds. So the
 file is compared within a tolerance; on one machine two fresh processes must agree in every bit.
@@ -23,8 +23,8 @@ from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.vehicle.plugin import SINGLE_TRACK
-from drivecal.plugins.setups import simulator
-from drivecal.plugins.simulators import RunOutcome
+from drivecal.plugins.setups import sumo
+from drivecal.plugins.simulators import VERSIONS, RunOutcome
 
 FILE = Path(__file__).with_name("cells.json")
 SETS: dict[str, list[float]] = {
@@ -40,7 +40,7 @@ def versions() -> dict[str, str]:
     """Returns what the results are promised for."""
     digests = {name: scenario.digest for name, scenario in HIGHWAY.scenarios.items()}
     plugins = {"driving function": FRENET.version, "vehicle": SINGLE_TRACK.version, "evaluator": REFERENCE.version}
-    return plugins | {"simulator": simulator()} | digests
+    return plugins | {"sumo": sumo(), "closed loop": VERSIONS["highway"]} | digests
 
 
 def rated(scenario: Scenario, run: RunOutcome) -> Rating:

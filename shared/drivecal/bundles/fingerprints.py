@@ -93,7 +93,7 @@ def parts_of(section: Mapping[str, Any], data: Mapping[str, Any]) -> dict[str, s
     return parts | {
         "controller": f"{function.name} {function.version}",
         "vehicle": f"{vehicle.name} {vehicle.version}",
-        "sumo": setups.simulator(),
+        "sumo": setups.loaded_sumo(),
     }
 
 

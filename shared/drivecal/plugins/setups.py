@@ -1,16 +1,7 @@
-"""Versions of SUMO and of drivecal's closed loop, which are part of setups. Read without importing either."""
+"""The version of SUMO, which is part of setups. Read without importing it."""
 
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-
-CLOSED_LOOP = "4"
-"""Version of the code that connects planner, vehicle and SUMO and measures the run (`drivecal.highway`).
-
-Increase it whenever a run may change by a bit; `tests/golden` detects such changes.
-"""
-
-
-NO_SUMO = "libsumo not installed"
 
 
 def sumo() -> str:
@@ -18,11 +9,8 @@ def sumo() -> str:
     try:
         return f"libsumo {version('libsumo')}"
     except PackageNotFoundError:
-        return NO_SUMO
+        return "libsumo not installed"
 
 
-@cache
-def simulator() -> str:
-    """Returns the simulator and its version, without importing it, and the version of the closed loop."""
-    library = sumo()
-    return library if library == NO_SUMO else f"{library}, closed loop {CLOSED_LOOP}"
+loaded_sumo = cache(sumo)
+"""Returns the same as at its first call: a process keeps the library that it has loaded."""

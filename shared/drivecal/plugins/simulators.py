@@ -13,7 +13,8 @@ from drivecal.domain.values import Argument
 from drivecal.plugins.ports import Named
 
 VERSIONS: Mapping[str, str] = MappingProxyType({"process": "1", "command": "1", "python": "1", "fmu": "1", "highway": "8"})
-"""Version of the adapter of each kind that runs in child processes (`drivecal.adapters`). Here, because the coordinator needs it, too."""
+"""Version of each kind's adapter; that of `highway` is the closed loop's, for planners too. Increase it whenever a run may change by
+a bit; `tests/golden` detects such changes. Here, because the coordinator needs it, too."""
 
 START_SECONDS = 60.0
 """Shortest time limit of a simulator's start, which may load libraries and licences. Here, because the coordinator waits for it, too."""

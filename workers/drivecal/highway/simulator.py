@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivecal.bundles.fingerprints import model_of
-from drivecal.bundles.highway import TaskScenario
 from drivecal.domain.errors import InvalidInputError, UnavailableError, describe
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.values import Argument
+from drivecal.highway.scenarios.highway import scenario_of
 from drivecal.plugins import registry
 from drivecal.plugins.ports import SeriesEvaluator
 from drivecal.plugins.simulators import (
@@ -28,23 +28,6 @@ from drivecal.plugins.simulators import (
 
 if TYPE_CHECKING:
     from drivecal.highway.drive.tasks import TaskRunner
-
-
-def scenario_of(scenario: str, data: Mapping[str, Any], folder: Path) -> Scenario:
-    """Returns a scenario: of an installed catalogue, or of the problem's own data and files.
-
-    Args:
-        scenario: its id.
-        data: its data.
-        folder: the problem's files.
-
-    Raises:
-        InvalidInputError: its network cannot be driven.
-    """
-    if "catalogue" in data:
-        return registry.catalogue(data["catalogue"]).scenarios[scenario]
-    declared = TaskScenario.model_validate(data)
-    return declared.on(scenario, (folder / declared.network).read_bytes())
 
 
 class TaskSession:
@@ -69,11 +52,16 @@ class TaskSession:
 
         Raises NoMeasuresError for all exceptions of plug-ins, and UnavailableError if a plug-in says that this machine cannot run it.
         """
+        from drivecal.highway.drive.tasks import TaskRunner
+
         try:
-            runner = self._prepared(seed if self._random or seed != SEED else self._scenario.seed)
+            scenario = replace(self._scenario, seed=seed) if self._random or seed != SEED else self._scenario
+            if self._runner is None:
+                self._runner = TaskRunner(scenario, self._function, self._vehicle.create(self._values), self._evaluator)
+            self._runner.seed(scenario.seed)
             given = {**self._fixed, **parameters}
-            values: list[Any] = [given[name] for name in runner.parameters]
-            return runner.run([value if isinstance(value, str) else float(value) for value in values], series=series)
+            values: list[Any] = [given[name] for name in self._runner.parameters]
+            return self._runner.run([value if isinstance(value, str) else float(value) for value in values], series=series)
         except UnavailableError:
             raise
         except (Exception, SystemExit) as error:  # a plug-in may raise any exception; the worker must survive
@@ -84,16 +72,6 @@ class TaskSession:
     def close(self) -> None:
         """Leaves the simulation of the process to the next session."""
         self._runner = None
-
-    def _prepared(self, seed: int) -> "TaskRunner":
-        """Returns the runner for a seed."""
-        from drivecal.highway.drive.tasks import TaskRunner
-
-        if self._runner is None:
-            scenario = replace(self._scenario, seed=seed)
-            self._runner = TaskRunner(scenario, self._function, self._vehicle.create(self._values), self._evaluator)
-        self._runner.seed(seed)
-        return self._runner
 
 
 class Highway:

@@ -9,8 +9,8 @@ import threading
 import time
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -140,7 +140,8 @@ class BundleSessions:
         clock: Callable[[], float] = time.monotonic,
         begins: Callable[[int], None] = lambda _: None,
     ) -> None:
-        """`simulators`: returns the simulator of a section; `tools`: runs probes, by default in child processes; `begins`: see `Worker`."""
+        """`simulators`: returns the simulator of a section; `tools`: runs probes, by default in child processes; `begins`:
+        called with a cell's id before each start of the simulator for it."""
         self._begins = begins
         self._cache = cache
         self._tools = tools or Tools()
@@ -260,8 +261,10 @@ class BundleSessions:
 
     def probe(self, setup: SetupRequest) -> str:
         """Returns what the bundle's `probe` answers. Raises UnavailableError if it gives no answer."""
-        with self.files(setup.bundle) as folder:
-            return self._tools.ask(setup, folder)
+        try:
+            return self._tools.ask(setup, self._cache.folder(setup.bundle))
+        except OSError as error:
+            raise _unable(error) from error
 
     def close(self, setup: SetupRequest) -> None:
         """Ends the session of a setup, whose processes may hold licences."""
@@ -271,14 +274,6 @@ class BundleSessions:
     def store(self, digest: str, archive: bytes) -> None:
         """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest."""
         self._cache.store(digest, archive)
-
-    @contextmanager
-    def files(self, digest: str) -> Iterator[Path]:
-        """Yields the files of a bundle. Raises UnavailableError if they are not on this machine."""
-        try:
-            yield self._cache.folder(digest)
-        except OSError as error:
-            raise _unable(error) from error
 
     def _session(self, setup: SetupRequest) -> SimulatorSession:
         self._tools.check(setup, lambda: self._cache.folder(setup.bundle))
@@ -298,7 +293,7 @@ class BundleSessions:
     def _opened_alone(self, setup: SetupRequest) -> SimulatorSession:
         """Opens a session, if need be without the others, which may hold the licence or the memory that it lacks. That is tried again only
         after IDLE_SECONDS: refused cells are asked for often, and the others would start again each time."""
-        refuse_other_parts(setup, self._simulators(setup.simulator).version)
+        _refuse_other_parts(setup, self._simulators(setup.simulator).version)
         tried = self._clock() - self._failed_alone.get(setup.session_key, -math.inf) < IDLE_SECONDS
         try:
             session = self._opened(setup)
@@ -368,14 +363,9 @@ def _unable(error: OSError) -> UnavailableError:
     return UnavailableError(f"this machine cannot run simulators: {error}")
 
 
-def refuse_other_parts(setup: SetupRequest, adapter: str) -> None:
+def _refuse_other_parts(setup: SetupRequest, adapter: str) -> None:
     """Raises UnavailableError if the adapter, SUMO or a plug-in of a setup is another one here, or cannot be loaded: the results are other
-    ones, too.
-
-    Args:
-        setup: the setup.
-        adapter: version of the adapter here.
-    """
+    ones, too."""
     if not setup.document:
         return
     installed: dict[str, str | None] = {"adapter": adapter}

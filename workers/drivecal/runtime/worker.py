@@ -4,7 +4,6 @@ import logging
 import os
 import socket
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivecal.cluster import tracing
@@ -29,18 +28,15 @@ class WorkerFacts:
 class Worker:
     """Runs batches in its own process, because a process can hold only one SUMO simulation."""
 
-    def __init__(
-        self, name: str, bundles: BundleSessions | None = None, begins: Callable[[int], None] = lambda _: None
-    ) -> None:
+    def __init__(self, name: str, bundles: BundleSessions | None = None) -> None:
         """Creates a worker.
 
         Args:
             name: Its name in results and messages.
             bundles: Runs the cells, by default with the installed simulators.
-            begins: Called with a cell's id before each start of the simulator for it.
         """
         self._name = name
-        self._bundles = bundles or BundleSessions(BundleCache(cache_folder()), begins=begins)
+        self._bundles = bundles or BundleSessions(BundleCache(cache_folder()))
 
     def warm(self, trial: Batch) -> WorkerFacts:
         """Simulates `trial`, which loads and compiles everything for the first batch and tests this worker.

@@ -46,8 +46,8 @@ def resolve_map(specification: InfluenceMapSpecification, bundles: BundleSource 
     Raises InvalidInputError for every scenario, parameter and bound that does not fit.
     """
     diagnostics = Diagnostics()
-    named = specification.model_dump(include={"problem", "catalogue", "driving_function"})
-    workbench = find_workbench(ProblemSpecification.model_validate(named), bundles, diagnostics)
+    wanted = ProblemSpecification.model_validate(specification.model_dump(include={"problem", "catalogue", "driving_function"}))
+    workbench = find_workbench(wanted, bundles, diagnostics)
     function, scenarios = diagnostics.found(workbench.function), workbench.scenarios
     space = search_parameters(specification.parameters, function)
     parameters = {parameter.name: parameter for parameter in space}

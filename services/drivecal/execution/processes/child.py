@@ -12,6 +12,8 @@ from drivecal.cluster import pulse
 from drivecal.cluster.guard import end_with_parent
 from drivecal.domain.errors import DrivecalError, describe
 from drivecal.execution.processes.calls import START, RemoteAnswer, RemoteCall
+from drivecal.runtime.bundles import BundleSessions
+from drivecal.runtime.cache import BundleCache, cache_folder
 from drivecal.runtime.worker import Worker
 
 
@@ -32,7 +34,7 @@ def main() -> int:
         with suppress(OSError):  # a full disk
             os.write(starts, START.pack(call.number, cell))
 
-    worker = Worker(name, begins=begins)
+    worker = Worker(name, BundleSessions(BundleCache(cache_folder()), begins=begins))
     while True:
         call = calls.get()
         os.lseek(starts, 0, os.SEEK_SET)

@@ -42,6 +42,8 @@ EGO_COLUMNS = (
 PLAN_COLUMNS = ("time_s", "x_m", "y_m", "heading_rad", "curvature_1pm", "speed_mps", "acceleration_mps2")
 NEIGHBOUR_COLUMNS = ("s_m", "d_m", "s_dot_mps", "d_dot_mps", "x_m", "y_m", "heading_rad")
 PLAN_DIGITS = 6
+SHARED = ("id", "lane", "s", "speed", "length", "width", "acceleration", "deceleration", "time_headway")
+"""Fields that a vehicle has in a scenario with a task and in others."""
 
 
 def drawn(scenario: Scenario) -> Scenario:
@@ -63,18 +65,8 @@ def described(scenario: Scenario) -> HighwayScenario:
     lane, ego = scenario.task.start_lane, scenario.ego
     start = {"lane": lane, "s": ego.s, "speed": ego.speed, "offset": ego.d - lane * scenario.road.lane_width}
     others = [
-        {
-            "id": other.id,
-            "lane": other.lane,
-            "s": other.s,
-            "speed": other.speed,
-            "max_speed": other.desired_speed,
-            "length": other.length,
-            "width": other.width,
-            "acceleration": other.acceleration,
-            "deceleration": other.deceleration,
-            "time_headway": other.time_headway,
-        }
+        {name: getattr(other, name) for name in SHARED}
+        | {"max_speed": other.desired_speed}
         | ({"model": "Krauss", "sigma": other.sigma} if other.sigma else {})
         for other in scenario.traffic
     ]
@@ -179,9 +171,7 @@ class TaskRunner:
             "final_offset_m": offsets.item(-1),
             "final_speed_error_mps": speed_errors(motion[-1:], self._scenario).item(),
         }
-        measured = getattr(self._vehicle, "metrics", None)  # `SelfMeasuring`, in some vehicles only after a run
-        if measured is not None:
-            metrics |= measured
+        metrics |= getattr(self._vehicle, "metrics", None) or {}  # `SelfMeasuring`, in some vehicles only after a run
         failure, rating = finished.failure, None
         if failure is None and not fulfilled(motion, self._scenario):
             failure = Failure.TASK_MISSED.value

@@ -4,15 +4,34 @@ from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from drivecal.bundles.highway import TaskScenario
 from drivecal.bundles.installed import installed_problems
 from drivecal.domain.scenarios import Scenario
+from drivecal.plugins import registry
 
 FOLDER = Path(__file__).parents[1] / "problem"
 """The problem `highway` as `drivecal problem push` takes problems: `problem.yaml` and the networks of its scenarios."""
 RANDOM_FOLDER = FOLDER.with_name("random_problem")
 """The problem `highway-random`: the same scenarios with random traffic, S1r..S6r."""
+
+
+def scenario_of(scenario: str, data: Mapping[str, Any], folder: Path) -> Scenario:
+    """Returns a scenario: of an installed catalogue, or of the problem's own data and files.
+
+    Args:
+        scenario: its id.
+        data: its data.
+        folder: the problem's files.
+
+    Raises:
+        InvalidInputError: its network cannot be driven.
+    """
+    if "catalogue" in data:
+        return registry.catalogue(data["catalogue"]).scenarios[scenario]
+    declared = TaskScenario.model_validate(data)
+    return declared.on(scenario, (folder / declared.network).read_bytes())
 
 
 class HighwayCatalogue:
@@ -24,9 +43,7 @@ class HighwayCatalogue:
     def scenarios(self) -> Mapping[str, Scenario]:
         """Scenarios by id, in the order of the paper's Section IV-A."""
         declared = installed_problems()[self.name].manifest.scenarios
-        scenarios = {name: TaskScenario.model_validate(data) for name, data in declared.items()}
-        networks = {name: (FOLDER / scenario.network).read_bytes() for name, scenario in scenarios.items()}
-        return MappingProxyType({name: scenario.on(name, networks[name]) for name, scenario in scenarios.items()})
+        return MappingProxyType({name: scenario_of(name, data, FOLDER) for name, data in declared.items()})
 
 
 HIGHWAY = HighwayCatalogue()
