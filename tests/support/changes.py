@@ -1,8 +1,17 @@
-"""Documents with one change, for tests of what is refused."""
+"""Documents with one change, for tests of what is refused, and modules with another library."""
 
 import copy
 from collections.abc import Mapping
+from types import ModuleType, SimpleNamespace
 from typing import Any
+
+import pytest
+
+
+def replace_in(monkeypatch: pytest.MonkeyPatch, module: ModuleType, library: str, **functions: Any) -> None:
+    """Replaces functions of a library, such as `time`, for one module. Threads of other tests in this process use the library itself."""
+    namespace = SimpleNamespace(**vars(getattr(module, library)) | functions)
+    monkeypatch.setattr(module, library, namespace)
 
 
 def with_change(document: Mapping[str, Any], path: str, value: Any) -> dict[str, Any]:

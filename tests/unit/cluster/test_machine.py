@@ -1,9 +1,9 @@
 """CPUs within the limits of a container."""
 
-import os
 from pathlib import Path
 
 import pytest
+from tests.support.changes import replace_in
 
 from drivecal.cluster import machine
 
@@ -11,7 +11,7 @@ from drivecal.cluster import machine
 @pytest.fixture(autouse=True)
 def groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A machine with 64 CPUs, whose control groups are in this folder."""
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(64)))
+    replace_in(monkeypatch, machine, "os", sched_getaffinity=lambda _: set(range(64)))
     monkeypatch.setattr(machine, "CONTROL_GROUPS", tmp_path / "groups")
     monkeypatch.setattr(machine, "OWN_GROUPS", tmp_path / "own")
     return tmp_path / "groups"

@@ -1,14 +1,15 @@
 """Checks of a node before it joins a cluster."""
 
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from tests.support.changes import replace_in
 from tests.support.values import faults_of, present
 
 from drivecal.cluster import __main__ as node
+from drivecal.cluster import members as joining
 from drivecal.cluster.members import Node, ask, check_shared_memory, check_token, members, version_gap
 from drivecal.cluster.settings import OBJECT_STORE_BYTES, VERSION_LABEL, release
 from drivecal.domain.errors import ConflictError, InvalidInputError, UnavailableError
@@ -45,7 +46,7 @@ def test_a_token_in_a_file_is_enough(tmp_path: Path) -> None:
 
 def test_too_little_shared_memory_is_said_with_what_is_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     free = 64 * 2**20
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
+    replace_in(monkeypatch, joining, "shutil", disk_usage=lambda _: SimpleNamespace(free=free))
     with pytest.raises(ConflictError, match=r"64 MB.* 80.*shm_size: 128m"):
         check_shared_memory(tmp_path)
     free = OBJECT_STORE_BYTES

@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 import pytest
+from tests.support.changes import replace_in
 
 from drivecal.execution.ray import cluster
 from drivecal.execution.ray.cluster import LONGEST_FOLDER, _PrivateFolder
@@ -36,7 +37,7 @@ def test_folders_of_dead_processes_are_removed_those_of_living_ones_are_not(
     lock = os.open(living, os.O_RDONLY)
     fcntl.flock(lock, fcntl.LOCK_EX)
     now = time.time()
-    monkeypatch.setattr("time.time", lambda: now + 3600.0)
+    replace_in(monkeypatch, cluster, "time", time=lambda: now + 3600.0)
     _PrivateFolder().remove()
     assert sorted(parent.iterdir()) == [living, other]
     os.close(lock)

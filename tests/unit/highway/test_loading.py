@@ -1,12 +1,12 @@
 """Messages of SUMO when it refuses files: in the exception, and on standard error, in case the process dies."""
 
 import os
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.changes import replace_in
 from tests.support.motorways import NETWORK, ROUTE
 from tests.unit.highway.drive.test_traffic import traffic
 
@@ -76,7 +76,7 @@ def test_a_slow_refusal_is_not_repeated_within_the_same_start(
 
     monkeypatch.setattr("libsumo.isLoaded", lambda: False)
     monkeypatch.setattr("libsumo.start", refused)
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    replace_in(monkeypatch, sumo, "time", monotonic=lambda: now[0])
     said = refusal(NETWORK, tmp_path / "traffic.rou.xml")
     assert len(arguments) == loads
     assert "no lane in 'traffic.rou.xml'" in said

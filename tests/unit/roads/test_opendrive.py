@@ -1,7 +1,6 @@
 """OpenDRIVE: geometry and conversion against a reader of its own, notes, and files that are refused."""
 
 import re
-import shutil
 import subprocess
 import sys
 from functools import cache
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.changes import replace_in
 from tests.support.networks import program
 from tests.support.opendrive_files import FILES, edited
 from tests.support.opendrive_reader import Floats, lane_centres, lane_width, roads
@@ -261,7 +261,7 @@ def test_a_file_that_includes_another_is_refused_even_if_that_one_is_there(place
 
 
 def test_without_netconvert_the_answer_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shutil, "which", lambda *_args, **_options: None)
+    replace_in(monkeypatch, conversion, "shutil", which=lambda *_args, **_options: None)
     with pytest.raises(UnavailableError, match=r"drivecal\[opendrive\]"):
         converted(FILES["two_way"](), NAME)
 

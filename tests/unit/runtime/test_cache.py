@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from tests.support.changes import replace_in
 
 from drivecal.adapters.environment import Scratch
 from drivecal.bundles import archives
@@ -125,7 +126,7 @@ def test_a_cache_that_others_may_write_to_is_refused(cache: BundleCache, digest:
 
 
 def test_a_cache_of_another_user_is_refused(cache: BundleCache, digest: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "geteuid", lambda: 4711)
+    replace_in(monkeypatch, module, "os", geteuid=lambda: 4711)
     with pytest.raises(UnavailableError, match=module.CACHE):
         cache.folder(digest)
 

@@ -3,13 +3,14 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from tests.support.changes import replace_in
 
 from drivecal.runtime import compilation
 
 
 def test_numba_gets_a_folder_of_its_own_only_where_it_would_find_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     writable: set[Path] = {Path(compilation.__file__).parent}
-    monkeypatch.setattr(os, "access", lambda path, _: Path(path) in writable)
+    replace_in(monkeypatch, compilation, "os", access=lambda path, _: Path(path) in writable)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")
     monkeypatch.setenv("HOME", str(tmp_path))
