@@ -65,7 +65,7 @@ def replaced(known: Mapping[str, Characteristic], chosen: Sequence[Characteristi
     problems, unknown, result = [], set(given), dict[str, Characteristic]()
     for name, old in known.items():
         new, axes = given.get(name, old), []
-        fits = name not in given or _fits(old, new)
+        fits = name not in given or _fits(old, new, given)
         for letter, axis, own in zip(AXES, old.axes, new.axes, strict=False):
             moved = given.get(f"{name}.{letter}", given.get(axis.shared))
             points = moved.values if moved and axis.points else axis.points if old.values else own.points
@@ -83,10 +83,12 @@ def replaced(known: Mapping[str, Characteristic], chosen: Sequence[Characteristi
     return result
 
 
-def _fits(old: Characteristic, new: Characteristic) -> bool:
-    """Returns True if a file's characteristic can take values. An A2L has no values, and no axes of its own."""
-    axes = [(one, other) for one, other in zip(old.axes, new.axes, strict=False) if INDEX not in {one.kind, other.kind}]
-    points = [pair for one, other in axes for pair in zip(one.points, other.points, strict=False)]
+def _fits(old: Characteristic, new: Characteristic, given: Mapping[str, Characteristic]) -> bool:
+    """Returns True if a file's characteristic can take values. An A2L has no values, and no axes of its own; `given` axes may move."""
+    points = list[tuple[float, float]]()
+    for letter, one, other in zip(AXES, old.axes, new.axes, strict=False):
+        is_free = INDEX in {one.kind, other.kind} or given.keys() & {f"{old.name}.{letter}", one.shared}
+        points += [] if is_free else zip(one.points, other.points, strict=False)
     same_points = all(math.isclose(one, other, rel_tol=SINGLE, abs_tol=SINGLE) for one, other in points)
     same_size = len(old.axes) == len(new.axes) and (not old.values or len(old.values) == len(new.values))
     same_kind = old.value is None or isinstance(old.value, str) == isinstance(new.value, str)

@@ -551,8 +551,11 @@ class Client(Transport):
             return response.content
         from drivecal.calibration_data import files  # half of a start of the command line, which few commands need
         from drivecal.calibration_data.carried import carried
+        from drivecal.calibration_data.sections import axis_points
 
         chosen = files.read(response.content, f"set.{query['format']}").characteristics
+        searched = {(labels or {}).get(name, name) for name in self.setup(identifier).shapes}
+        chosen += [each for each in axis_points(chosen) if each.name in searched]
         return carried(base, form, chosen, response.content)
 
 

@@ -142,8 +142,7 @@ def unclaimed(connection: Connection, digest: str, manifest: Manifest) -> list[s
 def sample(
     connection: Connection, bench: Bench, versions: Collection[EarlierVersion], space: ParameterSpace, watermark: int
 ) -> list[tuple[EarlierVersion, str, ParameterSet]]:
-    """Returns the cells whose runs of earlier versions check claims: the same for every campaign, as far as its space and scenarios hold
-    them."""
+    """Returns the cells that check claims: the same for every campaign, as far as its space and scenarios hold them."""
     cells = []
     for version in versions:
         known = _setup_ids(connection, bench_of(version, bench))

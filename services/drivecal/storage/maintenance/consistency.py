@@ -149,8 +149,7 @@ def check_answers(connection: Connection) -> Iterator[str]:
     )
     of_claims = campaign_stages.c.campaign_sequence == cell.campaign_sequence, campaign_stages.c.stage == StageName.CLAIMS
     single = campaigns.c.sequence == cell.campaign_sequence, campaigns.c.kind == "evaluation"
-    by_claims = exists().where(*of_claims) | exists().where(*single)
-    same |= (cell.outcome == Outcome.REPEATED) & by_claims  # answered by an earlier version of the problem
+    same |= (cell.outcome == Outcome.REPEATED) & (exists().where(*of_claims) | exists().where(*single))  # by an earlier version
     answered = cell.outcome.in_((Outcome.SIMULATED, *ANSWERED_BY_DONOR))
     broken = answered & (run.c.id.is_(None) | ~same)
     yield from _cells(connection, joined, broken, "have no run of their own cell")
