@@ -8,7 +8,7 @@ from sqlalchemy import select
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.problems import store, submit_checked
-from tests.support.runs import SMALL, dispatcher, everything, request, submit
+from tests.support.runs import SMALL, WITH_ANALYSIS, dispatcher, everything, influenced, request, run, submit
 
 from drivecal.api.responses import campaign_answer
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
@@ -185,3 +185,13 @@ def test_a_baseline_is_evaluated_first_and_shown(database: Database) -> None:
         first = next(iter(results.stream(connection, campaign.sequence)))
     assert first.stage is StageName.CALIBRATION
     assert (first.iteration, first.individual, first.parameters.floats) == (0, 0, middle)
+
+
+@pytest.mark.slow("without lots")
+@pytest.mark.parametrize("limit", [1, 0.2], ids=["without lots", "with lots"])
+def test_the_same_campaign_again_simulates_nothing(database: Database, limit: float) -> None:
+    spec = WITH_ANALYSIS | {"reduction": {"mode": "influence", "audit": 0.1, "max_error": limit}}
+    first, again = (run(database, submit(database, likeness="a", **spec), ComputedBackend(answer=influenced)) for _ in range(2))
+    assert first.cells.reused > 0
+    assert (again.cells.runs, again.cells.simulated, again.counts(StageName.SENSITIVITY).runs) == (0, 0, 0)
+    assert (again.best, again.cells.requested, again.cells.reused) == (first.best, first.cells.requested, first.cells.reused)

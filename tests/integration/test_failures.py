@@ -1,4 +1,4 @@
-"""Failed cells of a user's problem: their causes with counts, scores without a value, and campaigns without any result."""
+"""Failed cells of a user's problem: causes with counts, scores without a value, campaigns without a result; and simulators that wait."""
 
 import re
 from dataclasses import dataclass, field
@@ -9,6 +9,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.problems import store, submit_checked
 from tests.support.runs import finish
 
+from drivecal.analysis.savings import account
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.campaigns.stages.stage import ALL_FAILED
 from drivecal.contracts.evaluation import FailureCause
@@ -20,10 +21,11 @@ from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
 from drivecal.execution.pool import Leases, WorkPool
 from drivecal.execution.scheduling.batching import BatchPolicy
-from drivecal.storage import campaigns, events, results
+from drivecal.storage import campaigns, evaluations, events, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import check_counters
+from drivecal.storage.references import runs
 
 MANIFEST: dict[str, Any] = {
     "problem": "mine",
@@ -164,3 +166,32 @@ def test_a_few_results_keep_a_campaign_going(database: Database) -> None:
     ended = run(database, submit(database), Simulated(broken=0.7))
     assert ended.state is CampaignState.SUCCEEDED
     assert ended.cells.failed > ALL_FAILED
+
+
+class Sleeping(Simulated):
+    """Takes 90 s for 5 ms of CPU time."""
+
+    def __call__(self, scenario: str, cell: Cell) -> CellResult:
+        del scenario
+        y = 1.0 + float(cell.parameters["x"])
+        return CellResult(cell.id, None, None, {"y": y}, None, 5.0, wall_milliseconds=90_000.0)
+
+
+def test_a_sleeping_simulator_saves_the_workers_time(database: Database) -> None:
+    first = run(database, submit(database), Sleeping())
+    again = run(database, submit(database), Sleeping())
+    assert (first.cells.repeated, again.cells.simulated) == (0, 0)
+    with database.read() as connection:
+        accounts = [
+            account(each.id, ["city", "road"], evaluations.costs_by_outcome(connection, each.sequence), None)
+            for each in (first, again)
+        ]
+        setups = (campaigns.get(connection, first.id).resolution or {})["setups"]
+        expected = runs.recent_milliseconds(connection, list(setups.values()))
+        occupied, _ = evaluations.occupied(connection, again.sequence, after=0)
+    assert [each.clock for each in accounts] == ["wall", "wall"]
+    assert sum(scenario.simulated_seconds for scenario in accounts[0].scenarios) == 90 * first.cells.simulated
+    assert accounts[1].saved_seconds == 90 * again.cells.repeated
+    assert abs(first.simulating_seconds - 0.005 * first.cells.simulated) < 1e-9, "CPU time stays CPU time"
+    assert expected == 90_000.0
+    assert {name: seconds / cells for name, (cells, seconds) in occupied.items()} == {"city": 90e6, "road": 90e6}

@@ -1,18 +1,25 @@
-"""Hybrid vehicle and learned evaluator in whole runs, and at a worker whose files are damaged."""
+"""Hybrid vehicle and learned evaluator in whole runs, at a worker with other ones, and with damaged files, which a message names."""
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import pytest
+from tests.support.runs import SMALL
+from tests.support.server import serving
 from tests.support.setups import driven
+from tests.support.values import MIDDLE
 
 from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.scenarios import Scenario
+from drivecal.highway.comfort import learned, regressions
 from drivecal.highway.comfort.learned import LEARNED
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.vehicle import hybrid, residual
 from drivecal.highway.vehicle.hybrid import HYBRID
 from drivecal.plugins.ports import SeriesEvaluator
 from drivecal.plugins.simulators import RunOutcome
@@ -20,6 +27,7 @@ from drivecal.runtime.worker import Worker
 
 CALM = [11.0, 0.04, 174, 1692, 153, 0.67, 73, 195, 5.8, 9.9, 164]
 SCENARIOS = HIGHWAY.scenarios
+CHOICES: dict[str, dict[str, Any]] = {"hybrid.npz": {"vehicle": {"model": "hybrid"}}, "learned.npz": {"evaluator": "learned"}}
 NOMINAL = {parameter.name: parameter.nominal for parameter in HYBRID.parameters}
 
 every_scenario = pytest.mark.parametrize("name", list(SCENARIOS))
@@ -54,3 +62,33 @@ def test_a_worker_with_another_version_of_the_evaluator_refuses_to_rate() -> Non
     assert answer.refusal is not None
     assert "1.fromelsewhere" in answer.refusal
     assert LEARNED.version in answer.refusal
+
+
+def damage(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    """Truncates both files, before the process has read them."""
+    copies = [folder / residual.FILE.name, folder / regressions.FILE.name]
+    for file, copy in zip((residual.FILE, regressions.FILE), copies, strict=True):
+        copy.write_bytes(file.read_bytes()[:-40])
+    patch.setattr(hybrid, "shipped", lambda: residual.read(copies[0]))
+    patch.setattr(learned, "shipped", lambda: regressions.read(copies[1]))
+    for plugin in (HYBRID, LEARNED):
+        patch.delitem(vars(plugin), "version", raising=False)
+
+
+def test_what_needs_a_damaged_file_is_refused_by_its_name_and_nothing_is_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    damage(tmp_path, monkeypatch)
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
+        for name, choice in CHOICES.items():
+            small = SMALL | choice
+            for path, body in (
+                ("campaigns", small),
+                ("campaigns?validate_only=true", small),
+                ("evaluations", {"parameters": MIDDLE} | choice),
+            ):
+                answer = api.http.post(f"/api/v1/{path}", json=body)
+                assert answer.status_code == 503, answer.text
+                assert name in answer.json()["detail"]
+        assert api.http.get("/api/v1/campaigns").json()["items"] == []
+        assert api.http.post("/api/v1/campaigns?validate_only=true", json=SMALL).status_code == 200

@@ -11,7 +11,19 @@ from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
-from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, influenced, rows_of, run, step_until, submit
+from tests.support.runs import (
+    EXPERT_SPACE,
+    dispatcher,
+    everything,
+    get,
+    influenced,
+    rows_of,
+    run,
+    run_posted,
+    step_until,
+    submit,
+)
+from tests.support.server import RunningApi
 from tests.support.storage import new_evaluation
 from tests.support.values import present
 
@@ -21,6 +33,8 @@ from drivecal.api.dependencies import Limits
 from drivecal.campaigns.cells.predicting import LotPlanner, slice_size
 from drivecal.campaigns.results.explanation import explain
 from drivecal.configuration.settings import load_settings
+from drivecal.contracts.accounting import Accounting
+from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.specification import RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
@@ -277,3 +291,22 @@ def test_a_rerun_predicts_from_what_the_first_campaign_simulated(database: Datab
     assert earliest < slice_size(400), "the first batch waits for no answer of its own"
     best = Cell(1, present(ended.best).parameters)
     assert present(ended.best).scores == {name: slowly(name, best).score for name in ("S1", "S2")}
+
+
+def test_the_account_has_what_predictions_saved_and_what_they_cost(api: RunningApi) -> None:
+    wanted = {
+        "parameters": SPACE,
+        "catalogue": ["S1", "S2"],
+        "optimizer": {"kind": "genetic", "population": 400, "iterations": 4, "seed": 3},
+        "reduction": {"mode": "predicted", "tolerance": 0.0, "limit": 0.05},
+        "sensitivity": None,
+    }
+    path = f"/api/v1/campaigns/{run_posted(api, wanted, ComputedBackend(answer=slowly))}"
+    campaign = Campaign.model_validate(api.http.get(path).json())
+    account = Accounting.model_validate(api.http.get(campaign.links["results"]).json()["accounting"])
+    assert sum(scenario.predicted for scenario in account.scenarios) == campaign.cells.predicted
+    balance = {item.name: item.seconds for item in account.balance}
+    assert balance["predicted"] > 0
+    assert balance["predictor"] == pytest.approx(-sum(lots.seconds for lots in campaign.released.values()))
+    assert balance["dispatcher"] < 0, "look-ups, planning, and loading the predictors"
+    assert account.net_seconds == pytest.approx(sum(balance.values()))

@@ -43,12 +43,14 @@ class InterceptedDatabase:
         self._moment("after a commit")
 
 
-def mortal(database: Database, dies: Callable[[], bool], backend: ComputedBackend) -> Dispatcher:
-    """Returns a newly elected dispatcher that is killed once `dies` returns True."""
+def mortal(
+    database: Database, dies: Callable[[], bool], backend: ComputedBackend, fault: type[BaseException] = Killed
+) -> Dispatcher:
+    """Returns a newly elected dispatcher that is killed, or meets another `fault`, when `dies` returns True."""
 
     def moment(name: str) -> None:
         if dies():
-            raise Killed(name)
+            raise fault(name)
 
     own: Any = InterceptedDatabase(database.fenced(Leadership.begin(database).fence), moment)
     ticks = iter(range(10**9))
