@@ -30,9 +30,9 @@ from drivecal.analysis.convergence import expected_gain
 from drivecal.campaigns.stages.asking import WINDOW, room_for
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import GENETIC, GeneticSettings
-from drivecal.optimizers.repair import RepairingOptimizer, create_optimizer
+from drivecal.optimizers.repair import RepairingOptimizer
 from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
-from drivecal.plugins.ports import DeclaringOptimizerPlugin
+from drivecal.plugins.ports import OptimizerPlugin
 from drivecal.plugins.search import AskedCell
 
 TARGET = Path(".drivecal/bench/economy.json")
@@ -88,13 +88,13 @@ def random_sets(run: Run, seed: int) -> None:
             run.whole(row)
 
 
-def generations(plugin: DeclaringOptimizerPlugin, settings: Any) -> Callable[[Run, int], None]:
+def generations(plugin: OptimizerPlugin, settings: Any) -> Callable[[Run, int], None]:
     """A generational optimizer, whose infeasible sets are repaired."""
 
     def search(run: Run, seed: int) -> None:
         task = run.problem.task(None)
         own = settings.model_copy(update={"seed": seed})
-        optimizer = RepairingOptimizer(create_optimizer(plugin, own, task.n_values, task.kinds, task.start), task.repair)
+        optimizer = RepairingOptimizer(plugin.create(own, task.n_values, task.start, task.kinds), task.repair)
         unchanged = 0
         for _ in range(settings.iterations):
             if unchanged == 200:  # populations that are equal would be asked for ever

@@ -140,12 +140,13 @@ def test_texts_reach_every_answer_table_and_file(database: Database, tmp_path: P
             assert columns["speed"].to_pylist() == [float(line["speed"]) for line in lines]
 
 
-def test_an_optimizer_that_declares_nothing_is_refused_for_what_it_may_not_know(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Undeclared:
-        name = "undeclared"
+def test_an_optimizer_is_refused_for_what_it_does_not_declare(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Simple:
+        name = "simple"
         settings = registry.optimizer("genetic").settings
+        supports = frozenset({"grid", "integer"})
 
-    monkeypatch.setattr(registry, "optimizer", lambda *_: Undeclared())
+    monkeypatch.setattr(registry, "optimizer", lambda *_: Simple())
     refused = faults_of(resolve, CampaignSpecification.model_validate(WANTED | {"optimizer": {"kind": "genetic"}}))
     assert [problem.field for problem in refused] == ["optimizer.kind"] * 3
     said = " ".join(problem.message for problem in refused)

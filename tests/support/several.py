@@ -14,7 +14,7 @@ from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.built_in import RANDOM
 from drivecal.plugins import registry
-from drivecal.plugins.ports import Ability, DeclaringOptimizerPlugin, Floats, Optimizer, Proposal
+from drivecal.plugins.ports import Ability, Floats, Optimizer, OptimizerPlugin, Proposal
 
 
 class SeveralSettings(OptimizerSpecification):
@@ -72,7 +72,7 @@ class SeveralPlugin:
 
 
 SEARCH: dict[str, Any] = {"kind": "several", "population": 24, "iterations": 8, "seed": 3}
-SEVERAL: DeclaringOptimizerPlugin = SeveralPlugin()
+SEVERAL: OptimizerPlugin = SeveralPlugin()
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.genetic import GeneticAlgorithm, pairs_per_generation
 from drivecal.optimizers.population import RandomSearch, start_population
 from drivecal.optimizers.swarm import ParticleSwarm
-from drivecal.plugins.ports import Ability, DeclaringOptimizerPlugin, Optimizer
+from drivecal.plugins.ports import Ability, Optimizer, OptimizerPlugin
 
 Share = Annotated[float, Field(gt=0, le=1)]
 
@@ -74,7 +74,7 @@ class Resumable(Optimizer, Protocol):
 
 @dataclass
 class BuiltIn(Generic[Chosen]):
-    """A plug-in of this package: see `drivecal.plugins.ports.DeclaringOptimizerPlugin`.
+    """A plug-in of this package: see `drivecal.plugins.ports.OptimizerPlugin`.
 
     All kinds of parameters are alike to it: positions, bits and ranks of choices follow the order of their lists.
     """
@@ -111,7 +111,7 @@ class BuiltIn(Generic[Chosen]):
         state: Mapping[str, Any],
         kinds: Sequence[Kind] | None = None,  # noqa: ARG002  # of the port
     ) -> Optimizer:
-        """See `drivecal.plugins.ports.DeclaringOptimizerPlugin`. Raises InvalidInputError if the state does not fit."""
+        """See `drivecal.plugins.ports.OptimizerPlugin`. Raises InvalidInputError if the state does not fit."""
         chosen = self._checked(settings)
         blank = np.zeros((chosen.population, len(n_values)), dtype=np.int64)
         optimizer = self.begin(chosen, blank, n_values, np.random.Generator(np.random.PCG64(chosen.seed)))
@@ -124,7 +124,7 @@ class BuiltIn(Generic[Chosen]):
         return settings
 
 
-GENETIC: DeclaringOptimizerPlugin = BuiltIn(
+GENETIC: OptimizerPlugin = BuiltIn(
     "genetic",
     GeneticSettings,
     lambda chosen, first, n_values, generator: GeneticAlgorithm(
@@ -137,13 +137,13 @@ GENETIC: DeclaringOptimizerPlugin = BuiltIn(
     ),
     lambda chosen: pairs_per_generation(chosen.population, chosen.selection, chosen.recombination),  # one child per pair
 )
-RANDOM: DeclaringOptimizerPlugin = BuiltIn(
+RANDOM: OptimizerPlugin = BuiltIn(
     "random",
     RandomSettings,
     lambda chosen, first, n_values, generator: RandomSearch(first, n_values, renewed=chosen.renewed, generator=generator),
     lambda chosen: chosen.renewed,
 )
-SWARM: DeclaringOptimizerPlugin = BuiltIn(
+SWARM: OptimizerPlugin = BuiltIn(
     "swarm",
     SwarmSettings,
     lambda chosen, first, n_values, generator: ParticleSwarm(

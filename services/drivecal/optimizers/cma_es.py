@@ -20,7 +20,7 @@ from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import BuiltIn
 from drivecal.optimizers.population import dump_floats, load_floats, ranking
 from drivecal.optimizers.repair import checked_answers, fitting, searchable
-from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats, Proposal
+from drivecal.plugins.ports import Floats, OptimizerPlugin, Proposal
 
 if find_spec("cma") is None:
     raise InvalidInputError(
@@ -134,6 +134,4 @@ def _digest(population: Indices) -> str:
     return sha256(shape.encode() + population.astype("<i8").tobytes()).hexdigest()[:16]
 
 
-CMA_ES: DeclaringOptimizerPlugin = BuiltIn(
-    "cma_es", CmaSettings, lambda chosen, first, n_values, _: CmaEs(chosen, first, n_values)
-)
+CMA_ES: OptimizerPlugin = BuiltIn("cma_es", CmaSettings, lambda chosen, first, n_values, _: CmaEs(chosen, first, n_values))

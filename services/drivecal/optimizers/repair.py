@@ -1,50 +1,19 @@
-"""Abilities of optimizers, checks of what they are given and propose, and constraints kept by repair.
+"""Checks of what optimizers are given and propose, and constraints kept by repair.
 
 An infeasible individual is replaced by a feasible one near it, see `drivecal.domain.regions`. An individual that is carried over is not
 requested again. The optimizer is told the replacement's result.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel
 
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.parameters import Indices, Kind
-from drivecal.plugins.ports import UNDECLARED, Ability, DeclaringOptimizerPlugin, Floats, Optimizer, OptimizerPlugin, Proposal
-from drivecal.plugins.search import SearchPlugin
-
-
-def supported(plugin: OptimizerPlugin | SearchPlugin) -> frozenset[Ability]:
-    """Returns the abilities of a plug-in; without a declaration `UNDECLARED`."""
-    return plugin.supports if isinstance(plugin, DeclaringOptimizerPlugin | SearchPlugin) else UNDECLARED
-
-
-def lacking(plugin: OptimizerPlugin | SearchPlugin, wanted: Collection[Ability]) -> list[Ability]:
-    """Returns the wanted abilities that a plug-in does not have."""
-    return sorted(set(wanted) - supported(plugin))
-
-
-def create_optimizer(
-    plugin: OptimizerPlugin, settings: BaseModel, n_values: Indices, kinds: Sequence[Kind], start: Indices | None = None
-) -> Optimizer:
-    """Creates an optimizer; see `drivecal.plugins.ports.OptimizerPlugin`."""
-    if isinstance(plugin, DeclaringOptimizerPlugin):
-        return plugin.create(settings, n_values, start, kinds)
-    return plugin.create(settings, n_values, start)
-
-
-def restore_optimizer(
-    plugin: OptimizerPlugin, settings: BaseModel, n_values: Indices, kinds: Sequence[Kind], state: Mapping[str, Any]
-) -> Optimizer:
-    """Restores an optimizer; see `drivecal.plugins.ports.OptimizerPlugin`."""
-    if isinstance(plugin, DeclaringOptimizerPlugin):
-        return plugin.restore(settings, n_values, state, kinds)
-    return plugin.restore(settings, n_values, state)
-
+from drivecal.domain.parameters import Indices
+from drivecal.plugins.ports import Floats, Optimizer, Proposal
 
 Individuals = TypeVar("Individuals", bound=npt.NDArray[Any])
 

@@ -202,52 +202,42 @@ class Optimizer(Protocol):
         """Returns the complete state as JSON-ready plain data."""
 
 
+Ability = Literal["grid", "continuous", "integer", "choice", "constraints", "objectives"]
+"""Kinds of parameters that an optimizer searches, `constraints`: repaired individuals, and `objectives`: several, and constraints on
+results."""
+
+
 class OptimizerPlugin(Named, Protocol):
-    """An optimizer that a campaign can choose by its `name` (`optimizer.kind`)."""
+    """An optimizer that a campaign can choose by its `name` (`optimizer.kind`).
+
+    `kinds` has the kind of each parameter, in the order of `n_values`; grids if it is left out. Indices of a continuous parameter are up to
+    2e15 steps of 1e-9; indices of a choice have no order.
+    """
 
     @property
     def settings(self) -> type[BaseModel]:
         """Model of the campaign's `optimizer` section, with at least `kind`, `population`, `iterations`, `seed`."""
 
+    @property
+    def supports(self) -> frozenset[Ability]:
+        """All abilities, `grid` included.
+
+        `constraints` says that the optimizer copes with repair: an infeasible individual is replaced by a feasible one after `ask`, by a
+        pure function of the individual, and `tell` gives the replacement's result.
+        """
+
     def requested_individuals(self, settings: BaseModel) -> int:
         """Returns the largest number of individuals requested over all iterations, without the ones carried over."""
 
-    def create(self, settings: BaseModel, n_values: Indices, start: Indices | None = None) -> Optimizer:
+    def create(
+        self, settings: BaseModel, n_values: Indices, start: Indices | None = None, kinds: Sequence[Kind] | None = None
+    ) -> Optimizer:
         """Creates an optimizer for grids of sizes `n_values`, shape (n_searched,).
 
         `start`, shape (k, n_searched), k <= population: parameter sets that must be in the start population.
         """
 
-    def restore(self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any]) -> Optimizer:
-        """Creates an optimizer that continues from `state`."""
-
-
-Ability = Literal["grid", "continuous", "integer", "choice", "constraints", "objectives"]
-"""Kinds of parameters that an optimizer searches, `constraints`: repaired individuals, and `objectives`: several, and constraints on
-results."""
-UNDECLARED: frozenset[Ability] = frozenset({"grid", "integer"})
-"""Abilities of an optimizer that declares none."""
-
-
-@runtime_checkable
-class DeclaringOptimizerPlugin(OptimizerPlugin, Protocol):
-    """Optional protocol of an optimizer that searches more than grids and integers.
-
-    `create` and `restore` also get the kind of each parameter, in the order of `n_values`. Indices of a continuous parameter are up to 2e15
-    steps of 1e-9; indices of a choice have no order. `constraints` says that the optimizer copes with repair: an infeasible individual is
-    replaced by a feasible one after `ask`, by a pure function of the individual, and `tell` gives the replacement's result.
-    """
-
-    @property
-    def supports(self) -> frozenset[Ability]:
-        """All abilities, `grid` included."""
-
-    def create(
-        self, settings: BaseModel, n_values: Indices, start: Indices | None = None, kinds: Sequence[Kind] | None = None
-    ) -> Optimizer:
-        """See `OptimizerPlugin`. `kinds`: grids if left out."""
-
     def restore(
         self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any], kinds: Sequence[Kind] | None = None
     ) -> Optimizer:
-        """See `OptimizerPlugin`. `kinds`: grids if left out."""
+        """Creates an optimizer that continues from `state`."""

@@ -41,7 +41,7 @@ _READ: Mapping[str, Callable[[Any], object]] = {
     DRIVING_FUNCTIONS: lambda plugin: (plugin.name, dict(plugin.spaces)),
     VEHICLES: lambda plugin: (plugin.name, list(plugin.parameters)),
     EVALUATORS: lambda plugin: plugin.name,
-    OPTIMIZERS: lambda plugin: (plugin.name, plugin.settings.model_fields),
+    OPTIMIZERS: lambda plugin: (plugin.name, plugin.settings.model_fields, plugin.supports),
     SIMULATORS: lambda plugin: plugin.name,
     PROBLEMS: lambda folder: (folder / "problem.yaml").read_bytes(),
 }

@@ -13,12 +13,12 @@ from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective
 from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
 from drivecal.optimizers.cma_es import CMA_ES
-from drivecal.optimizers.repair import RepairingOptimizer, checked_proposal, create_optimizer
+from drivecal.optimizers.repair import RepairingOptimizer, checked_proposal
 from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
-from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats
+from drivecal.plugins.ports import Floats, OptimizerPlugin
 from drivecal.plugins.search import CellAnswer, SearchTask
 
-POPULATIONS: dict[str, DeclaringOptimizerPlugin] = {"genetic": GENETIC, "random": RANDOM, "swarm": SWARM, "cma_es": CMA_ES}
+POPULATIONS: dict[str, OptimizerPlugin] = {"genetic": GENETIC, "random": RANDOM, "swarm": SWARM, "cma_es": CMA_ES}
 GRID: Kind = "grid"
 searches = given(
     sizes=st.sampled_from([[101], [2], [2, 2], [3, 50]]),
@@ -50,7 +50,7 @@ def test_every_optimizer_of_populations_searches_the_smallest_spaces(
 ) -> None:
     plugin, n_values = POPULATIONS[kind], np.array(sizes)
     options = plugin.settings.model_validate({"kind": plugin.name, "population": 6, "iterations": 8, "seed": seed})
-    optimizer = create_optimizer(plugin, options, n_values, [GRID] * len(n_values))
+    optimizer = plugin.create(options, n_values)
     if one_is_feasible:
         optimizer = RepairingOptimizer(optimizer, np.ones_like)
     before = None

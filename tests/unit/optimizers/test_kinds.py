@@ -1,7 +1,6 @@
 """Every optimizer on continuous parameters, integers and choices."""
 
 import json
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +11,7 @@ from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
 from drivecal.optimizers.cma_es import CMA_ES
 from drivecal.optimizers.genetic import BitEncoding
-from drivecal.optimizers.repair import create_optimizer, lacking, restore_optimizer
-from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats, Optimizer
+from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin
 
 N_VALUES = np.array([2 * 10**15 + 1, 10**9 + 1, 2, 7, 201])
 KINDS: tuple[Kind, ...] = ("continuous", "continuous", "choice", "choice", "integer")
@@ -39,24 +37,24 @@ def drive(optimizer: Optimizer, iterations: int) -> list[Indices]:
 
 
 @every
-def test_it_starts_with_given_sets_stays_in_the_space_and_resumes_exactly(plugin: DeclaringOptimizerPlugin) -> None:
+def test_it_starts_with_given_sets_stays_in_the_space_and_resumes_exactly(plugin: OptimizerPlugin) -> None:
     settings = plugin.settings.model_validate({"kind": plugin.name, "population": 12, "seed": 3})
-    whole = drive(create_optimizer(plugin, settings, N_VALUES, KINDS, START), 6)
+    whole = drive(plugin.create(settings, N_VALUES, START, KINDS), 6)
     assert whole[0][:2].tolist() == START.tolist()
     for population in whole:
         assert population.min() >= 0
         assert (population < N_VALUES).all()
-    first = create_optimizer(plugin, settings, N_VALUES, KINDS, START)
+    first = plugin.create(settings, N_VALUES, START, KINDS)
     drive(first, 3)
     state = json.loads(json.dumps(first.state(), allow_nan=False))
-    rest = drive(restore_optimizer(plugin, settings, N_VALUES, KINDS, state), 3)
+    rest = drive(plugin.restore(settings, N_VALUES, state, KINDS), 3)
     assert [population.tolist() for population in rest] == [population.tolist() for population in whole[3:]]
 
 
 @every
-def test_it_gets_closer_than_its_start(plugin: DeclaringOptimizerPlugin) -> None:
+def test_it_gets_closer_than_its_start(plugin: OptimizerPlugin) -> None:
     settings = plugin.settings.model_validate({"kind": plugin.name, "population": 20, "seed": 1})
-    told = drive(create_optimizer(plugin, settings, N_VALUES, KINDS), 40)
+    told = drive(plugin.create(settings, N_VALUES, None, KINDS), 40)
     assert max(closeness(population).max() for population in told[1:]) > closeness(told[0]).max()
 
 
@@ -71,29 +69,3 @@ def test_every_index_of_a_huge_grid_has_a_pattern_and_survives_it(n_values: int,
     pattern = data.draw(st.integers(0, 2 ** int(encoding.bits[0]) - 1))
     (meant,) = encoding.indices(np.array([[pattern, 0]]))[:, 0].tolist()
     assert meant == (2 * pattern * (n_values - 1) + 2 ** int(encoding.bits[0]) - 1) // (2 * (2 ** int(encoding.bits[0]) - 1))
-
-
-class Plain:
-    """A plug-in of a user that declares nothing."""
-
-    name = "plain"
-    settings = GENETIC.settings
-
-    def requested_individuals(self, settings: Any) -> int:
-        return GENETIC.requested_individuals(settings)
-
-    def create(self, settings: Any, n_values: Indices, start: Indices | None = None) -> Optimizer:
-        return GENETIC.create(settings, n_values, start)
-
-    def restore(self, settings: Any, n_values: Indices, state: Any) -> Optimizer:
-        return GENETIC.restore(settings, n_values, state)
-
-
-def test_an_optimizer_that_declares_nothing_searches_grids_and_integers() -> None:
-    assert lacking(Plain(), {"grid", "integer"}) == []
-    assert lacking(Plain(), {"continuous", "choice", "constraints", "grid"}) == ["choice", "constraints", "continuous"]
-    assert lacking(GENETIC, {"continuous", "choice", "constraints", "grid"}) == []
-    optimizer = create_optimizer(Plain(), GENETIC.settings(population=4), np.array([5, 5]), ["grid", "integer"])
-    state = optimizer.state()
-    restored = restore_optimizer(Plain(), GENETIC.settings(population=4), np.array([5, 5]), ["grid", "integer"], state)
-    assert restored.ask().population.tolist() == optimizer.ask().population.tolist()

@@ -12,7 +12,7 @@ from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
 from drivecal.optimizers.repair import RepairCount, RepairingOptimizer
-from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats, Proposal
+from drivecal.plugins.ports import Floats, OptimizerPlugin, Proposal
 
 CURVE = [f"k{number}" for number in range(8)]
 MONOTONE = " >= ".join(CURVE)
@@ -53,7 +53,7 @@ def test_fewer_than_a_tenth_of_new_sets_is_a_collapse(proposed: int, distinct: i
 
 
 @pytest.mark.parametrize("plugin", [GENETIC, RANDOM, SWARM], ids=lambda plugin: plugin.name)
-def test_a_start_population_within_constraints_is_drawn_there(plugin: DeclaringOptimizerPlugin) -> None:
+def test_a_start_population_within_constraints_is_drawn_there(plugin: OptimizerPlugin) -> None:
     given = np.array([[90, 80, 70, 60, 50, 40, 30, 20]])
     optimization = Optimization(plugin, plugin.settings(population=200), None, 5)
     population = optimization.begin(CONSTRAINTS, given).ask().population

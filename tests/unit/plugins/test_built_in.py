@@ -16,7 +16,7 @@ PORTS: dict[str, type] = {
     "drivecal.driving_functions": ports.DrivingFunction,
     "drivecal.vehicles": ports.Vehicle,
     "drivecal.evaluators": ports.Evaluator,
-    "drivecal.optimizers": ports.DeclaringOptimizerPlugin,
+    "drivecal.optimizers": ports.OptimizerPlugin,
     "drivecal.scenarios": ports.Catalogue,
     "drivecal.simulators": simulators.InstalledSimulator,
 }

@@ -50,17 +50,18 @@ class HillClimbing:
 
 class Plugin:
     name, settings = "hill_climbing", Settings
+    supports = frozenset({"grid", "integer"})  # kinds of parameters
 
     def requested_individuals(self, settings):
         return settings.population * settings.iterations
 
-    def create(self, settings, n_values, start=None):
+    def create(self, settings, n_values, start=None, _kinds=None):
         drawn = np.random.default_rng(settings.seed).integers(0, n_values, size=(settings.population, len(n_values)))
         places = drawn if start is None else np.concatenate([start, drawn[len(start) :]])
         known = {"iteration": 0, "places": places.tolist(), "results": [[2 * WORST] * 2] * len(places)}
         return HillClimbing(settings, n_values, known)
 
-    def restore(self, settings, n_values, state):
+    def restore(self, settings, n_values, state, _kinds=None):
         return HillClimbing(settings, n_values, dict(state))
 
 

@@ -27,7 +27,6 @@ from drivecal.domain.parameters import Parameter
 from drivecal.domain.scales import COMFORT
 from drivecal.domain.setups import Setup
 from drivecal.domain.vehicles import CLOSED_LOOP_MEASURES
-from drivecal.optimizers.repair import supported
 from drivecal.plugins import registry
 from drivecal.storage import campaigns, processes
 from drivecal.storage.engine.types import now
@@ -65,7 +64,7 @@ def parameters() -> ParameterSpacePage:
 def optimizers() -> OptimizerPage:
     """The installed optimizers with their settings, and the unusable ones."""
     items = [
-        OptimizerAnswer(name=plugin.name, supports=sorted(supported(plugin)), settings=plugin.settings.model_json_schema())
+        OptimizerAnswer(name=plugin.name, supports=sorted(plugin.supports), settings=plugin.settings.model_json_schema())
         for plugin in registry.optimizers()
     ]
     return OptimizerPage(items=items, broken=_broken(registry.OPTIMIZERS))

@@ -20,7 +20,7 @@ from drivecal.contracts.specification import (
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.external import External
-from drivecal.optimizers.repair import RepairingOptimizer, create_optimizer, lacking, restore_optimizer, supported
+from drivecal.optimizers.repair import RepairingOptimizer
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Ability, Optimizer, OptimizerPlugin
 from drivecal.plugins.search import SearchPlugin
@@ -92,17 +92,17 @@ class Optimization:
         """
         space = constraints.space
         if not constraints:
-            return create_optimizer(self.by_population, self.settings, space.n_values, space.kinds, start)
+            return self.by_population.create(self.settings, space.n_values, start, space.kinds)
         region = constraints.whole_region
         drawn = region.sample(self.population, np.random.Generator(np.random.PCG64(self.seed)))
         start = drawn if start is None else np.concatenate([start, drawn])[: self.population]
-        optimizer = create_optimizer(self.by_population, self.settings, space.n_values, space.kinds, start)
+        optimizer = self.by_population.create(self.settings, space.n_values, start, space.kinds)
         return RepairingOptimizer(optimizer, region.repair)
 
     def restore(self, constraints: Constraints, state: Mapping[str, Any]) -> Optimizer:
         """Returns the optimizer that continues from `state`."""
         space = constraints.space
-        optimizer = restore_optimizer(self.by_population, self.settings, space.n_values, space.kinds, state)
+        optimizer = self.by_population.restore(self.settings, space.n_values, state, space.kinds)
         return RepairingOptimizer(optimizer, constraints.whole_region.repair) if constraints else optimizer
 
 
@@ -173,10 +173,10 @@ def check_abilities(
         return
     wanted: set[Ability] = {*constraints.space.kinds, *(("constraints",) if constraints else ())}
     name = optimization.plugin.name
-    if goals is not None and goals.is_vector and "objectives" not in supported(optimization.plugin):
+    if goals is not None and goals.is_vector and "objectives" not in optimization.plugin.supports:
         message = f"{name} searches by a single number, without constraints on results"
         diagnostics.add("optimizer.kind", message, "choose surrogate, or give one objective and no constraints")
-    for ability in lacking(optimization.plugin, wanted):
+    for ability in sorted(wanted - optimization.plugin.supports):
         concerned = [parameter.name for parameter in constraints.space.searched if parameter.kind == ability]
         message = f"{name} does not support {ability} parameters ({', '.join(concerned)})"
         if ability == "constraints":
