@@ -63,7 +63,7 @@ PROBLEM = (
     highway.FmuController,
     highway.PlannerController,
     highway.TaskScenario,
-    highway.TaskOfEgo,
+    highway.Task,
     highway.HighwayScenario,
     highway.OpenScenario,
 )

@@ -201,18 +201,16 @@ def random_motorway() -> EconomyProblem:
     """The built-in random motorway, S1r to S6r."""
     from tests.benchmarks.evaluation import runner_of
 
-    from drivecal.bundles.highway import TaskScenario
     from drivecal.bundles.installed import installed_problems
     from drivecal.highway.comfort.reference import REFERENCE
     from drivecal.highway.planner.plugin import FRENET
-    from drivecal.highway.scenarios.highway import RANDOM_FOLDER
+    from drivecal.highway.scenarios.highway import RANDOM_FOLDER, scenario_of
 
     declared = installed_problems()["highway-random"].manifest.scenarios
 
     @lru_cache(240)
     def runner(scenario: str, seed: int) -> Any:
-        task = TaskScenario.model_validate(declared[scenario])
-        return runner_of(replace(task.on(scenario, (RANDOM_FOLDER / task.network).read_bytes()), seed=seed))
+        return runner_of(replace(scenario_of(scenario, declared[scenario], RANDOM_FOLDER), seed=seed))
 
     def run(parameters: Mapping[str, Any], scenario: str, seed: int) -> float | None:
         result = runner(scenario, seed).run(list(parameters.values()))

@@ -17,7 +17,7 @@ import libsumo
 import numpy as np
 from scipy.stats import qmc
 
-from drivecal.domain.scenarios import Scenario
+from drivecal.bundles.highway import Scenario
 from drivecal.highway import sumo as sumo_calls
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET

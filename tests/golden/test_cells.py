@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
+from drivecal.bundles.highway import Scenario
 from drivecal.domain.evaluations import Rating
-from drivecal.domain.scenarios import Scenario
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET

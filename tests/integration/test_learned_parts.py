@@ -10,9 +10,9 @@ from tests.support.server import serving
 from tests.support.setups import driven
 from tests.support.values import MIDDLE
 
+from drivecal.bundles.highway import Scenario
 from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.evaluations import Failure
-from drivecal.domain.scenarios import Scenario
 from drivecal.highway.comfort import learned, regressions
 from drivecal.highway.comfort.learned import LEARNED
 from drivecal.highway.comfort.reference import REFERENCE
@@ -49,7 +49,7 @@ def test_both_learned_parts_rate_and_drive_every_scenario(name: str) -> None:
 
 
 def test_a_missed_task_is_not_rated() -> None:
-    missed = replace(SCENARIOS["S1"], task=replace(SCENARIOS["S1"].task, speed_tolerance=1e-9))
+    missed = replace(SCENARIOS["S1"], task=SCENARIOS["S1"].task.model_copy(update={"speed_tolerance": 1e-9}))
     result = run(missed)
     assert (result.failure, result.rating) == (Failure.TASK_MISSED, None)
 

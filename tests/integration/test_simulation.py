@@ -13,13 +13,13 @@ import pytest
 from tests.support.roads import to_cartesian
 from tests.support.values import faults_of
 
+from drivecal.bundles.highway import Scenario, TrafficVehicle
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import Floats, reference_line
-from drivecal.domain.scenarios import Scenario, TrafficVehicle
 from drivecal.highway import sumo
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive import geometry
@@ -272,7 +272,7 @@ def test_a_damaged_network_is_refused_and_the_next_scenario_still_runs(content: 
 
 
 def test_a_vehicle_that_the_network_has_no_room_for_is_named() -> None:
-    outside = TrafficVehicle("outside", lane=7, s=5000.0, speed=20.0, desired_speed=20.0)
+    outside = TrafficVehicle(id="outside", lane=7, s=5000.0, speed=20.0, desired_speed=20.0, drift=[])
     assert [problem.field for problem in faults_of(runner, replace(S1, traffic=(outside,)))] == ["scenarios.S1.traffic[0].s"]
 
 

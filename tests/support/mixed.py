@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from decimal import Decimal
 
+from drivecal.bundles.highway import Scenario
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.constraints import Constraint
 from drivecal.domain.parameters import Parameter
-from drivecal.domain.scenarios import Scenario
 from drivecal.plugins.ports import Planner
 
 

@@ -5,8 +5,7 @@ from math import ceil, cos, sin
 
 import numpy as np
 
-from drivecal.domain.roads import GAUSS_POINTS, GAUSS_WEIGHTS, Floats, pose_on
-from drivecal.domain.scenarios import Road
+from drivecal.domain.roads import GAUSS_POINTS, GAUSS_WEIGHTS, Floats, Road, pose_on
 
 
 @dataclass(frozen=True, slots=True)

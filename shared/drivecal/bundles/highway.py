@@ -4,15 +4,19 @@
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, StringConstraints, Tag, model_validator
+from pydantic_core import to_jsonable_python
 
 from drivecal.bundles.highway_actions import Action, Lane, Position, Speed, VehicleId
 from drivecal.bundles.simulators import Command, File, SimulatorEntry
 from drivecal.contracts.specification import Model
 from drivecal.contracts.strict_json import ONE_LINE, Choice, Identifier, Number
-from drivecal.domain.scenarios import EgoStart, Scenario, SpeedKnot, Task, TrafficVehicle
+from drivecal.domain.roads import Road
+from drivecal.domain.setups import canonical_json, digest
 
 CommandName = Literal["acceleration", "curvature", "steering"]
 Outputs = Annotated[list[CommandName], Field(min_length=1, max_length=2)]
@@ -241,7 +245,7 @@ class HighwayScenario(Surroundings):
     """The route may lead over crossings without traffic lights; no vehicle gives way there."""
 
 
-class TaskOfEgo(Model):
+class Task(Model):
     """The task of the planner: to be in the target lane at the desired speed at the end. Lanes count from the right, from 0."""
 
     start_lane: Lane
@@ -256,8 +260,11 @@ class TaskOfEgo(Model):
     speed_tolerance: Metres = 2.0
 
 
-class EgoWithTask(Model):
-    """The planner's vehicle at its start, in Frenet coordinates on the centre line of the rightmost lane."""
+class EgoStart(Model):
+    """The planner's vehicle at its start, in Frenet coordinates on the centre line of the rightmost lane.
+
+    Its position is its centre of mass, assumed to be the centre of the outline of `length` times `width` metres.
+    """
 
     s: Position
     d: Number
@@ -267,14 +274,14 @@ class EgoWithTask(Model):
     width: Metres = 1.9
 
 
-Deviation = Annotated[float, Field(ge=0, le=1, exclude_if=lambda value: value == 0.0)]
-"""Written only if it is not 0: data without randomness keep their fingerprints."""
+FARTHEST = 2.0
+"""Standard deviations that a start or a speed of the traffic differs at most."""
 
 
-class OtherVehicle(Model):
+class TrafficVehicle(Model):
     """Another vehicle, which keeps its lane by the Intelligent Driver Model, except for its `drift` inside of the lane.
 
-    The seed of a run decides three things that are random, each only if it is not 0. None is more than two deviations.
+    The seed of a run decides three things that are random, each only if it is not 0, and none by more than `FARTHEST` deviations.
     """
 
     id: VehicleId
@@ -289,12 +296,44 @@ class OtherVehicle(Model):
     time_headway: Annotated[float, Field(gt=0, le=60)] = 1.2
     drift: Annotated[list[Annotated[tuple[Number, Number], Field(strict=False)]], Field(max_length=1000, default_factory=list)]
     """Offsets (m, to the left of the lane's centre) by time (s), linear between."""
-    sigma: Deviation = 0.0
+    sigma: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Imperfection of SUMO's model of Krauss, which drives the vehicle then: it falls below its speed at random moments."""
-    speed_deviation: Deviation = 0.0
+    speed_deviation: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Standard deviation of `speed` and `desired_speed`, as a share of them."""
-    departure_deviation: Deviation = 0.0
+    departure_deviation: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Standard deviation (s) of the time at which it passes its start."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A scenario of a catalogue: a road, its traffic and the task of the ego vehicle.
+
+    Positions are Frenet coordinates on the road's reference line, the centre line of the rightmost lane: s along it, d to its left,
+    both in metres. Lane i (0 = rightmost) has its centre at d = i * lane width.
+    """
+
+    id: str
+    title: str
+    rated_as: str
+    """Class that evaluators rate its runs as; each catalogue has its own."""
+    duration: float
+    step: float
+    network: bytes
+    """Content of the SUMO network file."""
+    route: tuple[str, ...]
+    """Edges of the network that the ego vehicle and the traffic drive, in order."""
+    road: Road
+    """The route's road, measured from `network`."""
+    ego: EgoStart
+    task: Task
+    traffic: tuple[TrafficVehicle, ...] = ()
+    seed: int = 1
+
+    @cached_property  # a robustness study makes hundreds of setups of each scenario
+    def digest(self) -> str:
+        """Content hash of everything that decides a run: the network's bytes, but not the road, which follows from them, nor the title."""
+        document = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in {"title", "road"}}
+        return digest(canonical_json(to_jsonable_python(document | {"network": digest(self.network)})).encode())
 
 
 class TaskScenario(Model):
@@ -308,28 +347,10 @@ class TaskScenario(Model):
     route: Route
     duration: Duration
     step: Annotated[float, Field(ge=0.01, le=0.5)] = 0.1
-    ego: EgoWithTask
-    task: TaskOfEgo
-    traffic: Annotated[list[OtherVehicle], Field(max_length=2000, default_factory=list)]
+    ego: EgoStart
+    task: Task
+    traffic: Annotated[list[TrafficVehicle], Field(max_length=2000, default_factory=list)]
     seed: Seed = 1
-
-    def on(self, name: str, network: bytes) -> Scenario:
-        """Returns the scenario on the road of its network file. Raises InvalidInputError if that is no road of equal lanes."""
-        from drivecal.roads.carriageway import carriageway  # scipy takes long to import, and manifests need none
-
-        as_it_is = self.model_dump(exclude={"route", "ego", "task", "traffic", "network"})
-        task = self.task.model_dump(exclude={"speeds"})
-        others = [other.model_dump(exclude={"drift"}) | {"drift": tuple(other.drift)} for other in self.traffic]
-        return Scenario(
-            id=name,
-            **as_it_is,
-            route=tuple(self.route),
-            network=network,
-            road=carriageway(network, tuple(self.route), self.network),
-            ego=EgoStart(**self.ego.model_dump()),
-            task=Task(**task, speeds=tuple(SpeedKnot(s, speed) for s, speed in self.task.speeds)),
-            traffic=tuple(TrafficVehicle(**other) for other in others),
-        )
 
 
 class OpenScenario(Surroundings):

@@ -14,11 +14,11 @@ from drivecal.bundles.highway import (
     HighwayScenario,
     HighwaySimulator,
     OpenScenario,
-    OtherVehicle,
     PlannerController,
     ProcessController,
     TaskScenario,
     TrafficEntry,
+    TrafficVehicle,
     VehicleValues,
 )
 from drivecal.bundles.highway_action_checks import actions_problems
@@ -190,7 +190,7 @@ def scenario_problems(
     duration, step = scenario.duration, scenario.step if isinstance(scenario, TaskScenario) else step
     yield from _steps(f"{field}.duration", duration, step)
     seen: set[str | None] = {"ego"}
-    traffic: Sequence[TrafficEntry | OtherVehicle] = scenario.traffic
+    traffic: Sequence[TrafficEntry | TrafficVehicle] = scenario.traffic
     for index, entry in enumerate(traffic):
         if entry.id in seen:
             remedy = "give another id" if entry.id != "ego" else "give another id; ego is the controlled vehicle"

@@ -12,6 +12,7 @@ from itertools import chain, islice, pairwise
 
 from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.highway import (
+    FARTHEST,
     Described,
     HighwayScenario,
     HighwaySimulator,
@@ -28,7 +29,7 @@ from drivecal.bundles.traffic.places import Map
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.scenarios import FARTHEST
+from drivecal.roads.carriageway import carriageway
 from drivecal.roads.conversion import converted
 from drivecal.roads.corridor import Corridor, corridor
 from drivecal.roads.network import Network, network_file, source_of
@@ -119,7 +120,7 @@ def _roads_of_tasks(manifest: Manifest, files: Mapping[str, BundleFile]) -> Iter
         scenario = scenario_of(name, data)
         if isinstance(scenario, TaskScenario) and scenario.network in files:
             try:
-                road = scenario.on(name, files[scenario.network].content).road
+                road = carriageway(files[scenario.network].content, scenario.route, scenario.network)
             except InvalidInputError as error:
                 yield f"scenarios.{name}", list(_prefixed(error, f"scenarios.{name}"))
             else:

@@ -5,17 +5,42 @@ Between its rows curvature is linear, heading its exact integral and x, y the cu
 row and beyond the last row the road is straight.
 """
 
+from dataclasses import dataclass
 from math import ceil, cos, sin
 
 import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.scenarios import Road
 
 Floats = npt.NDArray[np.float64]
 
 GAUSS_POINTS, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Road:
+    """A motorway carriageway of equal lanes, as its network has it: `drivecal.roads.carriageway` measures it.
+
+    `line`, shape (n, 5): the reference line, as in `domain.roads`; `length` is the length of the route along it.
+    """
+
+    line: Floats
+    length: float
+    lanes: int
+    lane_width: float
+    limits: tuple[tuple[float, float], ...] = ()
+    """Pairs of s (m) and the limit (m/s) behind it, the first at s = 0. The other vehicles obey them."""
+
+    @property
+    def right_edge(self) -> float:
+        """Offset d of the right boundary."""
+        return -0.5 * self.lane_width
+
+    @property
+    def left_edge(self) -> float:
+        """Offset d of the left boundary."""
+        return (self.lanes - 0.5) * self.lane_width
 
 
 def reference_line(road: Road, spacing: float = 0.5) -> Floats:

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel
 
+from drivecal.bundles.highway import Scenario
 from drivecal.domain.constraints import Constraint
 from drivecal.domain.evaluations import Rating
 from drivecal.domain.parameters import Indices, Kind, Parameter
-from drivecal.domain.scenarios import Scenario
 from drivecal.domain.vehicles import VehicleParameter
 
 Floats = npt.NDArray[np.float64]

@@ -6,8 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.roads import resampled
-from drivecal.domain.scenarios import Road, SpeedKnot
+from drivecal.domain.roads import Road, resampled
 from drivecal.roads.corridor import Corridor, corridor
 from drivecal.roads.network import read_network
 
@@ -51,7 +50,7 @@ def _road(network: bytes, route: tuple[str, ...], name: str) -> Road:
     if np.any(measured.limits != limits[:, None]):
         raise _refused(name, "has lanes with limits of their own")
     changes = np.flatnonzero(np.diff(limits, prepend=-1.0))
-    knots = tuple(SpeedKnot(float(measured.line[row, 0]), float(limits[row])) for row in changes)
+    knots = tuple((float(measured.line[row, 0]), float(limits[row])) for row in changes)
     return Road(resampled(measured.line, measured.length, SPACING), measured.length, lanes, width, knots)
 
 

@@ -10,8 +10,8 @@ from decimal import Decimal
 
 import numpy as np
 
+from drivecal.bundles.highway import Scenario
 from drivecal.domain.parameters import Parameter
-from drivecal.domain.scenarios import Scenario
 from drivecal.plugins.ports import Floats, Observation
 
 CRASH, HANG, ERROR, MEMORY = 1.0, 2.0, 3.0, 4.0

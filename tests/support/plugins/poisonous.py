@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from drivecal.bundles.highway import Scenario
 from drivecal.domain.parameters import Parameter
-from drivecal.domain.scenarios import Scenario
 from drivecal.plugins.ports import Floats, Observation
 
 DOSES = 16

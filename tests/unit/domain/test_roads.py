@@ -10,8 +10,7 @@ from tests.support.frenet import project
 from tests.support.roads import CurvatureKnot, RoadDesign, line_of, to_cartesian
 from tests.support.values import faults_of
 
-from drivecal.domain.roads import pose_on, reference_line, resampled
-from drivecal.domain.scenarios import Road
+from drivecal.domain.roads import Road, pose_on, reference_line, resampled
 
 KNOTS = ((100.0, 0.0), (180.3, 1 / 250), (260.1, 1 / 250), (333.3, -1 / 180), (600.0, -1 / 180))
 CURVY = RoadDesign(600.0, 2, 3.75, tuple(CurvatureKnot(s, curvature) for s, curvature in KNOTS))

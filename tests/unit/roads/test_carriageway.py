@@ -27,7 +27,7 @@ def test_lanes_widths_and_limits_are_those_of_the_network() -> None:
     road = carriageway(network(3.5, 3.5), ["e"], "two.net.xml")
     assert (road.lanes, road.lane_width, road.right_edge, road.left_edge) == (2, 3.5, -1.75, 5.25)
     assert road.length == pytest.approx(200.0)
-    assert [(knot.s, knot.speed) for knot in road.limits] == [(0.0, 30.0)]
+    assert road.limits == ((0.0, 30.0),)
     assert road.line[:, 0].tolist() == (np.arange(401) * SPACING).tolist()
     assert np.abs(road.line[:, 2:]).max() < 1e-9
 

@@ -12,11 +12,11 @@ from tests.support.misbehaviour import misbehaving_setup
 from tests.support.plugins.misbehaving import MEMORY, KeepGoing, Misbehaving
 from tests.support.setups import changed, driven
 
+from drivecal.bundles.highway import Scenario
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Batch, Cell, CellResult, SetupRequest
 from drivecal.domain.errors import LONGEST_DETAIL, UnavailableError
-from drivecal.domain.scenarios import Scenario
 from drivecal.highway.drive import tasks
 from drivecal.plugins import registry
 from drivecal.runtime import bundles

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivecal.bundles.fingerprints import model_of
+from drivecal.bundles.highway import Scenario
 from drivecal.domain.errors import InvalidInputError, UnavailableError, describe
 from drivecal.domain.evaluations import Breakdown
-from drivecal.domain.scenarios import Scenario
 from drivecal.domain.values import Argument
 from drivecal.highway.scenarios.highway import scenario_of
 from drivecal.plugins import registry

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from drivecal.bundles.highway import Scenario
 from drivecal.bundles.shapes import Shapes
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Function, given_set
@@ -9,7 +10,6 @@ from drivecal.contracts.specification import CampaignSpecification, Given, Sensi
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scales import COMFORT, Scale
-from drivecal.domain.scenarios import Scenario
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins import registry
 from drivecal.sensitivity import thresholds

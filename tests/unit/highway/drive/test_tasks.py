@@ -1,7 +1,5 @@
 """Scenarios with a task: when it counts as fulfilled, and how the others drift."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from drivecal.highway.scenarios.highway import HIGHWAY
 S1, S5 = HIGHWAY.scenarios["S1"], HIGHWAY.scenarios["S5"]
 STEPS = round(S1.duration / S1.step)
 TARGET = S1.task.target_lane * S1.road.lane_width
-SPEED = S1.task.speeds[0].speed
+SPEED = S1.task.speeds[0][1]
 
 
 def motion_of(d: float, speed: float = SPEED, steps: int = STEPS) -> Floats:
@@ -55,15 +53,15 @@ def test_offsets_count_from_the_target_lane_to_the_left() -> None:
 
 
 def test_the_desired_speed_changes_at_its_place_on_the_road() -> None:
-    first, second = S5.task.speeds
+    (_, first), (place, second) = S5.task.speeds
     motion = np.zeros((3, 6))
-    motion[:, 0] = second.s - 0.1, second.s, second.s + 100.0
-    motion[:, 1] = first.speed
-    assert speed_errors(motion, S5) == pytest.approx([0.0, first.speed - second.speed, first.speed - second.speed])
+    motion[:, 0] = place - 0.1, place, place + 100.0
+    motion[:, 1] = first
+    assert speed_errors(motion, S5) == pytest.approx([0.0, first - second, first - second])
 
 
 def test_a_vehicle_drifts_along_its_knots() -> None:
-    vehicle = replace(S1.traffic[0], drift=((1.0, 0.0), (2.0, 0.5), (3.0, 0.5), (4.0, -0.5)))
+    vehicle = S1.traffic[0].model_copy(update={"drift": [(1.0, 0.0), (2.0, 0.5), (3.0, 0.5), (4.0, -0.5)]})
     offsets = drift_offsets(vehicle, S1)
     assert len(offsets) == round(S1.duration / S1.step)
     after = {time: offsets[round(time / S1.step) - 1] for time in (0.5, 1.5, 2.5, 3.5, 10.0)}

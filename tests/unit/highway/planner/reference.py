@@ -13,8 +13,8 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from tests.support.roads import to_cartesian
 
+from drivecal.bundles.highway import Scenario
 from drivecal.domain.roads import Floats, reference_line
-from drivecal.domain.scenarios import Scenario
 from drivecal.highway.planner import cost, plans, terms
 from drivecal.highway.planner.planner import CURB
 from drivecal.plugins.ports import Observation

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from tests.support.roads import CurvatureKnot, road_of
 
+from drivecal.bundles.highway import EgoStart, Scenario, Task
 from drivecal.domain.roads import Floats
-from drivecal.domain.scenarios import EgoStart, Scenario, SpeedKnot, Task
 from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.highway.planner.plugin import HIGHWAY
 from drivecal.plugins.ports import Observation
@@ -31,9 +31,9 @@ KEEPING = Scenario(
     network=b"",
     route=(),
     ego=EgoStart(s=100.0, d=LANE, speed=30.0),
-    task=Task(1, 1, (SpeedKnot(0.0, 30.0),)),
+    task=Task(start_lane=1, target_lane=1, speeds=[(0.0, 30.0)]),
 )
-CHANGING = replace(KEEPING, id="changing", task=Task(0, 1, (SpeedKnot(0.0, 30.0),), lane_change_after=1.0))
+CHANGING = replace(KEEPING, id="changing", task=Task(start_lane=0, target_lane=1, speeds=[(0.0, 30.0)], lane_change_after=1.0))
 BENDING = replace(KEEPING, id="bending", road=road_of(1000.0, 3, LANE, WINDING))
 
 
@@ -59,8 +59,8 @@ def random_scenario(random: np.random.Generator) -> Scenario:
     """Any road, task and desired speeds."""
     lanes = int(random.integers(2, 4))
     start, target = (int(lane) for lane in random.integers(0, lanes, 2))
-    speeds = tuple(SpeedKnot(s, float(random.uniform(15, 38))) for s in (0.0, 180.0, float(random.uniform(200, 500))))
-    task = Task(start, target, speeds, lane_change_after=float(random.uniform(0, 2)))
+    speeds = [(s, float(random.uniform(15, 38))) for s in (0.0, 180.0, float(random.uniform(200, 500)))]
+    task = Task(start_lane=start, target_lane=target, speeds=speeds, lane_change_after=float(random.uniform(0, 2)))
     road = road_of(600.0, lanes, LANE, (STRAIGHT, WINDING)[int(random.integers(2))])
     ego = EgoStart(s=100.0, d=start * LANE, speed=30.0, width=float(random.uniform(1.7, 2.1)))
     return replace(KEEPING, road=road, task=task, ego=ego)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.domain.scenarios import SpeedKnot, Task
+from drivecal.bundles.highway import Task
 from drivecal.highway.planner import plans
 from drivecal.highway.planner.cost import LATEST_DECELERATION
 from drivecal.highway.planner.lanes import LANES
@@ -16,7 +16,7 @@ S = np.linspace(0.0, 500.0, 1001)
 
 
 def speeds_along(*knots: tuple[float, float]) -> list[float]:
-    speeds: list[float] = desired_speeds(Task(0, 0, tuple(SpeedKnot(*knot) for knot in knots)), S).tolist()
+    speeds: list[float] = desired_speeds(Task(start_lane=0, target_lane=0, speeds=list(knots)), S).tolist()
     return speeds
 
 

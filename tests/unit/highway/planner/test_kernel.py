@@ -22,9 +22,9 @@ from tests.unit.highway.planner.situations import (
     seen,
 )
 
+from drivecal.bundles.highway import Scenario
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import Floats
-from drivecal.domain.scenarios import Scenario
 from drivecal.highway.planner.cost import weights
 from drivecal.highway.planner.planner import FrenetPlanner
 from drivecal.highway.planner.plugin import HIGHWAY

@@ -14,9 +14,9 @@ from tests.unit.highway.planner.considering import features_of
 from tests.unit.highway.planner.reference import ReferencePlanner
 from tests.unit.highway.planner.situations import BENDING, CHANGING, KEEPING, LANE, MIDDLE, random_drive, seen, vehicle
 
+from drivecal.bundles.highway import Scenario, Task
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.roads import Floats, reference_line
-from drivecal.domain.scenarios import Scenario, SpeedKnot, Task
 from drivecal.highway.planner.cost import weights
 from drivecal.highway.planner.planner import PERIOD, FrenetPlanner
 from drivecal.highway.planner.plans import LARGEST_THRUST, LONGITUDINAL_ENDS
@@ -207,12 +207,12 @@ def test_a_slower_vehicle_ahead_is_never_hit(parameters: list[float]) -> None:
 
 
 def test_a_lower_limit_is_reached_in_time_and_a_higher_one_not_used_too_early() -> None:
-    slower = replace(KEEPING, task=Task(1, 1, (SpeedKnot(0.0, 30.0), SpeedKnot(350.0, 22.0))))
+    slower = replace(KEEPING, task=Task(start_lane=1, target_lane=1, speeds=[(0.0, 30.0), (350.0, 22.0)]))
     drive = ideal_drive(slower, MIDDLE, 14.0)
     speed_at_sign = np.interp(350.0, drive[:, 1], drive[:, 2])
     assert speed_at_sign < 23.5
     assert drive[:, 3].min() > -3.5
-    faster = replace(KEEPING, task=Task(1, 1, (SpeedKnot(0.0, 22.0), SpeedKnot(250.0, 30.0))))
+    faster = replace(KEEPING, task=Task(start_lane=1, target_lane=1, speeds=[(0.0, 22.0), (250.0, 30.0)]))
     drive = ideal_drive(faster, MIDDLE, 16.0, start=[100.0, 22.0, 0.0, LANE, 0.0, 0.0])
     assert drive[drive[:, 1] < 250.0, 2].max() < 22.2
     assert drive[-1, 2] > 27.0

@@ -9,9 +9,9 @@ import yaml
 
 from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.checks import checked
+from drivecal.bundles.highway import Scenario
 from drivecal.bundles.highway_roads import check_roads
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.scenarios import Scenario
 from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.highway.scenarios.highway import FOLDER, HIGHWAY, RANDOM_FOLDER
 
@@ -36,10 +36,10 @@ def test_every_scenario_keeps_to_the_frame_of_the_catalogue(scenario: Scenario) 
     assert scenario.step == 0.1
     assert scenario.road.lanes == 3
     assert 1 <= len(scenario.traffic) <= 6
-    fastest = max(knot.speed for knot in scenario.road.limits)
+    fastest = max(speed for _, speed in scenario.road.limits)
     assert scenario.ego.s + scenario.duration * fastest < scenario.road.length - 50.0, "the road ends too early"
-    assert scenario.task.speeds[0].s == 0.0
-    assert scenario.road.limits[0].s == 0.0
+    assert scenario.task.speeds[0][0] == 0.0
+    assert scenario.road.limits[0][0] == 0.0
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)

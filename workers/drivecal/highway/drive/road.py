@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivecal.domain.roads import Floats, pose_on
-from drivecal.domain.scenarios import Road
+from drivecal.domain.roads import Floats, Road, pose_on
 from drivecal.highway.geometry import point, with_directions
 from drivecal.roads.corridor import Corridor, LanePiece
 
@@ -111,8 +110,8 @@ class HighwayRoad:
             line, lanes = carriageway.line, carriageway.lanes
             centres = np.tile(np.arange(lanes) * carriageway.lane_width, (len(line), 1))
             widths = np.full(centres.shape, carriageway.lane_width)
-            knots = np.searchsorted([knot.s for knot in carriageway.limits], line[:, 0], side="right") - 1
-            limits = np.tile(np.array([knot.speed for knot in carriageway.limits])[knots][:, None], (1, lanes))
+            starts, speeds = np.array(carriageway.limits).T
+            limits = np.tile(speeds[np.searchsorted(starts, line[:, 0], side="right") - 1][:, None], (1, lanes))
         self.line: Floats = with_directions(line)
         self.sumo = SumoLanes(corridor, line[:, 0])
         columns = [centres, widths, limits, slopes(line, centres), self.sumo.totals]

@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from drivecal.bundles.highway import HighwayScenario
+from drivecal.bundles.highway import FARTHEST, HighwayScenario, Scenario, TrafficVehicle
 from drivecal.contracts.evaluation import ReplayPlan
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.roads import Floats
-from drivecal.domain.scenarios import FARTHEST, Scenario, TrafficVehicle
 from drivecal.highway.comfort.metrics import comfort_metrics
 from drivecal.highway.drive.control import PlannerControl
 from drivecal.highway.drive.loop import Loop
@@ -57,7 +56,7 @@ def _drawn(other: TrafficVehicle, seed: list[int]) -> TrafficVehicle:
     late, fast = np.random.Generator(np.random.PCG64(seed)).standard_normal(2).clip(-FARTHEST, FARTHEST).tolist()
     factor = 1.0 + other.speed_deviation * fast
     s = other.s - other.departure_deviation * late * other.speed
-    return replace(other, s=s, speed=factor * other.speed, desired_speed=factor * other.desired_speed)
+    return other.model_copy(update={"s": s, "speed": factor * other.speed, "desired_speed": factor * other.desired_speed})
 
 
 def described(scenario: Scenario) -> HighwayScenario:
@@ -88,7 +87,7 @@ def drift_offsets(vehicle: TrafficVehicle, scenario: Scenario) -> list[float]:
     return [_interpolate(vehicle.drift, (step + 1) * scenario.step) for step in range(steps)]
 
 
-def _interpolate(knots: tuple[tuple[float, float], ...], time: float) -> float:
+def _interpolate(knots: Sequence[tuple[float, float]], time: float) -> float:
     for (begin, first), (end, second) in pairwise(knots):
         if time < end:
             return first + (second - first) * max(0.0, time - begin) / (end - begin)
@@ -192,8 +191,7 @@ def target_offsets(motion: Floats, scenario: Scenario) -> Floats:
 
 def speed_errors(motion: Floats, scenario: Scenario) -> Floats:
     """Returns the speed along the road minus the desired speed (m/s), shape (n,), of Frenet motions of shape (n, 6)."""
-    knots = np.array([knot.s for knot in scenario.task.speeds])
-    speeds = np.array([knot.speed for knot in scenario.task.speeds])
+    knots, speeds = np.array(scenario.task.speeds).T
     current = np.maximum(np.searchsorted(knots, motion[:, 0], side="right") - 1, 0)
     errors: Floats = motion[:, 1] - speeds[current]
     return errors

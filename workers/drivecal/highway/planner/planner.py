@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from drivecal.bundles.highway import Scenario
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import reference_line
-from drivecal.domain.scenarios import Scenario
 from drivecal.highway.planner import kernel, plans, terms
 from drivecal.highway.planner.cost import weights
 from drivecal.highway.planner.plans import LATERAL_PLANS, LONGITUDINAL_PLANS, desired_speeds, lateral_ends

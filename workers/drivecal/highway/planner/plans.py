@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.domain.scenarios import Task
+from drivecal.bundles.highway import Task
 from drivecal.highway import geometry
 from drivecal.highway.compilation import compiled_with
 from drivecal.highway.geometry import point
@@ -83,8 +83,7 @@ def lateral_ends(lane_width: float, wanted_lane: int, other_lane: int) -> Floats
 def desired_speeds(task: Task, s: Floats) -> Floats:
     """Returns the desired speed (m/s) at arc lengths `s` (uniform, shape (n,)): the task's, lowered ahead of a lower speed such that
     `LATEST_DECELERATION` suffices. A higher speed begins at its knot. The first knot's speed also holds before it."""
-    knots = np.array([knot.s for knot in task.speeds])
-    speeds = np.array([knot.speed for knot in task.speeds])
+    knots, speeds = np.array(task.speeds).T
     in_force = np.maximum(np.searchsorted(knots, s, side="right") - 1, 0)
     reachable = speeds[in_force] ** 2
     ahead = 2.0 * LATEST_DECELERATION * (s[-1] - s)

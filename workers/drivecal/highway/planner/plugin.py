@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from decimal import Decimal
 from pathlib import Path
 
+from drivecal.bundles.highway import Scenario
 from drivecal.domain import roads
 from drivecal.domain.parameters import Parameter
-from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import digest
 from drivecal.plugins.ports import DrivingFunction, Planner
 

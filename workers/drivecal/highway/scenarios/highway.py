@@ -6,9 +6,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from drivecal.bundles.highway import TaskScenario
+from drivecal.bundles.highway import Scenario, TaskScenario
 from drivecal.bundles.installed import installed_problems
-from drivecal.domain.scenarios import Scenario
 from drivecal.plugins import registry
 
 FOLDER = Path(__file__).parents[1] / "problem"
@@ -30,8 +29,13 @@ def scenario_of(scenario: str, data: Mapping[str, Any], folder: Path) -> Scenari
     """
     if "catalogue" in data:
         return registry.catalogue(data["catalogue"]).scenarios[scenario]
+    from drivecal.roads.carriageway import carriageway  # scipy takes long to import, and plug-ins are listed without
+
     declared = TaskScenario.model_validate(data)
-    return declared.on(scenario, (folder / declared.network).read_bytes())
+    network = (folder / declared.network).read_bytes()
+    same = {field: getattr(declared, field) for field in ("title", "rated_as", "duration", "step", "ego", "task", "seed")}
+    road, route = carriageway(network, declared.route, declared.network), tuple(declared.route)
+    return Scenario(id=scenario, network=network, road=road, route=route, traffic=tuple(declared.traffic), **same)
 
 
 class HighwayCatalogue:
