@@ -5,7 +5,7 @@ from io import BytesIO
 from itertools import islice
 
 from drivecal.bundles.archives import BundleFile
-from drivecal.bundles.fmus.checks import ANY_NUMBER, input_notes, section_problems, unit_notes, unit_problems, value_problems
+from drivecal.bundles.fmus import checks
 from drivecal.bundles.fmus.description import read_fmu
 from drivecal.bundles.highway import FmuController, HighwaySimulator
 from drivecal.bundles.manifest import FmuSimulator, Manifest
@@ -30,18 +30,21 @@ def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str
         except (InvalidInputError, KeyError):
             continue
         if isinstance(section, FmuSimulator):
-            problems += unit_problems(description, parameters)
+            problems += checks.unit_problems(description, parameters)
             data = [
                 (f"scenarios.{name}.{key}", key, value)
                 for name, given in manifest.scenarios.items()
                 for key, value in given.items()
             ]
-            problems += islice(value_problems(description, data), MOST_PROBLEMS)
+            problems += islice(checks.value_problems(description, data), MOST_PROBLEMS)
+            measured = [text.partition("(")[2].rpartition(")")[0].strip() for text in section.measures.values()]
+            used = {*measured, *manifest.series, section.seed or "", *(key for _, key, _ in data)}
         else:
-            problems += islice(section_problems(field, section.model_dump(), description, parameters), MOST_PROBLEMS)
-            notes += islice(input_notes(field, section.model_dump(), description), MOST_PROBLEMS)
-        problems += islice(value_problems(description, _ends(manifest)), MOST_PROBLEMS)
-        notes += unit_notes(description, parameters)
+            problems += islice(checks.section_problems(field, section.model_dump(), description, parameters), MOST_PROBLEMS)
+            notes += islice(checks.input_notes(field, section.model_dump(), description), MOST_PROBLEMS)
+            used = {*section.signals.values(), *(section.constants or {})}
+        problems += islice(checks.value_problems(description, _ends(manifest)), MOST_PROBLEMS)
+        notes += [*checks.unit_notes(description, parameters), *checks.unused_notes(field, used | set(parameters), description)]
     if problems:
         raise InvalidInputError(*dict.fromkeys(problems))
     return tuple(dict.fromkeys(notes))
@@ -50,7 +53,7 @@ def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str
 def _ends(manifest: Manifest) -> Iterator[tuple[str, str, object]]:
     """Yields field, name and value of the ends and steps of all parameters' ranges, or of their choices."""
     for name, entry in manifest.scalars.items():
-        step = None if entry.integer or entry.choices else entry.step or ANY_NUMBER
+        step = None if entry.integer or entry.choices else entry.step or checks.ANY_NUMBER
         given = {"lower": entry.lower, "upper": entry.upper, "step": step}
         for key, value in given.items():
             if value is not None:

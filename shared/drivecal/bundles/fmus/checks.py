@@ -3,7 +3,8 @@
 The FMU's child imports this, at each start: it has no part in the models of manifests.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from typing import Any
 
@@ -75,6 +76,13 @@ def input_notes(field: str, section: Mapping[str, Any], description: FmuDescript
         if variable.causality == "input" and not variable.is_settable and variable.name not in given:
             kind = f"an array of {variable.kind}" if variable.is_array else f"of type {variable.kind}"
             yield f"{field}: nothing can give the FMU's input {shown(variable.name)}, {kind}; it stays as the FMU starts"
+
+
+def unused_notes(field: str, used: Collection[str], description: FmuDescription) -> Iterator[str]:
+    """Yields a note that counts the inputs, outputs and parameters of the FMU at `field` that are not `used`."""
+    kinds = Counter(each.causality for each in description.variables if each.name not in used)
+    if counts := [f"{count:,} {kind}{'s' * (count > 1)}" for kind, count in kinds.items() if kind in SETTABLE | {"output"}]:
+        yield f"{field}: the problem leaves out {', '.join(counts)} of the FMU; what is not set stays as the FMU starts"
 
 
 def _parameters(description: FmuDescription, parameters: Mapping[str, str]) -> Iterator[tuple[str, str, FmuVariable]]:

@@ -17,7 +17,8 @@ from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.fmus import description as description_module
 from drivecal.bundles.fmus.bundles import MOST_PROBLEMS, check_fmus, fields_of_resets
-from drivecal.bundles.fmus.description import parse_description, read_fmu
+from drivecal.bundles.fmus.checks import unused_notes
+from drivecal.bundles.fmus.description import FmuDescription, FmuVariable, parse_description, read_fmu
 from drivecal.configuration.problems import read_archived, read_bundle_with_notes
 from drivecal.domain.errors import InvalidInputError
 
@@ -96,7 +97,9 @@ def problem(parameters: dict[str, str] | None = None, **controller: Any) -> dict
 
 
 def notes(given: dict[str, Any], description: str) -> tuple[str, ...]:
-    return check_fmus(checked(given), {"acc.fmu": file_of(description)})
+    """All notes but the count of what is left out."""
+    said = check_fmus(checked(given), {"acc.fmu": file_of(description)})
+    return tuple(note for note in said if " leaves out " not in note)
 
 
 def faults(given: dict[str, Any], description: str) -> dict[str, str]:
@@ -296,10 +299,20 @@ def test_an_input_that_nothing_can_give_is_noted(given: str) -> None:
     assert "targets" in noted[0]
 
 
+def test_what_a_problem_leaves_out_of_an_fmu_is_counted() -> None:
+    kinds = ["input", "input", "output", "parameter", "local", "parameter"]
+    description = FmuDescription(variables=[FmuVariable(f"v{index}", kind) for index, kind in enumerate(kinds)])
+    (note,) = unused_notes("simulator", {"v0", "v3"}, description)
+    assert "1 input, 1 output, 1 parameter of" in note
+    assert list(unused_notes("simulator", {"v0", "v1", "v2", "v3", "v5"}, description)) == []
+    given = PROBLEM | {"simulator": SYSTEM, "scenarios": {"S": {"n": 100}}}
+    assert [note for note in check_fmus(checked(given), {"acc.fmu": file_of(SECOND)}) if " leaves out " in note]
+
+
 def test_faults_have_their_lines_and_notes_come_with_the_bundle(tmp_path: Path) -> None:
     archive(tmp_path / "acc.fmu", SECOND, {})
     (tmp_path / "problem.yaml").write_text(yaml.safe_dump(problem({"v_set": "1"}) | {"simulator": SYSTEM}))
-    assert len(read_bundle_with_notes(tmp_path)[2]) == 1
+    assert len([note for note in read_bundle_with_notes(tmp_path)[2] if " leaves out " not in note]) == 1
     (tmp_path / "problem.yaml").write_text(yaml.safe_dump(problem({"v_set": "m/s"}) | {"simulator": SYSTEM}))
     with pytest.raises(InvalidInputError) as refusal:
         read_bundle_with_notes(tmp_path)
