@@ -1,7 +1,7 @@
 """Builds answers from stored rows."""
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from functools import lru_cache
 from operator import attrgetter
@@ -16,6 +16,7 @@ from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.contracts.tables import PLACE, CampaignTable, EvaluationRow, parameter_column
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
+from drivecal.domain.parameters import ParameterSet, Setting
 from drivecal.domain.setups import digest
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.results import StoredEvaluation
@@ -27,7 +28,6 @@ SECONDS_BETWEEN_POLLS = 1
 TABLES = (*get_args(CampaignTable), "results", "setup", "studies", "calibration-file")
 """Links of a campaign besides `events`."""
 _FIELDS = tuple(EvaluationRow.model_fields)
-_column = lru_cache(maxsize=4096)(parameter_column)
 _place, _rest = attrgetter(*_FIELDS[:PLACE]), attrgetter(*_FIELDS[PLACE:])
 
 
@@ -139,10 +139,16 @@ def _links(stored: StoredCampaign) -> dict[str, str]:
 def evaluation_row(stored: StoredEvaluation) -> dict[str, Any]:
     """Returns a row of the table `evaluations`."""
     row: dict[str, Any] = dict(zip(_FIELDS[:PLACE], _place(stored), strict=True))
-    row |= {_column(name): value for name, value in stored.parameters.floats.items()}
+    row |= _parameter_columns(stored.parameters)
     row |= zip(_FIELDS[PLACE:], _rest(stored), strict=True)
     row["seed"] = stored.seed or None
     return row
+
+
+@lru_cache(maxsize=1024)
+def _parameter_columns(parameters: ParameterSet) -> Mapping[str, Setting]:
+    """Returns the values of a set by column: the cells of a set follow each other."""
+    return {parameter_column(name): value for name, value in parameters.floats.items()}
 
 
 def evaluation_answer(stored: StoredCampaign, cells: Sequence[EvaluatedCell]) -> Evaluation:

@@ -1,9 +1,9 @@
 """Evaluations of campaigns, read for pages, exports and rankings."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import (
     Boolean,
@@ -43,8 +43,7 @@ _COPIED = evaluations.c.outcome.in_(NOT_SIMULATED)
 _ANSWERING_RUN, _OWN_RUN, _OWN_RATING = runs.alias("answering_run"), runs.alias("own_run"), ratings.alias("own_rating")
 
 
-@dataclass(frozen=True, slots=True)
-class StoredEvaluation:
+class StoredEvaluation(NamedTuple):
     """A requested cell. `outcome` is None while it is pending; `plan` is the planned kind of answer."""
 
     id: int
@@ -80,7 +79,9 @@ class StoredEvaluation:
     """Seed of the run; 0 if the simulator does not depend on one."""
 
 
-_NAMES = tuple(field.name for field in fields(StoredEvaluation))
+_NAMES = StoredEvaluation._fields
+_OUTCOMES: dict[str | None, Outcome | None] = {None: None, **{each.value: each for each in Outcome}}
+_PURPOSES = {each.value: each for each in Purpose}
 _PARAMETERS, _PLAN, _OUTCOME, _PURPOSE = map(_NAMES.index, ("parameters", "plan", "outcome", "purpose"))
 
 
@@ -130,7 +131,7 @@ def page(
         # Typed one by one: a tuple does not hand its types on, and stages are stored as numbers.
         typed = (literal(value, column.type) for value, column in zip(place, _PLACE, strict=True))
         query = query.where(tuple_(*_PLACE) > tuple_(*typed))
-    page = list(_evaluations(connection.execute(query)))
+    page = list(_evaluations(connection.execute(query).all()))
     if len(page) <= limit:
         return page, None
     last = page[limit - 1]
@@ -314,7 +315,6 @@ def _evaluations(rows: Iterable[Row[Any]]) -> Iterator[StoredEvaluation]:
     for row in rows:
         values = list(row)
         values[_PARAMETERS] = parsed(values[_PARAMETERS])
-        values[_PLAN], values[_PURPOSE] = Outcome(values[_PLAN]), Purpose(values[_PURPOSE])
-        if values[_OUTCOME] is not None:
-            values[_OUTCOME] = Outcome(values[_OUTCOME])
-        yield StoredEvaluation(*values)
+        values[_PLAN], values[_OUTCOME] = _OUTCOMES[values[_PLAN]], _OUTCOMES[values[_OUTCOME]]
+        values[_PURPOSE] = _PURPOSES[values[_PURPOSE]]
+        yield StoredEvaluation._make(values)

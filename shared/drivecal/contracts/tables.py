@@ -9,6 +9,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
+from pydantic_core import to_json
 
 from drivecal.contracts.campaign import Answer, GenerationCounts, Page, Score
 from drivecal.domain.scales import MOST_BARS
@@ -37,18 +38,27 @@ def csv_text(rows: Iterable[Iterable[object]]) -> str:
 
     Texts that a spreadsheet would carry out as a formula begin with an apostrophe.
     """
-    return "".join(f"{','.join(map(_field, row)) or _EMPTY}\r\n" for row in rows)
+    columns = map(_fields, zip(*rows, strict=True))
+    return "".join(f"{','.join(fields) or _EMPTY}\r\n" for fields in zip(*columns, strict=True))
 
 
 _EMPTY = '""'
-_AS_THEY_ARE = frozenset({int, float})
+_AS_THEY_ARE = frozenset({int, float, NoneType})
+
+
+def _fields(column: Sequence[object]) -> list[str]:
+    kinds = set(map(type, column))
+    if kinds <= _AS_THEY_ARE:
+        return to_json(column).decode()[1:-1].replace("null", "").split(",")  # a sixth of the time of `str`
+    if not all(issubclass(kind, str | bool | NoneType) for kind in kinds):
+        return list(map(_field, column))
+    known = {value: _field(value) for value in set(column)}  # words repeat
+    return [known[value] for value in column]
 
 
 def _field(value: object) -> str:
-    if value is None:
-        return ""
-    if type(value) in _AS_THEY_ARE:  # most are
-        return str(value)
+    if type(value) in _AS_THEY_ARE:
+        return "" if value is None else str(value)
     return _text_field(json.dumps(value) if isinstance(value, bool | list) else str(value))
 
 

@@ -7,7 +7,6 @@ import logging
 import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, MutableMapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import Connection
@@ -227,7 +226,7 @@ class CellTracker:
         reused = [answer for _, answer in released if answer.outcome is not Outcome.PREDICTED]
         self._store(connection, reused)
         for cell in rejected:
-            self._pending[cell.id] = replace(cell, plan=Outcome.SIMULATED, reference=None)
+            self._pending[cell.id] = cell._replace(plan=Outcome.SIMULATED, reference=None)
         return [self._pending[cell.id] for cell in rejected]
 
     def _store(self, connection: Connection, answers: Sequence[AnsweredCell]) -> None:
@@ -348,7 +347,7 @@ class CellTracker:
             )
             self._close(other, Outcome.FAILED, is_own=own is not None)
         for position, other in enumerate(orphans):
-            orphans[position] = self._pending[other.id] = replace(other, plan=Outcome.SIMULATED, reference=None)
+            orphans[position] = self._pending[other.id] = other._replace(plan=Outcome.SIMULATED, reference=None)
         return orphans
 
     def _close(self, cell: StoredEvaluation, outcome: Outcome, *, is_own: bool) -> None:

@@ -83,7 +83,7 @@ class Inspection:
         for cell in chosen:
             del lot.members[cell.id]
             lot.sampled.add(cell.id)
-        return {cell.id: replace(cell, plan=Outcome.SIMULATED, purpose=lot.purpose) for cell in chosen}
+        return {cell.id: cell._replace(plan=Outcome.SIMULATED, purpose=lot.purpose) for cell in chosen}
 
     def compare(self, cell: StoredEvaluation, score: float | None) -> bool | None:
         """Takes a sampled cell's simulated score, None without a result, and returns whether the prediction was right; None for other
