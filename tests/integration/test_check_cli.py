@@ -233,20 +233,18 @@ def test_the_curves_of_a_calibration_file_are_checked(checking: Checking) -> Non
     assert [note.split(": ")[:-1] for note in noted] == [["baseline", "parameters.tank"], ["parameters.tank"]]
 
 
-@pytest.mark.parametrize(
-    ("limit", "field"),
-    [
+def test_a_limit_that_cannot_be_checked_is_refused_by_its_field(checking: Checking) -> None:
+    unknown: list[tuple[dict[str, Any], str]] = [
         ({"score": "other", "at_least": 1}, "limits[0].score"),
         ({"measure": "other", "at_least": 1}, "limits[0].measure"),
         ({"score": "comfort", "at_least": 1, "scenarios": ["S9"]}, "limits[0].scenarios"),
         ({"score": "comfort", "worse_by_at_most": 1}, "limits[0].worse_by_at_most"),
         ({"score": "comfort"}, "limits[0]"),
-    ],
-)
-def test_a_limit_that_cannot_be_checked_is_refused_by_its_field(checking: Checking, limit: dict[str, Any], field: str) -> None:
-    refused = checking(checking.file("set.json", BASELINE), "--limits", checking.file("limits.json", {"limits": [limit]}))
-    assert refused.exit_code == 2
-    assert field in refused.output
+    ]
+    for limit, field in unknown:
+        refused = checking(checking.file("set.json", BASELINE), "--limits", checking.file("limits.json", {"limits": [limit]}))
+        assert refused.exit_code == 2
+        assert field in refused.output
     assert not checking.backend.sent
 
 

@@ -123,9 +123,9 @@ def test_who_comes_back_gets_what_was_missed_once_and_in_order(api: RunningApi, 
         assert stored_only(stream) == ["live", "succeeded"]
 
 
-@pytest.mark.parametrize(
-    ("path", "headers", "status", "said"),
-    [
+def test_what_makes_no_sense_is_refused(api: RunningApi) -> None:
+    campaign = submit(api.database)
+    senseless: list[tuple[str, dict[str, str], int, str]] = [
         (f"{'0' * 32}/events", {}, 404, "there is no campaign"),
         ("%00/events", {}, 404, "there is no campaign"),
         ("{id}/events", {"Last-Event-ID": "x"}, 422, "Last-Event-ID"),
@@ -133,13 +133,11 @@ def test_who_comes_back_gets_what_was_missed_once_and_in_order(api: RunningApi, 
         ("{id}/events", {"Last-Event-ID": str(2**63)}, 422, "Last-Event-ID"),
         ("{id}/events?last_event_id=1.5", {}, 422, "last_event_id"),
         ("{id}/events?last=1", {}, 422, "last"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(api: RunningApi, path: str, headers: dict[str, str], status: int, said: str) -> None:
-    campaign = submit(api.database)
-    response = api.http.get(f"/api/v1/campaigns/{path.format(id=campaign.id)}", headers=headers)
-    assert (response.status_code, response.headers["content-type"]) == (status, "application/problem+json")
-    assert said in response.text
+    ]
+    for path, headers, status, said in senseless:
+        response = api.http.get(f"/api/v1/campaigns/{path.format(id=campaign.id)}", headers=headers)
+        assert (response.status_code, response.headers["content-type"]) == (status, "application/problem+json")
+        assert said in response.text
 
 
 def test_no_more_streams_are_open_than_there_are_places(tmp_path: Path) -> None:

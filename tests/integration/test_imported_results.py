@@ -132,9 +132,8 @@ def test_sets_of_another_curve_begin_no_search_and_have_no_simulation(api: Runni
         assert problem_of(refused, 422)["errors"][0]["field"] == "optimizer.start_results"
 
 
-@pytest.mark.parametrize(
-    ("changes", "field"),
-    [
+def test_results_that_do_not_fit_the_problem_are_refused_by_field(request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    faulty: list[tuple[dict[str, Any], str]] = [
         ({"units": {"discomfort": "mK"}}, "units.discomfort"),
         ({"units": {"gap": "m"}}, "units.gap"),
         ({"rows": [row("summer")]}, "rows[0].scenario"),
@@ -153,15 +152,12 @@ def test_sets_of_another_curve_begin_no_search_and_have_no_simulation(api: Runni
         ),
         ({"date": "20th of November"}, "date"),
         ({"problem": "cooler"}, "problem"),
-    ],
-)
-def test_results_that_do_not_fit_the_problem_are_refused_by_field(
-    changes: dict[str, Any], field: str, request: pytest.FixtureRequest, tmp_path: Path
-) -> None:
+    ]
     with serving(new_database(request, "sqlite", tmp_path)) as api:
         push(api.database, tmp_path / "heater")
-        refused = api.http.post("/api/v1/results", json=HEAD | {"rows": [row()]} | changes)
-        assert problem_of(refused, 422)["errors"][0]["field"] == field
+        for changes, field in faulty:
+            refused = api.http.post("/api/v1/results", json=HEAD | {"rows": [row()]} | changes)
+            assert problem_of(refused, 422)["errors"][0]["field"] == field
 
 
 @pytest.mark.slow("postgresql")

@@ -45,7 +45,7 @@ def random_runs(chance: random.Random, count: int, setup: int, set_ids: Sequence
     ]
 
 
-@pytest.mark.parametrize("seed", range(tries(5, 12)))
+@pytest.mark.parametrize("seed", range(tries(3, 12)))
 def test_every_watermark_sees_the_first_run_in_the_order_of_campaigns_whenever_the_keys_were_computed(
     database: Database, seed: int
 ) -> None:

@@ -117,9 +117,8 @@ def test_a_request_holds_scenario_data_parameters_and_seed(tmp_path: Path) -> No
     ]
 
 
-@pytest.mark.parametrize(
-    ("fields", "detail"),
-    [
+def test_a_wrong_answer_costs_its_run_and_no_restart(tmp_path: Path) -> None:
+    wrong = [
         ("measures=dict(y=float('nan'))", "y is not finite"),
         ("measures=dict(y=10**400)", "y is not finite"),
         ("measures=dict(y='1')", "y is not a number"),
@@ -131,12 +130,15 @@ def test_a_request_holds_scenario_data_parameters_and_seed(tmp_path: Path) -> No
         ("failure='hang'", "hang means that a run has no result"),
         ("failure='crashed', measures=dict(z=1)", "does not declare: z"),
         ("error='licence server away'", "licence server away"),
-    ],
-)
-def test_a_wrong_answer_costs_its_run_and_no_restart(tmp_path: Path, fields: str, detail: str) -> None:
-    with served(tmp_path, f"if x == 1.0:\n    answer(id=request['id'], {fields})\n    continue\nx = x * runs") as session:
-        assert detail in lost(session, {"x": 1.0}, Breakdown.ERROR)
-        assert session.evaluate({"x": 3.0}).measures == {"y": 12.0}  # the second run of this process
+    ]
+    answers = "".join(
+        f"if x == {number}.5:\n    answer(id=request['id'], {fields})\n    continue\n"
+        for number, (fields, _) in enumerate(wrong)
+    )
+    with served(tmp_path, f"{answers}x = x * runs") as session:
+        for number, (_, detail) in enumerate(wrong):
+            assert detail in lost(session, {"x": number + 0.5}, Breakdown.ERROR)
+            assert session.evaluate({"x": 3.0}).measures == {"y": 12.0 * (number + 1)}  # another run of the same process
 
 
 def test_a_failure_of_the_system_under_test_is_a_result(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def objective(population: Indices, n_values: Indices, landscape: str) -> Floats:
 
 @pytest.mark.parametrize("kind", POPULATIONS)
 @searches
-@settings(max_examples=examples(25), deadline=None)
+@settings(max_examples=examples(12), deadline=None)
 def test_every_optimizer_of_populations_searches_the_smallest_spaces(
     kind: str, sizes: list[int], landscape: str, seed: int, one_is_feasible: bool
 ) -> None:
@@ -62,7 +62,7 @@ def test_every_optimizer_of_populations_searches_the_smallest_spaces(
 
 
 @searches
-@settings(max_examples=examples(15), deadline=None)
+@settings(max_examples=examples(8), deadline=None)
 def test_the_surrogate_searches_the_smallest_spaces(sizes: list[int], landscape: str, seed: int, one_is_feasible: bool) -> None:
     n_values, value = np.array(sizes), CellValue(measure="m")
     goals = Goals((Objective("m", value, {"s": 1.0}, Aggregate(), 1),))
