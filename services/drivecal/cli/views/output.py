@@ -122,17 +122,14 @@ def print_curves(shapes: Mapping[str, ShapeAnswer], sets: Mapping[str, Mapping[s
         units = [f" {unit}" if unit != "1" else "" for unit in shape.axis_units]
         unit = "" if shape.unit == "1" else f" ({shape.unit})"
         typer.echo(f"\n{name}{unit}")
-        columns = [f"{point:g}{units[-1]}" for point in shape.axes[-1]]
-        if len(shape.axes) == 1:
-            print_columns(["", *columns], [[title, *points] for title, points in values.items()])
-            continue
+        is_map, columns = len(shape.axes) > 1, [f"{point:g}{units[-1]}" for point in shape.axes[-1]]
         rows = [
-            [title, f"{point:g}{units[0]}", *row]
+            [title, *([f"{point:g}{units[0]}"] if is_map else []), *row]
             for title, points in values.items()
-            for point, row in zip(shape.axes[0], points, strict=True)
+            for point, row in (zip(shape.axes[0], points, strict=True) if is_map else [(0.0, points)])
             if isinstance(row, list)
         ]
-        print_columns(["", "x", *(f"y {column}" for column in columns)], rows)
+        print_columns(["", "x", *(f"y {column}" for column in columns)] if is_map else ["", *columns], rows)
 
 
 def _uncertainty_texts(best: Best, aggregate: str | Mapping[str, float]) -> Iterator[str]:
