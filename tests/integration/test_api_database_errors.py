@@ -120,3 +120,17 @@ def test_a_full_disk_under_sqlite_is_unavailable_until_there_is_room(tmp_path: P
     with database.read() as connection:
         assert connection.scalar(text("PRAGMA integrity_check")) == "ok"
     database.dispose()
+
+
+def test_a_database_that_is_gone_is_said_to_be_unavailable(tmp_path: Path) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    with serving(f"sqlite:///{folder / 'drivecal.db'}") as api:
+        api.database.dispose()
+        for file in folder.iterdir():
+            file.unlink()
+        folder.rmdir()
+        assert unavailable(api.http.get("/api/v1/campaigns"))
+        assert api.http.get("/readyz").status_code == 503
+        assert api.http.get("/healthz").status_code == 200
+        folder.mkdir()

@@ -9,20 +9,14 @@ from tests.support.runs import influenced, nothing_matters, post_map, run, submi
 from drivecal.api.expectation import expected
 from drivecal.configuration.settings import Settings
 from drivecal.contracts.specification import CampaignSpecification
-from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-
-VALIDATION = {"samples": 20, "references": 3, "largest": 20}
-
-
-def validated(database: Database, stored: str) -> StoredCampaign:
-    study = submit(database, stored_map=stored, catalogue=["S1", "S3"], optimizer=None, validation=VALIDATION)
-    return run(database, study, ComputedBackend(answer=influenced))
 
 
 def test_the_preview_of_a_campaign_warns_as_well(database: Database) -> None:
     stored = post_map(database, nothing_matters())
-    study = validated(database, stored)
+    validation = {"samples": 20, "references": 3, "largest": 20}
+    study = submit(database, stored_map=stored, catalogue=["S1", "S3"], optimizer=None, validation=validation)
+    run(database, study, ComputedBackend(answer=influenced))
     document = {**study.spec, "optimizer": {"kind": "random"}, "validation": None}
     assert document["sensitivity"] == {"map": stored}
     limits: Any = SimpleNamespace(settings=Settings(largest_campaign=10**9))
