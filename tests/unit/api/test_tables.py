@@ -141,6 +141,7 @@ def test_no_parameter_shares_a_column_with_anything_else(model: type[BaseModel])
     keys: dict[str, list[str] | dict[str, Kind]] = {
         "scores": ["S1"],
         "objectives": ["gap"],
+        "uncertainty": ["gap_error", "gap_lower", "gap_upper"],
         "constraints": ["gap"],
         "values": ["gap@S1"],
         "answers": ["S1"],
