@@ -173,10 +173,6 @@ def _compared(objectives: Sequence[Mapping[str, Any]]) -> str:
     return "; ".join(texts)
 
 
-def _entries(texts: Sequence[str]) -> str:
-    return f": change {_joined(texts)} in `problem.yaml`, and push the problem again" if texts else ""
-
-
 def _ends(values: Mapping[str, float]) -> str:
     return f"{', '.join(f'{name} ({value_text(value)})' for name, value in values.items())} {'lies' if len(values) == 1 else 'lie'}"
 
@@ -190,5 +186,5 @@ _FORMATS: Mapping[str, Any] = {
     "in best": lambda scenarios: f", as the best set does in {', '.join(scenarios)}" if scenarios else "",
     "compared": _compared,
     "ends": _ends,
-    "entries": _entries,
+    "entries": lambda texts: f": change {_joined(texts)} in `problem.yaml`, and push the problem again" if texts else "",
 }

@@ -257,9 +257,9 @@ def _limits(function: Function, parameter: Parameter) -> tuple[str | None, str |
     """Returns the `limits` of `SearchCourse` for a parameter."""
     owner = next((name for name, shape in function.shapes.items() if parameter.name in shape.names), parameter.name)
     own, limits = function.name in function.spaces, function.limits.get(parameter.name, (None, None))
-    keys = zip(("lower", "upper"), (parameter.lower, parameter.upper), limits, strict=True)
+    ends = ("lower", parameter.lower, limits[0]), ("upper", parameter.upper, limits[1])
     lower, upper = (
-        "" if limit != float(end) else f"`{key}: {value_text(limit)}` of {owner}" if own else None for key, end, limit in keys
+        "" if limit != float(end) else f"`{key}: {value_text(limit)}` of {owner}" if own else None for key, end, limit in ends
     )
     return lower, upper
 

@@ -305,14 +305,12 @@ class _Reader:
                 numbers = [finite(part) for part in (text.removeprefix("exp(").rstrip(")"), *_NUMBER.findall(text))]
                 if None in numbers[1:] or not all(low <= number <= high for number in numbers[:1] if number is not None):
                     raise element.fault(f"{key} is {shown(text, 40)}", f"give a number from {low:g} to {high:g}")
-                if (element.element, key) == ("vType", "speedFactor") and len(numbers) in {2, 5}:
+                if key == "speedFactor" and len(numbers) == 2 and element.element == "vType" and numbers[0] is not None:
                     usual = CLASSES.get(element.values.get("vClass", ""), CLASSES["passenger"])[2]
-                    own = finite(element.values.get("speedDev", ""))
-                    drawn = *filter(None, numbers[1:]), usual if own is None else own, 0.2, 2.0
-                    mean, spread, low, high = drawn[:4]
-                    if spread > 0 and not low - 3 * spread <= mean <= high + 3 * spread:
+                    spread = 3 * (usual if (own := finite(element.values.get("speedDev", ""))) is None else own)
+                    if spread > 0 and not 0.2 - spread <= numbers[0] <= 2.0 + spread:
                         raise element.fault(
-                            f"{key} is {mean:g}, and is drawn from {low:g} to {high:g}", "give one between, or no speedDev"
+                            f"{key} {numbers[0]:g} is not drawn from 0.2 to 2", "give one between, or speedDev 0"
                         )
             elif key in _NEEDED and not element.values[key].strip():
                 raise element.fault(f"{key} is empty", "fill it in, or leave it out")

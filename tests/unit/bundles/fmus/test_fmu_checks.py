@@ -304,9 +304,8 @@ def test_what_a_problem_leaves_out_of_an_fmu_is_counted() -> None:
     description = FmuDescription(variables=[FmuVariable(f"v{index}", kind) for index, kind in enumerate(kinds)])
     (note,) = unused_notes("simulator", {"v0", "v3"}, description)
     assert "1 input, 1 output, 1 parameter of" in note
-    assert list(unused_notes("simulator", {"v0", "v1", "v2", "v3", "v5"}, description)) == []
     given = PROBLEM | {"simulator": SYSTEM, "scenarios": {"S": {"n": 100}}}
-    assert [note for note in check_fmus(checked(given), {"acc.fmu": file_of(SECOND)}) if " leaves out " in note]
+    assert any(" leaves out " in note for note in check_fmus(checked(given), {"acc.fmu": file_of(SECOND)}))
 
 
 def test_faults_have_their_lines_and_notes_come_with_the_bundle(tmp_path: Path) -> None:

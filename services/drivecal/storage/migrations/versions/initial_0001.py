@@ -11,15 +11,9 @@ from alembic import op
 
 from drivecal.storage.engine.tables import metadata
 
-_DEFINED = [
-    (
-        table.name,
-        [(column.name, type(column.type).__name__, column.nullable) for column in table.columns],
-        sorted((str(index.name), index.columns.keys()) for index in table.indexes),
-    )
-    for table in metadata.sorted_tables
-]
-revision = f"0001_{sha256(repr(_DEFINED).encode()).hexdigest()[:12]}"
+_COLUMNS = [(str(each), type(each.type).__name__, each.nullable) for table in metadata.sorted_tables for each in table.columns]
+_INDEXES = sorted(str(index.name) for table in metadata.sorted_tables for index in table.indexes)
+revision = f"0001_{sha256(repr((_COLUMNS, _INDEXES)).encode()).hexdigest()[:12]}"
 down_revision = None
 
 
