@@ -6,9 +6,9 @@ from drivecal.api.http.protocol import MOST_CONNECTIONS
 from drivecal.api.live.streams import KEEPALIVE_SECONDS
 from drivecal.configuration.settings import Settings
 from drivecal.contracts.specification import ReductionSpecification
-from drivecal.execution.pool import PATIENCE_WITH_REFUSALS
 from drivecal.execution.scheduling.batching import BatchPolicy, batch_size
 from drivecal.execution.scheduling.in_flight import WITNESSES
+from drivecal.execution.scheduling.refusals import PATIENCE_WITH_REFUSALS
 from drivecal.execution.scheduling.reservation import LONG_SECONDS, SMALL_SECONDS
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, MOST_LOSSES
 from drivecal.storage.admission import MOST_MAPS

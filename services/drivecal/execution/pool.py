@@ -1,17 +1,16 @@
 """The work pool, a thin driver between `Scheduler`, `Leases` and `Backend`: takes cells and returns results."""
 
 import logging
-import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
-from drivecal.contracts.work import BatchResult, SetupKey, SetupRequest
+from drivecal.contracts.work import SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.backend import DEADLINE_FACTOR, DEADLINE_SECONDS, Backend, Finished, Lost, WorkerInfo
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.observing import Observer, breakdowns
-from drivecal.execution.probing import Disputes, Questions
+from drivecal.execution.probing import Questions
 from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Completed, Dispatch, RunBudget, Work
 from drivecal.execution.scheduling.resources import Resources, ResourceUse
@@ -43,11 +42,6 @@ class Leases:
             leases.give_back(connection, returned, unstarted)
             return leases.take(connection, wanted, seconds, twice)
 
-
-PATIENCE_WITH_REFUSALS = 30.0
-"""Seconds after which a refusing worker is replaced, or asked again if it is busy: its installation may have been repaired."""
-SHARE_OF_REFUSALS = 0.05
-"""Largest share of a busy worker's time for setups that it refused: a refusal may take as long as a start."""
 
 log = logging.getLogger(__name__)
 
@@ -84,13 +78,7 @@ class WorkPool:
         self._unstarted: dict[int, int] = {}
         """Starts of the simulator that did not happen for these cells."""
         self._completed: list[Completed] = []
-        self._refusing_since: dict[tuple[str, SetupKey | None], float] = {}
-        """Times of the first refusals, by worker and setup; None is the probe of any bundle."""
-        self._ask_again_at: dict[tuple[str, SetupKey], float] = {}
-        """Times from which busy workers are asked again, by worker and setup."""
-        self._questions, self._disputes = Questions(clock), Disputes(clock)
-        self._nodes: dict[str, str] = {}
-        """Nodes of the ready workers when slots were last filled."""
+        self._questions = Questions(clock)
         self._observer = Observer()
 
     def workers(self) -> list[WorkerInfo]:
@@ -115,9 +103,7 @@ class WorkPool:
 
     def hopeless(self, tag: str) -> str | None:
         """Returns the reasons if no worker can run a problem of the campaign `tag`, or none has the tools that it began with, else None."""
-        if not self._disputes.are_open:
-            return None
-        return self._disputes.hopeless(self._scheduler.setups(tag), self._nodes)
+        return self._scheduler.hopeless(tag)
 
     def submit(self, *work: Work, tag: str, priority: int = 0, budget: RunBudget | None = None) -> None:
         """Queues cells and sends as many as workers have room for. Higher priorities go first. `tag` names the cells for `withdraw`;
@@ -126,7 +112,7 @@ class WorkPool:
         Submit the setups of a generation together: with one after the other, all workers would take the first.
         Raises ValueError if a cell is in flight already, and UnavailableError if no cell can be leased: the cells then wait.
         """
-        self._forget_disputes()
+        self._scheduler.forget_disputes()
         if budget is not None:
             self._scheduler.limit(tag, budget)
         for cells in work:
@@ -141,7 +127,9 @@ class WorkPool:
         Raises UnavailableError if nothing can be leased; the next call returns the results. Raises BackendLostError.
         """
         self._fill()
-        for event in self._backend.wait(timeout):
+        events = self._backend.wait(timeout)
+        self._scheduler.refusals.now = self._clock()
+        for event in events:
             self._completed += self._take_in(event)
         self._fill()
         completed, self._completed = self._completed, []
@@ -151,9 +139,7 @@ class WorkPool:
         """Drops the cells of `tag` that are not at a worker. Returns how many are; `poll` still returns these unless their worker dies. The
         tag is free when `held(tag)` is 0."""
         self._questions.forget(tag)
-        running = self._scheduler.withdraw(tag)
-        self._forget_disputes()
-        return running
+        return self._scheduler.withdraw(tag)
 
     def keep(self, tag: str, cells: Collection[int]) -> set[int]:
         """Returns the cells of `tag` that have not come back: do not submit these. A withdrawal no longer holds for those among `cells`."""
@@ -178,8 +164,6 @@ class WorkPool:
             self._take_answer(event)
             return []
         if isinstance(event, Finished):
-            if event.batch_id in self._sent and self._sent[event.batch_id].batch.cells:
-                self._note_answer(event.batch_id, event.result)
             finished = self._scheduler.finished(event.batch_id, event.result)
         else:
             lost = event.batch_id, event.worker, event.breakdown, event.detail, event.seconds
@@ -207,45 +191,19 @@ class WorkPool:
                 self._returned[cell] = count + (cell in broken)
         self._returned |= self._scheduler.take_breakdowns()
 
-    def _note_answer(self, batch_id: int, result: BatchResult) -> None:
-        """Notes whether a worker refuses the setup of a batch that came back. After a withdrawal, a refusal says nothing about the next
-        campaign: its cause may be mended."""
-        setup = self._sent[batch_id].batch.setup
-        if result.refusal is None or self._scheduler.is_wanted(batch_id):
-            self._disputes.note(setup, result, self._nodes.get(result.worker, result.worker))
-        self._note_refusal(result.worker, setup.key, result.refusal, 0.0 if result.results else result.seconds)
-
-    def _forget_disputes(self) -> None:
-        """Drops the disputes of setups that no campaign waits for."""
-        if self._disputes.are_open:
-            self._disputes.keep(self._scheduler.setups())
-
     def _take_answer(self, event: Finished | Lost) -> None:
         if isinstance(event, Finished):
             self._questions.answered(event.batch_id, event.result)
-            self._note_refusal(event.result.worker, None, event.result.refusal)
+            self._scheduler.refusals.note(event.result.worker, None, event.result.refusal)
         else:
             self._questions.lost(event.batch_id, event.worker, event.detail)
-            self._note_refusal(event.worker, None, event.detail)  # it may live
-
-    def _note_refusal(self, worker: str, setup: SetupKey | None, reason: str | None, seconds: float = 0.0) -> None:
-        """Notes since when a worker refuses a setup, or that it does not. `seconds`: the worker's time for the refusal, 0 if unknown."""
-        if reason is None:
-            self._refusing_since.pop((worker, setup), None)
-            return
-        if setup is not None:  # `Questions` has pauses of its own
-            self._ask_again_at[worker, setup] = self._clock() + max(PATIENCE_WITH_REFUSALS, seconds / SHARE_OF_REFUSALS)
-        if (worker, setup) not in self._refusing_since:
-            log.warning("%s refuses: %s", worker, reason)
-            self._refusing_since[worker, setup] = self._clock()
+            self._scheduler.refusals.note(event.worker, None, event.detail)  # it may live
 
     def _fill(self) -> None:
         """Fills the free slots. Replaces idle workers that nothing can be sent to, and asks busy workers again that refused a setup."""
         nodes = {worker.id: worker.node for worker in self._backend.workers() if worker.state != "starting"}
-        ready, self._nodes = list(nodes), nodes
-        self._scheduler.meet(ready, self._clock())
-        self._refusing_since = {place: since for place, since in self._refusing_since.items() if place[0] in nodes}
-        self._ask_again_at = {place: at for place, at in self._ask_again_at.items() if place[0] in nodes}
+        ready = list(nodes)
+        self._scheduler.meet(ready, self._clock(), nodes)
         for slot in self._backend.slots():
             question = self._questions.batch_for(slot.worker, ready)
             if question is not None:
@@ -264,7 +222,7 @@ class WorkPool:
         idle = {slot.worker for slot in self._backend.slots() if slot.idle}
         for worker in idle:
             self._replace_if_needed(worker)
-        self._ask_busy_again(idle)
+        self._scheduler.refusals.ask_busy(idle)
 
     def _lease(self, dispatches: Sequence[Dispatch]) -> list[Dispatch]:
         """Leases the cells of a round's dispatches at once and gives back due leases; returns the dispatches to send."""
@@ -303,21 +261,8 @@ class WorkPool:
         replacement = self._scheduler.replacement(worker)
         if replacement is not None:
             self._backend.replace(worker, replacement.fault)
-            return
-        kept_from: list[SetupKey | None] = [*self._scheduler.kept_from(worker)]
-        if self._questions.is_kept_from(worker):
-            kept_from.append(None)
-        since = min((self._refusing_since.get((worker, setup), math.inf) for setup in kept_from), default=math.inf)
-        if self._clock() >= since + PATIENCE_WITH_REFUSALS:
+        elif self._questions.is_kept_from(worker) and self._scheduler.refusals.is_overdue(worker, [None]):
             self._backend.replace(worker, None)
-
-    def _ask_busy_again(self, idle: Collection[str]) -> None:
-        """Lets busy workers try setups again that they refused long ago. Idle workers are replaced, which finds more that was mended."""
-        due = [place for place, at in self._ask_again_at.items() if place[0] not in idle and self._clock() >= at]
-        for worker, setup in due:
-            del self._ask_again_at[worker, setup]
-            self._refusing_since.pop((worker, setup), None)
-            self._scheduler.ask_again(worker, setup)
 
 
 def _unstarted(dispatch: Dispatch, event: Finished | Lost) -> dict[int, int]:

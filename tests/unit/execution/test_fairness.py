@@ -90,7 +90,7 @@ def test_a_campaign_whose_batches_end_in_refusals_pays_for_the_results_before_th
         if scenario == "S1":
             result = replace(result, results=result.results[:1], refusal="no licence")
         scheduler.finished(sent.batch_id, result)
-        scheduler.ask_again("w", setup("S1").key)
+        scheduler.refusals.ask_again("w", setup("S1").key)
     assert seconds["S1"] <= 11.0
 
 

@@ -10,8 +10,9 @@ from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import Batch, Cell
 from drivecal.execution.backend import Finished, Lost
-from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, SHARE_OF_REFUSALS, WorkPool
+from drivecal.execution.pool import WorkPool
 from drivecal.execution.scheduling.in_flight import WITNESSES, Work
+from drivecal.execution.scheduling.refusals import PATIENCE_WITH_REFUSALS, SHARE_OF_REFUSALS
 from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
 
 

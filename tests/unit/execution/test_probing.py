@@ -8,9 +8,9 @@ import pytest
 from tests.support.fake_backend import FakeBackend
 
 from drivecal.contracts.work import Cell, SetupRequest
-from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
-from drivecal.execution.probing import PATIENCE_WITH_ANSWERS
+from drivecal.execution.pool import WorkPool
 from drivecal.execution.scheduling.in_flight import Work
+from drivecal.execution.scheduling.refusals import PATIENCE_WITH_ANSWERS, PATIENCE_WITH_REFUSALS
 
 
 def setup(tools: str | None = None) -> SetupRequest:
@@ -222,7 +222,6 @@ def test_late_refusals_of_a_campaign_do_not_count_against_the_next(at_once: bool
     backend.refusing.clear()  # mended
     while pool.held("a") and not at_once:
         pool.poll(0.1)
-    assert not pool._disputes.are_open
     pool.submit(Work(setup(), [replace(cell, id=1000 + cell.id) for cell in work]), tag="b")
     completed = 0
     while pool.held("b"):

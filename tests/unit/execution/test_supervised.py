@@ -16,7 +16,8 @@ from drivecal.bundles.archives import content_digest
 from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.execution import supervised, worker_process
 from drivecal.execution.backend import Finished
-from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
+from drivecal.execution.pool import WorkPool
+from drivecal.execution.scheduling.refusals import PATIENCE_WITH_REFUSALS
 from drivecal.execution.supervised import SupervisedBackend, WorkerLimits
 from drivecal.execution.worker_process import WorkerProcess
 from drivecal.plugins.simulators import PROBE_SECONDS, start_limit

@@ -12,7 +12,7 @@ replacement of the only worker. A refusal of a setup says nothing about the cell
 """
 
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -32,6 +32,7 @@ from drivecal.execution.scheduling.in_flight import (
     Work,
 )
 from drivecal.execution.scheduling.queue import ClaimGroup, FairQueue, Line
+from drivecal.execution.scheduling.refusals import Refusals
 from drivecal.execution.scheduling.reservation import Reservation
 from drivecal.execution.scheduling.resources import Resources, ResourceUse
 from drivecal.execution.scheduling.worker_health import WorkerHealth
@@ -71,7 +72,8 @@ class Scheduler:
         self._in_flight = InFlightCells()
         self._queue = FairQueue()
         self._reservation = Reservation()
-        self._worker_health = WorkerHealth()
+        self.refusals = Refusals()
+        self._worker_health = WorkerHealth(self.refusals)
         self._affinity = SetupAffinity()
         self._passed_over = 0
         """Batches sent to a worker while a suspect waited for its replacement."""
@@ -109,8 +111,9 @@ class Scheduler:
             elif simulation.leader is None:
                 self._queue.join(claim)
 
-    def meet(self, ready: Sequence[str], now: float = 0.0) -> None:
-        """Notes which workers have started and live, and the time (s)."""
+    def meet(self, ready: Sequence[str], now: float = 0.0, nodes: Mapping[str, str] | None = None) -> None:
+        """Notes which workers have started and live, the time (s), and the nodes by worker, by default a node for each."""
+        self.refusals.meet({worker: worker for worker in ready} if nodes is None else nodes, now)
         self._reservation.meet(now)
         self._worker_health.meet(ready)
         self._resources.meet(ready, now)
@@ -182,25 +185,28 @@ class Scheduler:
         return changed
 
     def replacement(self, worker: str) -> Replacement | None:
-        """Returns how to replace an idle worker without a batch: it never has results, or no other can try a cell that broke down at it."""
+        """Returns how to replace an idle worker without a batch: it never has results, no other can try a cell that broke down at it, or it
+        has refused waiting cells for long."""
         fault = self._worker_health.fault(worker)
-        return Replacement(fault) if fault is not None or self._is_alone(worker) else None
+        is_needed = fault is not None or self._is_alone(worker) or self.refusals.is_overdue(worker, self._queue.setups())
+        return Replacement(fault) if is_needed else None
 
-    def kept_from(self, worker: str) -> list[SetupKey]:
-        """Returns the waiting setups that this worker refuses."""
-        return [setup for setup in self._queue.setups() if self._worker_health.refuses(worker, setup)]
+    def hopeless(self, tag: str) -> str | None:
+        """Returns the reasons if no worker will run a setup of `tag`, else None."""
+        return self.refusals.hopeless(self.setups(tag)) if self.refusals.are_disputed else None
 
-    def ask_again(self, worker: str, setup: SetupKey) -> None:
-        """Lets a worker try a setup again that it refused."""
-        self._worker_health.ask_again(worker, setup)
+    def forget_disputes(self) -> None:
+        """Drops the disputes of setups that no campaign waits for."""
+        if self.refusals.are_disputed:
+            self.refusals.keep(self.setups())
 
     def trouble(self) -> str | None:
         """Returns a message about workers that refuse waiting setups, or None."""
         setups = self._in_flight.setups()
-        refusals = self._worker_health.refusals(setups)
+        refusals = self.refusals.reasons(setups)
         if not refusals:
             return None
-        scenarios = sorted({cell.scenario for setup, cell in setups.items() if self._worker_health.refusals({setup})})
+        scenarios = sorted({cell.scenario for setup, cell in setups.items() if self.refusals.reasons({setup})})
         worker, reason = next(iter(refusals.items()))
         number = f"{len(refusals)} workers refuse" if len(refusals) > 1 else f"{worker} refuses"
         return f"{number} {', '.join(scenarios)}: {reason}"
@@ -212,7 +218,8 @@ class Scheduler:
             self._is_closed(batch_id, done=True)
             return []
         setup, request = sent.leaders[0].simulation.key, sent.leaders[0].simulation.setup
-        self._worker_health.answered(result.worker, setup, result)
+        self.refusals.answered(request, result, is_wanted=any(not leader.withdrawn for leader in sent.leaders))
+        self._worker_health.answered(result.worker, result)
         self._resources.end(sent.worker, request, closed=result.refusal is not None)
         self._resources.note(sent.worker, request, result.busy)
         self._is_scarce |= result.busy is not None
@@ -236,10 +243,6 @@ class Scheduler:
             else:
                 completed += self._broke_down(leader, answer, result.worker, alone=sent.alone)
         return completed
-
-    def is_wanted(self, batch_id: int) -> bool:
-        """Returns whether a campaign still waits for a batch at a worker."""
-        return any(not leader.withdrawn for leader in self._sent[batch_id].leaders)
 
     def lost(
         self,
@@ -295,6 +298,7 @@ class Scheduler:
         self._queue.forget(tag)
         self._reservation.forget(tag)
         self._budgets.pop(tag, None)
+        self.forget_disputes()
         return running
 
     def keep(self, tag: str, cells: Collection[int]) -> set[int]:
@@ -343,7 +347,7 @@ class Scheduler:
 
     def _keep_back(self, worker: str, line: Line) -> None:
         for setup in line.setups if self._is_scarce else ():
-            if not self._worker_health.refuses(worker, setup):  # it would wait here in vain
+            if worker not in self.refusals.refusing(setup):  # it would wait here in vain
                 self._resources.keep_back(worker, self._in_flight.setup(setup))
 
     def _may_start(self, worker: str, setup: SetupKey) -> bool:
@@ -394,7 +398,7 @@ class Scheduler:
         able = [
             group
             for setup, group in line.groups.items()
-            if not self._worker_health.refuses(worker, setup)
+            if worker not in self.refusals.refusing(setup)
             and not (only_short and self._is_long(setup))
             and self._may_start(worker, setup)
         ]

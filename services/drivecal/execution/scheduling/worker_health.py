@@ -1,4 +1,4 @@
-"""Health of the workers: trust in their errors, replacement, refusals. Pure.
+"""Health of the workers: trust in their errors, and replacement. Pure.
 
 A worker that answers every cell with an error at once is always idle. It would take most of the work, and most second attempts at cells
 that it spoilt. So the report of a single worker never suffices, a worker with results is asked before a worker without, and a worker
@@ -6,11 +6,12 @@ that never has results is replaced.
 """
 
 from collections import Counter
-from collections.abc import Collection, Hashable, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from drivecal.contracts.work import BatchResult
+from drivecal.contracts.work import BatchResult, SetupKey
+from drivecal.execution.scheduling.refusals import Refusals
 
 BATCHES_WITHOUT_RESULT = 3
 """Batches without a result, in a row, after which a worker is replaced."""
@@ -48,14 +49,13 @@ _NOTHING = _Shown()
 class WorkerHealth:
     """Records of workers by name; no two processes share a name."""
 
-    def __init__(self) -> None:
+    def __init__(self, refusals: Refusals) -> None:
+        """Begins without records. The same workers' refusals are in `refusals`."""
+        self._refusals = refusals
         self._ready: frozenset[str] = frozenset()
         self._shown: dict[str, _Shown] = {}
         self._trusted: Counter[Trust] = Counter()
         """Number of ready workers by trust."""
-        self._refusals: dict[Hashable, dict[str, str]] = {}
-        self._asked_again: set[tuple[str, Hashable]] = set()
-        """Workers that may try a setup again that they refused."""
 
     @property
     def ready(self) -> int:
@@ -63,24 +63,15 @@ class WorkerHealth:
         return len(self._ready)
 
     def meet(self, ready: Sequence[str]) -> None:
-        """Notes which workers have started. Records of the others are forgotten, but not their refusals, which hold until another worker
-        answers."""
+        """Notes which workers have started. Records of the others are forgotten."""
         if self._ready == (now := frozenset(ready)):
             return
         self._ready = now
         self._shown = {worker: shown for worker, shown in self._shown.items() if worker in now}
-        self._asked_again = {place for place in self._asked_again if place[0] in now}
         self._trusted = Counter(map(self._trust, now))
 
-    def answered(self, worker: str, setup: Hashable, result: BatchResult) -> None:
+    def answered(self, worker: str, result: BatchResult) -> None:
         """Notes the result of a batch."""
-        self._asked_again.discard((worker, setup))
-        refusing = self._refusals.pop(setup, {})
-        still = {name: reason for name, reason in refusing.items() if name in self._ready and name != worker}
-        if result.refusal is not None:
-            still[worker] = result.refusal
-        if still:
-            self._refusals[setup] = still
         if any(answer.breakdown is None or answer.contained for answer in result.results):
             self._note(worker, _Shown(proven=True))
         elif result.refusal is None and result.busy is None:
@@ -96,22 +87,14 @@ class WorkerHealth:
         for worker in workers:
             self._note(worker, _Shown(self._shown.get(worker, _NOTHING).proven))
 
-    def refuses(self, worker: str, setup: Hashable) -> bool:
-        """Returns whether the worker refused the setup, and was not asked again since."""
-        return worker in self._refusing(setup)
-
-    def ask_again(self, worker: str, setup: Hashable) -> None:
-        """Lets a worker try a setup again that it refused; the reason is shown until it answers."""
-        self._asked_again.add((worker, setup))
-
-    def may_try(self, worker: str, setup: Hashable, avoid: Collection[str]) -> bool:
+    def may_try(self, worker: str, setup: SetupKey, avoid: Collection[str]) -> bool:
         """Returns whether this worker may try a cell that broke down at the workers in `avoid`: only the most trusted other workers may."""
-        if worker not in self._ready or worker in avoid or self.refuses(worker, setup):
+        if worker not in self._ready or worker in avoid or worker in self._refusals.refusing(setup):
             return False
         own = self._trust(worker)
         return not avoid or not any(self._any_able(trust, setup, avoid) for trust in Trust if trust > own)
 
-    def no_worker_left(self, setup: Hashable, avoid: Collection[str]) -> bool:
+    def no_worker_left(self, setup: SetupKey, avoid: Collection[str]) -> bool:
         """Returns whether every worker is in `avoid` or refuses the setup."""
         return not any(self._any_able(trust, setup, avoid) for trust in Trust)
 
@@ -126,25 +109,12 @@ class WorkerHealth:
             return None
         return f"{shown.without_result} batches in a row gave no result, the last one because: {shown.detail}"
 
-    def refusals(self, setups: Collection[Hashable]) -> dict[str, str]:
-        """Returns the reasons of workers that refuse any of these setups."""
-        return {
-            worker: reason
-            for setup, refusing in self._refusals.items()
-            if setup in setups
-            for worker, reason in refusing.items()
-        }
-
-    def _any_able(self, trust: Trust, setup: Hashable, avoid: Collection[str]) -> bool:
+    def _any_able(self, trust: Trust, setup: SetupKey, avoid: Collection[str]) -> bool:
         """Returns whether a worker of this trust is not in `avoid` and does not refuse."""
-        number, refusing = self._trusted[trust], self._refusing(setup)
+        number, refusing = self._trusted[trust], self._refusals.refusing(setup)
         if number == 0 or number > len(avoid) + len(refusing):
             return number > 0
         return number > sum(self._trust(worker) == trust for worker in {*avoid, *refusing} & self._ready)
-
-    def _refusing(self, setup: Hashable) -> Collection[str]:
-        refusals = self._refusals.get(setup, {})
-        return [worker for worker in refusals if (worker, setup) not in self._asked_again]
 
     def _note(self, worker: str, shown: _Shown) -> None:
         if worker in self._ready:
