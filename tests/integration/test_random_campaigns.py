@@ -106,6 +106,8 @@ def test_the_best_set_is_known_by_runs_and_reported_by_others(database: Database
     assert ended.best.upper is not None
     assert ended.best.standard_error is not None
     assert ended.best.lower < ended.best.objective < ended.best.upper
+    assert not present(ended.baseline).close
+    assert not any("tolerance" in note for note in ended.notes), "predictions answer no cell"
     with database.read() as connection:
         assert list(check_counters(connection)) == []
         runs = evaluations.runs_by_purpose(connection, ended.sequence)
@@ -237,6 +239,7 @@ def test_the_values_of_a_front_have_intervals_and_sets_that_may_belong_to_it_are
         assert lower < true_cost(float(row.parameters["x"])) < upper
         assert upper - lower > 2 * row.uncertainty[f"{name}_error"] > 0
     assert 1 <= known.close < known.evaluated - known.size, "some sets are surely beaten"
+    assert len(front.unbeaten) == known.close + len(front.ranks)
 
 
 @pytest.mark.parametrize(

@@ -342,9 +342,12 @@ class Ranking:
                 lower, upper = replicates.interval(fresh, self._level, confidence, *others)
                 own = replace(self._solutions[number], lower=lower, upper=upper, standard_error=error)
                 self._solutions[number] = own
-        if not standing.is_known:
+        leader = standing.best(confidence)
+        if not standing.is_known:  # too few runs tell no set from the best one
+            for number in set(numbers) - {numbers[leader]}:
+                self._solutions[number] = replace(self._solutions[number], is_close=True)
             return
-        probabilities, bounds, leader = standing.probabilities(), standing.bounds(confidence), standing.best(confidence)
+        probabilities, bounds = standing.probabilities(), standing.bounds(confidence)
         ahead, halves = standing.ahead(leader), standing.half_widths(confidence)
         for place, number in enumerate(numbers):
             solution = self._solutions[number]

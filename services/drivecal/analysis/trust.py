@@ -109,11 +109,13 @@ class SearchCourse:
 @dataclass(frozen=True, slots=True)
 class Compromises:
     """The front of several objectives. `dominating` counts the sets that are better than the baseline in an objective and worse in none;
-    None without an evaluated baseline. `copied` counts the sets with a score of a reference."""
+    None without an evaluated baseline. `copied` counts the sets with a score of a reference. `is_close`: runs do not tell
+    the baseline from them."""
 
     size: int
     dominating: int | None
     copied: int = 0
+    is_close: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,6 +247,8 @@ def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:
         and campaign.best.violation < campaign.baseline.violation
     ):
         yield verdict("baseline_breaks_more", "green", subject="the sets of the front")
+    elif front.dominating and front.is_close:
+        yield verdict("front_close_to_baseline", "neutral", dominating=front.dominating, size=front.size)
     elif front.dominating:
         yield verdict("front_beats_baseline", "green", dominating=front.dominating, size=front.size)
     elif front.dominating is not None:
@@ -282,7 +286,7 @@ def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
     elif campaign.objective is None and gain <= campaign.scale.tolerance:
         tolerance = campaign.scale.amount(campaign.scale.tolerance)
         yield verdict("alike_baseline", "neutral", gain=gain, tolerance=tolerance)
-    elif end is not None and (end - campaign.baseline.objective) * sign_of(campaign) <= 0:
+    elif campaign.baseline.close or (end is not None and (end - campaign.baseline.objective) * sign_of(campaign) <= 0):
         yield verdict("baseline_in_interval", "neutral", gain=gain)
     else:
         yield verdict("better_than_baseline", "green", gain=gain)

@@ -196,13 +196,14 @@ class Best(Answer):
 
 class Baseline(Answer):
     """The user's parameter set for comparison. Null scores are still missing. `violation` is the sum of the violations, as shares;
-    `undecided` as in `Best`."""
+    `undecided` as in `Best`. `close`: its runs, of a random simulator, do not tell whether the best set is better."""
 
     objective: float | None
     parameters: dict[str, float | str]
     scores: dict[str, Score | None]
     violation: float = 0.0
     undecided: bool = False
+    close: bool = False
 
 
 class Confirmation(Answer):

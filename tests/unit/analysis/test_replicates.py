@@ -168,6 +168,7 @@ def test_kept_runs_report_the_best_set_though_the_noise_is_unknown() -> None:
     assert best is not None
     assert (best[0].parameter_set, best[0].objective) == (1, 1.5)
     assert best[0].lower is not None
+    assert ranking.uncertainty(best[0])["close"] == 2, "two differences of runs tell no set from the best one"
 
 
 def test_second_runs_go_to_several_sets_before_the_noise_is_known() -> None:

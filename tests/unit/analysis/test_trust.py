@@ -169,6 +169,7 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
         (4.0, {}, "better_than_baseline"),
         (6.0, {}, "not_better"),
         (4.0, {"best": BEST.model_copy(update={"lower": 3.9, "upper": 8.1})}, "baseline_in_interval"),
+        (4.0, {"baseline": before(4.0, close=True)}, "baseline_in_interval"),
         (5.5, {}, "alike_baseline"),
         (4.0, {"scale": COST}, "not_better"),
         (7.0, {"scale": COST}, "alike_baseline"),
@@ -177,7 +178,7 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
     ],
 )
 def test_the_best_set_is_held_against_the_baseline(objective: float, given: dict[str, Any], code: str) -> None:
-    result = verdicts(campaign(baseline=before(objective), **given))
+    result = verdicts(campaign(**{"baseline": before(objective)} | given))
     assert {"better_than_baseline", "not_better", "alike_baseline", "baseline_in_interval"} & set(result) == {code}
     assert result[code].question == "baseline", "a better set finishes no search"
 
@@ -191,6 +192,7 @@ def test_constraints_come_first() -> None:
     assert "better_than_baseline" in (result := lights(campaign(baseline=undecided)))
     assert "baseline_breaks_more" not in result
     assert "baseline_breaks_more" not in lights(campaign("exact", baseline=undecided), front=Compromises(7, 3))
+    assert lights(campaign("exact"), front=Compromises(7, 3, is_close=True))["front_close_to_baseline"] == "neutral"
 
 
 @pytest.mark.parametrize(

@@ -173,7 +173,9 @@ def _compromises(database: Database, campaign: StoredCampaign, front: CampaignFr
     front = front or front_of(database, campaign, resolved_spec(campaign))
     baseline = baseline_of(database, campaign, front)
     copied = sum(bool(member.solution.reused) for member in front.members)
-    return Compromises(len(front.members), None if baseline is None else front.dominating(baseline), copied)
+    if baseline is None:
+        return Compromises(len(front.members), None, copied)
+    return Compromises(len(front.members), front.dominating(baseline), copied, baseline.parameter_set in front.unbeaten)
 
 
 def set_at(

@@ -252,7 +252,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     specification = specification.model_copy(update=dict(workbench.settled) | settled_search(specification, optimization))
     bench = replace(make(weights, variants.vehicles), repeat=specification.reduction.repeat)
     resolvers.check_units(specification, bench.scale, diagnostics)
-    notes += resolvers.note_predictions(specification, bench.scale)
+    notes += () if bench.is_random else resolvers.note_predictions(specification, bench.scale)
     sets = baseline, start_sets, robust_sets
     problem = CalibrationProblem(specification, bench, space, weights, optimization, *sets, notes, allowed, goals, own_goals)
     _check_rates(problem, diagnostics)

@@ -35,6 +35,8 @@ class CampaignFront:
     """Standard error and interval of each objective by the id of a set; empty without randomness, and before the noise is known."""
     close: int = 0
     """Further sets that cannot be told from sets that no other set dominates."""
+    unbeaten: frozenset[int] = frozenset()
+    """Ids of the sets of a random simulator that no member is known to beat in every objective."""
 
     @cached_property
     def points(self) -> Floats:
@@ -127,9 +129,8 @@ def front_of(database: Database, campaign: StoredCampaign, resolved: ResolvedSpe
     places = [place for place, number in enumerate(numbers) if number in front.ranks]
     least = front.members[0].solution.violation
     rivals = {each.parameter_set for each in front.ranked if each.violation <= least or each.is_undecided} - front.ranks.keys()
-    unbeaten = replicates.unbeaten(known, places, confidence).tolist()
-    close = sum(number in rivals for number, is_open in zip(numbers, unbeaten, strict=True) if is_open)
-    return replace(front, uncertainty=uncertainty, close=close)
+    unbeaten = frozenset(np.array(numbers)[replicates.unbeaten(known, places, confidence)].tolist())
+    return replace(front, uncertainty=uncertainty, close=len(unbeaten & rivals), unbeaten=unbeaten)
 
 
 def answers_of(database: Database, campaign: StoredCampaign, sets: Sequence[EvaluatedSet]) -> dict[int, dict[str, str]]:
