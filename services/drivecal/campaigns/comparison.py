@@ -18,8 +18,9 @@ from drivecal.analysis.comparison import Conditions, Course
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.optimizer import BEGINNINGS
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.resolve.workbench import BundleSource, installed_bundles
+from drivecal.campaigns.results.front import goals_of
 from drivecal.contracts.comparison import LARGEST_RUNS, ComparedOptimizer, ComparedRun, Comparison, ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, ReductionSpecification
@@ -217,7 +218,9 @@ def compared(connection: Connection, tag: str) -> Comparison:
     courses = [
         _course(connection, campaign, conditions) for campaign, conditions in zip(stored, _conditions(stored), strict=True)
     ]
-    sign = next((_sign(resolved_spec(campaign)) for campaign in stored if campaign.resolution is not None), 1)
+    sign = next(
+        (goals_of(resolved_spec(campaign)).objectives[0].sign for campaign in stored if campaign.resolution is not None), 1
+    )
     best = analysis.best_of_all(courses, sign)
     return Comparison(
         tag=tag,
@@ -252,11 +255,6 @@ def _course(connection: Connection, campaign: StoredCampaign, conditions: Condit
         surest=None if campaign.search is None else campaign.search.surest,
         confirmations=analysis.needed(campaign.cells) - sum(map(analysis.needed, iterations)) if searched else 0,
     )
-
-
-def _sign(resolved: ResolvedSpec) -> int:
-    """Returns 1 if more of what `best` holds is better, else -1: of the first objective, or of the score."""
-    return resolved.scale.sign if resolved.goals is None else resolved.goals.objectives[0].sign
 
 
 def _run(campaign: StoredCampaign, course: Course, *, success: bool) -> ComparedRun:
