@@ -75,7 +75,6 @@ IGNORED = ("param", "person", "personFlow", "container", "containerFlow")
 _REFERENCES = {"type": "type", "vTypes": "type", "route": "route", "routes": "route"}
 NAMES = frozenset({"id", "from", "to", "via", "edges", "edge", "lane", *_REFERENCES})
 _NUMBER = re.compile(r"(?i)\b(?:nan|inf(?:inity)?)\b|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d*)?")
-_NEEDED = ("from", "route", "type")
 _WHOLE = re.compile(r"[-+]?\d+")
 _DRAWN = re.compile(r"^normc?\(([^(),]+)(?:,[-+.\deE]+)*\)$")  # a time that is drawn, with its mean
 _BLANKS = re.compile(r"\s*([(),])\s*")  # SUMO takes them inside of values and not around them, its schema neither
@@ -312,7 +311,7 @@ class _Reader:
                         raise element.fault(
                             f"{key} {numbers[0]:g} is not drawn from 0.2 to 2", "give one between, or speedDev 0"
                         )
-            elif key in _NEEDED and not element.values[key].strip():
+            elif key in {"from", "route", "type"} and not element.values[key].strip():
                 raise element.fault(f"{key} is empty", "fill it in, or leave it out")
         self._check_places(element)
         for key, kind in _REFERENCES.items():
