@@ -311,7 +311,7 @@ def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: 
     assert sum("samples" in note for note in ended.notes) == 1
 
 
-@pytest.mark.slow("cells", "quantiles of a population")
+@pytest.mark.slow("rates", "quantiles of a population")
 @pytest.mark.parametrize(
     ("changes", "driven"),
     [({}, noisy), ({"optimizer": POPULATIONS, "replicates": {"aggregate": {"quantile": 0.9}}}, noisy), (RATED, failing)],
