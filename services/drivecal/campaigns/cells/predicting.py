@@ -60,10 +60,10 @@ def slice_size(population: int) -> int:
     return max(SMALLEST_SLICE, min(LARGEST_SLICE, -(-population // SLICES)))
 
 
-Batch = tuple[int, int, int]
+BatchPlace = tuple[int, int, int]
 
 
-def batch_of(stage: StageName, iteration: int, individual: int, size: int) -> Batch:
+def batch_of(stage: StageName, iteration: int, individual: int, size: int) -> BatchPlace:
     """Returns the batch of a cell, comparable with others: stage, iteration, slice of `size` sets in the start population."""
     return ORDER[stage], iteration, individual // size if iteration == 0 else 0
 
