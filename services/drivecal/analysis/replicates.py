@@ -69,6 +69,8 @@ class SetStatistics:
     """Degrees of freedom of the variances."""
     noise: float | None = None
     """Deviation of a run without the effect of its seed, over all sets; None if unknown."""
+    skewness: float = 0.0
+    """Skewness of a run, over all sets; above 0 if the longer tail is on the better side."""
 
     @property
     def errors(self) -> Floats:
@@ -184,7 +186,10 @@ def _means(samples: Floats) -> SetStatistics:
         variances, noise
     )  # a few equal runs, or none with a rare failure, make no set surer than all together
     spreads = (prior * spread + (deviations**2).sum(axis=1)) / (prior + own)
-    return SetStatistics(counts, means, variances, np.maximum(spreads, variances), np.minimum(prior + own, freedom), noise**0.5)
+    triples = float((own * (counts - 2) / counts).sum())  # cubes of two runs cancel out
+    skewness = float((deviations**3).sum() / triples / spread**1.5) if triples > 0 and spread > 0 else 0.0
+    freedoms, spreads = np.minimum(prior + own, freedom), np.maximum(spreads, variances)
+    return SetStatistics(counts, means, variances, spreads, freedoms, noise**0.5, skewness)
 
 
 def _step(values: Floats) -> float:
@@ -307,16 +312,28 @@ def to_tell(standing: SetStatistics, leader: int, rival: int, confidence: float)
 
 
 def interval(
-    values: Sequence[float], level: float | None, confidence: float, spread: float = 0.0, freedom: float = 0.0
+    values: Sequence[float],
+    level: float | None,
+    confidence: float,
+    spread: float = 0.0,
+    freedom: float = 0.0,
+    skewness: float = 0.0,
 ) -> tuple[float | None, float | None]:
-    """Returns a two-sided interval of at least two independent values: of the mean (Student), or of the quantile of this `level`, exact by
-    order statistics. An end of a quantile is None if there are too few values for it. `spread`, `freedom`: see `variance`."""
+    """Returns a two-sided interval of at least two independent values: of the mean (Student, corrected for the `skewness` of such values as
+    by Hall 1992, Journal of the Royal Statistical Society B 54(1)), or of the quantile of this `level`, exact by order statistics. An end
+    of a quantile is None if there are too few values for it. `spread`, `freedom`: see `variance`."""
     from scipy.special import bdtr, stdtrit
 
     if level is None:
         error = float(np.sqrt(variance(values, spread, freedom) / len(values)))
-        half = float(stdtrit(freedom + len(values) - 1, 0.5 + confidence / 2)) * error
-        return float(np.mean(values)) - half, float(np.mean(values)) + half
+        own, mean = len(values) - 1, float(np.mean(values))
+        skewed = float(np.clip(skewness, -1.5, 1.5)) * min(1.0, (own - 1) / 6) / (own + 1) ** 0.5  # estimated by few runs
+        bend = skewed * (3 * own / (own + freedom) - 1) / 6  # the variance of other runs does not lean with this mean
+        points = stdtrit(freedom + own, np.array([0.5 + confidence / 2, 0.5 - confidence / 2])) - skewed / 6
+        if abs(bend) > 1e-6:
+            points = (np.cbrt(1 + 3 * bend * points) - 1) / bend
+        lower, upper = (mean - error * points).tolist()
+        return lower, upper
     ordered, tail = sorted(values), (1 - confidence) / 2
     above = bdtr(np.arange(len(ordered), dtype=np.float64), len(ordered), level)  # probability of each to be above the quantile
     under, over = int((above <= tail).sum()), int((above < 1 - tail).sum())

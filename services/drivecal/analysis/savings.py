@@ -145,16 +145,14 @@ def _scenario(
     mean = _mean_seconds(simulated)
     if mean is None:
         mean = _mean_seconds(costs)
-    audited = [cell for cell in simulated if cell.audited]
     return ScenarioAccount(
         scenario=name,
         requested=sum(cells.values()),
         **{outcome.value: number for outcome, number in cells.items()},
-        audited=sum(cost.cells for cost in audited),
+        audited=sum(cost.cells for cost in simulated if cost.audited),
         confirmed=sum(confirmed.values()),
         mean_seconds=mean,
         simulated_seconds=sum(cell.seconds for cell in simulated),
-        audited_seconds=sum(cost.seconds for cost in audited),
         saved={outcome.value: max(0, cells[outcome] - confirmed.get(outcome, 0)) * (mean or 0.0) for outcome in SAVING},
         predictor_seconds=predictor_seconds,
     )
@@ -180,19 +178,11 @@ def _map_cost(origin: MapOrigin, campaign: str) -> MapCost:
 
 
 def _remarks(accounting: Accounting) -> list[str]:
-    """Returns sentences about the runs, audits, confirmations, the map and its break-even."""
+    """Returns sentences about the runs, the map and its break-even."""
     remarks = []
     if accounting.runs:
         runs = " + ".join(f"{count:,} {name}" for name, count in accounting.runs.items())
         remarks.append(f"The simulator ran {sum(accounting.runs.values()):,} times: {runs}.")
-    if audited := sum(row.audited for row in accounting.scenarios):
-        price = f"{audited:,} copied answers in {sum(row.audited_seconds for row in accounting.scenarios):,.1f} s"
-        remarks.append(f"Audits simulated {price}; they are not counted as saved.")
-    confirmed = sum(row.confirmed for row in accounting.scenarios)
-    if confirmed:
-        remarks.append(
-            f"{confirmed:,} copied or predicted scores were simulated to confirm the best set; they are not counted as saved."
-        )
     used, even = accounting.map, accounting.break_even
     if used is not None and not used.paid_here:
         cost = f" ({used.runs:,} runs, {used.seconds:,.1f} s)" if used.runs else ""

@@ -338,9 +338,10 @@ class Ranking:
                 others = (0.0, 0.0)
                 if standing.is_known and self._level is None:  # runs under one seed have much in common
                     others = float(standing.spreads[place]), min(float(standing.freedom[place]), len(chosen) - 1.0)
+                solution = self._solutions[number]
                 error = float((replicates.variance(fresh, *others) / len(fresh)) ** 0.5) * replicates.widening(self._level)
-                lower, upper = replicates.interval(fresh, self._level, confidence, *others)
-                own = replace(self._solutions[number], lower=lower, upper=upper, standard_error=error)
+                lower, upper = replicates.interval(fresh, self._level, confidence, *others, solution.sign * standing.skewness)
+                own = replace(solution, lower=lower, upper=upper, standard_error=error)
                 self._solutions[number] = own
         leader = standing.best(confidence)
         if not standing.is_known:  # too few runs tell no set from the best one

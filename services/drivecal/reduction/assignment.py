@@ -64,9 +64,8 @@ def assign(
         donor = leader = None
         if policy.reuses and cell.reference_key is not None:
             kind = (cell.scenario, cell.reference_key)
-            is_given = cell.purpose is Purpose.START
-            donor = None if is_given else references.get(kind)
-            leader = None if is_given or donor is not None else same_class.get(kind)
+            donor = None if cell.purpose is Purpose.START else references.get(kind)
+            leader = None if cell.purpose is Purpose.START or donor is not None else same_class.get(kind)
             if donor is None and leader is None:
                 same_class[kind] = position
         has_donor = donor is not None or leader is not None
@@ -74,6 +73,6 @@ def assign(
         plan = Outcome.REUSED if has_donor and not inspected else Outcome.SIMULATED
         if plan is Outcome.SIMULATED:
             same_set[identity] = position
-        purpose = Purpose.AUDIT if inspected else cell.purpose
-        planned.append(replace(cell, plan=plan, donor=donor, leader=leader, purpose=purpose))
+        cell = replace(cell, purpose=Purpose.AUDIT) if inspected else cell
+        planned.append(replace(cell, plan=plan, donor=donor, leader=leader))
     return planned

@@ -68,7 +68,6 @@ class StoredEvaluation(NamedTuple):
     worker: str | None
     attempts: int
     runs: int
-    """Starts of the simulator for it, repeats and lost ones included."""
     detail: str | None
     """The reason of the failure, as reported by the worker or the pool."""
     lot: int | None

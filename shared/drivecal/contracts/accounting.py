@@ -35,7 +35,6 @@ class ScenarioAccount(OutcomeCounts):
     confirmed: int = 0
     mean_seconds: float | None
     simulated_seconds: float
-    audited_seconds: float
     saved: dict[str, float]
     predictor_seconds: float = 0.0
 
@@ -87,5 +86,5 @@ class Accounting(Answer):
     balance: list[BalanceItem] = Field(default_factory=list)
     """The addends of `net_seconds` that are not 0."""
     remarks: list[str] = Field(default_factory=list)
-    """Sentences about the runs, audits, confirmations, the map and its break-even."""
+    """Sentences about the runs, the map and its break-even."""
     sentence: str

@@ -312,9 +312,8 @@ class FrontRow(Answer):
     rank: int
     objectives: Annotated[dict[str, float], Spread("objective_")]
     uncertainty: Annotated[dict[str, float], Spread("objective_")] = Field(default_factory=dict)
-    """Standard error `NAME_error` and interval `NAME_lower` to `NAME_upper` of each objective's mean over all seeds, at
-    `replicates.confidence`; empty if the simulator is not random. The runs that put a set on the front flatter it, so the interval is
-    around the value drawn to the middle of all sets by the share of luck in it."""
+    """Standard error `NAME_error` and interval `NAME_lower` to `NAME_upper`, at `replicates.confidence`, of each objective's mean over all
+    seeds of a random simulator: around the value less the luck that it takes to get on the front, as far as all sets tell."""
     weighted: float | None = None
     """The weighted sum of the scaled objectives, 0 to 1, if weights were given."""
     violation: float

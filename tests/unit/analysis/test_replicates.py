@@ -93,6 +93,22 @@ def test_intervals_of_the_chosen_set_cover_its_mean() -> None:
     assert 0.925 <= covered / 400 <= 0.975
 
 
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_intervals_of_skewed_runs_miss_as_often_on_both_sides(sign: int) -> None:
+    drawn = sign * (np.random.Generator(np.random.PCG64(1)).exponential(size=(1000, 20)) - 1)
+    known = assess(drawn[:, :12])
+    assert known.skewness == pytest.approx(2 * sign, abs=0.3)
+    missed = {}
+    for skewness in (0.0, known.skewness):
+        ends = [interval(row[12:].tolist(), None, CONFIDENCE, 0.0, 0.0, skewness) for row in drawn]
+        missed[skewness] = sum((lower or 0) > 0 for lower, _ in ends), sum((upper or 0) < 0 for _, upper in ends)
+    assert sum(missed[known.skewness]) <= 0.07 * len(drawn) < sum(missed[0.0])
+    assert abs(np.subtract(*missed[known.skewness])) < abs(np.subtract(*missed[0.0])) / 2
+    assert interval([1.0, 2.0], None, CONFIDENCE, 1.0, 11.0, known.skewness) == interval(
+        [1.0, 2.0], None, CONFIDENCE, 1.0, 11.0
+    )
+
+
 def test_effects_that_all_sets_share_disappear_from_comparisons() -> None:
     effects = 100.0 * np.array([0.0, 1.0, -2.0, 4.0, 1.0])
     noise = 0.1 * np.random.Generator(np.random.PCG64(1)).normal(size=(6, 5))

@@ -62,7 +62,6 @@ def test_the_account_of_a_campaign_with_its_own_map() -> None:
     assert (second.requested, second.failed) == (500, 5)
     assert second.mean_seconds == pytest.approx(0.02)
     assert second.saved["reused"] == pytest.approx(0.9)
-    assert first.audited_seconds + second.audited_seconds == pytest.approx(0.1)
     assert first.simulated_seconds + second.simulated_seconds == pytest.approx(10.0)
     assert result.saved_seconds == pytest.approx(0.4 + 3.6 + 0.9)
     assert result.net_seconds == pytest.approx(4.9 - 10.0)

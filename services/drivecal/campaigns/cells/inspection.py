@@ -40,10 +40,6 @@ class _OpenLot:
     def plan(self) -> SamplingPlan:
         return SamplingPlan(self.lot.size, self.lot.sample, self.lot.acceptance)
 
-    @property
-    def purpose(self) -> Purpose:
-        return Purpose.SAMPLE if self.lot.kind is Outcome.PREDICTED else Purpose.AUDIT
-
 
 class Inspection:
     """The open lots of one campaign."""
@@ -71,9 +67,7 @@ class Inspection:
         drawn: dict[int, StoredEvaluation] = {}
         for lot in self._open.values():
             if len(lot.members) == lot.lot.size:
-                sample = self._draw(connection, lot)
-                evaluations.simulate(connection, sample, purpose=lot.purpose)
-                drawn |= sample
+                drawn |= self._draw(connection, lot)
         return drawn
 
     def _draw(self, connection: Connection, lot: _OpenLot) -> dict[int, StoredEvaluation]:
@@ -83,7 +77,9 @@ class Inspection:
         for cell in chosen:
             del lot.members[cell.id]
             lot.sampled.add(cell.id)
-        return {cell.id: cell._replace(plan=Outcome.SIMULATED, purpose=lot.purpose) for cell in chosen}
+        purpose = Purpose.SAMPLE if lot.lot.kind is Outcome.PREDICTED else Purpose.AUDIT
+        evaluations.simulate(connection, [cell.id for cell in chosen], purpose=purpose)
+        return {cell.id: cell._replace(plan=Outcome.SIMULATED, purpose=purpose) for cell in chosen}
 
     def compare(self, cell: StoredEvaluation, score: float | None) -> bool | None:
         """Takes a sampled cell's simulated score, None without a result, and returns whether the prediction was right; None for other

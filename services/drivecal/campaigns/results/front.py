@@ -120,12 +120,14 @@ def front_of(database: Database, campaign: StoredCampaign, resolved: ResolvedSpe
     confidence = resolved.replicates.confidence
     if not known or not front.members or not all(each.is_known for each in known):
         return front
-    uncertainty: dict[int, dict[str, float]] = {number: {} for number in numbers}
+    columns: dict[str, Floats] = {}
     for goal, each in zip(goals.objectives, known, strict=True):
-        middles, halves = (goal.sign * each.means).tolist(), each.half_widths(confidence).tolist()
-        for number, error, middle, half in zip(numbers, each.standard_errors.tolist(), middles, halves, strict=True):
-            named = {"error": error, "lower": middle - half, "upper": middle + half}
-            uncertainty[number] |= {f"{goal.name}_{end}": value for end, value in named.items()}
+        middles, halves = goal.sign * each.means, each.half_widths(confidence)
+        ends = {"error": each.standard_errors, "lower": middles - halves, "upper": middles + halves}
+        columns |= {f"{goal.name}_{end}": values for end, values in ends.items()}
+    uncertainty = {
+        number: {name: float(values[place]) for name, values in columns.items()} for place, number in enumerate(numbers)
+    }
     places = [place for place, number in enumerate(numbers) if number in front.ranks]
     least = front.members[0].solution.violation
     rivals = {each.parameter_set for each in front.ranked if each.violation <= least or each.is_undecided} - front.ranks.keys()

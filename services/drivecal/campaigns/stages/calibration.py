@@ -311,8 +311,7 @@ class Calibration(Stage):
         number = self._next - 1
         asked, batch, problem = self._asked[number], self._batches.pop(0), self._problem
         sets = dict(zip(batch, problem.space.parameter_sets(asked.population[batch]), strict=True))
-        given = {number: Purpose.START for number, parameters in sets.items() if parameters in problem.start_sets}
-        purposes = dict.fromkeys(sets, Purpose.SEARCH) | given
+        purposes = {number: Purpose.START if each in problem.start_sets else Purpose.SEARCH for number, each in sets.items()}
         wanted = [
             RequestedCell(individual, problem.scenarios[place], sets[individual], purpose=purposes[individual], seed=seed)
             for individual, place, seed in asked.cells

@@ -54,15 +54,13 @@ def front_lines(summary: FrontSummary) -> list[str]:
     lines += [f"subject to {constraint}" for constraint in summary.constraints]
     lines += [_baseline_line(summary, summary.baseline)] if summary.baseline is not None else []
     close = f", {summary.close:,} more cannot be told from these" if summary.close else ""
-    return [
-        *lines,
-        f"{summary.evaluated:,} sets evaluated, {summary.feasible:,} feasible, {summary.size:,} on the front{close}",
-    ]
+    lines.append(f"{summary.evaluated:,} sets evaluated, {summary.feasible:,} feasible, {summary.size:,} on the front{close}")
+    return lines
 
 
 def _interval(row: FrontRow, name: str) -> str:
-    ends = [row.uncertainty.get(f"{name}_{end}") for end in ("lower", "upper")]
-    return "" if None in ends else f" ({' to '.join(f'{end:.4g}' for end in ends)})"
+    ends = [f"{row.uncertainty[f'{name}_{end}']:.4g}" for end in ("lower", "upper") if row.uncertainty]
+    return f" ({' to '.join(ends)})" if ends else ""
 
 
 def _baseline_line(summary: FrontSummary, baseline: FrontBaseline) -> str:
