@@ -56,11 +56,6 @@ def test_every_guarantee_of_the_readme_is_in_the_table() -> None:
     assert set(promises) <= rows(GUARANTEES, TABLES[GUARANTEES]).keys()
 
 
-def test_a_test_that_does_not_exist_would_be_noticed() -> None:
-    assert "test_of_nothing" not in functions_in(Path(__file__))
-    assert "test_every_guarantee_of_the_readme_is_in_the_table" in functions_in(Path(__file__))
-
-
 def test_the_page_takes_no_text_for_markup() -> None:
     """Svelte escapes what it shows, unless it is told not to."""
     sources = [path for path in (ROOT / "services" / "web" / "src").rglob("*") if path.suffix in {".svelte", ".ts"}]

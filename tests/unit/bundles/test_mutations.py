@@ -10,7 +10,6 @@ from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
-import pytest
 from tests.support import effort
 from tests.support.effort import tries
 from tests.support.mutations import at_home, soon
@@ -116,8 +115,3 @@ def test_mutated_archives_are_refused_or_unpacked_inside_of_their_folder(tmp_pat
     assert outside.read_text() == "content"
     assert any(results)
     assert not all(results)
-
-
-def test_a_file_that_is_opened_elsewhere_would_be_noticed() -> None:
-    with pytest.raises(AssertionError, match="/dev/null"), at_home():
-        Path("/dev/null").read_bytes()
