@@ -23,8 +23,8 @@ from drivecal.storage.references import metrics
 TABLES: tuple[TableName, ...] = ("generations", "influence", "robustness", "validation", "evaluations")
 """Tables of what a campaign did itself. Its ranking shows what others simulated, too, which depends on time."""
 OF_A_CAMPAIGN = ("state", "error", "degraded", "stages", "error_rate", "released", "best", "baseline", "notes")
-OF_ONE_RUN = {"id", "milliseconds", "worker"}
-"""Columns of an evaluation that say who simulated it and how fast, not what came out."""
+OF_ONE_RUN = {"id", "milliseconds", "worker", "runs"}
+"""Columns of an evaluation that say who simulated it, how fast and after how many lost starts, not what came out."""
 OUTCOMES = ("repeated", "reused", "predicted", "simulated", "failed")
 PLACE = ("stage", "iteration", "individual", "scenario")
 
