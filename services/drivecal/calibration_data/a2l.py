@@ -175,13 +175,13 @@ def _characteristic(block: _Block, kind: str, described: _Described, file: str) 
         fault = problem_of(file, method.line, f"COMPU_METHOD {shown(conversion)} has no {needed} numbers after {word}", remedy)
     layout = described.get((block.module, "RECORD_LAYOUT", block.text(4)))
     values = "AXIS_PTS_X" if kind == "COM_AXIS" else "FNC_VALUES"
-    is_whole = layout is not None and any(_WHOLE.fullmatch(text) for text in layout.after(values, 1)[1:2])
+    stored = next((text for text in (layout.after(values, 1)[1:2] if layout is not None else ()) if _WHOLE.fullmatch(text)), "")
     choices: dict[str, float] = {}
     if method is not None and method.text(2) == "TAB_VERB":
         choices, message, remedy = _choices(method, described, lower, upper)
         if message:
             fault = problem_of(file, block.tokens[6].line, message, remedy)
-    raster = _raster(method) if is_whole else None
+    raster = _raster(method) if stored else None
     given = _numbers(block.after("STEP_SIZE", 9)[:1])
     step = given[0] if given and given[0] > 0 else None if raster is None else raster.step
     is_integer = raster is not None and not choices and step == raster.step == 1.0 and raster.offset.is_integer()
@@ -199,8 +199,18 @@ def _characteristic(block: _Block, kind: str, described: _Described, file: str) 
         codes=tuple(choices.values()),
         line=block.line,
         fault=fault,
+        note=_beyond(raster, stored, lower, upper) if raster else "",
         kind=kind,
     )
+
+
+def _beyond(raster: "_Raster", stored: str, lower: float, upper: float) -> str:
+    """Returns a note on limits that whole numbers of type `stored` cannot express; empty if they can."""
+    bits = next(bits for name, bits in (("BYTE", 8), ("WORD", 16), ("LONG", 32), ("INT64", 64)) if stored.endswith(name))
+    ends = (0, 2**bits - 1) if "U" in stored else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    least, most = sorted(raster.offset + raster.sign * raster.step * end for end in ends)
+    fits = least - raster.step < lower and upper < most + raster.step
+    return "" if fits else f"its limits {lower:g} to {upper:g} exceed what {stored} can express, {least:g} to {most:g}"
 
 
 def _unit(block: _Block, method: _Block | None) -> str:

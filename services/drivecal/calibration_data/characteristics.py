@@ -41,8 +41,8 @@ class Characteristic:
 
     `value`: a number, or the text of a choice, in physical units. `lower`, `upper`, `step`: limits and resolution. `choices`: texts of an
     enumeration, with their numbers in `codes`. `line` is its line in the file. `fault`: the reason why it cannot become a parameter; the
-    other characteristics of its file can. `kind`: VALUE, CURVE, MAP, VAL_BLK or COM_AXIS, the points of a shared axis. All but VALUE have
-    `axes`, and `values` in the place of `value`: along the first axis first.
+    other characteristics of its file can. `note`: a doubt. `kind`: VALUE, CURVE, MAP, VAL_BLK or COM_AXIS, the points of
+    a shared axis. All but VALUE have `axes`, and `values` in the place of `value`: along the first axis first.
     """
 
     name: str
@@ -57,6 +57,7 @@ class Characteristic:
     codes: tuple[float, ...] = ()
     line: int = 0
     fault: Problem | None = None
+    note: str = ""
     kind: str = "VALUE"
     axes: tuple[Axis, ...] = ()
     values: tuple[float, ...] = ()

@@ -10,10 +10,10 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
 
-def value_text(value: float | str, digits: int | None = 6) -> str:
-    """Returns a number with `digits` significant digits, or the text of a choice. None: as few digits as give the number again."""
-    if isinstance(value, str):
-        return value
+def value_text(value: Given, digits: int | None = 6) -> str:
+    """Returns a number with `digits` significant digits, a list, or the text of a choice. None: as few digits as give the number again."""
+    if isinstance(value, str | list):
+        return str(value)
     return repr(float(value)).removesuffix(".0") if digits is None else f"{value:.{digits}g}"
 
 

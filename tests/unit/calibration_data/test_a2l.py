@@ -155,6 +155,19 @@ def test_ranges_begin_on_the_raster_of_the_control_unit() -> None:
     assert (fine.lower, fine.step) == (0.5, 0.25)
 
 
+@pytest.mark.parametrize(
+    ("stored", "limits", "is_noted"),
+    [
+        *(("UWORD", "0 655.35", False), ("UWORD", "-1 655", True), ("UWORD", "0 656", True)),
+        *(("SBYTE", "-1.28 1.27", False), ("SBYTE", "-1.3 1", True), ("FLOAT32_IEEE", "-1E9 1E9", False)),
+    ],
+)
+def test_limits_beyond_the_stored_type_are_noted(stored: str, limits: str, is_noted: bool) -> None:
+    content = file(f'gap "" VALUE 0x10 _U16 0 gap {limits}').replace(b"1 UWORD", f"1 {stored}".encode())
+    (gap,) = a2l.read(content, "a.a2l").characteristics
+    assert (gap.fault, stored in gap.note) == (None, is_noted)
+
+
 def test_a_step_of_1_makes_no_whole_numbers_of_a_finer_raster() -> None:
     (gap,) = read('gap "" VALUE 0x12 _U16 0 gap 0.5 9.5 STEP_SIZE 1')
     assert (gap.step, gap.integer) == (1.0, False)

@@ -128,6 +128,13 @@ def test_the_table_shows_scores_measures_and_times(write: Write) -> None:
     assert {"scenario", "cost", "energy", "wall"} <= set(result.stdout.split())
 
 
+def test_curves_are_tried_and_printed_as_lists(write: Write) -> None:
+    curve = "  gain: {curve: {axis: [0, 1, 2]}, lower: 1, upper: 1.5, coefficients: 2}\nsimulator"
+    folder = write("def evaluate(p, s):\n    return {'energy': sum(p['gain'])}\n", MANIFEST.replace("simulator", curve))
+    assert check(folder)[1]["parameters"]["gain"] == [1.25, 1.25, 1.25]
+    assert "gain=[1.25, 1.25, 1.25]" in command("problem", "check", folder).stdout
+
+
 def test_offline_nothing_runs(write: Write) -> None:
     code, report = check(write("raise SystemExit(7)"), "--offline")
     assert (code, report["scenarios"], report["parameters"]) == (0, [], None)

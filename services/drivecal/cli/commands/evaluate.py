@@ -14,6 +14,7 @@ from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments, settings
 from drivecal.contracts.evaluation import Evaluation, SeriesAnswer
 from drivecal.contracts.explanation import Difference, Explanation
+from drivecal.contracts.setup import ShapeAnswer
 from drivecal.contracts.specification import DEFAULT_PROBLEM
 from drivecal.contracts.tables import csv_text
 from drivecal.domain.campaigns import CampaignState
@@ -115,13 +116,14 @@ def explain(
     with connect(url) as client:
         campaign = client.campaign(client.full_id(identifier)).id
         explanation = client.explanation(evaluation)
+        shapes = {} if as_json else client.setup(campaign).shapes
     if explanation.campaign != campaign:
         cell = f"evaluation of campaign {campaign} with the number"
         raise NotFoundError(cell, str(evaluation), f"campaign {explanation.campaign} has it")
-    print_answer(explanation, as_json, print_explanation)
+    print_answer(explanation, as_json, lambda explanation: print_explanation(explanation, shapes))
 
 
-def print_explanation(explanation: Explanation) -> None:
+def print_explanation(explanation: Explanation, shapes: Mapping[str, ShapeAnswer]) -> None:
     """Prints the explanation, the stored set that it names, and the parameters that differ. Iterations count from 1, as in `watch`."""
     where = f"{explanation.stage}, iteration {explanation.iteration + 1}, individual {explanation.individual}, {explanation.scenario}"
     result = explanation.outcome or "pending"
@@ -131,23 +133,20 @@ def print_explanation(explanation: Explanation) -> None:
         result += f" ({explanation.failure})"
     if explanation.attempts > 1:
         result += f", {explanation.attempts} attempts"
-    known = [f"evaluation {explanation.evaluation}: {where}", parameters_text(explanation.parameters), result]
-    typer.echo("\n".join([*known, "", explanation.sentence]))
+    values = parameters_text(explanation.parameters, shapes=shapes)
+    typer.echo(f"evaluation {explanation.evaluation}: {where}\n{values}\n{result}\n\n{explanation.sentence}")
     if explanation.detail is not None:
         typer.echo(explanation.detail)
-    if explanation.reference is not None:
-        reference = explanation.reference
+    if (reference := explanation.reference) is not None:
         score = "no score yet" if reference.score is None else f"score {told(reference.score)}"
         at = f"{reference.stage}, iteration {reference.iteration + 1}, individual {reference.individual}"
         typer.echo(f"\nstored set: evaluation {reference.evaluation} of campaign {reference.campaign} ({at}), {score}")
-    if explanation.prediction is not None:
-        prediction = explanation.prediction
+    if (prediction := explanation.prediction) is not None:
         typer.echo(f"\nprediction: score {told(prediction.score)}, confidence {100 * prediction.confidence:.1f} %")
     if explanation.differences:
         typer.echo("")
         header = ["parameter", "this cell", "stored set", "influential", "this lies", "that lies", "in the way"]
-        rows = [_line(difference) for difference in explanation.differences]
-        print_columns(header, rows)
+        print_columns(header, map(_line, explanation.differences))
     if explanation.distance is not None:
         typer.echo(f"\ndistance {explanation.distance:.4f} of the parameters' ranges")
     if explanation.stored is not None:

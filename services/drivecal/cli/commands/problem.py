@@ -79,7 +79,7 @@ def check(
     }
     checked: list[CheckedScenario] = []
     if not offline:
-        from drivecal.bundles.shapes import with_coefficients
+        from drivecal.bundles.shapes import with_coefficients, with_points
         from drivecal.local.problems import (
             ask_probe,
             cut_scores,
@@ -91,8 +91,9 @@ def check(
         )  # the workers' code, for this command only
 
         report["tools"] = ask_probe(manifest, archive)
-        report["parameters"] = parameters = trial_set(manifest)
-        report["other_parameters"] = other = other_set(manifest)
+        parameters, other = trial_set(manifest), other_set(manifest)
+        for field, tried in (("parameters", parameters), ("other_parameters", other)):
+            report[field] = tried and with_points(tried, manifest.shapes, {"kind": manifest.simulator.kind})
         tell(f"a run may take {manifest.simulator.timeout:g} s (`simulator.timeout` in problem.yaml)")
         for result in run_problem(manifest, archive, parameters, other):
             if not as_json:
@@ -180,7 +181,7 @@ def _print_problem(problem: ProblemAnswer) -> None:
     for condition in problem.constraints:
         typer.echo(f"constraint  {condition}")
     if problem.baseline:
-        typer.echo(f"baseline    {parameters_text(problem.baseline)}")
+        typer.echo(f"baseline    {parameters_text(problem.baseline, shapes=problem.shapes)}")
     typer.echo(f"scenarios   {' '.join(problem.scenarios)}")
     typer.echo(f"measures    {', '.join(f'{name} ({unit})' for name, unit in problem.measures.items())}")
     scores = [
@@ -202,10 +203,9 @@ def _print_check(report: Mapping[str, Any], checked: Sequence["CheckedScenario"]
     typer.echo(f"{report['name']}  {report['digest']}  ({size})")
     if report["tools"] is not None:
         typer.echo(f"probe     {' '.join(report['tools'].split())}")
-    if report["parameters"] is not None:
-        typer.echo(f"tried at  {parameters_text(report['parameters'])}")
-    if report["other_parameters"] is not None:
-        typer.echo(f"set 2     {parameters_text(report['other_parameters'])}")
+    for title, tried in (("tried at", report["parameters"]), ("set 2   ", report["other_parameters"])):
+        if tried is not None:
+            typer.echo(f"{title}  {parameters_text(tried)}")
     ran = [result for result in checked if result.error is None]
     if ran:
         scores, measures = list(ran[0].scores), sorted({name for result in ran for name in result.measures})
@@ -303,15 +303,15 @@ def parameters(
         print_json({"parameters": sections.parameters, "baseline": sections.baseline})
     else:
         typer.echo("\n".join(_yaml(sections)))
+    for noted in (each for each in chosen if each.note):
+        tell(f"{noted.name}: {noted.note}")
     for source, content in contents:
         if content.skipped:
             names = f"{', '.join(content.skipped[:SHOWN])}{', ...' if len(content.skipped) > SHOWN else ''}"
             why = "texts, more than two axes, axes that are curves, variants, read-only values, values that follow from others"
             tell(f"{source}: {len(content.skipped):,} are left out ({why}): {names}")
     if sections.guessed:
-        tell(
-            f"no file has a usable range of {', '.join(sections.guessed)}: {100 * span:.0f} % around the value was taken; correct it"
-        )
+        tell(f"no usable range of {', '.join(sections.guessed)}: {100 * span:.0f} % around the value was taken; correct it")
     for name, reason in sections.left_out.items():
         tell(f"{name}: left out: {reason}")
     missing = sections.parameters.keys() - sections.baseline.keys()

@@ -14,6 +14,7 @@ from drivecal.cli.views.progress import follow
 from drivecal.cli.views.sections import fixed, objective_number, validation_tables
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import STUDIES, Campaign, StudyName
+from drivecal.contracts.setup import ShapeAnswer
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
@@ -171,10 +172,11 @@ def robustness(
         if vehicle is not None:
             maker = _in_another_vehicle(client, campaign, maker, vehicle, again=again)
         rows = client.robustness(maker.id)
+        shapes = {} if as_json else client.setup(maker.id).shapes
     if as_json:
         print_json(rows)
     else:
-        print_robustness(rows, maker.spec["robustness"])
+        print_robustness(rows, maker.spec["robustness"], shapes)
 
 
 def _source(campaign: Campaign) -> str:
@@ -194,7 +196,7 @@ def _in_another_vehicle(client: Client, campaign: Campaign, maker: Campaign, mod
     return made or make(client, maker, f"robustness in {model}", stages)
 
 
-def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any]) -> None:
+def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any], shapes: Mapping[str, ShapeAnswer]) -> None:
     """Prints the examined sets of a study with these `settings`, most robust first."""
     if not rows:
         typer.echo("no set was examined: the campaign found none with a result in every scenario")
@@ -203,19 +205,14 @@ def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any])
         ["rank", "degree", "delta_max", "objective", "scores", "region", "to worse", "parameters"],
         [
             [
-                *(
-                    row.rank,
-                    f"{'≥ ' if row.at_least else ''}{row.degree}",
-                    f"{row.radius:.4g}",
-                    objective_number(row.objective),
-                ),
+                *(row.rank, f"{'≥ ' if row.at_least else ''}{row.degree}", f"{row.radius:.4g}"),
+                objective_number(row.objective),
                 " ".join(f"{name} {'-' if score is None else score}" for name, score in row.scores.items()),
-                *(row.region, fixed(row.to_worse, 3), parameters_text(row.parameters)),
+                *(row.region, fixed(row.to_worse, 3), parameters_text(row.parameters, shapes=shapes)),
             ]
             for row in rows
         ],
     )
     typer.echo(vehicles_text(settings, len(rows), rows[0].replicates))
-    for row in rows:
-        if row.recommended:
-            typer.echo(f"recommended: rank {row.rank}, because it has {row.reason}")
+    for row in (each for each in rows if each.recommended):
+        typer.echo(f"recommended: rank {row.rank}, because it has {row.reason}")

@@ -3,7 +3,8 @@
 import json
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
-from typing import TypeVar
+from types import MappingProxyType
+from typing import Any, TypeVar
 
 import typer
 from pydantic import BaseModel
@@ -35,6 +36,7 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.events import ASKED
 from drivecal.domain.scales import objective_text, told
 
+Shapes = Mapping[str, ShapeAnswer]
 Shown = TypeVar("Shown", bound=BaseModel)
 
 
@@ -286,9 +288,14 @@ def coefficients_of(shapes: Mapping[str, ShapeAnswer]) -> set[str]:
     return {name for shape in shapes.values() for name in shape.names}
 
 
-def parameters_text(parameters: Mapping[str, float | str], digits: int | None = 6, hidden: Collection[str] = ()) -> str:
-    """Returns values as `P1=0.5 mode=eco`, without `hidden` ones; `digits` as of `value_text`."""
-    return " ".join(f"{name}={value_text(value, digits)}" for name, value in parameters.items() if name not in hidden)
+def parameters_text(
+    parameters: Mapping[str, Any], digits: int | None = 6, hidden: Collection[str] = (), shapes: Shapes = MappingProxyType({})
+) -> str:
+    """Returns values as `P1=0.5 mode=eco gain=[2, 1]`, without `hidden` ones; `digits` as of `value_text`. Curves and maps of `shapes`
+    stand in the place of their coefficients."""
+    values = {**parameters, **{name: shape.values(parameters) for name, shape in shapes.items()}}
+    left_out = {*hidden, *coefficients_of(shapes)}
+    return " ".join(f"{name}={value_text(value, digits)}" for name, value in values.items() if name not in left_out)
 
 
 def duration(seconds: float) -> str:
