@@ -130,6 +130,8 @@ def test_a_wrong_claim_ends_campaigns_and_evaluations_and_is_named(database: Dat
     assert before.cells.simulated == 2, "a sample would take more runs"
     assert after.cells.repeated == (0 if is_wrong else 2)
     assert evaluated(database, stored[-1], fresh=True).state is CampaignState.SUCCEEDED, "claims say nothing about new runs"
+    push(database, BEFORE | JERK | {"k": {"lower": 0, "upper": 9}}, added={"jerk_max": value, "k": 3})
+    assert (evaluated(database, stored[-1] | {"k": 3}).state is CampaignState.FAILED) == is_wrong, "after one more parameter"
     with database.read() as connection:
         assert [list(check(connection)) for check in CHECKS.values()] == [[] for _ in CHECKS]
 

@@ -97,10 +97,11 @@ def present_version(bench: Bench) -> EarlierVersion:
 
 
 def checked_cells(connection: Connection, bench: Bench) -> list[tuple[str, ParameterSet]]:
-    """Returns the present cells that campaigns simulated to check claims."""
+    """Returns the cells of the present parameters that campaigns simulated to check claims."""
     settings = bench.evaluator_id, sys.maxsize, MOST_SCENARIOS, StageName.CLAIMS
-    known = _setup_ids(connection, bench).items()
-    return [(name, run.parameters) for name, number in known for run in runs.rated(connection, number, *settings)]
+    known, names = _setup_ids(connection, bench).items(), {each.name for each in bench.parameters}
+    cells = ((name, run.parameters) for name, number in known for run in runs.rated(connection, number, *settings))
+    return [cell for cell in cells if cell[1].values.keys() == names]
 
 
 def earlier_versions(connection: Connection, bench: Bench) -> tuple[EarlierVersion, ...]:

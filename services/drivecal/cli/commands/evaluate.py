@@ -129,8 +129,7 @@ def print_explanation(explanation: Explanation, shapes: Mapping[str, ShapeAnswer
     result = explanation.outcome or "pending"
     if explanation.score is not None:
         result += f", score {told(explanation.score)}"
-    if explanation.failure:
-        result += f" ({explanation.failure})"
+    result += f" ({explanation.failure})" if explanation.failure else ""
     if explanation.attempts > 1:
         result += f", {explanation.attempts} attempts"
     values = parameters_text(explanation.parameters, shapes=shapes)

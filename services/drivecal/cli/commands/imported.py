@@ -52,13 +52,12 @@ def list_(
     """List results from elsewhere, the stored simulations of the same sets, and the differences."""
     with connect(url) as client:
         rows = client.imported(problem, source)
-        shapes = {} if as_json else client.problem(problem).shapes
     if as_json:
         print_json(rows)
     else:
         header = ["source", "date", "scenario", "parameters", "name", "value", "simulated", "difference", "unit"]
         shown = ([getattr(row, name) for name in header] for row in rows)
-        print_columns(header, ([*line[:3], parameters_text(line[3], shapes=shapes), *line[4:]] for line in shown))
+        print_columns(header, ([*line[:3], parameters_text(line[3]), *line[4:]] for line in shown))
 
 
 @results.command()
