@@ -471,7 +471,7 @@ def test_the_start_of_a_form_is_always_in_sight_and_hides_nothing(shown: Shown, 
 def test_a_name_in_markup_is_shown_letter_by_letter(shown: Shown, opening: Opening) -> None:
     rename = update(campaigns).where(campaigns.c.id == shown.campaign.id)
     with shown.api.database.transaction() as connection:
-        connection.execute(rename.values(name=MARKUP))
+        connection.execute(rename.values(name=MARKUP, revision=campaigns.c.revision + 1))
     page = opening(f"{shown.api.url}/#/nowhere")
     both = f"{shown.api.url}/#/compare?ids={shown.campaign.id},{shown.study.id}"
     for address in (f"{shown.api.url}/#/", shown.at(), shown.at("ranking"), both):
@@ -482,4 +482,4 @@ def test_a_name_in_markup_is_shown_letter_by_letter(shown: Shown, opening: Openi
         expect(page.locator("img[src='x'], main script")).to_have_count(0)
         assert not page.evaluate("'carriedOut' in window")
     with shown.api.database.transaction() as connection:
-        connection.execute(rename.values(name=shown.campaign.spec["name"]))
+        connection.execute(rename.values(name=shown.campaign.spec["name"], revision=campaigns.c.revision + 1))
