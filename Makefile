@@ -3,8 +3,8 @@
 .PHONY: help demo test test-slow test-faults test-compose test-packages check bench train page docs format lock audit sbom clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
-# Three processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
-WHOLE_FILES := $(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder
+# Four processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
+WHOLE_FILES := $(BIN)/pytest --numprocesses 4 --dist loadfile --no-loadscope-reorder
 # Containers often set it. Every process that a server or a test starts would compile all that it imports: half of a start's time.
 unexport PYTHONDONTWRITEBYTECODE
 
