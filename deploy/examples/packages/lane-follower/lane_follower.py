@@ -44,7 +44,7 @@ class LaneFollower:
         task = self.scenario.task
         lane = task.target_lane if observation.time + time >= task.lane_change_after else task.start_lane
         aside = -2 * self.rate * drift - self.rate**2 * (d - lane * self.scenario.road.lane_width)
-        along = self.gain * (next(knot.speed for knot in reversed(task.speeds) if knot.s <= s) - speed)
+        along = self.gain * (next(limit for start, limit in reversed(task.speeds) if start <= s) - speed)
         for other_s, other_d, other_speed, _, length, _ in observation.neighbours.tolist():
             gap = other_s + other_speed * time - s - length
             if gap > 0 and abs(other_d - d) < 2:
