@@ -33,7 +33,7 @@ class _Beating(Dispatcher):
         own, ticks = database.fenced(leadership.fence), iter(range(10**9))
         self.heartbeat = Heartbeat(own, leadership)
         pool = WorkPool(backend, Leases(own), clock=lambda: backend.now)
-        super().__init__(own, pool, self.heartbeat.tell, clock=lambda: float(next(ticks)))
+        super().__init__(own, pool, self.heartbeat.report, clock=lambda: float(next(ticks)))
 
     def step(self) -> None:
         super().step()

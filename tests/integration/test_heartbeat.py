@@ -49,7 +49,7 @@ def test_it_says_how_the_workers_are_and_running_campaigns_what_is_wrong(databas
     with database.transaction() as connection:
         campaigns.start(connection, running.sequence)
     heartbeat = heartbeat_of(database)
-    heartbeat.tell([WORKER], "waiting for Ray: it is being started")
+    heartbeat.report([WORKER], "waiting for Ray: it is being started")
     heartbeat.beat()
     result = reported(database)
     assert result.detail["workers"][0]["id"] == "worker-1"
@@ -57,7 +57,7 @@ def test_it_says_how_the_workers_are_and_running_campaigns_what_is_wrong(databas
     assert result.detail["measures"] == MEASURES.snapshot()
     assert get(database, running).degraded == "waiting for Ray: it is being started"
     assert get(database, waiting).degraded is None
-    heartbeat.tell([WORKER], None)
+    heartbeat.report([WORKER], None)
     heartbeat.beat()
     assert get(database, running).degraded is None
     assert reported(database).detail["degraded"] is None
@@ -66,7 +66,7 @@ def test_it_says_how_the_workers_are_and_running_campaigns_what_is_wrong(databas
 def test_it_beats_while_the_main_thread_is_busy_and_says_since_when(database: Database) -> None:
     now = [0.0]
     heartbeat = heartbeat_of(database, clock=lambda: now[0])
-    heartbeat.tell([WORKER], "one of 2 workers does not start")
+    heartbeat.report([WORKER], "one of 2 workers does not start")
     with heartbeat:
         first = reported(database).heartbeat_at
         now[0] += STUCK_AFTER_SECONDS + 1
@@ -76,7 +76,7 @@ def test_it_beats_while_the_main_thread_is_busy_and_says_since_when(database: Da
     assert result.detail["degraded"].startswith(
         "one of 2 workers does not start; the dispatcher has been busy with one step since "
     )
-    heartbeat.tell([WORKER], None)
+    heartbeat.report([WORKER], None)
     heartbeat.beat()
     assert "stuck_since" not in reported(database).detail
     assert reported(database).detail["degraded"] is None
@@ -131,7 +131,7 @@ def test_it_outlives_an_outage_of_the_database(database: Database, caplog: pytes
     unreachable.away = True
     with Heartbeat(unreachable, leadership) as heartbeat:  # type: ignore[arg-type]  # it needs transactions only
         until(lambda: "waiting for the database" in caplog.text, "the message about the outage", 30)
-        heartbeat.tell([WORKER], None)
+        heartbeat.report([WORKER], None)
         unreachable.away = False
         until(lambda: bool(reported(database).detail.get("workers")), "a heartbeat after the outage", 30)
     assert caplog.text.count("waiting for the database") == 1
@@ -145,7 +145,7 @@ def _lost() -> None:
 def _tell_until_it_raises(heartbeat: Heartbeat) -> None:
     deadline = time.monotonic() + 30
     while time.monotonic() < deadline:
-        heartbeat.tell([WORKER], None)
+        heartbeat.report([WORKER], None)
         time.sleep(0.01)
 
 

@@ -225,10 +225,10 @@ def test_sets_outside_of_the_space_are_repaired_on_request(sqlite: RunningApi) -
 def test_a_campaign_that_waits_for_sets_takes_no_place_and_says_so(api: RunningApi) -> None:
     fed, other = submitted(api), submitted(api, optimizer={"kind": "random", "population": 5, "iterations": 1})
     said: list[Waits] = []
-    work = dispatcher(api.database, ComputedBackend(1), running_campaigns=1, tell=lambda *told: said.append(told[2]))
+    work = dispatcher(api.database, ComputedBackend(1), running_campaigns=1, report=lambda *parts: said.append(parts[2]))
     propose(api, fed, sets(0, 3))
     assert ended(api, other, work)["state"] == "succeeded"
-    work = dispatcher(api.database, ComputedBackend(1), running_campaigns=1, tell=lambda *told: said.append(told[2]))
+    work = dispatcher(api.database, ComputedBackend(1), running_campaigns=1, report=lambda *parts: said.append(parts[2]))
     for _ in range(3_000):
         work.step()
         if said and said[-1].campaigns:

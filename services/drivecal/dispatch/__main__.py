@@ -88,8 +88,8 @@ def _dispatch(
     settings: Settings, database: Database, leadership: Leadership, heartbeat: Heartbeat, stop: threading.Event
 ) -> None:
     address = settings.ray_address
-    heartbeat.tell((), "the workers are being started" if address is None else f"waiting for the Ray cluster at {address}")
-    backend = _awaited("workers", lambda: _backend(settings, database), stop, lambda words: heartbeat.tell((), words))
+    heartbeat.report((), "the workers are being started" if address is None else f"waiting for the Ray cluster at {address}")
+    backend = _awaited("workers", lambda: _backend(settings, database), stop, lambda words: heartbeat.report((), words))
     if backend is None:
         return
     # the first campaign's start design needs it; while the workers start, a second of it costs nothing
@@ -103,13 +103,13 @@ def _dispatch(
         dispatcher = Dispatcher(
             database,
             WorkPool(backend, Leases(database), resources=resources),
-            heartbeat.tell,
+            heartbeat.report,
             running_campaigns=settings.running_campaigns,
         )
         dispatcher.run(stop)
     except BackendLostError as error:
-        heartbeat.tell((), f"{error}; the workers are started or joined again")
-        heartbeat.wait_until_told()
+        heartbeat.report((), f"{error}; the workers are started or joined again")
+        heartbeat.wait_until_stored()
         raise  # what is gone cannot be closed
     except BaseException:
         backend.close()
@@ -150,7 +150,7 @@ def _take_lock(database: Database, settings: Settings, server: int | None) -> se
 
 
 def _awaited(
-    what: str, attempt: Callable[[], T], stop: threading.Event, tell: Callable[[str], None] = lambda _: None
+    what: str, attempt: Callable[[], T], stop: threading.Event, report: Callable[[str], None] = lambda _: None
 ) -> T | None:
     """Returns what `attempt` returns as soon as it stops raising UnavailableError; None if the process must end first."""
     pause = 1.0
@@ -159,7 +159,7 @@ def _awaited(
             return attempt()
         except UnavailableError as error:
             log.warning("waiting for %s: %s", what, error)
-            tell(f"waiting for {what}: {error}")
+            report(f"waiting for {what}: {error}")
             stop.wait(pause)
             pause = min(2 * pause, LONGEST_PAUSE)
     return None

@@ -55,7 +55,7 @@ class Active:
     moved_at: float | None = None
     """Time of the last result, or since when its cells wait; None while none waits or one is at a worker."""
     stalled: bool = False
-    """True if an event told of the stall; the next result ends it."""
+    """True if an event was recorded for the stall; the next result ends it."""
     write_at: float = 0.0
     """Earliest time to store results while others are under way."""
 
@@ -129,7 +129,7 @@ def _pin(database: Database, campaign: StoredCampaign, resolution: Mapping[str, 
 
 LOOK_SECONDS = 0.25
 """Interval between checks for new campaigns and requests."""
-TELL_SECONDS = 0.5
+REPORT_SECONDS = 0.5
 POLL_SECONDS = 0.1
 TIDY_SECONDS, BUSY_TIDY_SECONDS = 60.0, 1.0
 """Intervals of tidying, and while there is more to remove than goes in a transaction."""
@@ -147,13 +147,13 @@ log = logging.getLogger(__name__)
 
 
 class Dispatcher:
-    """The dispatcher's loop. `tell` receives workers, problems and waits twice a second, and raises if the dispatcher must end."""
+    """The dispatcher's loop. `report` receives workers, problems and waits twice a second, and raises if the dispatcher must end."""
 
     def __init__(
         self,
         database: Database,
         pool: WorkPool,
-        tell: Callable[[Sequence[WorkerInfo], str | None, Waits], None] = lambda *_: None,
+        report: Callable[[Sequence[WorkerInfo], str | None, Waits], None] = lambda *_: None,
         *,
         running_campaigns: int = 8,
         clock: Callable[[], float] = time.monotonic,
@@ -161,13 +161,13 @@ class Dispatcher:
         """`running_campaigns` limits concurrent campaigns, without single evaluations."""
         self._database = database
         self._pool = pool
-        self._tell = tell
+        self._take_report = report
         self._running_campaigns = running_campaigns
         self._clock = clock
         self._active: dict[int, Active] = {}
         self._in_line: list[CampaignHeading] = []
         """Campaigns that wait to be started, or to go on, in their order."""
-        self._next_look = self._next_tell = self._next_tidy = 0.0
+        self._next_look = self._next_report = self._next_tidy = 0.0
 
     def run(self, stop: threading.Event) -> None:
         """Works until `stop` is set. Waits for a database that does not answer, and continues when it is back.
@@ -188,9 +188,9 @@ class Dispatcher:
 
     def step(self) -> None:
         """Runs one round: report, check campaigns and requests, feed the workers, store results."""
-        if self._clock() >= self._next_tell:
+        if self._clock() >= self._next_report:
             self._report()
-            self._next_tell = self._clock() + TELL_SECONDS
+            self._next_report = self._clock() + REPORT_SECONDS
         if self._clock() >= self._next_look:
             self._look()
             self._next_look = self._clock() + LOOK_SECONDS
@@ -211,7 +211,7 @@ class Dispatcher:
             sequence: self._pool.waits(each.tag) or each.awaited for sequence, each in self._active.items()
         } | self._places()
         said = {sequence: reason for sequence, reason in waits.items() if reason is not None}
-        self._tell(self._pool.workers(), self._pool.trouble(), Waits(said, self._pool.resources()))
+        self._take_report(self._pool.workers(), self._pool.trouble(), Waits(said, self._pool.resources()))
 
     def _places(self) -> dict[int, str]:
         """Returns why campaigns wait to be started or to go on, by number."""

@@ -126,13 +126,13 @@ class Heartbeat:
         self._stopped.set()
         self._thread.join(GRACE_SECONDS)  # it may be waiting for the database
 
-    def tell(self, workers: Sequence[WorkerInfo], trouble: str | None, waits: Waits = NOTHING_WAITS) -> None:
+    def report(self, workers: Sequence[WorkerInfo], trouble: str | None, waits: Waits = NOTHING_WAITS) -> None:
         """Takes the main thread's report. Raises the error that ended the heartbeat, if any."""
         self._report = _Report(tuple(workers), trouble, waits, self._clock(), now())
         if self._failure is not None:
             raise self._failure
 
-    def wait_until_told(self) -> None:
+    def wait_until_stored(self) -> None:
         """Returns when the latest report is stored, or after a timeout."""
         deadline = self._clock() + 3 * EVERY_SECONDS
         while self._written is not self._report and self._clock() < deadline:

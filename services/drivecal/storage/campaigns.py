@@ -239,7 +239,7 @@ def insert(
     inserted = connection.scalar(statement.values(row).returning(campaigns.c.sequence))
     if inserted is not None:
         queued = by_sequence(connection, inserted)
-        _tell(connection, queued.sequence, EventKind.QUEUED, CampaignState.QUEUED, name=name)
+        _record_event(connection, queued.sequence, EventKind.QUEUED, CampaignState.QUEUED, name=name)
         for note in notes:
             events.add(connection, queued.sequence, EventKind.NOTE, {"text": note})
         return queued
@@ -352,7 +352,7 @@ def request_action(connection: Connection, campaign_id: str, action: Action) -> 
     state = CampaignState.CANCELLING if kind is EventKind.CANCELLING else changed.state
     if state.ended:
         _forget_leases(connection, changed)
-    _tell(connection, campaign.sequence, kind, state)
+    _record_event(connection, campaign.sequence, kind, state)
     return changed
 
 
@@ -369,8 +369,8 @@ def change_state(connection: Connection, sequence: int, expected: Collection[Cam
         .values(state=state, requested_action=case((executed, None), else_=campaigns.c.requested_action))
     )
     changed = connection.execute(statement).rowcount == 1
-    if changed and state is not CampaignState.CANCELLING:  # which was told when it was asked for
-        _tell(connection, sequence, EventKind.RESUMED if state is CampaignState.RUNNING else EventKind(state), state)
+    if changed and state is not CampaignState.CANCELLING:  # whose event was recorded when it was asked for
+        _record_event(connection, sequence, EventKind.RESUMED if state is CampaignState.RUNNING else EventKind(state), state)
     return changed
 
 
@@ -384,7 +384,7 @@ def start(connection: Connection, sequence: int) -> StoredCampaign | None:
     )
     if connection.execute(statement).rowcount == 0:
         return None
-    _tell(connection, sequence, EventKind.RUNNING, CampaignState.RUNNING)
+    _record_event(connection, sequence, EventKind.RUNNING, CampaignState.RUNNING)
     return by_sequence(connection, sequence)
 
 
@@ -418,7 +418,7 @@ def pause(connection: Connection, sequence: int) -> bool:
     )
     paused = connection.execute(statement).rowcount == 1
     if paused:
-        _tell(connection, sequence, EventKind.PAUSED, CampaignState.PAUSED)
+        _record_event(connection, sequence, EventKind.PAUSED, CampaignState.PAUSED)
     return paused
 
 
@@ -475,7 +475,7 @@ def end(connection: Connection, sequence: int, state: CampaignState, error: str 
     ended = connection.execute(statement).rowcount == 1
     if ended:
         _forget_leases(connection, by_sequence(connection, sequence))
-        _tell(connection, sequence, EventKind(state), state, **({} if error is None else {"error": error}))
+        _record_event(connection, sequence, EventKind(state), state, **({} if error is None else {"error": error}))
     return ended
 
 
@@ -490,7 +490,7 @@ def _forget_leases(connection: Connection, campaign: StoredCampaign) -> None:
     save_counts(connection, campaign.sequence, changed)
 
 
-def _tell(connection: Connection, sequence: int, kind: EventKind, state: CampaignState, **more: Any) -> None:
+def _record_event(connection: Connection, sequence: int, kind: EventKind, state: CampaignState, **more: Any) -> None:
     """Adds the event of a changed state."""
     events.add(connection, sequence, kind, {"state": state, **more})
 

@@ -379,7 +379,7 @@ class Calibration(Stage):
             optimizer_state=round_.state,
         )
         if asked.number == 0:
-            self._tell_beginning(connection)
+            self._record_beginning(connection)
 
     def _confirm(self) -> Round | None:
         """The best set in the scenarios with scores copied from references, after the previous answers; None when no set is left."""
@@ -457,7 +457,7 @@ class Calibration(Stage):
                 text = confirmation_verdict(self._confirmation).text
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": text})
                 if not is_front and confirming.tried and confirming.is_changed(best[0]):
-                    self._leader.tell(connection, best[0])
+                    self._leader.record_event(connection, best[0])
 
     def _close(self, number: int) -> None:
         """Closes a round: every cell has its answer."""
@@ -492,10 +492,10 @@ class Calibration(Stage):
         cells = cells.model_copy(update={"carried_over": carried_over, "proposed": cells.requested + carried_over})
         return self._answers.figures(number, cells, objectives)
 
-    def _tell_beginning(self, connection: Connection) -> None:
+    def _record_beginning(self, connection: Connection) -> None:
         events.add(connection, self._campaign.sequence, EventKind.STAGE, {"stage": self.name, "cells": self._at_most})
         for note in self._notes:
-            if note not in self._campaign.notes:  # the sensitivity stage has told those
+            if note not in self._campaign.notes:  # the sensitivity stage has recorded those
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": note})
 
     def _snapshot(self, connection: Connection) -> Snapshot:

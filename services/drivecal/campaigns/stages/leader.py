@@ -1,4 +1,4 @@
-"""The best set of a search and its baseline, as they are stored and told."""
+"""The best set of a search and its baseline, as they are stored, with their events."""
 
 from sqlalchemy import Connection
 
@@ -23,7 +23,7 @@ class Leader:
         """See `SearchState`."""
 
     def describe(self, connection: Connection) -> bool:
-        """Notes and tells the best set; returns whether it is a better one than before."""
+        """Notes the best set and records its event; returns whether it is a better one than before."""
         best, is_better = self._ranking.best(), False
         if best is not None:
             solution, alternatives = best
@@ -46,7 +46,7 @@ class Leader:
             gain = 0.0 if before is None else solution.sign * (self.best.objective - before.objective)
             # the first set that keeps all constraints may be worse than the last that does not
             if before is None or (changed and (gain > 0 or (goals is not None and goals.bounds))):
-                self.tell(connection, solution)
+                self.record_event(connection, solution)
                 is_better = True
         unknown = self.baseline is None or self.baseline.objective is None
         self.remember_baseline(connection)
@@ -54,8 +54,8 @@ class Leader:
             events.add(connection, self._sequence, EventKind.BASELINE, self.baseline.model_dump())
         return is_better
 
-    def tell(self, connection: Connection, solution: EvaluatedSet) -> None:
-        """Tells that this set is the best one now."""
+    def record_event(self, connection: Connection, solution: EvaluatedSet) -> None:
+        """Records that this set is the best one now."""
         best = {} if self.best is None else self.best.model_dump()
         events.add(connection, self._sequence, EventKind.BEST, best | {"iteration": solution.iteration})
 

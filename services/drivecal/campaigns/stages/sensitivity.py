@@ -65,9 +65,9 @@ class Sensitivity(Stage):
 
     def _announce(self, connection: Connection, asked: Round) -> None:
         del asked
-        self._tell_progress(connection)
+        self._record_progress(connection)
 
-    def _tell_progress(self, connection: Connection) -> None:
+    def _record_progress(self, connection: Connection) -> None:
         """Adds the event of the stage's start or of the previous phase's end, once: in the transaction that follows it."""
         sequence, done = self._campaign.sequence, self._finished_phase
         if done is not None:
@@ -121,7 +121,7 @@ class Sensitivity(Stage):
             influence_map = stored_map(stored)
             campaigns.set_influence_map(connection, self._campaign.sequence, stored.id)
             self._give_keys(connection, influence_map)
-            self._tell_progress(connection)
+            self._record_progress(connection)
             influential = {
                 scenario: [name for name, influence in parameters.items() if influence.influential]
                 for scenario, parameters in influence_map.scenarios.items()

@@ -79,7 +79,7 @@ class Stage(Job):
         """The newest round."""
         self._under_way: deque[Round] = deque()
         """Rounds that the stage has no answers of, in the order of asking."""
-        self._told = {count for count in ("unscored", "cut", "failed") if getattr(counts, count)}
+        self._recorded = {count for count in ("unscored", "cut", "failed") if getattr(counts, count)}
         self.finished = False
 
     @abstractmethod
@@ -118,7 +118,7 @@ class Stage(Job):
 
     def _snapshot(self, connection: Connection) -> Snapshot:
         """The progress to store; subclasses extend it."""
-        self._tell_firsts(connection)
+        self._record_firsts(connection)
         counts = CellCounts(**self._tracker.counts)
         return Snapshot(
             stage=self.name,
@@ -128,7 +128,7 @@ class Stage(Job):
             simulating_seconds=self._tracker.simulating_seconds,
         )
 
-    def _tell_firsts(self, connection: Connection) -> None:
+    def _record_firsts(self, connection: Connection) -> None:
         """Adds an event for the stage's first score without a value, its first score that was cut off, and its first cell without a result:
         others may take as long to fail, e.g. if a simulator hangs."""
         firsts = {
@@ -137,9 +137,9 @@ class Stage(Job):
             "failed": ("a cell has no result after all attempts", self._tracker.broken),
         }
         for count, (what, first) in firsts.items():
-            if first is not None and count not in self._told:
+            if first is not None and count not in self._recorded:
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": f"{what}: {first}"})
-                self._told.add(count)
+                self._recorded.add(count)
 
     def _score_notes(self) -> list[str]:
         """Returns notes on scores without a value and on scores that were cut off."""
