@@ -25,6 +25,8 @@ FIRST = 4
 """Sets that get a second run before the noise is known."""
 SWEEPS = 30
 """Iterations of the fit of means and effects of seeds."""
+DRAWS = 4000
+"""Draws of the means of sets some of whose runs failed."""
 QUANTILES = 200
 """Points of a distribution over which probabilities are integrated."""
 LEAST_APART = 0.1
@@ -71,6 +73,8 @@ class SetStatistics:
     """Deviation of a run without the effect of its seed, over all sets; None if unknown."""
     skewness: float = 0.0
     """Skewness of a run, over all sets; above 0 if the longer tail is on the better side."""
+    failing: tuple[Floats, npt.NDArray[np.bool_], float | None] | None = None
+    """Samples, failed runs and level, as `assess` takes them; None if no run failed."""
 
     @property
     def errors(self) -> Floats:
@@ -125,7 +129,9 @@ class SetStatistics:
         return result
 
     def probabilities(self) -> Floats:
-        """Returns the probability of each set to be the best. Only the LISTED most promising ones have one above 0."""
+        """Returns the probability of each set to be the best; NaN: unknown. Only the LISTED most promising ones have one above 0."""
+        if self.failing is not None:
+            return _with_failures(*self.failing)
         listed = np.argsort(-(self.means + 2 * self.errors), kind="stable")[:LISTED].tolist()
         result = np.zeros(len(self.means))
         for place in listed:
@@ -145,17 +151,41 @@ class SetStatistics:
         return float(below.prod(axis=1).mean())
 
 
-def assess(samples: Floats, level: float | None = None) -> SetStatistics:
+def assess(samples: Floats, level: float | None = None, failed: npt.NDArray[np.bool_] | None = None) -> SetStatistics:
     """Returns what runs say about sets.
 
     Args:
         samples: objective of each set under each seed, higher is better, shape (n, n_seeds); NaN without a run. Each set has a run.
         level: of the quantiles that take the place of means; None for means.
+        failed: which runs failed, of the same shape; only probabilities use it.
     """
     known = _means(samples)
+    if failed is not None and failed.any():
+        known = replace(known, failing=(samples, failed, level))
     if level is not None:
         return _quantiles(samples, known, level)
     return _without_luck(known) if known.is_known else known
+
+
+def _with_failures(samples: Floats, failed: npt.NDArray[np.bool_], level: float | None) -> Floats:
+    """Returns the probability of each set to be the best; NaN for quantiles, and if the noise is unknown.
+
+    A rare failure is no noise of all sets: the mean of a set is the mean of its other runs, less what failures lose in the share of its
+    runs that fail. This share is drawn as the set's runs tell it, with the share of all sets as SHRINKAGE runs more. A set has 0 if all
+    its runs failed."""
+    result, others = np.zeros(len(samples)), np.where(failed, np.nan, samples)
+    sound = np.flatnonzero(np.isfinite(others).any(axis=1))
+    if level is not None or not len(sound) or not (known := assess(others[sound])).is_known:
+        return np.full(len(samples), np.nan)
+    listed = np.argsort(-(known.means + 2 * known.errors), kind="stable")[:LISTED]
+    failures = failed[sound[listed]].sum(axis=1)
+    prior = max(SHRINKAGE * failures.sum() / (failures + known.counts[listed]).sum(), 1e-9)
+    random, shape = np.random.Generator(np.random.PCG64(1)), (DRAWS, len(listed))
+    means = known.means[listed] + known.errors[listed] * random.standard_t(known.freedom[listed], shape)
+    rates = random.beta(failures + prior, known.counts[listed] + SHRINKAGE - prior, shape)
+    best = (means - rates * (known.means[listed] - samples[failed].mean())).argmax(axis=1)
+    result[sound[listed]] = np.bincount(best, minlength=len(listed)) / DRAWS
+    return result
 
 
 def _means(samples: Floats) -> SetStatistics:

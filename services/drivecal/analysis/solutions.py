@@ -286,11 +286,13 @@ class Ranking:
         if not numbers:
             return None
         samples = np.full((len(numbers), max(max(by_seed[number]) for number in numbers)), np.nan)
+        failed = np.zeros(samples.shape, dtype=np.bool_)
         for place, number in enumerate(numbers):
             for seed, objective in by_seed[number].items():
                 samples[place, seed - 1] = kept[0].sign * objective
+                failed[place, seed - 1] = any(cell.failed for cell in self._runs[number][seed].values())
         level = self._level if self._level is None or kept[0].sign > 0 else 1 - self._level
-        known = replicates.assess(samples, level)
+        known = replicates.assess(samples, level, failed)
         if self._varies and known.is_known and not known.is_random:
             known = replace(known, variances=np.full(len(numbers), np.nan), spreads=np.full(len(numbers), np.nan))
         return numbers, known
@@ -361,7 +363,7 @@ class Ranking:
                 # runs that chose the best set say too much of it
                 lower=solution.lower if is_reported or place == leader else middle - half,
                 upper=solution.upper if is_reported or place == leader else middle + half,
-                probability_best=float(probabilities[place]),
+                probability_best=None if np.isnan(probabilities[place]) else float(probabilities[place]),
                 is_close=bool(close),
                 runs_to_tell=replicates.to_tell(standing, leader, place, confidence) if close else None,
                 bound=solution.sign * float(bounds[place]),

@@ -189,7 +189,7 @@ class Best(Answer):
     upper: float | None = None
     """Upper end of that interval."""
     probability_best: float | None = None
-    """Probability that no other evaluated set is better; null if the simulator is not random."""
+    """Probability that no other evaluated set is better; null if the simulator is not random, and as in `solutions`."""
     close: int = 0
     """Number of sets that may be equally good, at the campaign's confidence."""
 

@@ -283,7 +283,7 @@ class Solution(Answer):
     upper: float | None = None
     """Upper end of that interval."""
     probability_best: float | None = None
-    """Probability that no other set is better."""
+    """Probability that no other set is better; a failure counts by the share of runs that fail. Null for a quantile if runs failed."""
     runs_to_tell: int | None = None
     """Number of runs of this set and of the best set that would show which is better; null if that is known."""
 

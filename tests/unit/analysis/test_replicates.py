@@ -167,8 +167,25 @@ def test_a_set_with_one_lucky_run_stands_behind_a_set_that_is_known() -> None:
     assert [solution.parameter_set for solution in ranked] == [1, 3, 2]
     assert ranked[1].is_close
     assert (ranked[1].runs_to_tell or 0) > 1
-    assert sum([solution.probability_best or 0.0 for solution in ranked]) == pytest.approx(1.0)
     assert [solution.failures for solution in ranked] == [1, 0, 1]
+
+
+def test_a_rare_failure_is_no_noise_of_sets_that_do_not_fail() -> None:
+    """Set 0 is the best without its one failure, and loses more by a rate of 5 % than what it is ahead."""
+    for wanted in (ReplicatesSpecification(), ReplicatesSpecification(aggregate=Quantile(quantile=0.1))):
+        ranking, scores = Ranking({"S1": 1}, wanted=wanted), 0.3 * np.random.default_rng(1).normal(size=(4, 12))
+        for (place, seed), noise in np.ndenumerate(scores):
+            score, failed = noise - 0.3 * place, (place, seed) == (0, 5)
+            ranking.add(
+                [CellScore(place, "S1", -15.0 if failed else score, score, True, 0, place, failed=failed, seed=seed + 1)]
+            )
+        chances = [solution and solution.probability_best for solution in map(ranking.get, range(4))]
+        if wanted.level is None:
+            assert (chances[1] or 0.0) > 0.6 > 0.3 > (chances[0] or 1.0) > 0.1 > (chances[3] or 0.0)
+            assert sum([each or 0.0 for each in chances]) == pytest.approx(1.0)
+        else:
+            assert chances == [None] * 4
+    assert np.isnan(assess(np.ones((2, 3)), None, np.ones((2, 3), dtype=np.bool_)).probabilities()).all()
 
 
 def test_kept_runs_report_the_best_set_though_the_noise_is_unknown() -> None:
