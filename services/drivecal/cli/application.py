@@ -141,10 +141,10 @@ class Commands(TyperGroup):
             missing = (error.name or "").partition(".")[0]
             if missing not in EXTRAS:
                 raise
-            tell(f"this needs {missing}, which is not installed; type: pip install 'drivecal[{EXTRAS[missing]}]'")
+            say(f"this needs {missing}, which is not installed; type: pip install 'drivecal[{EXTRAS[missing]}]'")
             raise typer.Exit(ExitCode.USAGE) from error
         except KeyboardInterrupt as error:
-            tell("interrupted")
+            say("interrupted")
             raise typer.Exit(ExitCode.INTERRUPTED) from error
 
 
@@ -204,7 +204,7 @@ def complain(error: DrivecalError) -> None:
         typer.echo(f"drivecal: {line}", err=True)
 
 
-def tell(message: str) -> None:
+def say(message: str) -> None:
     """Prints to stderr."""
     typer.echo(f"drivecal: {message}", err=True)
     sys.stderr.flush()

@@ -40,11 +40,11 @@ def assign(
     policy: Policy,
     exact: Mapping[tuple[str, ParameterSet], Donor],
     references: Mapping[tuple[str, bytes], Donor],
-    released: Mapping[tuple[str, ParameterSet], Donor] | None = None,
+    elsewhere: Mapping[tuple[str, ParameterSet], Donor] | None = None,
 ) -> list[RequestedCell]:
     """Returns the cells with their plans, in order.
 
-    `exact` holds stored results by (scenario, parameter set), `references` by (scenario, reference key); `released` the references that
+    `exact` holds stored results by (scenario, parameter set), `references` by (scenario, reference key); `elsewhere` the references that
     answered these cells in an equal campaign, after their inspection: they come first, so that the same campaign again is the same.
     """
     if policy.mode == "off":
@@ -54,8 +54,8 @@ def assign(
     planned: list[RequestedCell] = []
     for position, cell in enumerate(cells):
         identity = (cell.scenario, cell.parameters)
-        if released and identity in released:
-            planned.append(replace(cell, plan=Outcome.REUSED, donor=released[identity], is_released=True))
+        if elsewhere and identity in elsewhere:
+            planned.append(replace(cell, plan=Outcome.REUSED, donor=elsewhere[identity], from_equal_campaign=True))
             continue
         if identity in exact or identity in same_set:
             donor, leader = exact.get(identity), same_set.get(identity)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.explanation import Difference, Explanation, InspectedLot, Prediction, Reference, Region
 from drivecal.domain.influence import Influence, InfluenceMap
-from drivecal.domain.scales import told
+from drivecal.domain.scales import score_text
 from drivecal.domain.values import TEXTS
 from drivecal.reduction.keys import MapColumns
 
@@ -154,7 +154,7 @@ def _nearest(explanation: Explanation, nearest: str) -> str:
 def _prediction(prediction: Prediction | None) -> str:
     if prediction is None:
         return "it was predicted"
-    text = f"the prediction is {told(prediction.score)} with a confidence of {100 * prediction.confidence:.0f} %"
+    text = f"the prediction is {score_text(prediction.score)} with a confidence of {100 * prediction.confidence:.0f} %"
     return text if prediction.lot is None else f"{text}; of its lot, {_inspection(prediction.lot)}"
 
 
@@ -168,7 +168,7 @@ def _verdict(explanation: Explanation) -> str:
     check = explanation.check
     if check is None or check.agrees is None or explanation.score is None:
         return "The two cannot be compared: one has no result."
-    scores = f"the simulation gave {told(explanation.score)}, the answer was {told(check.expected)}"
+    scores = f"the simulation gave {score_text(explanation.score)}, the answer was {score_text(check.expected)}"
     if check.agrees:
         return f"They agree: {scores}."
     return f"The answer is wrong: {scores}." if check.wrong else f"They differ by no more than the tolerance: {scores}."

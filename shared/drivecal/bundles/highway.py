@@ -165,10 +165,10 @@ class Ego(Placed):
     width: Metres = 1.9
 
 
-class Driver(Model):
-    """Driver of a vehicle of the traffic; missing fields have SUMO's defaults, without randomness.
+class TrafficBehaviour(Model):
+    """Behaviour of a vehicle of the traffic; missing fields have SUMO's defaults, without randomness.
 
-    A `constant` driver always keeps its speed. `desired_speed` (m/s) ignores the speed limit; without it, a vehicle wants the lane's limit
+    A `constant` one always keeps its speed. `desired_speed` (m/s) ignores the speed limit; without it, a vehicle wants the lane's limit
     times `speed_factor`, at most `max_speed`. `length` and `width` default to a passenger car's, or to SUMO's for another `vehicle_class`.
     `parameters` holds further numeric attributes of SUMO's vehicle type, e.g. `lcAssertive`.
     """
@@ -203,7 +203,7 @@ class Driver(Model):
         return {"length": length, "width": width} | data
 
 
-class TrafficEntry(Placed, Driver):
+class TrafficEntry(Placed, TrafficBehaviour):
     """A vehicle that exists from the start. `id` defaults to `vehicle0` and so on.
 
     With a `path`, its centre follows these points (x, y, m, in the network's coordinates) instead of a lane, straight on after the last.

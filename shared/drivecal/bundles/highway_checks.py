@@ -9,7 +9,6 @@ from drivecal.bundles.highway import (
     AnyController,
     Declared,
     Described,
-    Driver,
     FmuController,
     HighwayScenario,
     HighwaySimulator,
@@ -17,6 +16,7 @@ from drivecal.bundles.highway import (
     PlannerController,
     ProcessController,
     TaskScenario,
+    TrafficBehaviour,
     TrafficEntry,
     TrafficVehicle,
     VehicleValues,
@@ -198,7 +198,7 @@ def scenario_problems(
         seen |= {entry.id} - {None}
     if isinstance(scenario, TaskScenario):
         return
-    yield from _drivers(field, scenario.traffic)
+    yield from _behaviours(field, scenario.traffic)
     yield from _paths(field, scenario)
     is_whole = is_whole or (scenario.routes is None and isinstance(scenario, HighwayScenario))
     yield from actions_problems(field, scenario.traffic, is_whole=is_whole, others=others)
@@ -255,11 +255,11 @@ def _steps(field: str, duration: float | None, step: float) -> Iterator[Problem]
         yield Problem(field, message, f"give e.g. {max(1, round(duration / step)) * step:g}")
 
 
-def _drivers(field: str, drivers: Sequence[Driver]) -> Iterator[Problem]:
+def _behaviours(field: str, behaviours: Sequence[TrafficBehaviour]) -> Iterator[Problem]:
     named: dict[str | None, str] = {}
-    for index, driver in enumerate(drivers):
-        named.setdefault(driver.lane_change, f"traffic[{index}]")
-        for key, value in driver.parameters.items():
+    for index, behaviour in enumerate(behaviours):
+        named.setdefault(behaviour.lane_change, f"traffic[{index}]")
+        for key, value in behaviour.parameters.items():
             place = f"{field}.traffic[{index}].parameters.{key}"
             if key in ABOVE_ZERO and value <= 0.0:
                 yield Problem(place, f"{value:g} is not above 0", "give a number above 0")

@@ -113,7 +113,7 @@ class RequestedCell:
     donor: Donor | None = None
     leader: int | None = None
     purpose: Purpose = Purpose.SEARCH
-    is_released: bool = False
+    from_equal_campaign: bool = False
     """The donor answered the same cell in an equal campaign, after an inspection."""
     seed: int = 0
     """Seed of the run; 0 if the simulator does not depend on one."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import Any
 
-from drivecal.domain.scales import told
+from drivecal.domain.scales import score_text
 
 
 class EventKind(StrEnum):
@@ -120,5 +120,5 @@ def _word(name: str, value: Any) -> Any:
     if name == "influential":
         return "; ".join(f"{scenario} {' '.join(names) or '-'}" for scenario, names in value.items())
     if name == "scores":
-        return "  ".join(f"{scenario} {told(score)}" for scenario, score in value.items())
+        return "  ".join(f"{scenario} {score_text(score)}" for scenario, score in value.items())
     return value

@@ -115,7 +115,7 @@ def objective_text(objective: float) -> str:
     return f"{objective:.4f}" if objective == 0 or SMALL <= abs(objective) < LARGE else f"{objective:.6g}"
 
 
-def told(score: float | None) -> str:
+def score_text(score: float | None) -> str:
     """Returns a score for readers: whole ones with all digits, others with at most six significant ones; a dash without one."""
     if score is None:
         return "-"

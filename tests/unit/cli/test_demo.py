@@ -76,7 +76,7 @@ def test_the_page_is_announced_before_the_workers_are_ready(tmp_path: Path, monk
     (tmp_path / ANNOUNCEMENT).touch()
     (tmp_path / LOG).touch()
 
-    def tell(message: str) -> None:
+    def say(message: str) -> None:
         """Goes on with the start after each message: the server, the page, the workers."""
         said.append(message)
         if len(said) == 1:
@@ -85,6 +85,6 @@ def test_the_page_is_announced_before_the_workers_are_ready(tmp_path: Path, monk
             (tmp_path / ANNOUNCEMENT).write_text(json.dumps({"url": url}) + "\n")
 
     with subprocess.Popen(["sleep", "600"]) as process:
-        assert url_when_ready(process, tmp_path, tell) == url
+        assert url_when_ready(process, tmp_path, say) == url
         process.kill()
     assert [url in message for message in said] == [False, True, False, True]

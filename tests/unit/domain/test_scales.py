@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from tests.support.scales import COST
 
-from drivecal.domain.scales import COMFORT, plain, told
+from drivecal.domain.scales import COMFORT, plain, score_text
 
 
 def test_better_scores_have_a_higher_signed_value() -> None:
@@ -50,4 +50,4 @@ def test_amounts_have_their_unit() -> None:
     [(6.0, "6"), (1234567.0, "1234567"), (59.740123456789, "59.7401"), (0.0000123456789, "1.23457e-05"), (None, "-")],
 )
 def test_readers_get_whole_scores_whole_and_others_with_six_digits(score: float | None, text: str) -> None:
-    assert told(score) == text
+    assert score_text(score) == text

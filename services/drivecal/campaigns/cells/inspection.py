@@ -166,7 +166,7 @@ def form_lots_of_references(
     """
     members: dict[str, list[int]] = defaultdict(list)
     for place, cell in enumerate(cells):
-        if cell.plan is Outcome.REUSED and not cell.is_released:
+        if cell.plan is Outcome.REUSED and not cell.from_equal_campaign:
             members[cell.scenario].append(place)
     if not members or limit >= 1.0:
         return list(cells)

@@ -103,7 +103,7 @@ def plan_cells(
     set_ids = dict(zip(sets, parameter_sets.ensure(connection, sets), strict=True))
     exact: dict[tuple[str, ParameterSet], Donor] = {}
     references: dict[tuple[str, bytes], Donor] = {}
-    released: dict[tuple[str, ParameterSet], Donor] = {}
+    elsewhere: dict[tuple[str, ParameterSet], Donor] = {}
     class_keys: dict[tuple[str, ParameterSet], bytes] = {}
     stocked = runs.stocked(connection, setup_ids.values())  # nothing is known in other vehicles that were never driven
     with view.reuse_time.counted():
@@ -127,7 +127,7 @@ def plan_cells(
                 references |= {(scenario, key): donor for key, donor in stored.items()}
                 place = view.campaign, iteration, scenario, setup_id
                 known = evaluations.released_before(connection, place, view.bench.evaluator_id, list(by_id))
-                released |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
+                elsewhere |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
         if policy.mode != "off" and view.earlier:
             open_cells = {(cell.scenario, cell.parameters): None for cell in wanted}.keys() - exact.keys()
             exact |= answers_of(connection, view.bench, view.earlier, open_cells, view.watermark)
@@ -144,7 +144,7 @@ def plan_cells(
         )
         for cell in wanted
     ]
-    return assign(placed, policy, exact, references, released)
+    return assign(placed, policy, exact, references, elsewhere)
 
 
 def _references(

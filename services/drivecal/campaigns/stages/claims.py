@@ -16,7 +16,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NoResultError, Problem
 from drivecal.domain.evaluations import RequestedCell
 from drivecal.domain.parameters import ParameterSet
-from drivecal.domain.scales import told
+from drivecal.domain.scales import score_text
 from drivecal.reduction.assignment import Policy
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -93,7 +93,7 @@ def _difference(bench: Bench, now: Sequence[Any], then: Sequence[Any]) -> str | 
         values |= {name: (value, then[1][name]) for name, value in now[1].items() if name in then[1]}
     for name, pair in values.items():
         if None not in pair and (pair[0] != pair[1] if exact else bench.scale.is_wrong(pair[0] - pair[1])):
-            new, old = map(repr if told(pair[0]) == told(pair[1]) else told, pair)
+            new, old = map(repr if score_text(pair[0]) == score_text(pair[1]) else score_text, pair)
             return f"has {name} {new} now, and {old} in the stored run"
     return f"fails {'no more' if now[2] is None else 'now'}" if exact and (now[2] is None) != (then[2] is None) else None
 

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import CampaignArgument, ExitCode, JsonOption, UrlOption, app, code_of_state, connect, tell
+from drivecal.cli.application import CampaignArgument, ExitCode, JsonOption, UrlOption, app, code_of_state, connect, say
 from drivecal.cli.views.output import (
     duration,
     print_answer,
@@ -187,7 +187,7 @@ def delete(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOpti
     for campaign in () if as_json else deleted:
         typer.echo(f"campaign {campaign} is deleted; what it simulated stays in the reference table")
     for other in refused[1:]:
-        tell(str(other))
+        say(str(other))
     if refused:
         raise refused[0]
 
@@ -210,7 +210,7 @@ def _act(identifier: str | None, tag: str | None, action: Action, url: str | Non
         if identifier is None:
             open_ones = [place for place in chosen if not CampaignState(client.campaign(place).state).ended]
             changed = [client.act(place, action) for place in open_ones]
-            tell(f"asked {len(changed)} of {len(chosen)} campaigns to {action}; the others have ended")
+            say(f"asked {len(changed)} of {len(chosen)} campaigns to {action}; the others have ended")
             if as_json:
                 print_json(changed)
             return
@@ -221,11 +221,11 @@ def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | N
     """Shows a new campaign, with `wait` at its end, and ends the command with the matching exit status."""
     code = ExitCode.OK
     if wait:
-        tell(f"campaign {campaign.id} is queued")
+        say(f"campaign {campaign.id} is queued")
         campaign = follow(client, campaign.id, timeout)
         code = code_of_state(campaign.state)
     elif not as_json:
-        tell(f"queued; follow it with `drivecal watch {campaign.id}`")
+        say(f"queued; follow it with `drivecal watch {campaign.id}`")
     _print_whole(client, campaign, as_json)
     raise typer.Exit(code)
 

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import typer
 from pydantic import Field, model_validator
 
-from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, code_of_state, connect, tell
+from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, code_of_state, connect, say
 from drivecal.cli.commands.evaluate import SECONDS_BETWEEN_QUESTIONS, SeedsOption, ended
 from drivecal.cli.views.output import print_columns, print_json, within_text
 from drivecal.cli.views.progress import pauses
@@ -26,7 +26,7 @@ from drivecal.contracts.setup import ShapeAnswer
 from drivecal.contracts.specification import DECIDING, DEFAULT_PROBLEM, Given, GoalSpecification, Model
 from drivecal.contracts.strict_json import Number
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, file_faults
-from drivecal.domain.scales import told
+from drivecal.domain.scales import score_text
 
 Parameters = Mapping[str, Given]
 Axes = Mapping[str, Sequence[Sequence[float]]]
@@ -124,7 +124,7 @@ class CheckedSet:
         value, *within = _known(cell, limit)
         if cell is None or value is None:
             return Finding(scenario, limit.text, f"no value of {limit.label}")
-        shown = f"{limit.label} is {told(value)}{within_text(*within)}"
+        shown = f"{limit.label} is {score_text(value)}{within_text(*within)}"
         low, high = (value if end is None else end for end in within)
         if limit.at_most is not None:
             least, most = low - limit.at_most, high - limit.at_most
@@ -136,7 +136,7 @@ class CheckedSet:
             sign = -1 if self.problem.scores[limit.score or ""]["direction"] == "minimise" else 1
             excess, half = sign * (before.score - value) - (limit.worse_by_at_most or 0.0), _half_width(cell, before)
             least, most = excess - half, excess + half
-            shown += f", and {told(before.score)} in the baseline"
+            shown += f", and {score_text(before.score)} in the baseline"
         if most <= 0:
             return Finding(scenario, limit.text, None)
         unsure = least <= 0
@@ -219,11 +219,11 @@ def check(
         columns = [name for name in COLUMNS if name not in INTERVAL or any(cell.scores for cell in checked.first.items)]
         print_columns(columns, [[row[name] for name in columns] for row in _rows(checked, findings)])
         if within := within_text(checked.first.lower, checked.first.upper):
-            typer.echo(f"mean score {told(checked.first.objective)}{within}")
+            typer.echo(f"mean score {score_text(checked.first.objective)}{within}")
         for note in checked.notes:
-            tell(f"note: {note}")
+            say(f"note: {note}")
         for finding in broken:
-            tell(f"{finding.scenario}: {finding.limit}: {finding.broken}")
+            say(f"{finding.scenario}: {finding.limit}: {finding.broken}")
     raise typer.Exit(ExitCode.FAILED if broken else ExitCode.OK)
 
 
@@ -337,7 +337,7 @@ def _evaluated(
         simulates = fresh and (not evaluations or any(each.unrepeatable for each in evaluations.values()))
         evaluation = wait(client.evaluate({**document, "evaluator": evaluator, "fresh": simulates}))
         if not evaluation.items:
-            tell(f"the evaluation was not carried out: {evaluation.error or evaluation.state}")
+            say(f"the evaluation was not carried out: {evaluation.error or evaluation.state}")
             raise typer.Exit(code_of_state(evaluation.state))
         evaluations[score] = evaluation
     return evaluations
@@ -385,7 +385,8 @@ def _markdown(chosen: str, checked: CheckedSet, findings: Sequence[Finding]) -> 
     ]
     for row in _rows(checked, findings):
         shown = [
-            "" if value is None else told(value) if isinstance(value, float | int) else str(value) for value in row.values()
+            "" if value is None else score_text(value) if isinstance(value, float | int) else str(value)
+            for value in row.values()
         ]
         lines.append(f"| {' | '.join(text.replace('|', chr(92) + '|') for text in shown)} |")
     return "\n".join([*lines, "", ""])

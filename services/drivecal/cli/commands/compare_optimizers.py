@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, tell
+from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, say
 from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption
 from drivecal.cli.views.output import duration, print_answer, print_columns
 from drivecal.cli.views.progress import attached, pauses
@@ -43,7 +43,7 @@ def compare_optimizers(
                     print_answer(client.expected_comparison(specification), as_json, _print_expected)
                     return
                 comparison = client.compare(specification)
-            tell(
+            say(
                 f"{len(comparison.runs)} campaigns are queued; compare them with `drivecal compare-optimizers --tag {comparison.tag}`"
             )
         if wait:
@@ -59,7 +59,7 @@ def _wait_for(client: Client, comparison: Comparison, timeout: float | None) -> 
     with attached(f"the campaigns go on; `drivecal cancel --tag {comparison.tag}` ends them", timeout):
         while True:
             if ended != (ended := sum(CampaignState(run.state).ended for run in comparison.runs)):
-                tell(f"{ended} of {len(comparison.runs)} campaigns have ended")
+                say(f"{ended} of {len(comparison.runs)} campaigns have ended")
             if ended == len(comparison.runs):
                 return comparison
             next(asking)

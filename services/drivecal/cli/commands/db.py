@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from drivecal.cli.application import ExitCode, JsonOption, app, tell
+from drivecal.cli.application import ExitCode, JsonOption, app, say
 from drivecal.cli.views.output import print_columns, print_json
 from drivecal.configuration.settings import load_settings
 from drivecal.domain.errors import DatabaseError
@@ -124,7 +124,7 @@ class _Telling:
 
     def __call__(self, table: str, done: int, total: int) -> None:
         if time.monotonic() >= self._next:
-            tell(f"{table}: {done:,} of {total:,}")
+            say(f"{table}: {done:,} of {total:,}")
             self._next = time.monotonic() + TOLD_SECONDS
 
 
@@ -144,7 +144,7 @@ def _verified(opened: Database) -> dict[str, Any]:
     checks: list[dict[str, Any]] = []
     for verdict in verify(opened):
         for problem in verdict.problems:
-            tell(f"{verdict.name}: {problem}")
+            say(f"{verdict.name}: {problem}")
         checks.append({"name": verdict.name, "problems": verdict.problems, "seconds": round(verdict.seconds, 3)})
     whole = not any(check["problems"] for check in checks)
     return {"database": opened.name, "current": True, "whole": whole, "checks": checks}
@@ -161,5 +161,5 @@ def _print_verified(report: dict[str, Any], as_json: bool) -> None:
         print_columns(["check", "result", "wall s"], rows)
         typer.echo(f"{report['database']} is current and {'whole' if report['whole'] else 'broken'}")
     if not report["whole"]:
-        tell("what is broken stays broken: restore a backup into an empty database")
+        say("what is broken stays broken: restore a backup into an empty database")
         raise typer.Exit(ExitCode.FAILED)

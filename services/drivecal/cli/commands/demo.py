@@ -16,7 +16,7 @@ from typing import Any
 
 import typer
 
-from drivecal.cli.application import ExitCode, JsonOption, app, tell
+from drivecal.cli.application import ExitCode, JsonOption, app, say
 from drivecal.cli.views.output import duration, print_blocks, print_cells, print_columns, print_json, print_solutions, saved
 from drivecal.cli.views.progress import show_until_ended
 from drivecal.cli.views.sections import trust_blocks
@@ -60,10 +60,10 @@ def _database_url(folder: Path) -> str:
 
 
 @contextmanager
-def coordinator(home: Path, tell: Callable[[str], None] = lambda _: None) -> Iterator[Client]:
+def coordinator(home: Path, say: Callable[[str], None] = lambda _: None) -> Iterator[Client]:
     """Runs a coordinator with its files in `home` until the block is left, and yields a client of it once its workers are ready.
 
-    Calls `tell` with what it waits for. Raises DrivecalError with the end of the log if it does not start.
+    Calls `say` with what it waits for. Raises DrivecalError with the end of the log if it does not start.
     """
     settings = load_settings(home=str(home), database_url=_database_url(home)).environment
     environment = {name: value for name, value in (os.environ | settings).items() if name != "DRIVECAL_TOKENS_FILE"}
@@ -82,7 +82,7 @@ def coordinator(home: Path, tell: Callable[[str], None] = lambda _: None) -> Ite
             start_new_session=True,
         )
     try:
-        with _interrupted_by_sigterm(), Client(url_when_ready(process, home, tell), token="") as client:
+        with _interrupted_by_sigterm(), Client(url_when_ready(process, home, say), token="") as client:
             yield client
     finally:
         process.terminate()
@@ -99,7 +99,7 @@ def _interrupted_by_sigterm() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def url_when_ready(process: subprocess.Popen[bytes], home: Path, tell: Callable[[str], None]) -> str:
+def url_when_ready(process: subprocess.Popen[bytes], home: Path, say: Callable[[str], None]) -> str:
     """Returns the address once the workers are ready. Tells it as soon as the page answers, and how long the workers have been starting."""
     began = last_sign = time.monotonic()
     page: str | None = None
@@ -107,15 +107,15 @@ def url_when_ready(process: subprocess.Popen[bytes], home: Path, tell: Callable[
         line, newline, _ = (home / ANNOUNCEMENT).read_text().partition("\n")
         if newline:
             url = str(json.loads(line)["url"])
-            tell(f"the workers are ready after {now - began:.0f} s; watch the campaign at {url}")
+            say(f"the workers are ready after {now - began:.0f} s; watch the campaign at {url}")
             return url
         if process.poll() is not None:
             raise DrivecalError(f"the coordinator did not start (exit status {process.returncode}):\n{_end_of(home / LOG)}")
         if page is None and (page := _answering(home / LOG)) is not None:
-            tell(f"the page is at {page}; the workers are starting")
+            say(f"the page is at {page}; the workers are starting")
             last_sign = now
         elif now >= last_sign + SECONDS_BETWEEN_SIGNS:
-            tell(f"{'the server is' if page is None else 'the workers are'} still starting ({now - began:.0f} s)")
+            say(f"{'the server is' if page is None else 'the workers are'} still starting ({now - began:.0f} s)")
             last_sign = now
         time.sleep(0.1)
     raise DrivecalError(
@@ -175,10 +175,10 @@ def demo(as_json: JsonOption = False) -> None:
     started = time.monotonic()
     folder = load_settings().home / "demo"
     try:
-        tell(f"starting a server with a database and workers of its own in {_short(folder)}")
-        tell("the first start on a machine compiles the simulation, once; this takes up to some minutes")
+        say(f"starting a server with a database and workers of its own in {_short(folder)}")
+        say("the first start on a machine compiles the simulation, once; this takes up to some minutes")
         with fresh_folder(folder):
-            with coordinator(folder, tell) as client:
+            with coordinator(folder, say) as client:
                 campaign = _first(client, as_json)
                 rerun = _second(client, campaign, as_json)
             summary = {
@@ -188,7 +188,7 @@ def demo(as_json: JsonOption = False) -> None:
             }
             (folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     except KeyboardInterrupt as error:
-        tell("interrupted; the coordinator has been stopped")
+        say("interrupted; the coordinator has been stopped")
         raise typer.Exit(ExitCode.INTERRUPTED) from error
     if as_json:
         print_json(summary)
@@ -198,7 +198,7 @@ def demo(as_json: JsonOption = False) -> None:
 
 def _first(client: Client, as_json: bool) -> Campaign:
     paper = client.expected_runs(PAPER)
-    tell(
+    say(
         f"submitting a campaign with a budget of {CAMPAIGN['budget']['simulations']} simulations, of a parameter set in one of six"
         f" scenarios each; the paper's search requests at most {paper.calibration_at_most:,} such cells"
     )
@@ -216,7 +216,7 @@ def _first(client: Client, as_json: bool) -> Campaign:
 
 
 def _second(client: Client, first: Campaign, as_json: bool) -> Campaign:
-    tell("running it again with lane changes (S1, S2) weighing three times as much")
+    say("running it again with lane changes (S1, S2) weighing three times as much")
     campaign = _carried_out(client, client.rerun(first.id, {"weights": OTHER_WEIGHTS, "budget": dict(RERUN)}))
     if not as_json:
         _print_best(client, campaign, "The best sets when lane changes weigh three times as much")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, tell
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, say
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_evaluation
 from drivecal.cli.views.progress import attached, pauses
 from drivecal.client.client import Client
@@ -19,7 +19,7 @@ from drivecal.contracts.specification import DEFAULT_PROBLEM
 from drivecal.contracts.tables import csv_text
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, file_faults
-from drivecal.domain.scales import told
+from drivecal.domain.scales import score_text
 
 SECONDS_BETWEEN_QUESTIONS = 0.3
 SeedsOption = Annotated[
@@ -73,12 +73,12 @@ def evaluate(
         raise typer.BadParameter(f"--trace needs one --scenario, one seed, and a file that ends in {', '.join(SUFFIXES)}")
     with connect(url) as client:
         queued = client.evaluate(specification)
-        tell(f"evaluation {queued.id} is queued; `drivecal show {queued.id}` prints it as well")
+        say(f"evaluation {queued.id} is queued; `drivecal show {queued.id}` prints it as well")
         asking = pauses(SECONDS_BETWEEN_QUESTIONS, timeout)
         evaluation = ended(client, queued, timeout, asking)
         if trace is not None:
             save_series(trace_of(client, evaluation.id, timeout, asking), trace)
-            tell(f"time series: {trace}")
+            say(f"time series: {trace}")
         shapes = {} if as_json else client.problem(problem).shapes
     print_answer(evaluation, as_json, lambda evaluation: print_evaluation(evaluation, shapes))
     raise typer.Exit(code_of_state(evaluation.state))
@@ -128,7 +128,7 @@ def print_explanation(explanation: Explanation, shapes: Mapping[str, ShapeAnswer
     where = f"{explanation.stage}, iteration {explanation.iteration + 1}, individual {explanation.individual}, {explanation.scenario}"
     result = explanation.outcome or "pending"
     if explanation.score is not None:
-        result += f", score {told(explanation.score)}"
+        result += f", score {score_text(explanation.score)}"
     result += f" ({explanation.failure})" if explanation.failure else ""
     if explanation.attempts > 1:
         result += f", {explanation.attempts} attempts"
@@ -137,11 +137,11 @@ def print_explanation(explanation: Explanation, shapes: Mapping[str, ShapeAnswer
     if explanation.detail is not None:
         typer.echo(explanation.detail)
     if (reference := explanation.reference) is not None:
-        score = "no score yet" if reference.score is None else f"score {told(reference.score)}"
+        score = "no score yet" if reference.score is None else f"score {score_text(reference.score)}"
         at = f"{reference.stage}, iteration {reference.iteration + 1}, individual {reference.individual}"
         typer.echo(f"\nstored set: evaluation {reference.evaluation} of campaign {reference.campaign} ({at}), {score}")
     if (prediction := explanation.prediction) is not None:
-        typer.echo(f"\nprediction: score {told(prediction.score)}, confidence {100 * prediction.confidence:.1f} %")
+        typer.echo(f"\nprediction: score {score_text(prediction.score)}, confidence {100 * prediction.confidence:.1f} %")
     if explanation.differences:
         typer.echo("")
         header = ["parameter", "this cell", "stored set", "influential", "this lies", "that lies", "in the way"]

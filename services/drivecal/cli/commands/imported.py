@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import JsonOption, UrlOption, app, connect, tell
+from drivecal.cli.application import JsonOption, UrlOption, app, connect, say
 from drivecal.cli.views.output import parameters_text, print_columns, print_json
 
 results = typer.Typer(
@@ -34,12 +34,12 @@ def import_(
     with connect(url) as client:
         known = client.problem(problem)
         rows, units = read_results(Path(file), known)
-        warnings.showwarning = lambda message, *_: tell(f"note: {message}")
+        warnings.showwarning = lambda message, *_: say(f"note: {message}")
         stored = client.import_results(rows, problem=known.name, source=source, date=date, units=units)
     if as_json:
         print_json({"stored": stored, "known": len(rows) - stored})
     else:
-        tell(f"{stored:,} of {len(rows):,} cells are new; compare them: drivecal results list {known.name}")
+        say(f"{stored:,} of {len(rows):,} cells are new; compare them: drivecal results list {known.name}")
 
 
 @results.command(name="list")
@@ -73,4 +73,4 @@ def delete(
     if as_json:
         print_json({"deleted": deleted})
     else:
-        tell(f"{deleted:,} cells are deleted")
+        say(f"{deleted:,} cells are deleted")

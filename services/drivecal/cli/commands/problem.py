@@ -14,7 +14,7 @@ from drivecal.bundles.fmus.bundles import fields_of_resets
 from drivecal.calibration_data import files
 from drivecal.calibration_data.characteristics import LARGEST_FILE
 from drivecal.calibration_data.sections import Sections, axis_points, chosen_by, joined, sections_of
-from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, tell
+from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, say
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_json, print_page, when
 from drivecal.client.problem_templates import KINDS, write_problem
 from drivecal.configuration.documents import read_document
@@ -50,7 +50,7 @@ def init(
     else:
         for file in files:
             typer.echo(file)
-        tell(f"edit them, then type: drivecal problem check {quote(where)}")
+        say(f"edit them, then type: drivecal problem check {quote(where)}")
 
 
 @problems.command()
@@ -63,7 +63,7 @@ def check(
     another set that keeps the constraints."""
     manifest, archive, notes = read_bundle_with_notes(folder)
     for note in notes:
-        tell(note)
+        say(note)
     report: dict[str, Any] = {
         "name": manifest.problem,
         "digest": content_digest(archive),
@@ -94,10 +94,10 @@ def check(
         parameters, other = trial_set(manifest), other_set(manifest)
         for field, tried in (("parameters", parameters), ("other_parameters", other)):
             report[field] = tried and with_points(tried, manifest.shapes, {"kind": manifest.simulator.kind})
-        tell(f"a run may take {manifest.simulator.timeout:g} s (`simulator.timeout` in problem.yaml)")
+        say(f"a run may take {manifest.simulator.timeout:g} s (`simulator.timeout` in problem.yaml)")
         for result in run_problem(manifest, archive, parameters, other):
             if not as_json:
-                tell(f"{result.scenario}: {_sentence(manifest, result)}")
+                say(f"{result.scenario}: {_sentence(manifest, result)}")
             checked.append(result)
         if not any(result.other for result in checked):
             report["other_parameters"] = None  # no scenario came to it
@@ -120,13 +120,13 @@ def push(folder: FolderArgument, url: UrlOption = None, as_json: JsonOption = Fa
     the name means; earlier campaigns keep theirs. Takes a token of the role author, or the server's own user."""
     manifest, archive, notes = read_bundle_with_notes(folder)
     for note in notes:
-        tell(note)
+        say(note)
     with connect(url) as client:
         earlier = client.problems(name=manifest.problem, limit=1).items
         pushed = client.push_problem(archive)
-    tell(_change(pushed, earlier[0].digest if earlier else None, folder))
+    say(_change(pushed, earlier[0].digest if earlier else None, folder))
     for note in pushed.notes:
-        tell(f"note: {note}")
+        say(f"note: {note}")
     print_answer(pushed, as_json, _print_problem)
 
 
@@ -304,19 +304,19 @@ def parameters(
     else:
         typer.echo("\n".join(_yaml(sections)))
     for noted in (each for each in chosen if each.note):
-        tell(f"{noted.name}: {noted.note}")
+        say(f"{noted.name}: {noted.note}")
     for source, content in contents:
         if content.skipped:
             names = f"{', '.join(content.skipped[:SHOWN])}{', ...' if len(content.skipped) > SHOWN else ''}"
             why = "texts, more than two axes, axes that are curves, variants, read-only values, values that follow from others"
-            tell(f"{source}: {len(content.skipped):,} are left out ({why}): {names}")
+            say(f"{source}: {len(content.skipped):,} are left out ({why}): {names}")
     if sections.guessed:
-        tell(f"no usable range of {', '.join(sections.guessed)}: {100 * span:.0f} % around the value was taken; correct it")
+        say(f"no usable range of {', '.join(sections.guessed)}: {100 * span:.0f} % around the value was taken; correct it")
     for name, reason in sections.left_out.items():
-        tell(f"{name}: left out: {reason}")
+        say(f"{name}: left out: {reason}")
     missing = sections.parameters.keys() - sections.baseline.keys()
     if missing and sections.baseline:
-        tell(f"no file has a value of {', '.join(sorted(missing))}: complete the baseline, or remove it")
+        say(f"no file has a value of {', '.join(sorted(missing))}: complete the baseline, or remove it")
 
 
 def _yaml(sections: Sections) -> Iterator[str]:

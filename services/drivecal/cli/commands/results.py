@@ -13,7 +13,7 @@ from typing import Annotated, Any, BinaryIO, Literal, TextIO, cast, get_args
 import typer
 
 from drivecal.calibration_data.files import CalibrationFormat, labels_of
-from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, tell
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, say
 from drivecal.cli.commands.problem import NamesOption
 from drivecal.cli.views.fronts import front_blocks, shown_of_front
 from drivecal.cli.views.output import print_answer, print_json, print_ranked, print_solutions
@@ -141,7 +141,7 @@ def export(
         folder = Path("mlruns" if output == "-" else output)
         with connect(url) as client:
             number = write_runs(client, client.full_id(identifier), folder)
-        tell(f"{folder}: {number:,} runs; show them by: MLFLOW_ALLOW_FILE_STORE=true mlflow ui --backend-store-uri {folder}")
+        say(f"{folder}: {number:,} runs; show them by: MLFLOW_ALLOW_FILE_STORE=true mlflow ui --backend-store-uri {folder}")
         return
     form = "json" if as_json else form or _format_of(output if output != "-" or base is None else base.name)
     if weights is not None and table not in {"solutions", "front"}:
@@ -169,7 +169,7 @@ def export(
         with _whole_or_not_at_all(Path(output)) as stream:
             for piece in pieces:
                 size += stream.write(piece)
-    tell(f"{output}: {size:,} bytes")
+    say(f"{output}: {size:,} bytes")
 
 
 def _refuse_beside_mlflow(context: typer.Context) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from drivecal.cli.application import JsonOption, UrlOption, app, connect, exit_code, tell
+from drivecal.cli.application import JsonOption, UrlOption, app, connect, exit_code, say
 from drivecal.cli.views.output import duration, print_answer, print_columns
 from drivecal.cli.views.sections import fixed, percent
 from drivecal.configuration.settings import Settings, load_settings
@@ -122,7 +122,7 @@ def _print(page: WorkerPage) -> None:
     ]
     print_columns(header, rows)
     for line in remarks(page, now):
-        tell(line)
+        say(line)
 
 
 def doing(worker: WorkerAnswer, now: datetime) -> str | None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from drivecal.analysis.robustness import vehicles_text
-from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, tell
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, say
 from drivecal.cli.views.output import parameters_text, print_blocks, print_columns, print_json
 from drivecal.cli.views.progress import follow
 from drivecal.cli.views.sections import fixed, objective_number, validation_tables
@@ -81,10 +81,10 @@ def make(client: Client, campaign: Campaign, study: str, stages: Mapping[str, An
 
 
 def _followed(client: Client, made: Campaign) -> Campaign:
-    tell(f"campaign {made.id} makes the study")
+    say(f"campaign {made.id} makes the study")
     ended = follow(client, made.id)
     if CampaignState(ended.state) is not CampaignState.SUCCEEDED:
-        tell(f"campaign {made.id} {ended.state}{f': {ended.error}' if ended.error else ''}")
+        say(f"campaign {made.id} {ended.state}{f': {ended.error}' if ended.error else ''}")
         raise typer.Exit(code_of_state(ended.state))
     return ended
 

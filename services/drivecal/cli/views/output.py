@@ -10,7 +10,7 @@ import typer
 from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
-from drivecal.cli.application import tell
+from drivecal.cli.application import say
 from drivecal.cli.views.sections import (
     OUTCOMES,
     Block,
@@ -34,7 +34,7 @@ from drivecal.contracts.setup import ShapeAnswer
 from drivecal.contracts.tables import Solution
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.events import ASKED
-from drivecal.domain.scales import objective_text, told
+from drivecal.domain.scales import objective_text, score_text
 
 Shapes = Mapping[str, ShapeAnswer]
 Shown = TypeVar("Shown", bound=BaseModel)
@@ -72,7 +72,7 @@ def print_page(page: BaseModel, as_json: bool, header: Sequence[str], rows: Iter
         return
     print_columns(header, rows)
     if getattr(page, "next_cursor", None):
-        tell(f"there are more than {limit}; see them with --limit")
+        say(f"there are more than {limit}; see them with --limit")
 
 
 def print_campaign(campaign: Campaign) -> None:
@@ -97,7 +97,7 @@ def print_campaign(campaign: Campaign) -> None:
     if campaign.best:
         best = campaign.best
         lines.append(("best", _set_text(best, hidden)))
-        lines.append(("scores", "  ".join(f"{name} {told(score)}" for name, score in best.scores.items())))
+        lines.append(("scores", "  ".join(f"{name} {score_text(score)}" for name, score in best.scores.items())))
         share = "1 parameter set has" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share"
         lines.append(("alternatives", f"{share} the best objective"))
         lines += [
@@ -138,15 +138,15 @@ def _uncertainty_texts(best: Best, aggregate: str | Mapping[str, float]) -> Iter
     """Yields what is known of the best set of a random simulator."""
     if best.lower is not None or best.upper is not None:
         what = aggregate if isinstance(aggregate, str) else f"quantile {aggregate['quantile']:g}"
-        ends = " to ".join("unknown" if end is None else told(end) for end in (best.lower, best.upper))
+        ends = " to ".join("unknown" if end is None else score_text(end) for end in (best.lower, best.upper))
         yield f"objective {ends} ({what} of the last of {best.replicates} seeds); {best.close} other sets may be as good"
     if best.failure_interval is not None:
         lower, upper = best.failure_interval
         yield f"{best.failures} failed runs; {percent(lower, 1)} to {percent(upper, 1)} of its runs fail"
     if best.constraints:
-        yield "constrained: " + "  ".join(f"{name} {told(amount)}" for name, amount in best.constraints.items())
+        yield "constrained: " + "  ".join(f"{name} {score_text(amount)}" for name, amount in best.constraints.items())
     if best.noise:
-        yield "noise of a run: " + "  ".join(f"{name} {told(noise)}" for name, noise in best.noise.items())
+        yield "noise of a run: " + "  ".join(f"{name} {score_text(noise)}" for name, noise in best.noise.items())
 
 
 def _search_text(campaign: Campaign) -> str:

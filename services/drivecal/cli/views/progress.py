@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Column
 
-from drivecal.cli.application import ExitCode, WaitTimedOutError, tell
+from drivecal.cli.application import ExitCode, WaitTimedOutError, say
 from drivecal.cli.views.output import by_outcome, duration
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
@@ -42,7 +42,7 @@ class Bar:
             detail=escape(_detail(campaign)),
         )
 
-    def tell(self, text: str) -> None:
+    def say(self, text: str) -> None:
         """Writes the line above the bar."""
         self._progress.console.print(text, markup=False, highlight=False)
 
@@ -65,7 +65,7 @@ class Lines:
         done = f"  {progress.done:,}/{progress.total:,} cells" if progress.total else ""
         typer.echo(f"{stage_text(campaign)}{done}  {_detail(campaign)}".rstrip(), err=True)
 
-    def tell(self, text: str) -> None:
+    def say(self, text: str) -> None:
         """Writes the line."""
         typer.echo(text, err=True)
 
@@ -108,7 +108,7 @@ def attached(come_back: str, timeout: float | None) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as error:
-        tell(f"detached: {come_back}")
+        say(f"detached: {come_back}")
         raise typer.Exit(ExitCode.INTERRUPTED) from error
     except TimeoutError as error:
         raise WaitTimedOutError(f"not ended after {duration(timeout or 0)}: {come_back}") from error
@@ -137,7 +137,7 @@ def show_until_ended(
         def show_event(event: CampaignEvent) -> None:
             nonlocal said
             if event.text != said and event.kind not in SHOWN:  # stream and dispatcher may both report the same trouble
-                report.tell(event.text)
+                report.say(event.text)
                 said = event.text
 
         for campaign in client.watch(identifier, deadline, show_event, from_beginning=from_beginning):
@@ -145,7 +145,7 @@ def show_until_ended(
             if starting is None and not CampaignState(campaign.state).ended:
                 starting = _are_starting(client)
                 if starting:
-                    report.tell(_STARTING)
+                    report.say(_STARTING)
     return campaign
 
 

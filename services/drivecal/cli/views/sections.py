@@ -9,7 +9,7 @@ from drivecal.contracts.campaign import Baseline, Best, ErrorRate, Released
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.results import FrontBaseline, ResultTrust, VariantResult
 from drivecal.contracts.tables import FrontRow, Solution, ValidationRow
-from drivecal.domain.scales import Scale, objective_text, told
+from drivecal.domain.scales import Scale, objective_text, score_text
 
 OUTCOMES = ("simulated", "repeated", "reused", "predicted", "failed")
 """Outcomes of requested cells, frequent ones first."""
@@ -153,10 +153,13 @@ def solutions_table(solutions: Sequence[Solution]) -> list[Block]:
     rows = [
         [
             *(solution.rank, objective_number(solution.objective), fixed(solution.rating, 3)),
-            *(amount if isinstance(amount := getattr(solution, name), int) else told(amount) for name in uncertain),
+            *(amount if isinstance(amount := getattr(solution, name), int) else score_text(amount) for name in uncertain),
             *(broken_text(solution) if solution.violation else "kept" for _ in broken),
             *(f"{value:.6g}" for value in solution.constraints.values()),
-            *(f"{told(score)}*" if name in solution.reused else told(score) for name, score in solution.scores.items()),
+            *(
+                f"{score_text(score)}*" if name in solution.reused else score_text(score)
+                for name, score in solution.scores.items()
+            ),
             *solution.parameters.values(),
         ]
         for solution in solutions

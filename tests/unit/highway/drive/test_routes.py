@@ -6,7 +6,7 @@ from xml.etree.ElementTree import Element, fromstring
 import pytest
 
 from drivecal.bundles.highway import HighwayScenario
-from drivecal.highway.drive.routes import drivers, is_exact, options, routes_file
+from drivecal.highway.drive.routes import entries, is_exact, options, routes_file
 
 
 def scenario(**changes: Any) -> HighwayScenario:
@@ -33,7 +33,7 @@ def test_drivers_with_a_route_of_their_own_begin_at_their_edge_on_it() -> None:
 
 
 def test_ids_are_the_user_s_or_the_next_free_one() -> None:
-    vehicles = drivers(scenario(traffic=[{"s": 1, "speed": 20}, {"id": "vehicle0", "s": 9, "speed": 20}]))
+    vehicles = entries(scenario(traffic=[{"s": 1, "speed": 20}, {"id": "vehicle0", "s": 9, "speed": 20}]))
     assert list(vehicles) == ["vehicle0_", "vehicle0"]
 
 

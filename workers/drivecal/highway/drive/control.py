@@ -42,7 +42,7 @@ Command = tuple[Floats | None, float, float]
 """A trajectory (n, 7) that begins now, or commands: steering angle or curvature, and acceleration."""
 
 
-class Control(Protocol):
+class EgoControl(Protocol):
     """Drives the ego vehicle.
 
     `period` is in seconds between two commands. `by` says how it steers, as in `kernels.drive`.
@@ -58,7 +58,7 @@ class Control(Protocol):
         """Returns the command that holds for a period."""
 
 
-class CommandControl(Control):
+class CommandControl(EgoControl):
     """A controller of a user's that steers and accelerates. What it leaves out, the lane keeper and the speed keeper do."""
 
     def __init__(self, controller: Checked, output: Sequence[str], period: float) -> None:
@@ -79,7 +79,7 @@ class CommandControl(Control):
         return None, lateral, keeper_acceleration(signals) if wanted is None else float(commands[wanted])
 
 
-class PlannerControl(Control):
+class PlannerControl(EgoControl):
     """A driving function's planner."""
 
     by = kernels.TRAJECTORY

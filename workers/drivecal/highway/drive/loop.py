@@ -11,7 +11,7 @@ from drivecal.domain.roads import Floats
 from drivecal.highway import geometry as shared
 from drivecal.highway.compilation import compiled_with
 from drivecal.highway.drive import geometry
-from drivecal.highway.drive.control import Control, RunView
+from drivecal.highway.drive.control import EgoControl, RunView
 from drivecal.highway.drive.geometry import S, path_of
 from drivecal.highway.drive.measures import TICK, Record, distance_at_limit
 from drivecal.highway.drive.traffic import Traffic
@@ -79,7 +79,7 @@ class Loop:
     """
 
     def __init__(
-        self, traffic: Traffic, vehicle: VehicleModel, control: Control, *, verge: float = VERGE, heading: float = 0.0
+        self, traffic: Traffic, vehicle: VehicleModel, control: EgoControl, *, verge: float = VERGE, heading: float = 0.0
     ) -> None:
         """Prepares the runs.
 

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 
-from drivecal.bundles.highway import Driver, HighwayScenario, TrafficEntry
+from drivecal.bundles.highway import HighwayScenario, TrafficBehaviour, TrafficEntry
 from drivecal.bundles.highway_actions import Brake, Wait
 from drivecal.bundles.traffic.route_files import SUBLANE as SUBLANE_MODEL
 from drivecal.bundles.traffic.route_files import RouteTraffic
@@ -29,7 +29,7 @@ ANY_LIMIT = 100.0
 """Factor of the limit with which a desired speed holds whatever the limit is."""
 
 
-def drivers(scenario: HighwayScenario) -> dict[str, TrafficEntry]:
+def entries(scenario: HighwayScenario) -> dict[str, TrafficEntry]:
     """Returns vehicles by id; those without one are called `vehicle0` and so on."""
     taken = {entry.id for entry in scenario.traffic}
 
@@ -85,7 +85,7 @@ def routes_file(scenario: HighwayScenario, routes: RouteTraffic | None = None) -
         root, "vType", {"id": EGO, "length": repr(ego.length), "width": repr(ego.width), **_FREE} | _model(_NOBODY, unmoved)
     )
     SubElement(root, "route", id=route_id(EGO), edges=" ".join(scenario.route))
-    for name, entry in drivers(scenario).items():
+    for name, entry in entries(scenario).items():
         if entry.path is not None:
             continue
         SubElement(root, "vType", {"id": name} | _type(entry, unmoved))
@@ -95,15 +95,15 @@ def routes_file(scenario: HighwayScenario, routes: RouteTraffic | None = None) -
 
 _FREE = {"speedFactor": "100", "speedDev": "0", "maxSpeed": "200"}
 """Attributes with which SUMO's ego vehicle takes any speed."""
-_NOBODY = Driver.model_validate({})
+_NOBODY = TrafficBehaviour.model_validate({})
 
 
-def _route(scenario: HighwayScenario, driver: TrafficEntry) -> list[str]:
-    """Returns the edges that begin with the driver's `edge`, which alone is the route of a vehicle off the scenario's."""
-    route = scenario.route if driver.route is None else driver.route
-    if driver.edge is None:
+def _route(scenario: HighwayScenario, entry: TrafficEntry) -> list[str]:
+    """Returns the edges that begin with the vehicle's `edge`, which alone is the route of a vehicle off the scenario's."""
+    route = scenario.route if entry.route is None else entry.route
+    if entry.edge is None:
         return route
-    return route[route.index(driver.edge) :] if driver.edge in route else [driver.edge]
+    return route[route.index(entry.edge) :] if entry.edge in route else [entry.edge]
 
 
 def _is_sublane(scenario: HighwayScenario, routes: RouteTraffic | None) -> bool:
@@ -116,30 +116,30 @@ def _lane_changes(scenario: HighwayScenario, routes: RouteTraffic | None) -> fro
     return own if routes is None else own | routes.lane_changes
 
 
-def _model(driver: Driver, unmoved: str) -> dict[str, str]:
+def _model(behaviour: TrafficBehaviour, unmoved: str) -> dict[str, str]:
     """Returns the names of models. `unmoved`: that of vehicles whose lane changes are switched off."""
-    model = "Krauss" if driver.model == "constant" else driver.model
-    lane_change = unmoved if driver.lane_change == "none" else driver.lane_change
-    return {"carFollowModel": model, "laneChangeModel": lane_change, "vClass": driver.vehicle_class}
+    model = "Krauss" if behaviour.model == "constant" else behaviour.model
+    lane_change = unmoved if behaviour.lane_change == "none" else behaviour.lane_change
+    return {"carFollowModel": model, "laneChangeModel": lane_change, "vClass": behaviour.vehicle_class}
 
 
-def _type(driver: Driver, unmoved: str) -> dict[str, str]:
+def _type(behaviour: TrafficBehaviour, unmoved: str) -> dict[str, str]:
     values: dict[str, float | None] = {
-        "length": driver.length,
-        "width": driver.width,
-        "speedFactor": driver.speed_factor,
-        "speedDev": driver.speed_deviation,
-        "maxSpeed": driver.max_speed,
-        "tau": driver.time_headway,
-        "minGap": driver.min_gap,
-        "accel": driver.acceleration,
-        "decel": driver.deceleration,
-        "sigma": driver.sigma if driver.model in {"Krauss", "constant"} else None,
+        "length": behaviour.length,
+        "width": behaviour.width,
+        "speedFactor": behaviour.speed_factor,
+        "speedDev": behaviour.speed_deviation,
+        "maxSpeed": behaviour.max_speed,
+        "tau": behaviour.time_headway,
+        "minGap": behaviour.min_gap,
+        "accel": behaviour.acceleration,
+        "decel": behaviour.deceleration,
+        "sigma": behaviour.sigma if behaviour.model in {"Krauss", "constant"} else None,
     }
-    if driver.desired_speed is not None:
-        values |= {"maxSpeed": driver.desired_speed, "speedFactor": ANY_LIMIT, "speedDev": 0.0}
-    values |= driver.parameters
-    return _model(driver, unmoved) | {name: repr(float(value)) for name, value in values.items() if value is not None}
+    if behaviour.desired_speed is not None:
+        values |= {"maxSpeed": behaviour.desired_speed, "speedFactor": ANY_LIMIT, "speedDev": 0.0}
+    values |= behaviour.parameters
+    return _model(behaviour, unmoved) | {name: repr(float(value)) for name, value in values.items() if value is not None}
 
 
 def options(

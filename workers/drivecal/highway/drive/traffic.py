@@ -23,7 +23,7 @@ from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
 from drivecal.highway.drive.actions import Actions, Moving, PathVehicle
 from drivecal.highway.drive.road import HighwayRoad
-from drivecal.highway.drive.routes import drivers, is_exact, keeps_lanes, options, route_id, routes_file, too_close
+from drivecal.highway.drive.routes import entries, is_exact, keeps_lanes, options, route_id, routes_file, too_close
 from drivecal.highway.geometry import point
 from drivecal.highway.sumo import (
     ARRIVED,
@@ -94,13 +94,13 @@ class Traffic:
             InvalidInputError: A vehicle's place is not on the road.
         """
         self.name, self.scenario, self.road, self.step = name, scenario, road, step
-        vehicles = drivers(scenario)
+        vehicles = entries(scenario)
         self._paths = {name: PathVehicle(vehicle) for name, vehicle in vehicles.items() if vehicle.path is not None}
         """Vehicles that SUMO does not know; their rows are the last."""
         self._vehicles = [name for name in vehicles if name not in self._paths]
         self.starting = len(vehicles)
         """Number of the first rows, whose vehicles exist from time 0; the others have come in the warm-up."""
-        self._drivers = vehicles
+        self._entries = vehicles
         self._routes, self._said = routes, str if routes is None else routes.located
         field = f"scenarios.{name}"
         ego = scenario.ego
@@ -176,7 +176,7 @@ class Traffic:
         """
         begin = self.scenario.begin - (self.scenario.warm_up if is_warm else 0.0)
         self._load_number = sumo.load([*self._options, "--begin", repr(begin)])
-        self._is_forbidden = self._routes is None and all(driver.lane_change == "none" for driver in self._drivers.values())
+        self._is_forbidden = self._routes is None and all(entry.lane_change == "none" for entry in self._entries.values())
         if self._is_forbidden:
             sumo.forbid_lane_changes()
         limit = self.scenario.default_limit
@@ -337,8 +337,8 @@ class Traffic:
             if name in rows:
                 neighbours[row], outlines[row] = self.neighbours[rows[name]], self.outlines[rows[name]]
                 continue
-            driver = self._drivers.get(name)
-            size = (driver.length, driver.width) if driver else (sumo.vehicle.getLength(name), sumo.vehicle.getWidth(name))
+            entry = self._entries.get(name)
+            size = (entry.length, entry.width) if entry else (sumo.vehicle.getLength(name), sumo.vehicle.getWidth(name))
             path = self._paths.get(name)
             self._strays[name] = path is not None or not self._own.issuperset(sumo.vehicle.getRoute(name))
             s = geometry.nearest(self.road.line, *(GET_POSITION(name) if path is None else path.front()[:2])) - 0.5 * size[0]
@@ -351,12 +351,12 @@ class Traffic:
 
     def _instruct(self, name: str) -> None:
         """Tells a vehicle of the scenario what it may do."""
-        driver = self._drivers.get(name)
-        if driver is not None and driver.lane_change == "none" and not self._is_forbidden:
+        entry = self._entries.get(name)
+        if entry is not None and entry.lane_change == "none" and not self._is_forbidden:
             sumo.vehicle.setLaneChangeMode(name, NO_LANE_CHANGES)
-        if driver is not None and driver.model == "constant":
+        if entry is not None and entry.model == "constant":
             sumo.vehicle.setSpeedMode(name, FREE)
-            sumo.vehicle.setSpeed(name, driver.speed)
+            sumo.vehicle.setSpeed(name, entry.speed)
 
     def _read_speeds(self) -> None:
         self._speeds[: len(self._in_sumo)] = array("d", map(GET_SPEED, self._in_sumo))
