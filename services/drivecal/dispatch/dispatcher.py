@@ -101,7 +101,7 @@ def take_up(database: Database, sequence: int, probe: Prober, workers: int = 1) 
             return None
         problem = problem_of(campaign, with_tools(stored_bundles(database), tools))
     known = {} if tools is None else {"tools": tools}
-    _pin(database, campaign, problem.resolution() | known, may_change=problem.bench.bundle.manifest.is_driven)
+    _pin(database, campaign, problem.resolution() | known, may_change=problem.bench.bundle.manifest.has_planner)
     if isinstance(problem, CalibrationProblem):
         return StagedCampaign(database, campaign, problem, workers)
     with database.read() as connection:

@@ -108,7 +108,7 @@ def run_problem(
     """Yields the result of each scenario. Raises UnavailableError if this machine cannot run the simulator."""
     conditions = {name: entry.nominal for name, entry in manifest.varied.items()}
     further = None if other is None else {**other, **conditions}
-    if manifest.is_driven:
+    if manifest.has_planner:
         prepare_cache()
     with _unpacked(archive) as folder:
         for scenario in manifest.scenarios:

@@ -408,7 +408,7 @@ def _highway_scenarios(manifest: Manifest, files: Executables | None) -> Iterato
 
 def _highway_answers(manifest: Manifest) -> Iterator[Problem]:
     if isinstance(manifest.simulator, HighwaySimulator):
-        yield from measures_problems(manifest.measures, manifest.series, manifest.failures, driven=manifest.is_driven)
+        yield from measures_problems(manifest.measures, manifest.series, manifest.failures, has_planner=manifest.has_planner)
 
 
 def _command(field: str, words: list[str], files: Executables | None) -> Iterator[Problem]:

@@ -274,12 +274,12 @@ def _behaviours(field: str, behaviours: Sequence[TrafficBehaviour]) -> Iterator[
 
 
 def measures_problems(
-    measures: Mapping[str, str], series: Mapping[str, str], failures: Sequence[str], *, driven: bool
+    measures: Mapping[str, str], series: Mapping[str, str], failures: Sequence[str], *, has_planner: bool
 ) -> Iterator[Problem]:
     """Yields declared measures, series and failures that the simulator lacks or has in another unit."""
-    known = FAILURES if not driven else tuple(Failure)
-    yield from _known("measures", measures, CLOSED_LOOP_MEASURES if driven else units_of(MEASURES))
-    yield from _known("series", series, {} if driven else units_of(SERIES))
+    known = FAILURES if not has_planner else tuple(Failure)
+    yield from _known("measures", measures, CLOSED_LOOP_MEASURES if has_planner else units_of(MEASURES))
+    yield from _known("series", series, {} if has_planner else units_of(SERIES))
     for index, name in enumerate(failures):
         if name not in known:
             yield Problem(f"failures[{index}]", f"the simulator reports no {shown(name)}", nearest(name, known))

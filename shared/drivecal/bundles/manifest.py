@@ -331,7 +331,7 @@ class Manifest(Model):
         }
 
     @property
-    def is_driven(self) -> bool:
+    def has_planner(self) -> bool:
         """True if drivecal's own planner drives scenarios with tasks: such runs need no child process."""
         return isinstance(self.simulator, HighwaySimulator) and isinstance(self.simulator.controller, PlannerController)
 
@@ -352,5 +352,5 @@ class Manifest(Model):
     def reported(self) -> dict[str, str]:
         """Measures that runs of campaigns report and store, with units: the declared ones, and whatever else the simulator always computes,
         for scores that are pushed later."""
-        always = MEASURES if isinstance(self.simulator, HighwaySimulator) and not self.is_driven else {}
+        always = MEASURES if isinstance(self.simulator, HighwaySimulator) and not self.has_planner else {}
         return self.measures | {name: quantity.unit for name, quantity in always.items() if name not in self.measures}

@@ -21,7 +21,8 @@ class CampaignState(StrEnum):
 
 
 class StageName(StrEnum):
-    """The stages of a campaign: `claims` first, then in this order. Append only: databases store their positions."""
+    """The stages of a campaign: `claims` first, then in this order. Append only: databases store their positions. The cells of a single
+    evaluation have the name `calibration`."""
 
     SENSITIVITY = "sensitivity"
     CALIBRATION = "calibration"

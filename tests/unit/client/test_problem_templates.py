@@ -92,7 +92,7 @@ def test_the_motorway_as_a_start_is_valid_and_has_another_name(tmp_path: Path) -
     write_problem("highway-planner", "my-planner", tmp_path / "folder")
     manifest, _ = read_bundle(tmp_path / "folder")
     assert manifest.problem == "my-planner"
-    assert manifest.is_driven
+    assert manifest.has_planner
     motorway = installed_problems()["highway"].manifest
     assert (manifest.scenarios, manifest.scores, manifest.varied) == (motorway.scenarios, motorway.scores, motorway.varied)
 

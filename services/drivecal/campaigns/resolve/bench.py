@@ -187,7 +187,7 @@ class Bench:
     def _rated_as(self, scenario: str) -> str:
         """Returns the class of a scenario for evaluators: its `rated_as`, or its id."""
         data = self.scenarios[scenario]
-        if "catalogue" in data and self.bundle.manifest.is_driven:
+        if "catalogue" in data and self.bundle.manifest.has_planner:
             return registry.catalogue(data["catalogue"]).scenarios[base_of(scenario)].rated_as
         return str(data.get("rated_as", base_of(scenario)))
 

@@ -144,7 +144,7 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
         return Workbench({"problem": wanted.problem})
     manifest = bundle.manifest
     data = _scenarios(wanted.catalogue, manifest, diagnostics)
-    if manifest.is_driven:  # with all defaults, so that equal scenarios have equal fingerprints
+    if manifest.has_planner:  # with all defaults, so that equal scenarios have equal fingerprints
         data = {
             name: TaskScenario.model_validate(each).model_dump(mode="json") if "task" in each else each
             for name, each in data.items()
@@ -152,7 +152,7 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
     scored = _score(wanted, manifest, diagnostics)
     section = manifest.simulator.model_dump(mode="json")
     plugin: DrivingFunction | None = None
-    if manifest.is_driven:
+    if manifest.has_planner:
         drives = wanted.driving_function or section["controller"]["driving_function"]
         plugin = diagnostics.attempt(lambda: registry.driving_function(drives))
         varied, values, known = _vehicle(wanted.vehicle, manifest, section, diagnostics)
@@ -174,7 +174,7 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
         return Workbench({"problem": bundle.digest}, tuple(data), function, varied, values, vehicles, notes=_notes(bundle))
     score, evaluator = scored
     rates_series = isinstance(evaluator, SeriesEvaluator)
-    if rates_series and evaluator is not None and not manifest.is_driven:
+    if rates_series and evaluator is not None and not manifest.has_planner:
         diagnostics.add("evaluator", f"{evaluator.name} rates time series of drivecal's own runs", "name another evaluator")
     parameters = next(iter(function.spaces.values()))
 
@@ -295,7 +295,7 @@ def _scenarios(catalogue: str | list[str] | None, manifest: Manifest, diagnostic
     listed = [catalogue] if isinstance(catalogue, str) else catalogue
     own: dict[str, Mapping[str, Any]] = {name: data for name, data in manifest.scenarios.items() if name in listed}
     others = catalogue if isinstance(catalogue, str) else [name for name in listed if name not in own]
-    if manifest.is_driven and others and not (isinstance(catalogue, str) and own):
+    if manifest.has_planner and others and not (isinstance(catalogue, str) and own):
         result = resolvers.find_scenarios(others, listed, diagnostics)
         return {**own} | {name: {"catalogue": owner, "scenario": name} for name, (owner, _) in result.items()}
     for index, name in enumerate(listed):

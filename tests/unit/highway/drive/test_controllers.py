@@ -13,8 +13,8 @@ from drivecal.adapters.driver import UnusableError
 from drivecal.highway.drive.controllers import (
     Checked,
     ControllerError,
-    FmuController,
     FunctionController,
+    LoadedFmuController,
     ProgramController,
     ProgramError,
 )
@@ -126,7 +126,7 @@ def test_an_fmu_is_initialised_with_its_parameters_and_the_inputs_of_time_0(tmp_
     source = FMU.replace(end, f"{end}v[7] = v[0] * v[4]; ").replace("v[7] = law(v[0], v[1], v[2], v[3], v[4], v[5], v[6]);", "")
     compile_fmu(tmp_path, source)
     section = CONTROLLERS["fmu"]
-    control = FmuController(tmp_path / "acc.fmu", tmp_path / "fmu", section, 0.1)
+    control = LoadedFmuController(tmp_path / "acc.fmu", tmp_path / "fmu", section, 0.1)
     speed = NAMES.index("speed")
     for factor, speeds in ((2.0, (30.0, 20.0)), (3.0, (10.0, 15.0))):
         control.begin({"T": factor})
@@ -142,7 +142,7 @@ def test_constants_give_inputs_and_parameters_of_an_fmu_in_every_run(tmp_path: P
     """The speed of the leader is no signal here, and `c` no parameter of the problem."""
     compile_fmu(tmp_path)
     section = CONTROLLERS["fmu"]
-    whole = FmuController(tmp_path / "acc.fmu", tmp_path / "fmu", section, 0.1)
+    whole = LoadedFmuController(tmp_path / "acc.fmu", tmp_path / "fmu", section, 0.1)
     signals = [0.0] * len(NAMES)
     for name, value in (("speed", 30.0), ("gap", 40.0), ("leader_speed", 25.0)):
         signals[NAMES.index(name)] = value
@@ -150,12 +150,12 @@ def test_constants_give_inputs_and_parameters_of_an_fmu_in_every_run(tmp_path: P
     expected = whole.step(signals)
     rest = {name: variable for name, variable in section["signals"].items() if name != "leader_speed"}
     given = section | {"signals": rest, "constants": {"u3": 25.0, "c": PARAMETERS["c"]}}
-    control = FmuController(tmp_path / "acc.fmu", tmp_path / "fmu", given, 0.1)
+    control = LoadedFmuController(tmp_path / "acc.fmu", tmp_path / "fmu", given, 0.1)
     for _ in range(2):
         control.begin({name: value for name, value in PARAMETERS.items() if name != "c"})
         assert control.step(signals) == expected
     with pytest.raises(UnusableError, match="u3"):
-        FmuController(tmp_path / "acc.fmu", tmp_path / "fmu", section | {"signals": rest}, 0.1)
+        LoadedFmuController(tmp_path / "acc.fmu", tmp_path / "fmu", section | {"signals": rest}, 0.1)
 
 
 PROGRAM = """

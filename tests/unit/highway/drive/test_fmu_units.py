@@ -11,7 +11,7 @@ import pytest
 from drivecal.adapters.driver import UnusableError
 from drivecal.adapters.fmu_driver import Fmu
 from drivecal.highway.drive import controllers
-from drivecal.highway.drive.controllers import FmuController
+from drivecal.highway.drive.controllers import LoadedFmuController
 
 UNITS = """<UnitDefinitions>
 <Unit name="mps"><BaseUnit m="1" s="-1"/></Unit><Unit name="kmh"><BaseUnit m="1" s="-1" factor="0.2777777777777778"/></Unit>
@@ -60,9 +60,9 @@ def described(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., P
     return write
 
 
-def controller(file: Path, units: dict[str, str] | None = None, **section: Any) -> FmuController:
+def controller(file: Path, units: dict[str, str] | None = None, **section: Any) -> LoadedFmuController:
     given = {"signals": {"gap": "u1", "speed": "u2", "acceleration": "y"}, "output": ["acceleration"]} | section
-    return FmuController(file, file.parent, given, 0.1, units)
+    return LoadedFmuController(file, file.parent, given, 0.1, units)
 
 
 @pytest.mark.parametrize(

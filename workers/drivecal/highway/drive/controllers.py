@@ -175,7 +175,7 @@ class FunctionController(Controller):
         return (answer,)
 
 
-class FmuController(Controller):
+class LoadedFmuController(Controller):
     """An FMU for co-simulation, which is reset for each run. Its inputs are observed at the begin of each step, its outputs at the end.
 
     It is initialised in the first step, when its inputs are known.
@@ -300,7 +300,7 @@ def controller(
     elif section["kind"] == "process":
         made = ProgramController(section, work, scenario, period)
     else:
-        made = FmuController(folder / section["file"], scratch / "fmu", section, period, units)
+        made = LoadedFmuController(folder / section["file"], scratch / "fmu", section, period, units)
     return Checked(made, output)
 
 
