@@ -107,7 +107,7 @@ LEAST_BINS = 7
 """Bins on both sides of 0 that every file has, enough for the comfort score."""
 JSON_ONLY = "JSON only"
 """Mark of a field that no file has."""
-_JOINED = FileForm("text", " ".join)
+_JOINED = FileForm("text", lambda words: " ".join(map(str, words)))
 Keys = Mapping[str, Sequence[str] | Mapping[str, "Kind"]]
 """Keys of a row's mappings by field, with their kinds if they differ."""
 
@@ -161,7 +161,7 @@ def measure_column(name: str) -> str:
 
 def _mark(metadata: Sequence[Any], annotation: Any) -> Spread | FileForm | str | None:
     marks = [mark for mark in metadata if isinstance(mark, Spread | FileForm) or mark == JSON_ONLY]
-    return marks[0] if marks else _JOINED if annotation == list[str] else None
+    return marks[0] if marks else _JOINED if annotation in (list[str], list[int]) else None
 
 
 def _kind(annotation: Any) -> Kind:
@@ -274,7 +274,7 @@ class Solution(Answer):
     """Seeds under which it ran in every scenario."""
     failures: int = 0
     """Failed runs under these seeds."""
-    seeds: Annotated[list[int], JSON_ONLY] = Field(default_factory=list)
+    seeds: list[int] = Field(default_factory=list)
     """Seeds whose runs make objective and scores, if it ran under several: the last ones, which choose no set, if it has two of them."""
     standard_error: float | None = None
     """Standard error of the objective; this and the following are null if the simulator is not random, and while the noise is unknown."""

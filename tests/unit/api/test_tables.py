@@ -128,6 +128,11 @@ def test_scores_have_whole_columns_on_whole_scales_only() -> None:
         assert (evaluation["rating"], solution["objective"], evaluation["id"]) == ("number", "number", "integer")
 
 
+def test_files_of_solutions_have_the_seeds_of_the_report() -> None:
+    row = {"rank": 1, "objective": 1.0, "rating": 1.0, "scores": {}, "parameters": {}, "iteration": 0, "individual": 0}
+    assert file_row(Solution.model_validate(row | {"seeds": [13, 14]}))["seeds"] == "13 14"
+
+
 OWN_NAMES = sorted(
     {name for model in (EvaluationRow, Solution, OptimumRow, FrontRow, RobustnessRow) for name in model.model_fields}
 )
