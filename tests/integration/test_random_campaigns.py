@@ -117,6 +117,11 @@ def test_the_best_set_is_known_by_runs_and_reported_by_others(database: Database
     assert runs.keys() == {"start", "search", "choice", "report"}
 
 
+def test_a_budget_too_small_for_a_further_set_is_no_stagnation(database: Database) -> None:
+    ended = carried_out(database, replicates={"least": 5, "most": 20}, budget={"simulations": 30})
+    assert present(ended.search).ended_by == "budget"
+
+
 def test_all_sets_meet_the_same_seeds_and_a_search_by_the_cell_asks_further_ones_where_they_tell_more(
     database: Database,
 ) -> None:

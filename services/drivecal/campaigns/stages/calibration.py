@@ -278,7 +278,8 @@ class Calibration(Stage):
             raise RuntimeError("the stage has not started")
         (self._asker, asked), self._computation = self._computation.result(), None
         if asked is None:
-            self._end_search("budget" if self._cells_left < 1 else "stagnation")
+            set_cells = len(self._problem.scenarios) * self._problem.least_replicates
+            self._end_search("budget" if self._cells_left < set_cells else "stagnation")
             return None
         number, self._next = self._next, self._next + 1
         self._asked[number] = asked
