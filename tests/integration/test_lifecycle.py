@@ -181,14 +181,14 @@ def test_simulations_that_do_not_repeat_themselves_are_told(database: Database) 
     for _ in range(6):
         first.step()
     ended = finish(database, again, _dispatcher(database, ComputedBackend(answer=drifting)))
-    repeated = [row for row in rows_of(database, ended) if not row.seed]
+    repeated = [row for row in rows_of(database, ended) if not row.has_seed]
     assert ended.cells.unrepeatable == len(repeated) < ended.cells.simulated, "runs under further seeds repeat no run"
     assert any(str(ended.cells.unrepeatable) in re.findall(r"\d+", note) for note in ended.notes)
     with database.read() as connection:
         cells = results.answers(
             connection, ended.sequence, StageName.CALIBRATION, valued=lambda metrics, *_: {"draw": metrics["draw"] or 0.0}
         )
-        drawn = {(cell.iteration, cell.individual, cell.scenario): cell.values["draw"] for cell in cells if not cell.seed}
+        drawn = {(cell.iteration, cell.individual, cell.scenario): cell.values["draw"] for cell in cells if cell.seed == 1}
     own = [row for row in repeated if row.outcome == Outcome.SIMULATED]
     assert [drawn[row.iteration, row.individual, row.scenario] for row in own] == [row.id for row in own], (
         "measures of its own run"

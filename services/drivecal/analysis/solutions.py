@@ -149,7 +149,7 @@ class Ranking:
             number = answer.parameter_set
             place = (answer.iteration, answer.individual)
             self._places[number] = min(self._places.get(number, place), place)
-            cells = self._runs.setdefault(number, {}).setdefault(answer.seed or 1, {})
+            cells = self._runs.setdefault(number, {}).setdefault(answer.seed, {})
             if answer.scenario in self.scenarios and _counts_more(answer, cells.get(answer.scenario)):
                 cells[answer.scenario] = answer
             touched.add(number)

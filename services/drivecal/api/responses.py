@@ -141,7 +141,7 @@ def evaluation_row(stored: StoredEvaluation) -> dict[str, Any]:
     row: dict[str, Any] = dict(zip(_FIELDS[:PLACE], _place(stored), strict=True))
     row |= _parameter_columns(stored.parameters)
     row |= zip(_FIELDS[PLACE:], _rest(stored), strict=True)
-    row["seed"] = stored.seed or None
+    row["seed"] = stored.seed if stored.has_seed else None
     return row
 
 

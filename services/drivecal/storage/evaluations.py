@@ -31,6 +31,9 @@ from drivecal.storage.references import metrics
 from drivecal.storage.references.runs import metrics as metrics_of_runs
 from drivecal.storage.references.runs import occupying
 
+HAS_SEED = evaluations.c.seed > 0
+RUN_SEED = case((HAS_SEED, evaluations.c.seed), else_=1)
+"""Seed of a cell, from 1: the first one of simulators that are not random is stored as 0."""
 AUDITED, SAMPLED = evaluations.c.purpose == Purpose.AUDIT, evaluations.c.purpose == Purpose.SAMPLE
 
 
@@ -212,12 +215,13 @@ def _row(campaign_sequence: int, cell: RequestedCell, number: int, together: Seq
     """`together`: the numbers of the cells that are inserted with it."""
     leader = None if cell.leader is None else together[cell.leader]
     answered = cell.donor if cell.answered_at_once else None
-    as_it_is = ("stage", "scenario", "setup_id", "parameter_set_id", "reference_key", "plan", "purpose", "seed", *_PREDICTION)
+    as_it_is = ("stage", "scenario", "setup_id", "parameter_set_id", "reference_key", "plan", "purpose", *_PREDICTION)
     return {name: getattr(cell, name) for name in as_it_is} | {
         "id": number,
         "campaign_sequence": campaign_sequence,
         "iteration": int(cell.iteration),
         "individual": int(cell.individual),
+        "seed": cell.seed if cell.has_seed else 0,
         "outcome": None if answered is None else cell.plan,
         **{name: getattr(answered, name, None) for name in ("score", "rating", "failure")},
         "run_id": None if answered is None else answered.run,
@@ -301,7 +305,7 @@ def cells_from(connection: Connection, campaign_sequence: int, stage: StageName,
 def places(connection: Connection, campaign_sequence: int, stage: StageName) -> list[tuple[int, int, str, int]]:
     """Returns iteration, individual, scenario and seed of a stage's cells, in the order of requests."""
     table = evaluations.c
-    query = select(table.iteration, table.individual, table.scenario, table.seed).where(
+    query = select(table.iteration, table.individual, table.scenario, RUN_SEED).where(
         table.campaign_sequence == campaign_sequence, table.stage == stage
     )
     return [(*row,) for row in connection.execute(query.order_by(table.id))]

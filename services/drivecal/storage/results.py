@@ -28,7 +28,7 @@ from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.records import decode_cursor, encode_cursor
 from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, runs
 from drivecal.storage.engine.types import ORDER, STAGES
-from drivecal.storage.evaluations import of_iteration
+from drivecal.storage.evaluations import HAS_SEED, RUN_SEED, of_iteration
 from drivecal.storage.references import metrics
 
 BATCH = 1_000
@@ -75,7 +75,8 @@ class StoredEvaluation(NamedTuple):
     predicted_score: float | None
     predicted_rating: float | None
     seed: int
-    """Seed of the run; 0 if the simulator does not depend on one."""
+    has_seed: bool
+    """False if the simulator does not depend on a seed."""
 
 
 _NAMES = StoredEvaluation._fields
@@ -198,7 +199,7 @@ def answers(
             table.iteration,
             table.individual,
             type_coerce(believed & (table.outcome == Outcome.PREDICTED), Boolean),
-            table.seed,
+            RUN_SEED,
             type_coerce(table.failure.is_not(None) & table.score.is_not(None), Boolean),
             *measured,
         )
@@ -225,7 +226,7 @@ def sets_since(connection: Connection, campaign_sequence: int, stage: StageName,
         table.campaign_sequence == campaign_sequence,
         table.stage == stage,
         table.iteration >= iteration,
-        table.seed == 0,  # further seeds confirm no copy
+        ~HAS_SEED,  # further seeds confirm no copy
     )
     return [number for _, number in connection.execute(query.distinct().order_by(table.iteration))]
 
@@ -302,7 +303,8 @@ def donors(connection: Connection, campaign_sequence: int, stage: StageName) -> 
 
 def _select() -> Select[Any]:
     """Selects the columns of `StoredEvaluation`, in its order."""
-    columns = (parameter_sets.c.parameter_values if name == "parameters" else evaluations.c[name] for name in _NAMES)
+    others = {"parameters": parameter_sets.c.parameter_values, "seed": RUN_SEED, "has_seed": HAS_SEED}
+    columns = (others[name] if name in others else evaluations.c[name] for name in _NAMES)
     return select(*columns).select_from(evaluations.join(parameter_sets))
 
 

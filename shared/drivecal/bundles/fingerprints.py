@@ -22,7 +22,7 @@ def setup_document(
     data: Mapping[str, Any] | None = None,
     varied: Mapping[str, float] | None = None,
     tools: str | None = None,
-    seed: int = 0,
+    seed: int | None = None,
 ) -> dict[str, Any]:
     """Returns the document of a scenario's setup.
 
@@ -37,7 +37,7 @@ def setup_document(
         data: the scenario's data, by default the manifest's.
         varied: values of the problem's varied parameters.
         tools: answer of the workers about probe, variables and inputs.
-        seed: seed of the run; 0 if the simulator does not depend on one.
+        seed: seed of the run; None if the simulator does not depend on one.
     """
     section = manifest.simulator.model_dump(mode="json") if section is None else section
     data = manifest.scenarios[scenario] if data is None else data
@@ -62,7 +62,7 @@ def setup_document(
         document["varied"] = dict(varied)
     if tools is not None:
         document["tools"] = tools
-    if seed:
+    if seed is not None:
         document["seed"] = seed
     return document | {name: version for name, version in parts_of(section, data).items() if version is not None}
 

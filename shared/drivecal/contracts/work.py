@@ -51,8 +51,7 @@ class SetupRequest:
     evaluator: str | None = None
     """Name and version of the evaluator that rates the runs on the worker, because it needs their time series: ratings of another version
     must not be stored as its own. None: the coordinator rates."""
-    seed: int = 0
-    """Seed of the runs; 0 if the simulator does not depend on one."""
+    seed: int = 1
     session: str = ""
     """Run fingerprint without the seed: one session of the simulator serves all seeds. Empty: the run fingerprint."""
     resources: Mapping[str, int] = field(default_factory=dict)

@@ -115,8 +115,9 @@ class RequestedCell:
     purpose: Purpose = Purpose.SEARCH
     from_equal_campaign: bool = False
     """The donor answered the same cell in an equal campaign, after an inspection."""
-    seed: int = 0
-    """Seed of the run; 0 if the simulator does not depend on one."""
+    seed: int = 1
+    has_seed: bool = False
+    """It is stored with its seed (`Bench.has_seed`)."""
     stage: StageName = StageName.CALIBRATION
     iteration: int = 0
     setup_id: int = 0
@@ -149,8 +150,7 @@ class CellScore:
     iteration: int
     individual: int
     predicted: bool = False
-    seed: int = 0
-    """Seed of its run; 0 if the simulator does not depend on one."""
+    seed: int = 1
     failed: bool = False
     """The run ended with a failure of the system under test."""
     values: Mapping[str, float] = field(default_factory=dict)

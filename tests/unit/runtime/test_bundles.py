@@ -101,10 +101,10 @@ def test_one_session_serves_all_seeds_and_closes_for_any(tmp_path: Path, archive
     simulator = ScriptedSimulator()
     works = worker(tmp_path, simulator)
     works.store(request_.bundle, archive)
-    for seed in (0, 1, 7):
+    for seed in (1, 2, 7):
         fingerprint = f"fingerprint of {seed}"
         works.run(Batch(replace(request_, seed=seed, session="s", run_fingerprint=fingerprint), (Cell(1, {"x": 2.0}),)))
-    assert (simulator.seeds, simulator.opened) == ([1, 1, 7], ["city"])
+    assert (simulator.seeds, simulator.opened) == ([1, 2, 7], ["city"])
     works.run(Batch(replace(request_, seed=1, session="s", run_fingerprint="fingerprint of 1"), (), closes=True))
     assert simulator.closed == ["city"]
 

@@ -26,7 +26,6 @@ from drivecal.domain.scales import plain
 from drivecal.plugins import registry
 from drivecal.plugins.simulators import (
     MOST_SESSIONS,
-    SEED,
     BusyError,
     Declared,
     NoMeasuresError,
@@ -214,7 +213,7 @@ class BundleSessions:
         self._starts += 1
         self._begins(cell.id)
         try:
-            outcome = session.evaluate(parameters, series=cell.trace, seed=setup.seed or SEED)
+            outcome = session.evaluate(parameters, series=cell.trace, seed=setup.seed)
             trace = _series(outcome) if cell.trace else None
         except NoMeasuresError as error:
             milliseconds = milliseconds_since(start) + 1000 * error.cpu_seconds
@@ -247,7 +246,7 @@ class BundleSessions:
         start = time.thread_time_ns()
         self._starts += 1
         try:
-            again = self._sessions[setup.session_key].evaluate(parameters, seed=setup.seed or SEED)
+            again = self._sessions[setup.session_key].evaluate(parameters, seed=setup.seed)
         except NoMeasuresError as error:
             return False, milliseconds_since(start) + 1000 * error.cpu_seconds
         except (UnavailableError, OSError) as error:

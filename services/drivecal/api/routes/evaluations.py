@@ -118,7 +118,7 @@ def _single(connection: Connection, evaluation_id: str) -> StoredCampaign:
 def _evaluation(connection: Connection, stored: StoredCampaign) -> Evaluation:
     rows = list(results.stream(connection, stored.sequence))
     measured = evaluations.measured(connection, {row.id: row.run_id for row in rows})
-    seeds = {row.id: [row.seed] if row.seed else [] for row in rows}
+    seeds = {row.id: [row.seed] if row.has_seed else [] for row in rows}
     return evaluation_answer(stored, [EvaluatedCell.of(row, metrics=measured.get(row.id), seeds=seeds[row.id]) for row in rows])
 
 

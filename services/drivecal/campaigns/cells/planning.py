@@ -141,6 +141,7 @@ def plan_cells(
             parameter_set_id=set_ids[cell.parameters],
             reference_key=class_keys.get((cell.scenario, cell.parameters)),
             seed=view.bench.seed,
+            has_seed=view.bench.has_seed,
         )
         for cell in wanted
     ]

@@ -66,7 +66,7 @@ def _specification(connection: Connection, number: int) -> tuple[EvaluationSpeci
     document: dict[str, Any] = {"parameters": row.parameters.floats, "scenario": base_of(row.scenario)}
     document |= {name: spec[name] for name in ("problem", "evaluator", "driving_function")}
     document["vehicle"] = spec["vehicle"] | {"parameters": dict(stored.varied)}
-    if row.seed:
+    if row.has_seed:
         document["seeds"] = [row.seed]
     if "catalogue" in stored.document["data"]:
         document["catalogue"] = stored.document["data"]["catalogue"]

@@ -48,8 +48,8 @@ class Bench:
     """The same by scenario, where a variant has others."""
     evaluator: Evaluator | None = None
     """Rates the runs; None: the score has a formula."""
-    seed: int = 0
-    """Seed of all runs; 0 if the simulator does not depend on one."""
+    seed: int = 1
+    """Seed of all runs."""
     repeat: float = 0.0
     """Share of simulated cells that run twice on a simulator that does not claim to be deterministic."""
     earlier: Manifest | None = None
@@ -62,9 +62,9 @@ class Bench:
     @cached_property
     def setups(self) -> dict[str, Setup]:
         """Setups by scenario."""
-        return self._setups(self.seed)
+        return self._setups(self.seed if self.has_seed else None)
 
-    def _setups(self, seed: int) -> dict[str, Setup]:
+    def _setups(self, seed: int | None) -> dict[str, Setup]:
         manifest, files, tools = self.earlier or self.bundle.manifest, self.bundle.files, self.bundle.tools
         settings: dict[str, Any] = {"section": self.section, "tools": tools, "seed": seed}
         return {
@@ -78,14 +78,18 @@ class Bench:
         """True if the manifest says that runs depend on a seed."""
         return self.bundle.manifest.simulator.random
 
+    @property
+    def has_seed(self) -> bool:
+        """False if setups and stored cells are to have no seed: under the first seed of a simulator that is not random."""
+        return self.is_random or self.seed > 1
+
     def seeded(self, seed: int) -> "Bench":
-        """Returns the bench with another seed. A simulator that is not random has no seed (0) in the place of seed 1."""
-        seed = seed if self.is_random or seed > 1 else 0
+        """Returns the bench with another seed."""
         return self if seed == self.seed else replace(self, seed=seed)
 
     def seed_of(self, place: int) -> int:
-        """Returns the seed of a part of a study by its place: 1, 2, and so on; 0 if the simulator is not random."""
-        return place + 1 if self.is_random else 0
+        """Returns the seed of a part of a study by its place: 1, 2, and so on; always 1 if the simulator is not random."""
+        return place + 1 if self.is_random else 1
 
     @cached_property
     def requests(self) -> dict[str, SetupRequest]:
@@ -93,7 +97,7 @@ class Bench:
         manifest = self.bundle.manifest
         units = manifest.arguments
         units |= {name: entry.unit for name, entry in manifest.varied.items()}
-        unseeded = self._setups(0) if self.seed else {}
+        unseeded = self._setups(None) if self.has_seed else {}
         return {
             name: SetupRequest(
                 bundle=self.bundle.digest,

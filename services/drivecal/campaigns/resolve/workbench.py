@@ -180,8 +180,8 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
 
     def make(chosen: Collection[str], others: Mapping[str, Mapping[str, float]]) -> Bench:
         listed = {name: data[base_of(name)] for name in chosen}
-        seed, simulated = 1 if manifest.simulator.random else 0, (section, varied, values, others)
-        return Bench(bundle, score, function.name, parameters, listed, *simulated, evaluator, seed=seed)
+        simulated = section, varied, values, others
+        return Bench(bundle, score, function.name, parameters, listed, *simulated, evaluator)
 
     settled: dict[str, Any] = {"problem": bundle.digest, "evaluator": score}
     if evaluator is not None and evaluator.name != manifest.scores[score].evaluator:

@@ -121,7 +121,7 @@ class CellAnswers(SearchAnswers):
         self._rounds: dict[int, dict[tuple[int, str, int], CellScore]] = {}
 
     def _take(self, answer: CellScore) -> None:
-        self._rounds.setdefault(answer.iteration, {})[answer.individual, answer.scenario, answer.seed or 1] = answer
+        self._rounds.setdefault(answer.iteration, {})[answer.individual, answer.scenario, answer.seed] = answer
 
     def objectives(self, number: int) -> Floats:
         """See `SearchAnswers`. A set belongs to the round of its last cell."""

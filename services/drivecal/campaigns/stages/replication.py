@@ -28,7 +28,7 @@ class SeededBenches:
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
-        self._benches = {bench.seed: bench, 1: bench}
+        self._benches = {bench.seed: bench}
 
     def of(self, seed: int) -> Bench:
         """Returns the bench of a seed."""

@@ -119,7 +119,7 @@ def asked_rounds(connection: Connection, campaign: int, scenarios: Sequence[str]
     """Returns all rounds of a search by the cell."""
     places, cells = {name: place for place, name in enumerate(scenarios)}, dict[int, list[tuple[int, int, int]]]()
     for iteration, individual, scenario, seed in evaluations.places(connection, campaign, StageName.CALIBRATION):
-        cells.setdefault(iteration, []).append((individual, places[scenario], seed or 1))
+        cells.setdefault(iteration, []).append((individual, places[scenario], seed))
     populations = [np.array(each, dtype=np.int64) for each in generations.populations(connection, campaign)]
     return [
         AskedRound(rows, np.ones(len(rows), dtype=np.bool_), cells.get(number, []), {})
