@@ -24,6 +24,7 @@ import numpy as np
 from scipy.special import ndtr
 from tests.benchmarks._economy_problems import EconomyProblem, problem
 from tests.benchmarks.economy import ARMS, Ended, Run, p_value, surrogate
+from tests.support.scales import by_score
 
 from drivecal.analysis.replicates import assess, choosing, kept_back
 from drivecal.analysis.solutions import Ranking
@@ -78,7 +79,7 @@ class Campaign:
         generator = np.random.Generator(np.random.PCG64([round(10 * noise), number]))
         self.samples, ratings, self._means = KINDS[kind](generator, noise, sets, wanted.most)
         values = np.stack([self.samples, ratings], axis=2)
-        self._choosing, self.runs, ranking = choosing(wanted.most), 0, Ranking({"S1": 1}, wanted=wanted)
+        self._choosing, self.runs, ranking = choosing(wanted.most), 0, by_score({"S1": 1}, wanted=wanted)
         chosen = [(place, 1) for place in range(sets)]
         while chosen:
             for place, seed in chosen:
@@ -140,8 +141,7 @@ class RandomRun(Run):
         self.ranking = self._ranked()
 
     def _ranked(self) -> Ranking:
-        scale = self.problem.scale
-        return Ranking(dict.fromkeys(self.problem.scenarios, 1.0), scale.sign, span=scale.span, wanted=USUAL)
+        return by_score(dict.fromkeys(self.problem.scenarios, 1.0), self.problem.scale, USUAL)
 
     def _sampled(self, cell: AskedCell) -> CellAnswer:
         """Returns the answer of a cell under the seed of its replicate."""

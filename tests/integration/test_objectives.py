@@ -54,15 +54,14 @@ def backend() -> ComputedBackend:
 def ranking_of(database: Database, campaign: StoredCampaign) -> Ranking:
     """The ranking by stored rows alone."""
     resolved = resolved_spec(get(database, campaign))
-    assert resolved.goals is not None
-    ranking = Ranking(resolved.weights, resolved.scale.sign, resolved.goals)
+    ranking = Ranking(resolved.weights, resolved.goals)
     with database.read() as connection:
         ranking.add(results.answers(connection, campaign.sequence, StageName.CALIBRATION, valued=resolved.goals.values))
     return ranking
 
 
 def vectors(database: Database, campaign: StoredCampaign) -> list[tuple[float, ...]]:
-    return [each.solution.judgement.amounts for each in ranking_of(database, campaign).front() if each.solution.judgement]
+    return [each.solution.judgement.amounts for each in ranking_of(database, campaign).front()]
 
 
 def test_a_score_and_a_measure_are_searched_together(database: Database) -> None:
@@ -147,8 +146,7 @@ def test_the_recommended_set_has_the_best_objective_and_keeps_the_constraints(da
     }
     ended = run(database, submit(database, **spec), backend())
     with database.read() as connection:
-        study = studies.get(connection, ended.sequence, StageName.ROBUSTNESS)
-    assert study is not None
+        study = present(studies.get(connection, ended.sequence, StageName.ROBUSTNESS))
     [recommended] = [item for item in study["items"] if item["recommended"]]
     assert recommended["objective"] == min(recommended["scores"].values()) == present(ended.best).objective
     assert recommended["parameters"] != named

@@ -223,9 +223,8 @@ def failing(setup: SetupRequest, cell: Cell) -> CellResult:
 
 def test_a_set_whose_failures_are_rare_enough_is_the_best(database: Database) -> None:
     rated = carried_out(database, driven=failing, **RATED | {"baseline": {"x": 0.1}})
-    kept, baseline = rated.best, rated.baseline
-    assert present(baseline).undecided, "it had too few runs to show that it keeps the rate"
-    assert kept is not None
+    kept, baseline = present(rated.best), present(rated.baseline)
+    assert baseline.undecided, "it had too few runs to show that it keeps the rate"
     assert 0.05 <= abs(float(kept.parameters["x"]) - 0.6) < 0.1
     assert (kept.violation, kept.undecided, kept.constraints["failures"]) == (0.0, False, 0.0)
     assert kept.constraints["failures_upper"] <= 0.2

@@ -3,11 +3,10 @@
 import pytest
 from tests.support.computed import ComputedBackend, rating_of
 from tests.support.runs import rows_of, run, submit
-from tests.support.scales import COST
+from tests.support.scales import COST, by_score
 
-from drivecal.analysis.solutions import Ranking
 from drivecal.api.responses import campaign_answer
-from drivecal.campaigns.resolve.bench import Bench
+from drivecal.bundles.manifest import ScoreEntry
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.specification import CampaignSpecification
@@ -22,7 +21,7 @@ from drivecal.storage.engine.types import now
 @pytest.fixture(autouse=True)
 def costs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluator's scale is `COST`."""
-    monkeypatch.setattr(Bench, "scale", property(lambda _: COST))
+    monkeypatch.setattr(ScoreEntry, "scale", lambda *_: COST)
 
 
 def costly(scenario: str, cell: Cell) -> CellResult:
@@ -41,7 +40,7 @@ def test_the_search_minimises_and_a_failed_run_never_wins(database: Database) ->
     assert max(row.score or 0 for row in rows) == 100, "no score is worse than that of a failed run"
     assert any(isinstance(row.score, float) for row in rows)
     with database.read() as connection:
-        ranking = Ranking({"S1": 1.0, "S2": 1.0, "S3": 1.0}, COST.sign)
+        ranking = by_score({"S1": 1.0, "S2": 1.0, "S3": 1.0}, COST)
         ranking.add(results.answers(connection, ended.sequence, StageName.CALIBRATION))
         ranked = ranking.ranking()
         figures = generations.course(connection, ended.sequence)

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from drivecal.analysis.goals import SCORE, Aggregate, Bound, Goal, Goals, Objective
+from drivecal.analysis.goals import SCORE, Aggregate, Bound, Goal, Goals, Objective, weighted
 from drivecal.domain.constraints import Columns
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.rounding import grains
@@ -53,9 +53,8 @@ class WeightedScore:
         if self.scale.step is not None:
             scores = np.floor(scores / self.scale.step + 0.5) * self.scale.step
         scores = self.scale.sign * np.maximum(self.scale.sign * scores, self.scale.sign * self.scale.failed)
-        total = np.zeros(len(values))
-        for column, weight in enumerate(self.weights.values()):
-            total += weight * scores[:, column] if weight else 0.0
+        used = {column: weight for column, weight in enumerate(self.weights.values()) if weight}
+        total = weighted(np.zeros(len(values)), scores[:, list(used)].T, used.values())
         return self.scale.sign * total[:, np.newaxis], np.where(np.isnan(total), np.nan, 0.0)
 
 
@@ -149,10 +148,7 @@ def _aggregated(aggregate: Aggregate, values: Floats, shares: Sequence[float]) -
     """Returns `aggregate` of each row of values, shape (n, n_scenarios); NaN if a value is missing."""
     match aggregate.kind:
         case "mean":
-            total = np.zeros(len(values))
-            for column, share in enumerate(shares):
-                total += share * values[:, column]
-            return total
+            return weighted(np.zeros(len(values)), values.T, shares)
         case "min":
             lowest: Floats = values.min(axis=1)
             return lowest

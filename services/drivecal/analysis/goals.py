@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil, isclose, log, log1p
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -34,6 +34,7 @@ UNDECIDED = 1e-3
 AT_A_TIME = 256
 """Sets that are compared with a front at a time."""
 AggregateKind = Literal["mean", "min", "max", "quantile"]
+_Number = TypeVar("_Number", float, Floats)
 
 
 @dataclass(frozen=True)
@@ -92,10 +93,7 @@ class Aggregate:
         """Aggregates values with positive shares of sum 1, in the order of the scenarios."""
         match self.kind:
             case "mean":
-                total = 0.0
-                for value, share in zip(values, shares, strict=True):
-                    total += share * value
-                return total
+                return weighted(0.0, values, shares)
             case "min":
                 return min(values)
             case "max":
@@ -118,9 +116,14 @@ class Goal:
     shares: Mapping[str, float]
     aggregate: Aggregate
 
-    def amount(self, cells: Mapping[str, Mapping[str, float]]) -> float | None:
-        """Returns the aggregate of a set's values by scenario and key; None if one is missing."""
-        values = [cells[scenario].get(self.value.key) for scenario in self.shares if scenario in cells]
+    def values_in(self, cells: Iterable[CellScore]) -> list[float | None]:
+        """Returns its value in each cell, None where it is missing. A cell ranked by another score has the campaign's among its values."""
+        key = self.value.key
+        return [cell.values.get(key, cell.score if key == SCORE else None) for cell in cells]
+
+    def amount(self, cells: Mapping[str, CellScore]) -> float | None:
+        """Returns the aggregate of a set's values by scenario; None if one is missing."""
+        values = self.values_in(cells[scenario] for scenario in self.shares if scenario in cells)
         known = [value for value in values if value is not None]
         return self.aggregate(known, list(self.shares.values())) if len(known) == len(self.shares) else None
 
@@ -141,7 +144,7 @@ class Objective(Goal):
         """The objectives of its variants."""
         return [replace(self, shares=shares, variants=()) for shares in self.variants]
 
-    def amount(self, cells: Mapping[str, Mapping[str, float]]) -> float | None:
+    def amount(self, cells: Mapping[str, CellScore]) -> float | None:
         """See `Goal`."""
         if not self.variants:
             return super().amount(cells)
@@ -182,8 +185,7 @@ class Bound(Goal):
 
     def beyond(self, runs: Iterable[Mapping[str, CellScore]]) -> tuple[int, int]:
         """Returns how many runs are beyond the limit or have no value, and how many runs there are; `runs`: cells by scenario, by seed."""
-        cells = [run[scenario] for run in runs for scenario in self.shares if scenario in run]
-        values = [cell.score if self.value.key == SCORE else cell.values.get(self.value.key) for cell in cells]
+        values = self.values_in(run[scenario] for run in runs for scenario in self.shares if scenario in run)
         return sum(value is None or self.violation(value) > 0 for value in values), len(values)
 
     def is_shown(self, cells: Iterable[Mapping[str, CellScore]], seeds: int) -> bool:
@@ -226,6 +228,8 @@ class Goals:
 
     objectives: tuple[Objective, ...]
     bounds: tuple[Bound, ...] = ()
+    is_weighted_score: bool = False
+    """They are the default: the mean of the campaign's score with its weights (Eq. 6), which has ratings and references."""
 
     @cached_property
     def computed(self) -> dict[str, CellValue]:
@@ -244,9 +248,9 @@ class Goals:
             names += [_numbered(each, names) for each in wanted]
         return names
 
-    def named_bounds(self, judgement: Judged | None) -> dict[str, float]:
+    def named_bounds(self, judgement: Judged) -> dict[str, float]:
         """Returns the constrained amounts of a set by the names of the constraints."""
-        return {} if judgement is None else dict(zip(self.bound_names, judgement.bounded, strict=True))
+        return dict(zip(self.bound_names, judgement.bounded, strict=True))
 
     @cached_property
     def _by_scenario(self) -> dict[str, tuple[str, str]]:
@@ -288,6 +292,11 @@ class Goals:
         """Limits of changes, which no run is needed for."""
         return tuple(ChangeLimit(each.value.change, each.limit) for each in self.bounds if each.value.change is not None)
 
+    @property
+    def valued(self) -> Callable[[Mapping[str, float | None], str | None, ParameterSet], dict[str, float]] | None:
+        """Computes the values of a run that cells do not store; None if there are none."""
+        return self.values if self.computed else None
+
     def values(
         self, measures: Mapping[str, float | None], failure: str | None, parameters: ParameterSet | None = None
     ) -> dict[str, float]:
@@ -303,16 +312,12 @@ class Goals:
     def judge(self, cells: Mapping[str, CellScore], runs: Sequence[Mapping[str, CellScore]] = ()) -> Judged | None:
         """Returns the judgement of a set from its cells by scenario; None if a value is missing. `runs`: its cells by seed, which rates
         count, if `cells` are means."""
-        values = {name: dict(cell.values) for name, cell in cells.items()}
-        for name, cell in cells.items():
-            if cell.score is not None:
-                values[name].setdefault(SCORE, cell.score)
-        amounts = [amount for objective in self.objectives if (amount := objective.amount(values)) is not None]
+        amounts = [amount for objective in self.objectives if (amount := objective.amount(cells)) is not None]
         if len(amounts) < len(self.objectives):
             return None
         bounded, violations, undecided = list[float](), list[float](), 0
         for bound in self.bounds:
-            amount = bound.amount(values)
+            amount = bound.amount(cells)
             if amount is None:
                 return None
             if bound.rate is None:
@@ -325,7 +330,7 @@ class Goals:
             violations.append(bound.excess(*known))
             undecided += 0 < violations[-1] <= UNDECIDED
         is_open = undecided > 0 and undecided == sum(violation > 0 for violation in violations)
-        return Judged(tuple(amounts), sum(violations), tuple(bounded), is_open)
+        return Judged(tuple(amounts), sum(violations, 0.0), tuple(bounded), is_open)
 
     def compared(self, judgement: Judged) -> tuple[float, ...]:
         """Returns the objectives of a set, higher is better."""
@@ -381,13 +386,16 @@ def normalised(weights: Mapping[str, float]) -> dict[str, float]:
 
 
 def weighted_mean(scale: Scale, shares: Mapping[str, float]) -> Goals:
-    """Returns the weighted mean of a score as the only objective (Eq. 6)."""
-    return Goals((Objective(scale.name, CellValue(scale), shares, Aggregate(), scale.sign, 0.0, scale.unit),))
+    """Returns the weighted mean of the campaign's score as the only objective (Eq. 6)."""
+    objective = Objective(scale.name, CellValue(scale), shares, Aggregate(), scale.sign, 0.0, scale.unit)
+    return Goals((objective,), is_weighted_score=True)
 
 
-def valued_by(goals: Goals | None) -> Callable[[Mapping[str, float | None], str | None, ParameterSet], dict[str, float]] | None:
-    """Returns what computes the values of a run that cells do not store; None if goals need none."""
-    return goals.values if goals is not None and goals.computed else None
+def weighted(total: _Number, values: Iterable[_Number], shares: Iterable[float]) -> _Number:
+    """Returns a `total` of 0 plus the weighted values (Eq. 6), added in their order: other orders have other last bits."""
+    for value, share in zip(values, shares, strict=True):
+        total = total + share * value
+    return total
 
 
 def _numbered(name: str, taken: Collection[str]) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from drivecal.analysis import replicates
-from drivecal.analysis.goals import Aggregate, Goals, Judged, normalised
+from drivecal.analysis.goals import Aggregate, Goals, Judged, normalised, weighted
 from drivecal.analysis.replicates import SetStatistics
 from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.evaluations import CellScore
@@ -32,11 +32,11 @@ class EvaluatedSet:
     """Scenarios whose score is copied or predicted, even if it counts for goals alone: this very set was not simulated there."""
     iteration: int
     individual: int
-    sign: int = 1
-    """The scale's sign: -1 if lower objectives are better."""
-    judgement: Judged | None = None
-    """All objectives and the violations; None without goals."""
-    span: float = 0.0
+    judgement: Judged
+    """All objectives and the violations."""
+    sign: int
+    """The first objective's sign: -1 if lower ones are better."""
+    span: float
     """Width of the objective's declared range; 0 without one."""
     replicates: int = 1
     """Seeds under which it has a result in every scenario."""
@@ -73,12 +73,12 @@ class EvaluatedSet:
     @property
     def violation(self) -> float:
         """Sum of the violations of constraints, in shares."""
-        return 0.0 if self.judgement is None else self.judgement.violation
+        return self.judgement.violation
 
     @property
     def is_undecided(self) -> bool:
         """True if its runs do not decide whether it keeps its rates, and it keeps all other constraints."""
-        return self.judgement is not None and self.judgement.undecided
+        return self.judgement.undecided
 
     def equals(self, other: "EvaluatedSet") -> bool:
         """Returns whether objective and violation are the same but for rounding."""
@@ -107,18 +107,13 @@ class FrontMember:
 class Ranking:
     """All parameter sets with their scores, under one choice of weights; grows as answers arrive."""
 
-    def __init__(
-        self,
-        weights: Mapping[str, float],
-        sign: int = 1,
-        goals: Goals | None = None,
-        span: float = 1.0,
-        wanted: ReplicatesSpecification | None = None,
-    ) -> None:
-        """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named count for goals alone. `sign`: the
-        scale's. `goals`: their first objective ranks in the place of the weighted score. `span`: width of the scale's range. `wanted`:
-        replicates of a random simulator."""
-        self._sign, self._goals, self._wanted = sign, goals, wanted or ReplicatesSpecification()
+    def __init__(self, weights: Mapping[str, float], goals: Goals, wanted: ReplicatesSpecification | None = None) -> None:
+        """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named count for goals alone. `goals`: their
+        first objective ranks. `wanted`: replicates of a random simulator."""
+        self._shares, self._wanted = normalised(weights), wanted or ReplicatesSpecification()
+        first = replace(goals.objectives[0], shares=self._shares) if goals.is_weighted_score else goals.objectives[0]
+        self._goals, self._first = replace(goals, objectives=(first, *goals.objectives[1:])), first
+        self._is_rated = first.is_weighted_mean(self._shares)
         self._choosing, self._level = replicates.choosing(self._wanted.most), self._wanted.level
         self._runs: dict[int, dict[int, dict[str, CellScore]]] = {}
         """Answers by set, seed and scenario."""
@@ -127,11 +122,10 @@ class Ranking:
         self._varies = False
         """Ratings of a set differ between seeds, so that equal scores, which have steps, do not say that there is no noise."""
         self._is_assessed = True
-        self._span = span if goals is None else goals.objectives[0].span
-        self._shares = normalised(weights)
-        judged = () if goals is None else (*goals.objectives, *goals.bounds)
-        self.scenarios = {*self._shares, *(scenario for goal in judged for scenario in goal.shares)}
-        """Scenarios whose answers count."""
+        judged = (*goals.objectives, *goals.bounds)
+        bounding = {scenario for goal in judged for scenario in goal.shares}.difference(self._shares)
+        self.scenarios = dict.fromkeys((*self._shares, *sorted(bounding))).keys()
+        """Scenarios whose answers count, weighted ones first."""
         self._answers: dict[int, dict[str, CellScore]] = {}
         self._places: dict[int, tuple[int, int]] = {}
         self._solutions: dict[int, EvaluatedSet] = {}
@@ -179,7 +173,7 @@ class Ranking:
         if self._levels is None:
             known = list((self._solutions | self._predicted).values())
             violations = levels(np.array([each.choice.violation for each in known])).tolist()
-            objectives = levels(np.array([-each.sign * each.ranked_by for each in known]), self._span).tolist()
+            objectives = levels(np.array([-each.sign * each.ranked_by for each in known]), self._first.span).tolist()
             numbers = (each.parameter_set for each in known)
             self._levels = dict(zip(numbers, zip(violations, objectives, strict=True), strict=True))
         rating = -solution.sign * solution.choice.rating
@@ -221,7 +215,7 @@ class Ranking:
         values, judgement = [self._samples[number][seed] for seed in seeds], solution.judgement
         quantile = None if self._level is None else Aggregate("quantile", self._level)
         objective = fmean(values) if quantile is None else quantile(values, [1 / len(values)] * len(values))
-        if judgement is not None and len(judgement.amounts) == 1:
+        if len(judgement.amounts) == 1:
             judgement = replace(judgement, amounts=(objective,))
         return replace(solution, objective=objective, judgement=judgement, seeds=tuple(seeds))
 
@@ -262,8 +256,8 @@ class Ranking:
         """Returns under how many further seeds a set shows that it keeps all constraints, if no further run is beyond a limit: 0 if it has
         shown it by the seeds that choose. None if the seeds left to choose do not suffice, or, `ever`, a million, or if it breaks one."""
         judgement, runs = self._solutions[parameter_set].choice.judgement, self._runs[parameter_set]
-        if self._goals is None or judgement is None or not judgement.undecided:
-            return None if judgement is not None and judgement.broken else 0
+        if not judgement.undecided:
+            return None if judgement.broken else 0
         left = 1_000_000 if ever else sum(seed not in runs for seed in range(1, self._choosing + 1))
         rates, counted = [bound for bound in self._goals.bounds if bound.rate is not None], self._counted(parameter_set)
         shown = bisect_left(range(left + 1), True, key=lambda seeds: all(bound.is_shown(counted, seeds) for bound in rates))
@@ -298,16 +292,15 @@ class Ranking:
         return numbers, known
 
     def by_objective(self) -> tuple[list[int], list[SetStatistics]]:
-        """Returns what the seeds that choose say of each objective, and the ids of the sets; nothing while no set has several seeds. Needs
-        goals."""
-        if self._goals is None or not self._samples:
+        """Returns what the seeds that choose say of each objective, and the ids of the sets; nothing while no set has several seeds."""
+        if not self._samples:
             return [], []
         numbers, last = sorted(self._solutions), max(max(self._runs[number]) for number in self._solutions)
         samples = np.full((len(self._goals.objectives), len(numbers), min(last, self._choosing)), np.nan)
         for place, number in enumerate(numbers):
             for seed, cells in self._runs[number].items():
                 solution = self._solution(number, cells) if seed <= self._choosing else None
-                if solution is not None and solution.judgement is not None:
+                if solution is not None:
                     samples[:, place, seed - 1] = solution.judgement.amounts
         kept = np.isfinite(samples[0]).any(axis=1)
         known = [replicates.assess(goal.sign * each[kept]) for goal, each in zip(self._goals.objectives, samples, strict=True)]
@@ -392,7 +385,7 @@ class Ranking:
     def doubtful(self, tried: Collection[int] = ()) -> EvaluatedSet | None:
         """The best set with a copied or predicted score that would rank before `surest`, but for those `tried`, by their ids; None without
         one."""
-        if self._goals is not None and self._goals.is_vector:
+        if self._goals.is_vector:
             return self._doubtful_on_front(tried)
         surest = self.surest()
         candidates = [
@@ -414,13 +407,11 @@ class Ranking:
 
     def front(self) -> list[FrontMember]:
         """The sets that no other set dominates, best first objective first, each vector of objectives once: of equal ones a set whose
-        scores are all its own, then the first of the ranking. Infeasible ones only while no set is feasible. Needs goals."""
+        scores are all its own, then the first of the ranking. Infeasible ones only while no set is feasible."""
         return self._front(self._solutions.values())
 
     def reaches_front(self, cells: Mapping[str, CellScore]) -> bool:
-        """Returns whether no set with scores of its own dominates one with these cells, nor has the same objectives. Needs goals."""
-        if self._goals is None:
-            raise ValueError("there are no goals")
+        """Returns whether no set with scores of its own dominates one with these cells, nor has the same objectives."""
         judgement = self._goals.judge(cells)
         if judgement is None:
             return False
@@ -435,7 +426,7 @@ class Ranking:
     def _sure_front(self) -> list[Judged]:
         if self._surest_front is None:
             own = self._front(solution for solution in self._solutions.values() if not solution.reused)
-            self._surest_front = [each for member in own if (each := member.solution.judgement) is not None]
+            self._surest_front = [member.solution.judgement for member in own]
         return self._surest_front
 
     def _doubtful_on_front(self, tried: Collection[int]) -> EvaluatedSet | None:
@@ -451,15 +442,13 @@ class Ranking:
         return on_front if best is None or not best[0].reused or best[0].parameter_set in tried else best[0]
 
     def _front(self, solutions: Iterable[EvaluatedSet]) -> list[FrontMember]:
-        if self._goals is None:
-            raise ValueError("there are no goals")
-        judged = [(each, judgement) for each in solutions if (judgement := each.choice.judgement) is not None]
+        judged = list(solutions)
         if not judged:
             return []
-        points = self._goals.signed(judgement for _, judgement in judged)
-        kept = self._goals.leading(points, np.array([solution.choice.violation for solution, _ in judged]))
-        ordered = sorted(np.flatnonzero(kept).tolist(), key=lambda place: self.order(judged[place][0]))
-        alike = [[judged[ordered[place]][0] for place in group] for group in self._alike(self._goals, points[ordered])]
+        points = self._goals.signed(each.choice.judgement for each in judged)
+        kept = self._goals.leading(points, np.array([each.choice.violation for each in judged]))
+        ordered = sorted(np.flatnonzero(kept).tolist(), key=lambda place: self.order(judged[place]))
+        alike = [[judged[ordered[place]] for place in group] for group in self._alike(points[ordered])]
         members = [
             FrontMember(first.choice, frozenset(each.parameter_set for each in sets), self._answers[first.parameter_set])
             for sets in alike
@@ -467,14 +456,13 @@ class Ranking:
         ]
         return sorted(members, key=lambda member: self.order(member.solution))
 
-    @staticmethod
-    def _alike(goals: Goals, points: Floats) -> Sequence[Sequence[int]]:
+    def _alike(self, points: Floats) -> Sequence[Sequence[int]]:
         """Groups points that differ from the group's first point only by amounts that do not count."""
         groups: list[list[int]] = []
         firsts = np.empty_like(points)
         for place, point in enumerate(points):
             known = firsts[: len(groups)]
-            equal = np.flatnonzero((np.abs(known - point) <= goals.slacks(known, point)).all(axis=1))
+            equal = np.flatnonzero((np.abs(known - point) <= self._goals.slacks(known, point)).all(axis=1))
             if equal.size:
                 groups[int(equal[0])].append(place)
             else:
@@ -490,32 +478,22 @@ class Ranking:
     def _solution(
         self, number: int, cells: Mapping[str, CellScore], runs: Sequence[Mapping[str, CellScore]] = ()
     ) -> EvaluatedSet | None:
-        objective = rating = 0.0
         scores: dict[str, float] = {}
-        reused: list[str] = []
-        for scenario, share in self._shares.items():
+        ratings: list[float] = []
+        for scenario in self._shares:
             cell = cells.get(scenario)
             if cell is None or cell.score is None or cell.rating is None:
                 return None
-            objective += share * cell.score
-            rating += share * cell.rating
             scores[scenario] = cell.score
-            if not cell.own:
-                reused.append(scenario)
-        bounding = sorted(self.scenarios.difference(self._shares))
-        reused += [scenario for scenario in bounding if scenario in cells and not cells[scenario].own]
-        solution = EvaluatedSet(
-            number, objective, rating, scores, tuple(reused), *self._places[number], self._sign, span=self._span
-        )
-        if self._goals is None:
-            return solution
+            ratings.append(cell.rating)
         judgement = self._goals.judge(cells, runs)
         if judgement is None:
             return None
-        first = self._goals.objectives[0]
-        if not first.is_weighted_mean(self._shares):
-            rating = judgement.amounts[0]
-        return replace(solution, objective=judgement.amounts[0], rating=rating, sign=first.sign, judgement=judgement)
+        reused = tuple(scenario for scenario in self.scenarios if scenario in cells and not cells[scenario].own)
+        objective = judgement.amounts[0]
+        rating = weighted(0.0, ratings, self._shares.values()) if self._is_rated else objective
+        place, first = self._places[number], self._first
+        return EvaluatedSet(number, objective, rating, scores, reused, *place, judgement, first.sign, first.span)
 
 
 def over_seeds(cells: Sequence[CellScore]) -> CellScore:

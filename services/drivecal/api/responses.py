@@ -67,7 +67,7 @@ def _curves(stored: StoredCampaign) -> dict[str, dict[str, Any]]:
 
 def _first_objective(stored: StoredCampaign) -> FirstObjective | None:
     goals = stored_goals(stored.resolution)
-    if goals is None:
+    if goals.is_weighted_score:
         return None
     first = goals.objectives[0]
     return FirstObjective(name=first.name, unit=first.unit, direction="maximise" if first.sign > 0 else "minimise")

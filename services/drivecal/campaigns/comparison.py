@@ -20,7 +20,6 @@ from drivecal.campaigns.resolve.optimizer import BEGINNINGS
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.resolve.workbench import BundleSource, installed_bundles
-from drivecal.campaigns.results.front import goals_of
 from drivecal.contracts.comparison import LARGEST_RUNS, ComparedOptimizer, ComparedRun, Comparison, ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, ReductionSpecification
@@ -218,9 +217,7 @@ def compared(connection: Connection, tag: str) -> Comparison:
     courses = [
         _course(connection, campaign, conditions) for campaign, conditions in zip(stored, _conditions(stored), strict=True)
     ]
-    sign = next(
-        (goals_of(resolved_spec(campaign)).objectives[0].sign for campaign in stored if campaign.resolution is not None), 1
-    )
+    sign = next((resolved_spec(campaign).goals.objectives[0].sign for campaign in stored if campaign.resolution is not None), 1)
     best = analysis.best_of_all(courses, sign)
     return Comparison(
         tag=tag,

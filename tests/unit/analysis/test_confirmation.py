@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.scales import by_score
 from tests.support.values import present
 
 from drivecal.analysis.confirmation import Confirming
@@ -21,7 +22,7 @@ def copied(number: int, score: int, *, own: bool = False, iteration: int = 0) ->
 
 def confirmed(answers: list[CellScore], truth: dict[int, int | None], limit: int) -> tuple[Ranking, Confirming]:
     """Carried out to its end; `truth` is what simulations give."""
-    ranking = Ranking({"S1": 1})
+    ranking = by_score({"S1": 1})
     ranking.add(answers)
     best = present(ranking.best())
     confirmation = Confirming(limit, best[0].objective)
@@ -59,7 +60,7 @@ def test_no_more_than_the_limit_are_tried_and_that_is_told() -> None:
 
 @pytest.mark.parametrize(("believed", "state"), [(7, "untried"), (5, "confirmed")])
 def test_sets_that_are_believed_to_be_better_and_were_not_tried_are_named(believed: int, state: str) -> None:
-    ranking = Ranking({"S1": 1})
+    ranking = by_score({"S1": 1})
     own = copied(1, 5, own=True)
     predicted = [replace(copied(number, believed), predicted=True, rating=believed + 0.3) for number in (2, 3)]
     ranking.add([own, *predicted])

@@ -7,6 +7,8 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from tests.support.scales import COST, by_score
+from tests.support.values import present
 
 from drivecal.analysis import replicates
 from drivecal.analysis.goals import UNDECIDED, Aggregate, Bound, CellValue, Goals, Objective
@@ -142,13 +144,12 @@ def test_no_set_gets_more_runs_than_it_may() -> None:
 
 def test_the_last_seeds_report_and_do_not_choose() -> None:
     assert [choosing(most) for most in (1, 4, 5, 10, 20)] == [1, 4, 3, 6, 12]
-    ranking = Ranking({"S1": 1}, sign=1, wanted=ReplicatesSpecification(most=5))
+    ranking = by_score({"S1": 1}, wanted=ReplicatesSpecification(most=5))
     scores = {1: [5.0, 5.2, 4.9, 1.0, 1.4], 2: [4.0, 4.1, 4.3], 3: [3.0, 3.2, 2.9]}
     for number, listed in scores.items():
         cells = [CellScore(number, "S1", score, score, True, 0, number, seed=seed) for seed, score in enumerate(listed, 1)]
         ranking.add(cells)
-    best = ranking.best()
-    assert best is not None
+    best = present(ranking.best())
     assert (best[0].parameter_set, best[0].replicates) == (1, 5)
     assert best[0].objective == pytest.approx(1.2)
     assert best[0].lower is not None
@@ -156,7 +157,7 @@ def test_the_last_seeds_report_and_do_not_choose() -> None:
 
 
 def test_a_set_with_one_lucky_run_stands_behind_a_set_that_is_known() -> None:
-    ranking = Ranking({"S1": 1}, sign=-1, wanted=ReplicatesSpecification(most=4))
+    ranking = by_score({"S1": 1}, COST, ReplicatesSpecification(most=4))
     known = {1: [2.0, 2.4, 1.8, 2.2], 2: [3.0, 3.5, 2.6, 3.1], 3: [1.95]}
     for number, listed in known.items():
         ranking.add(
@@ -173,7 +174,7 @@ def test_a_set_with_one_lucky_run_stands_behind_a_set_that_is_known() -> None:
 def test_a_rare_failure_is_no_noise_of_sets_that_do_not_fail() -> None:
     """Set 0 is the best without its one failure, and loses more by a rate of 5 % than what it is ahead."""
     for wanted in (ReplicatesSpecification(), ReplicatesSpecification(aggregate=Quantile(quantile=0.1))):
-        ranking, scores = Ranking({"S1": 1}, wanted=wanted), 0.3 * np.random.default_rng(1).normal(size=(4, 12))
+        ranking, scores = by_score({"S1": 1}, wanted=wanted), 0.3 * np.random.default_rng(1).normal(size=(4, 12))
         for (place, seed), noise in np.ndenumerate(scores):
             score, failed = noise - 0.3 * place, (place, seed) == (0, 5)
             ranking.add(
@@ -189,7 +190,7 @@ def test_a_rare_failure_is_no_noise_of_sets_that_do_not_fail() -> None:
 
 
 def test_kept_runs_report_the_best_set_though_the_noise_is_unknown() -> None:
-    ranking = Ranking({"S1": 1}, wanted=ReplicatesSpecification(most=5))
+    ranking = by_score({"S1": 1}, wanted=ReplicatesSpecification(most=5))
     for number, scores in {1: [5.0, 5.2], 2: [4.0, 4.1], 3: [3.0]}.items():
         ranking.add(CellScore(number, "S1", score, score, True, 0, number, seed=seed) for seed, score in enumerate(scores, 1))
     chosen = next_runs(ranking, ReplicatesSpecification(most=5), 2, 2)
@@ -197,8 +198,7 @@ def test_kept_runs_report_the_best_set_though_the_noise_is_unknown() -> None:
     ranking.add(
         CellScore(1, "S1", score, score, True, 1, 0, seed=seed) for (_, seed), score in zip(chosen, (1.0, 2.0), strict=True)
     )
-    best = ranking.best()
-    assert best is not None
+    best = present(ranking.best())
     assert (best[0].parameter_set, best[0].objective) == (1, 1.5)
     assert best[0].lower is not None
     assert ranking.uncertainty(best[0])["close"] == 2, "two differences of runs tell no set from the best one"
@@ -215,15 +215,14 @@ def test_runs_that_report_choose_nothing_through_constraints() -> None:
         (Objective("cost", cost, shares, Aggregate("mean"), -1, 0.0),),
         (Bound("gap", gap, shares, Aggregate("mean"), 1, 2.0, 1.0),),
     )
-    ranking = Ranking(shares, -1, goals, wanted=ReplicatesSpecification(most=5))
+    ranking = Ranking(shares, goals, ReplicatesSpecification(most=5))
     kept = {1: [(1.0, 2.5), (1.1, 2.5), (1.2, 2.5), (1.3, 0.5), (1.4, 0.5)], 2: [(3.0, 2.5), (3.1, 2.5), (3.2, 2.5)]}
     for number, runs in kept.items():
         ranking.add(
             CellScore(number, "S1", 0.0, 0.0, True, 0, number, seed=seed, values={cost.key: run[0], gap.key: run[1]})
             for seed, run in enumerate(runs, 1)
         )
-    best = ranking.best()
-    assert best is not None
+    best = present(ranking.best())
     assert best[0].parameter_set == 1
     assert best[0].violation == pytest.approx(1.5)
     [front] = ranking.front()  # a set is on it by the values that it shows
@@ -231,14 +230,13 @@ def test_runs_that_report_choose_nothing_through_constraints() -> None:
 
 
 def test_the_noise_of_each_scenario_is_told() -> None:
-    ranking, random = Ranking({"S1": 1, "S2": 1}, wanted=ReplicatesSpecification()), np.random.default_rng(1)
+    ranking, random = by_score({"S1": 1, "S2": 1}, wanted=ReplicatesSpecification()), np.random.default_rng(1)
     for number in range(20):
         for seed in range(1, 5):
             values = {"S1": number + seed + 0.1 * random.normal(), "S2": 2 * number + 0.4 * random.normal()}
             cells = [CellScore(number, name, value, value, True, 0, number, seed=seed) for name, value in values.items()]
             ranking.add(cells)
-    best = ranking.best()
-    assert best is not None
+    best = present(ranking.best())
     assert ranking.uncertainty(best[0])["noise"] == pytest.approx({"S1": 0.1, "S2": 0.4}, rel=0.3)
     assert ranking.failed_runs(best[0].parameter_set) == (0, 8)
 
@@ -274,7 +272,7 @@ def test_a_quantile_prefers_a_set_whose_runs_are_alike() -> None:
     runs = {1: 4.8 + random.normal(size=12), 2: 5.0 + 0.1 * random.normal(size=12), 3: np.array([4.9])}
     ranked: list[list[EvaluatedSet]] = []
     for wanted in (ReplicatesSpecification(), ReplicatesSpecification(aggregate=Quantile(quantile=0.9))):
-        ranking = Ranking({"S1": 1}, sign=-1, wanted=wanted)
+        ranking = by_score({"S1": 1}, COST, wanted)
         for number, scores in runs.items():
             ranking.add(CellScore(number, "S1", x, x, True, 0, number, seed=seed) for seed, x in enumerate(scores.tolist(), 1))
         ranked.append(ranking.ranking())
@@ -283,12 +281,12 @@ def test_a_quantile_prefers_a_set_whose_runs_are_alike() -> None:
 
 
 def test_equal_scores_of_ratings_that_differ_do_not_say_that_there_is_no_noise() -> None:
-    ranking, wanted = Ranking({"S1": 1}, wanted=ReplicatesSpecification()), ReplicatesSpecification()
+    ranking, wanted = by_score({"S1": 1}, wanted=ReplicatesSpecification()), ReplicatesSpecification()
     for number in range(6):
         seeds = range(1, 3 if number < 5 else 2)
         ranking.add(CellScore(number, "S1", 6.0, 6.0 + 0.1 * seed, True, 0, number, seed=seed) for seed in seeds)
     assert next_runs(ranking, wanted, 8, 100)
-    alike = Ranking({"S1": 1}, wanted=wanted)
+    alike = by_score({"S1": 1}, wanted=wanted)
     for number in range(6):
         alike.add(CellScore(number, "S1", 6.0, 6.0, True, 0, number, seed=seed) for seed in range(1, 3))
     assert next_runs(alike, wanted, 8, 100) == []
@@ -297,7 +295,7 @@ def test_equal_scores_of_ratings_that_differ_do_not_say_that_there_is_no_noise()
 @pytest.mark.parametrize("budget", [8, 15])
 def test_sets_that_change_alike_get_more_runs_and_the_best_one_has_a_report(budget: int) -> None:
     """Equal losses by seed are no proof that sets are equal; single runs of other sets were as good, with a better rating."""
-    ranking, wanted = Ranking({"S1": 1}, wanted=ReplicatesSpecification()), ReplicatesSpecification()
+    ranking, wanted = by_score({"S1": 1}, wanted=ReplicatesSpecification()), ReplicatesSpecification()
     chosen, spent = [(number, 1) for number in range(30)], -30
     while chosen:
         scores = [(number, seed, 6.5 - seed % 3 / 6 - (number >= 20)) for number, seed in chosen]
@@ -310,7 +308,7 @@ def test_sets_that_change_alike_get_more_runs_and_the_best_one_has_a_report(budg
 
 
 def test_reports_with_equal_scores_have_an_interval() -> None:
-    ranking, random = Ranking({"S1": 1}, wanted=ReplicatesSpecification()), np.random.default_rng(1)
+    ranking, random = by_score({"S1": 1}, wanted=ReplicatesSpecification()), np.random.default_rng(1)
     for number, scores in enumerate(6.0 + random.integers(-1, 2, (2, 20)) / 6):
         scores[12:] = 6.0
         ranking.add(CellScore(number, "S1", x, x, True, 0, number, seed=seed) for seed, x in enumerate(scores.tolist(), 1))
@@ -365,8 +363,7 @@ def test_a_rate_is_kept_broken_or_undecided(beyond: int, runs: int, least: float
         {"S1": CellScore(1, "S1", 1.0, 1.0, True, 0, 0, seed=seed, values={RATE.value.key: -float(seed <= beyond)})}
         for seed in range(1, runs + 1)
     ]
-    judged = Goals((), (RATE,)).judge(cells[0], cells)
-    assert judged is not None
+    judged = present(Goals((), (RATE,)).judge(cells[0], cells))
     assert least <= judged.violation <= most
     assert judged.undecided == (0 < most <= UNDECIDED)
     assert judged.bounded == (beyond / runs, *rate_bounds(beyond, runs, 0.9))
@@ -377,7 +374,7 @@ def test_bounds_of_a_rate_have_names_of_their_own() -> None:
     cells = {"S1": CellScore(1, "S1", 1.0, 1.0, True, 0, 0, values={RATE.value.key: 1.0})}
     for bounds in permutations([replace(RATE, name="gap_lower", rate=None), RATE, RATE]):
         goals = Goals((), bounds)
-        assert len(goals.named_bounds(goals.judge(cells))) == 7
+        assert len(goals.named_bounds(present(goals.judge(cells)))) == 7
 
 
 def test_bounds_of_rates_are_exact() -> None:

@@ -44,7 +44,7 @@ def goals(size: float, offset: float, *, tolerance: float = 0.0, limit: float | 
 
 def ranked(rows: list[tuple[int, int, int]], size: float, offset: float, aims: Goals) -> Ranking:
     """Returns the ranking of sets with these thousandths in the first and the second scenario, and of the second measure."""
-    standing = Ranking(WEIGHTS, 1, aims)
+    standing = Ranking(WEIGHTS, aims)
     for number, (first, other, second) in enumerate(rows):
         for scenario, value in (("S1", first), ("S2", other)):
             values = {FIRST.key: size * value / 1000 + offset, SECOND.key: size * second / 1000 + offset}
@@ -70,10 +70,8 @@ def test_ranks_fronts_and_constraints_do_not_depend_on_the_unit(
     fronts = [[(member.solution.parameter_set, member.alike) for member in each.front()] for each in (usual, other)]
     assert fronts[0] == fronts[1]
     assert fronts[0], "a front is never empty"
-    points = [
-        goals(*each).signed(member.solution.judgement for member in standing.front() if member.solution.judgement is not None)
-        for each, standing in (((1.0, 0.0), usual), (size, other))
-    ]
+    both = ((1.0, 0.0), usual), (size, other)
+    points = [goals(*each).signed(member.solution.judgement for member in standing.front()) for each, standing in both]
     assert knee(points[0]) == knee(points[1]) or len(points[0]) < 4
     wins = [[each.share for each in winning_weights(listed) or ()] for listed in points]
     assert wins[1] == pytest.approx(wins[0], abs=1e-4)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.scales import COST, by_score
 from tests.support.values import present
 
-from drivecal.analysis.solutions import EvaluatedSet, Ranking
+from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.domain.evaluations import CellScore
 
 
@@ -21,7 +22,7 @@ def _cells(scores: dict[int, dict[str, int | None]]) -> list[CellScore]:
 
 
 def _ranking(cells: list[CellScore], weights: dict[str, float]) -> list[EvaluatedSet]:
-    ranking = Ranking(weights)
+    ranking = by_score(weights)
     ranking.add(cells)
     return ranking.ranking()
 
@@ -39,7 +40,7 @@ def test_equal_objectives_are_ordered_by_rating_then_by_discovery() -> None:
         CellScore(3, "S1", 6, 5.9, True, 0, 1),
         CellScore(4, "S1", 5, 5.4, True, 0, 0),
     ]
-    ranking = Ranking({"S1": 1})
+    ranking = by_score({"S1": 1})
     ranking.add(cells)
     assert [item.parameter_set for item in ranking.ranking()] == [2, 3, 1, 4]
     result = present(ranking.best())
@@ -69,8 +70,8 @@ def test_a_solution_says_which_of_its_scores_are_those_of_a_reference() -> None:
 
 
 def test_nothing_evaluated_gives_no_ranking() -> None:
-    assert Ranking({"S1": 1}).ranking() == []
-    assert Ranking({"S1": 1}).best() is None
+    assert by_score({"S1": 1}).ranking() == []
+    assert by_score({"S1": 1}).best() is None
 
 
 _scores = st.lists(st.lists(st.integers(0, 7), min_size=3, max_size=3), min_size=1, max_size=30)
@@ -92,7 +93,7 @@ def test_the_standing_does_not_depend_on_the_order_or_the_portions_of_the_answer
     cells = _cells({number % 7: dict(zip(["S1", "S2", "S3"], row, strict=True)) for number, row in enumerate(scores)})
     mixed = cells.copy()
     shuffle.shuffle(mixed)
-    ranking = Ranking({"S1": 1, "S2": 2, "S3": 3})
+    ranking = by_score({"S1": 1, "S2": 2, "S3": 3})
     for cell in mixed:
         ranking.add([cell])
     assert ranking.ranking() == _ranking(cells, {"S1": 1, "S2": 2, "S3": 3})
@@ -105,7 +106,7 @@ def test_lower_objectives_are_better_on_a_scale_that_is_minimised() -> None:
         CellScore(3, "S1", 2.25 + 1e-12, 2.0, False, 0, 2),
         CellScore(4, "S1", 1.0, 1.0, False, 0, 3),
     ]
-    ranking = Ranking({"S1": 1}, sign=-1)
+    ranking = by_score({"S1": 1}, COST)
     ranking.add(cells)
     assert [item.parameter_set for item in ranking.ranking()] == [4, 3, 2, 1], "of equal ones the better rating first"
     surest, doubtful = ranking.surest(), ranking.doubtful()

@@ -239,7 +239,6 @@ def test_the_first_score_of_the_objectives_is_the_campaigns_and_others_are_compu
     )
     assert problem.bench.scale.name == problem.specification.evaluator == "safety"
     assert problem.specification.reduction.mode == "exact"
-    assert problem.goals is not None
     safety, discomfort = problem.goals.objectives
     assert (safety.sign, discomfort.sign) == (1, -1)
     computed = problem.goals.values(dict(MEASURES), None)
@@ -252,8 +251,8 @@ def test_the_first_score_of_the_objectives_is_the_campaigns_and_others_are_compu
 def test_constraints_on_results_name_scores_and_measures_of_the_bundle() -> None:
     limits = [{"measure": "min_gap_m", "at_least": 2.0}, {"score": "discomfort", "at_most": 50.0}]
     problem = resolved(constraints=limits, optimizer={"kind": "surrogate"})
-    assert [objective.name for objective in present(problem.goals).objectives] == ["discomfort"]
-    assert [(bound.aggregate.kind, bound.span) for bound in present(problem.goals).bounds] == [("min", 2.0), ("max", 100.0)]
+    assert [objective.name for objective in problem.goals.objectives] == ["discomfort"]
+    assert [(bound.aggregate.kind, bound.span) for bound in problem.goals.bounds] == [("min", 2.0), ("max", 100.0)]
     assert fields(constraints=[{"measure": "gap", "at_least": 2.0}], optimizer={"kind": "surrogate"}) == {
         "constraints[0].measure"
     }

@@ -95,7 +95,7 @@ def setup_of(database: Database, connection: Connection, campaign: StoredCampaig
         scenarios=scenarios,
         server=version("drivecal"),
         settings=settings_of(campaign.spec, scenarios, begun_with.evaluator),
-        constraints=[] if begun_with.goals is None else [bound_text(bound) for bound in begun_with.goals.bounds],
+        constraints=[bound_text(bound) for bound in begun_with.goals.bounds],
         shapes=shapes_with_good_sets(database, connection, campaign),
     )
 
@@ -189,10 +189,10 @@ def set_at(
     parameters = cell.parameters.floats
     is_best = stored.best is not None and stored.best.parameters == parameters
     judged = next((each for each in front.ranked if each.parameter_set == cell.parameter_set_id), None)
-    if judged is None or judged.judgement is None:
+    if judged is None:
         return Chosen(parameters, is_judged=False, is_best=is_best)
     compared: list[BesideBaseline] = []
-    if baseline and baseline.judgement:
+    if baseline:
         amounts = zip(front.goals.objectives, judged.judgement.amounts, baseline.judgement.amounts, strict=True)
         compared = [
             BesideBaseline(goal.name, value, before, goal.sign, goal.unit, _tolerance(goal, len(front.goals.objectives)))
@@ -218,8 +218,7 @@ def _tolerance(goal: Objective, objectives: int) -> float:
 
 def has_several_objectives(campaign: StoredCampaign) -> bool:
     """Returns whether a campaign has a front in the place of a best set."""
-    goals = resolved_spec(campaign).goals
-    return goals is not None and len(goals.objectives) > 1
+    return len(resolved_spec(campaign).goals.objectives) > 1
 
 
 def _search(connection: Connection, campaign: StoredCampaign) -> SearchCourse | None:

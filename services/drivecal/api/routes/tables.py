@@ -170,7 +170,7 @@ def _study(database: Database, campaign: StoredCampaign, stage: StageName, model
 def ranked_columns(model: type[BaseModel], scenarios: Iterable[str], begun_with: ResolvedSpec) -> list[Column]:
     """Returns the columns of a file with a column for each score and parameter."""
     keys: dict[str, list[str] | dict[str, Kind]] = {
-        "constraints": [] if begun_with.goals is None else begun_with.goals.bound_names,
+        "constraints": begun_with.goals.bound_names,
         "scores": list(scenarios),
         "parameters": kinds_of(begun_with.space),
     }

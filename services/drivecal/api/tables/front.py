@@ -41,12 +41,11 @@ def front_table(
     rows = []
     for place, member in enumerate(front.members):
         solution, parameters = member.solution, sets[member.solution.parameter_set].floats
-        amounts = () if solution.judgement is None else solution.judgement.amounts
         rows.append(
             FrontRow.of(
                 solution,
                 rank=place + 1,
-                objectives=dict(zip(names, amounts, strict=True)),
+                objectives=dict(zip(names, solution.judgement.amounts, strict=True)),
                 uncertainty=dict(front.uncertainty.get(solution.parameter_set, {})),
                 weighted=worths[place],
                 undecided=solution.is_undecided,
@@ -78,7 +77,6 @@ def judged_sets(front: CampaignFront) -> list[JudgedSet]:
             individual=solution.individual,
         )
         for solution in front.ranked
-        if solution.judgement is not None
     ]
 
 
@@ -99,9 +97,7 @@ def summary(front: CampaignFront, baseline: EvaluatedSet | None = None) -> Front
     )
 
 
-def _baseline(front: CampaignFront, baseline: EvaluatedSet) -> FrontBaseline | None:
-    if baseline.judgement is None:
-        return None
+def _baseline(front: CampaignFront, baseline: EvaluatedSet) -> FrontBaseline:
     names = [goal.name for goal in front.goals.objectives]
     return FrontBaseline(
         objectives=dict(zip(names, baseline.judgement.amounts, strict=True)),
@@ -113,7 +109,7 @@ def _baseline(front: CampaignFront, baseline: EvaluatedSet) -> FrontBaseline | N
 
 
 def _objective(goal: Objective, column: int, front: CampaignFront) -> FrontObjective:
-    amounts = [member.solution.judgement.amounts[column] for member in front.members if member.solution.judgement is not None]
+    amounts = [member.solution.judgement.amounts[column] for member in front.members]
     return FrontObjective.of(
         goal,
         direction=(Direction.MAXIMISE if goal.sign > 0 else Direction.MINIMISE).value,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from sqlalchemy import Connection
 
-from drivecal.analysis.goals import SCORE, Aggregate, CellValue, Goals, Objective, normalised, valued_by
+from drivecal.analysis.goals import SCORE, Aggregate, CellValue, Goals, Objective, normalised, weighted_mean
 from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
 from drivecal.bundles.expressions import Formula
@@ -42,7 +42,7 @@ class CampaignRanking:
     ranked: Sequence[Ranked]
     scenarios: Sequence[str]
     scale: Scale
-    goals: Goals | None
+    goals: Goals
 
     def __len__(self) -> int:
         return len(self.ranked)
@@ -58,7 +58,7 @@ class CampaignRanking:
                 rank=rank,
                 parameters=sets[solution.parameter_set].floats,
                 undecided=solution.is_undecided,
-                constraints={} if self.goals is None else self.goals.named_bounds(solution.judgement),
+                constraints=self.goals.named_bounds(solution.judgement),
             )
             for rank, solution in enumerate(listed, start + 1)
         ]
@@ -76,16 +76,12 @@ def ranking(
     used = resolved.weights if weights is None else given_weights(weights, list(resolved.weights), "scenario")
     other = None if score is None else _other_score(database, campaign, score, resolved.evaluator)
     scale = resolved.scale if other is None or other.scale is None else other.scale
-    goals = resolved.goals
-    if goals is not None and (weights is not None or score is not None):
-        goals = _constrained(goals, used, scale, other)
-    standing = Ranking(used, scale.sign, goals, scale.span, resolved.replicates)
+    goals = resolved.goals if weights is None and score is None else _constrained(resolved.goals, used, scale, other)
+    standing = Ranking(used, goals, resolved.replicates)
     with database.read() as connection:
         if other is None:
             stage, corrected_by = StageName.CALIBRATION, resolved.evaluator
-            standing.add(
-                results.answers(connection, campaign.sequence, stage, corrected_by=corrected_by, valued=valued_by(goals))
-            )
+            standing.add(results.answers(connection, campaign.sequence, stage, corrected_by=corrected_by, valued=goals.valued))
         else:
             standing.add(_rated(connection, campaign, resolved.evaluator, other, goals))
     return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0], scale, goals)
@@ -96,11 +92,11 @@ def variants_of(database: Database, campaign: StoredCampaign, resolved: Resolved
     if not resolved.variants:
         return []
     with database.read() as connection:
-        valued, stage = valued_by(resolved.goals), StageName.CALIBRATION
+        valued, stage = resolved.goals.valued, StageName.CALIBRATION
         answers = list(results.answers(connection, campaign.sequence, stage, corrected_by=resolved.evaluator, valued=valued))
     standings = list[Ranking]()
     for spec in (resolved, *map(resolved.of_variant, resolved.variants)):
-        standings.append(Ranking(spec.weights, spec.scale.sign, spec.goals, spec.scale.span, spec.replicates))
+        standings.append(Ranking(spec.weights, spec.goals, spec.replicates))
         standings[-1].add(answers)
     best, rows = standings[0].best(), list[VariantResult]()
     for (name, goals), standing in zip(resolved.variants.items(), standings[1:], strict=True):
@@ -113,10 +109,10 @@ def variants_of(database: Database, campaign: StoredCampaign, resolved: Resolved
     return rows
 
 
-def _constrained(goals: Goals, weights: Mapping[str, float], scale: Scale, score: CellValue | None) -> Goals | None:
-    """Returns the weighted mean of a score, by default the campaign's, under the constraints of the goals; None if they have none."""
+def _constrained(goals: Goals, weights: Mapping[str, float], scale: Scale, score: CellValue | None) -> Goals:
+    """Returns the weighted mean of a score, by default the campaign's, under the constraints of the goals."""
     if not goals.bounds:
-        return None
+        return weighted_mean(scale, weights)
     shares = normalised(weights)
     return Goals((Objective(scale.name, score or CellValue(scale), shares, Aggregate(), scale.sign),), goals.bounds)
 
@@ -157,22 +153,22 @@ def _pushed_score(database: Database, name: str, own: str, measures: Collection[
 
 
 def _rated(
-    connection: Connection, campaign: StoredCampaign, evaluator: str, value: CellValue, goals: Goals | None
+    connection: Connection, campaign: StoredCampaign, evaluator: str, value: CellValue, goals: Goals
 ) -> Iterator[CellScore]:
     """Yields the answered cells with another score; without one if a reference or a prediction answered them, or a measure is missing.
     Values of `goals` may name the campaign's own score."""
 
     def rate(measures: Mapping[str, float | None], failure: str | None, parameters: ParameterSet) -> dict[str, float]:
         score = value.of(measures, failure, parameters)
-        further = {} if goals is None else goals.values(measures, failure, parameters)
+        further = goals.values(measures, failure, parameters)
         return further if score is None else further | {value.key: score}
 
-    bounds_own = goals is not None and any(bound.value.key == SCORE for bound in goals.bounds)
+    bounds_own = any(bound.value.key == SCORE for bound in goals.bounds)
 
     for cell in results.answers(connection, campaign.sequence, StageName.CALIBRATION, corrected_by=evaluator, valued=rate):
         score = cell.values.get(value.key)
         known = score is not None  # of a run of this very cell, or of a run that it provably repeats
-        own = {} if cell.score is None else {SCORE: cell.score}
+        own = {} if cell.score is None or not bounds_own else {SCORE: cell.score}
         yield replace(
             cell,
             score=None if score is None else plain(score),

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from drivecal.analysis.goals import FAILED, SCORE, Aggregate, Bound, CellValue, Goals, Objective, normalised
+from drivecal.analysis.goals import FAILED, SCORE, Aggregate, Bound, CellValue, Goals, Objective, normalised, weighted_mean
 from drivecal.bundles.shapes import Shapes
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import given_set
@@ -41,12 +41,13 @@ class KnownValues:
 
 def find_goals(
     specification: CampaignSpecification, known: KnownValues, weights: Mapping[str, float], diagnostics: Diagnostics
-) -> Goals | None:
-    """Returns the goals; None for the default, the weighted mean of the campaign's score, and with problems in `diagnostics`."""
+) -> Goals:
+    """Returns the goals, by default the weighted mean of the campaign's score; with problems in `diagnostics`, this default as well."""
+    own, scale = next((name, value.scale) for name, value in known.scores.items() if value.key == SCORE and value.scale)
+    default = weighted_mean(scale, weights)
     if not specification.objectives and not specification.constraints:
-        return None
+        return default
     before = len(diagnostics.problems)
-    own = next(name for name, value in known.scores.items() if value.key == SCORE)
     given = specification.objectives or [ObjectiveSpecification(score=own)]
     objectives = [_objective(each, f"objectives[{place}]", known, weights, diagnostics) for place, each in enumerate(given)]
     bounds = [
@@ -60,22 +61,21 @@ def find_goals(
         message = "a front has the means of several objectives over the seeds"
         diagnostics.add("replicates.aggregate", message, "leave it out, or give one objective")
     if len(diagnostics.problems) > before:
-        return None
+        return default
     goals = Goals(
         tuple(objective for objective in objectives if objective is not None),
         tuple(replace(bound, confidence=specification.replicates.confidence) for bound in bounds if bound is not None),
     )
     plain = len(goals.objectives) == 1 and not bounds and goals.objectives[0].is_weighted_mean(weights)
-    return None if plain and goals.objectives[0].tolerance == 0 else goals
+    return default if plain and goals.objectives[0].tolerance == 0 else goals
 
 
 def check_reuse(
-    reduction: ReductionSpecification, goals: Goals | None, diagnostics: Diagnostics, *, has_variants: bool = False
+    reduction: ReductionSpecification, goals: Goals, diagnostics: Diagnostics, *, has_variants: bool = False
 ) -> tuple[ReductionSpecification, tuple[str, ...]]:
     """Returns the settings of reuse under these goals, with a note: references, predictions and maps know one score only, and only the best
     set in common is confirmed."""
-    judged = () if goals is None else (*goals.objectives, *goals.bounds)
-    named = ", ".join(sorted({goal.name for goal in judged if goal.value.key != SCORE}))
+    named = ", ".join(sorted({goal.name for goal in (*goals.objectives, *goals.bounds) if goal.value.key != SCORE}))
     named = named or ("the best sets of variants" if has_variants else "")
     if not named or not (reduction.predicts or reduction.uses_map):
         return reduction, ()

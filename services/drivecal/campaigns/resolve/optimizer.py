@@ -165,7 +165,7 @@ def note_search(optimization: Optimization | None, constraints: Constraints | No
 
 
 def check_abilities(
-    optimization: Optimization | None, constraints: Constraints | None, goals: Goals | None, diagnostics: Diagnostics
+    optimization: Optimization | None, constraints: Constraints | None, goals: Goals, diagnostics: Diagnostics
 ) -> None:
     """Adds a problem for each kind of parameter that the optimizer does not search, for constraints on parameters that it does not cope
     with, and for several objectives or constraints on results if it handles a single number only."""
@@ -173,7 +173,7 @@ def check_abilities(
         return
     wanted: set[Ability] = {*constraints.space.kinds, *(("constraints",) if constraints else ())}
     name = optimization.plugin.name
-    if goals is not None and goals.is_vector and "objectives" not in optimization.plugin.supports:
+    if goals.is_vector and "objectives" not in optimization.plugin.supports:
         message = f"{name} searches by a single number, without constraints on results"
         diagnostics.add("optimizer.kind", message, "choose surrogate, or give one objective and no constraints")
     for ability in sorted(wanted - optimization.plugin.supports):

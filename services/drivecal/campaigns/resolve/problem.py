@@ -65,8 +65,8 @@ class CalibrationProblem:
     notes: tuple[str, ...]
     constraints: Constraints
     """Constraints over the parameters; none for a plug-in without."""
-    goals: Goals | None = None
-    """Objectives and constraints; None for the weighted mean of the bench's score."""
+    goals: Goals
+    """Objectives and constraints; by default the weighted mean of the bench's score."""
     variants: Mapping[str, Goals] = field(default_factory=dict)
     """Objective and constraints of each variant."""
 
@@ -80,7 +80,7 @@ class CalibrationProblem:
     @cached_property
     def search_constraints(self) -> Constraints:
         """The constraints of the search: over the parameters, and limits of changes from a set."""
-        return replace(self.constraints, limits=() if self.goals is None else self.goals.limits)
+        return replace(self.constraints, limits=self.goals.limits)
 
     @property
     def policy(self) -> Policy:
@@ -121,7 +121,7 @@ class CalibrationProblem:
     @property
     def rate_seeds(self) -> int:
         """The number of seeds that constraints on rates need at least; 0 without any."""
-        return 0 if self.goals is None else self.goals.fewest_seeds
+        return self.goals.fewest_seeds
 
     def search_simulations(self, *, varies: bool = False) -> int | None:
         """Returns the simulations of the budget that the search may use; None without a limit. `varies`: equal runs have differed."""
@@ -178,7 +178,7 @@ class CalibrationProblem:
         resolution = _resolution(self.bench, self.space.parameters) | {"fixed": fixed, "weights": dict(self.weights)}
         shapes = self.bench.bundle.manifest.shapes.items()
         resolution |= {"shapes": {name: each.document | {"axes": [list(axis) for axis in each.axes]} for name, each in shapes}}
-        resolution |= {} if self.goals is None else {"goals": self.goals.to_json()}
+        resolution |= {"goals": self.goals.to_json()}
         return resolution | {"variants": {name: goals.to_json() for name, goals in self.variants.items()}}
 
 
@@ -231,17 +231,17 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     else:
         baseline = given_set(specification.baseline, constraints, "baseline", diagnostics, shapes)
     known = replace(workbench.known, constraints=constraints, baseline=baseline)
-    goals = find_goals(specification, known, weights, diagnostics) if known.scores and weights else None
+    goals = find_goals(specification, known, weights, diagnostics) if known.scores and weights else Goals(())
     own_goals: dict[str, Goals] = {}
     if not diagnostics.problems:
-        goals, own_goals = goals_of_variants(specification, goals, known, variants)
+        goals, own_goals = goals_of_variants(specification, goals, variants)
     reduction, more = check_reuse(specification.reduction, goals, diagnostics, has_variants=bool(variants.shares))
     specification = specification.model_copy(update={"reduction": reduction})
     notes += more
     check_abilities(optimization, constraints, goals, diagnostics)
     notes += note_search(optimization, constraints)
     population = None if optimization is None or optimization.by_cell is not None else optimization.population
-    within = replace(constraints, limits=goals.limits) if constraints is not None and goals is not None else constraints
+    within = replace(constraints, limits=goals.limits) if constraints is not None else None
     start_sets = resolvers.find_start_sets(specification, baseline, within, diagnostics, population, shapes)
     robust_sets = resolvers.find_robust_sets(specification, workbench.varied, constraints, diagnostics, shapes)
     resolvers.check_validation(specification, diagnostics)
@@ -263,7 +263,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
 def _check_rates(problem: CalibrationProblem, diagnostics: Diagnostics) -> None:
     """Adds problems for rates of a simulator that is not random, and for rates that the replicates or the budget cannot show."""
     most, budget = problem.specification.replicates.most, None if problem.optimization is None else problem.optimization.budget
-    for place, bound in enumerate(() if problem.goals is None else problem.goals.bounds):
+    for place, bound in enumerate(problem.goals.bounds):
         if bound.rate is None:
             continue
         field, seeds, needed = f"constraints[{place}].rate", choosing(most), ceil(bound.fewest_runs / len(bound.shares))

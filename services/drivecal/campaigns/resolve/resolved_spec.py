@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from drivecal.analysis.goals import Goals
+from drivecal.analysis.goals import Goals, weighted_mean
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.spaces import fixed_from_document, space_from_document
 from drivecal.campaigns.resolve.workbench import BundleSource, installed_bundles
@@ -32,8 +32,7 @@ class ResolvedSpec:
     setups: Mapping[str, str]
     """Fingerprints of the setups by scenario."""
     scale: Scale
-    goals: Goals | None = None
-    """None for the weighted mean of the score."""
+    goals: Goals
     replicates: ReplicatesSpecification = field(default_factory=ReplicatesSpecification)
     variants: Mapping[str, Goals] = field(default_factory=dict)
     """Objective and constraints of each variant."""
@@ -73,9 +72,11 @@ def resolved_spec(campaign: StoredCampaign) -> ResolvedSpec:
     return ResolvedSpec(resolution["evaluator"], space, weights, setups, scale, goals, wanted, variants)
 
 
-def stored_goals(resolution: Mapping[str, Any] | None) -> Goals | None:
-    """The objectives and constraints that are stored with a campaign; None for the weighted mean of the score, and before it starts."""
-    return Goals.from_json(resolution["goals"]) if resolution is not None and "goals" in resolution else None
+def stored_goals(resolution: Mapping[str, Any] | None) -> Goals:
+    """The objectives and constraints that are stored with a campaign; the weighted mean of the score before it starts, and for a single
+    evaluation."""
+    known = resolution or {}
+    return Goals.from_json(known["goals"]) if "goals" in known else weighted_mean(stored_scale(resolution), {})
 
 
 def stored_scale(resolution: Mapping[str, Any] | None) -> Scale:

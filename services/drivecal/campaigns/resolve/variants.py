@@ -6,9 +6,8 @@ A scenario with the vehicle of a variant is a scenario of its own, `S1@eu`; vari
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from drivecal.analysis.goals import SCORE, Goals, normalised, weighted_mean
+from drivecal.analysis.goals import Goals, normalised
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.goals import KnownValues
 from drivecal.campaigns.resolve.workbench import Workbench
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.specification import CampaignSpecification, VariantSpecification
@@ -73,17 +72,11 @@ def _shares(
     return normalised({scenario: own[scenario] for scenario in weights if scenario in listed})
 
 
-def goals_of_variants(
-    specification: CampaignSpecification, goals: Goals | None, known: KnownValues, variants: Variants
-) -> tuple[Goals | None, dict[str, Goals]]:
-    """Returns the goals of the best common set, None for the weighted mean of the score, and the goals of each variant in its scenarios."""
+def goals_of_variants(specification: CampaignSpecification, goals: Goals, variants: Variants) -> tuple[Goals, dict[str, Goals]]:
+    """Returns the goals of the best common set, and the goals of each variant in its scenarios."""
     if not variants.shares:
         return goals, {}
-    scale = next(value.scale for value in known.scores.values() if value.key == SCORE)
-    if scale is None:
-        raise AssertionError("the campaign's score has no scale")
-    goals_or_score = goals or weighted_mean(scale, variants.weights)
-    objective, bounds = goals_or_score.objectives[0], goals_or_score.bounds
+    objective, bounds = goals.objectives[0], goals.bounds
     made = {}
     for name, shares in variants.shares.items():
         of = [shares if bound.value.change is not None else bound.shares for bound in bounds]

@@ -10,7 +10,7 @@ import numpy as np
 
 from drivecal.analysis import replicates
 from drivecal.analysis.front import WinningWeights, by_weights, extremes, knee, non_dominated, winning_weights
-from drivecal.analysis.goals import Goals, valued_by, weighted_mean
+from drivecal.analysis.goals import Goals
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.domain.campaigns import StageName
@@ -81,7 +81,7 @@ class CampaignFront:
 
     def dominating(self, solution: EvaluatedSet) -> int:
         """Returns the number of members that are better than a set in an objective and worse in none, or break constraints less."""
-        if solution.judgement is None or not self.members:
+        if not self.members:
             return 0
         if self.members[0].solution.violation < solution.violation:
             return len(self.members)
@@ -97,22 +97,16 @@ class CampaignFront:
         return replace(self, members=[self.members[place] for place in order]), worths[order]
 
     def _signed(self, sets: Sequence[EvaluatedSet]) -> Floats:
-        return self.goals.signed(each.judgement for each in sets if each.judgement is not None)
-
-
-def goals_of(resolved: ResolvedSpec) -> Goals:
-    """Returns the goals of a campaign; without given ones the weighted mean of its score (Eq. 6)."""
-    return weighted_mean(resolved.scale, resolved.weights) if resolved.goals is None else resolved.goals
+        return self.goals.signed(each.judgement for each in sets)
 
 
 def front_of(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec) -> CampaignFront:
     """Returns the front of a campaign's search. A copied score gives way to a later simulation of the very cell."""
-    goals = goals_of(resolved)
-    ranking = Ranking(resolved.weights, resolved.scale.sign, goals, resolved.scale.span, resolved.replicates)
+    goals, ranking = resolved.goals, Ranking(resolved.weights, resolved.goals, resolved.replicates)
     with database.read() as connection:
         ranking.add(
             results.answers(
-                connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=valued_by(goals)
+                connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=goals.valued
             )
         )
     front = CampaignFront(goals, [each.choice for each in ranking.ranking()], ranking.front())

@@ -1,7 +1,7 @@
 """The answers of a search as it is told them, and the ranking of all sets so far."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from operator import gt
 from typing import Any
@@ -10,7 +10,6 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis.aims import JudgedGoals, WeightedScore
-from drivecal.analysis.goals import valued_by
 from drivecal.analysis.solutions import Ranking, over_seeds
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.asking import AskedRound, cells_of
@@ -29,14 +28,9 @@ class SearchAnswers(ABC):
 
     def __init__(self, problem: CalibrationProblem) -> None:
         self._problem, self._goals = problem, problem.goals
-        self._sign = problem.bench.scale.sign
         wanted = problem.specification.replicates
-        scale = problem.bench.scale
-        self.ranking = Ranking(problem.weights, self._sign, problem.goals, scale.span, wanted)
-        self.variants = {
-            name: Ranking(goals.objectives[0].shares, self._sign, goals, scale.span, wanted)
-            for name, goals in problem.variants.items()
-        }
+        self.ranking = Ranking(problem.weights, problem.goals, wanted)
+        self.variants = {name: Ranking(goals.objectives[0].shares, goals, wanted) for name, goals in problem.variants.items()}
         """Rankings for each variant alone."""
         self._before = self._best_of_variants()
 
@@ -66,10 +60,10 @@ class SearchAnswers(ABC):
 
     def read(self, connection: Connection, campaign: int, iteration: int | None) -> list[CellScore]:
         """Returns the answered cells of one iteration, or of all, with the values that the goals need."""
-        return list(results.answers(connection, campaign, StageName.CALIBRATION, iteration, valued=valued_by(self._goals)))
+        return list(results.answers(connection, campaign, StageName.CALIBRATION, iteration, valued=self._goals.valued))
 
     def _worst(self, known: Floats) -> float | None:
-        sign = self._sign if self._goals is None else self._goals.objectives[0].sign
+        sign = self._goals.objectives[0].sign
         return float(sign * np.min(sign * known)) if known.size else None
 
     def figures(self, number: int, cells: GenerationCounts, objectives: Floats) -> Generation:
@@ -111,11 +105,12 @@ class CellAnswers(SearchAnswers):
         scale = problem.bench.scale
         if problem.bench.is_random:  # the mean of rounded scores has no steps
             scale = replace(scale, step=None)
-        self.aim = WeightedScore(problem.weights, scale) if problem.goals is None else JudgedGoals(problem.goals, names)
+        is_score = problem.goals.is_weighted_score
+        self.aim = WeightedScore(problem.weights, scale) if is_score else JudgedGoals(problem.goals, names)
         self.aims_of_variants: list[WeightedScore | JudgedGoals] = [
-            JudgedGoals(goals, names, problem.goals)
-            if problem.goals is not None
-            else WeightedScore({name: goals.objectives[0].shares.get(name, 0.0) for name in names}, scale)
+            WeightedScore({name: goals.objectives[0].shares.get(name, 0.0) for name in names}, scale)
+            if is_score
+            else JudgedGoals(goals, names, problem.goals)
             for goals in problem.variants.values()
         ]
         self._rounds: dict[int, dict[tuple[int, str, int], CellScore]] = {}
@@ -150,16 +145,13 @@ class PopulationAnswers(SearchAnswers):
 
     def __init__(self, problem: CalibrationProblem, population: int) -> None:
         super().__init__(problem)
-        shape = population, len(problem.scenarios)
-        self._scores, self._ratings = np.full(shape, np.nan), np.full(shape, np.nan)
         self._runs: dict[tuple[int, str], dict[int, CellScore]] = {}
         """Answers of the newest round by individual, scenario and seed."""
         self._cells: list[dict[str, CellScore]] = [{} for _ in range(population)]
-        """By individual and scenario, with goals only."""
-        self._columns = {scenario: column for column, scenario in enumerate(problem.scenarios)}
+        """By individual and scenario."""
         self._requested: set[int] = set()
         """Individuals of the current population with answers of their own."""
-        self._by_set: dict[tuple[int, ...], tuple[Floats, Floats, dict[str, CellScore]]] = {}
+        self._by_set: dict[tuple[int, ...], dict[str, CellScore]] = {}
         """Answers by grid indices, with constraints only: after a repair, an individual may be an earlier set."""
 
     def _take(self, answer: CellScore) -> None:
@@ -168,54 +160,43 @@ class PopulationAnswers(SearchAnswers):
         if any(run.iteration != answer.iteration for run in runs.values()):
             runs.clear()
         runs[answer.seed] = answer
-        answer = over_seeds([runs[seed] for seed in sorted(runs)])
-        cell = answer.individual, self._columns[answer.scenario]
-        self._scores[cell] = np.nan if answer.score is None else answer.score
-        self._ratings[cell] = np.nan if answer.rating is None else answer.rating
-        if self._goals is not None:
-            self._cells[answer.individual][answer.scenario] = answer
+        self._cells[answer.individual][answer.scenario] = over_seeds([runs[seed] for seed in sorted(runs)])
 
     def settle(self, population: Indices) -> None:
         """Takes the answers of equal sets for the individuals that were not requested."""
         sets = list(map(tuple, population.tolist())) if self._problem.search_constraints else []
         for place in sorted(self._requested) if sets else ():
-            self._by_set[sets[place]] = self._scores[place].copy(), self._ratings[place].copy(), dict(self._cells[place])
+            self._by_set[sets[place]] = dict(self._cells[place])
         for place, indices in enumerate(sets):
             if place not in self._requested:
-                scores, ratings, cells = self._by_set.get(indices, (np.nan, np.nan, {}))  # the budget may end within a round
-                self._scores[place], self._ratings[place], self._cells[place] = scores, ratings, dict(cells)
+                self._cells[place] = dict(self._by_set.get(indices, {}))  # the budget may end within a round
         self._requested.clear()
 
     def objectives(self, number: int) -> Floats:
-        """Returns the weighted score (Eq. 6), or the first objective, of each individual, carried over or not."""
+        """Returns the first objective of each individual, carried over or not."""
         del number
-        return self._weighted(self._scores) if self._goals is None else self._judged()[0][:, 0]
+        return self._judged(self._cells)[0][:, 0]
 
     def for_search(self, number: int, asked: AskedRound) -> tuple[Floats, Floats]:
         """Returns the arguments of `Optimizer.tell`: higher objectives are better for every optimizer."""
         del number, asked
-        if self._goals is None:
-            return self._sign * self._weighted(self._scores), self._sign * self._weighted(self._ratings)
-        amounts, violations = self._judged()
-        signed = amounts * np.array([goal.sign for goal in self._goals.objectives], dtype=np.float64)
-        return (signed, violations) if self._goals.is_vector else (signed[:, 0], signed[:, 0])
+        signs = np.array([goal.sign for goal in self._goals.objectives], dtype=np.float64)
+        amounts, violations = self._judged(self._cells)
+        if self._goals.is_vector:
+            return signs * amounts, violations
+        ratings = amounts
+        if self._goals.is_weighted_score:
+            rated = [{name: replace(cell, score=cell.rating) for name, cell in cells.items()} for cells in self._cells]
+            ratings, _ = self._judged(rated)
+        return (signs * amounts)[:, 0], (signs * ratings)[:, 0]
 
-    def _judged(self) -> tuple[Floats, Floats]:
-        """Amounts, shape (population, m), and violations, shape (population,); NaN for individuals without a result."""
-        if self._goals is None:
-            raise ValueError("there are no goals")
-        amounts = np.full((len(self._cells), len(self._goals.objectives)), np.nan)
-        violations = np.full(len(self._cells), np.nan)
-        for individual, cells in enumerate(self._cells):
+    def _judged(self, sets: Sequence[Mapping[str, CellScore]]) -> tuple[Floats, Floats]:
+        """Amounts, shape (n, m), and violations, shape (n,), of sets by their cells; NaN without a result."""
+        amounts = np.full((len(sets), len(self._goals.objectives)), np.nan)
+        violations = np.full(len(sets), np.nan)
+        for individual, cells in enumerate(sets):
             judgement = self._goals.judge(cells)
             if judgement is not None:
                 amounts[individual] = judgement.amounts
                 violations[individual] = judgement.violation
         return amounts, violations
-
-    def _weighted(self, values: Floats) -> Floats:
-        """Equation 6, shape (population,), added in the order of the scenarios; NaN for individuals without a result."""
-        total = np.zeros(len(values))
-        for column, weight in enumerate(self._problem.weights.values()):
-            total += weight * values[:, column]
-        return total

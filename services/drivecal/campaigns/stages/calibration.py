@@ -338,7 +338,7 @@ class Calibration(Stage):
             self._search = self._search.model_copy(update={"predictions_off": self._planner.off})
             best = self._ranking.surest()
             given = range(len(self._problem.start_sets)) if asked.number == 0 else ()
-            reaches = None if self._problem.goals is None else self._ranking.reaches_front
+            reaches = None if self._problem.goals.is_weighted_score else self._ranking.reaches_front
             planned = self._planner.plan(connection, planned, None if best is None else best.objective, given, reaches)
         return self._within_budget(asked, planned)
 
@@ -423,7 +423,8 @@ class Calibration(Stage):
         dismissed = self._ranking.dismissed()
         if self._planner is None or not dismissed:
             return []
-        surest, reaches = self._ranking.surest(), None if self._problem.goals is None else self._ranking.reaches_front
+        surest = self._ranking.surest()
+        reaches = None if self._problem.goals.is_weighted_score else self._ranking.reaches_front
         best = None if surest is None else surest.objective
         with self._view.reuse_time.counted(), self._database.transaction() as connection:
             return self._planner.worth_a_look(connection, dismissed, best, reaches)[: limit // 4]
@@ -447,8 +448,7 @@ class Calibration(Stage):
             last, scenarios = self._next - 1, self._problem.scenarios
             self._error_rate = check_reuse(connection, self._view, last, scenarios, self._error_rate)
             if self._confirmation is None:
-                goals = self._problem.goals
-                is_front, untried = goals is not None and goals.is_vector, self._ranking.doubtful(confirming.tried)
+                is_front, untried = self._problem.goals.is_vector, self._ranking.doubtful(confirming.tried)
                 front = self._ranking.front() if is_front else []
                 if is_front and (not best[0].reused or any(member.solution.reused for member in front)):
                     outcome = front_outcome(front, confirming.tried, untried)

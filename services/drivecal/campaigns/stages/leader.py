@@ -38,14 +38,14 @@ class Leader:
                 alternatives=alternatives,
                 violation=solution.violation,
                 undecided=solution.is_undecided,
-                constraints={} if goals is None else goals.named_bounds(solution.judgement),
+                constraints=goals.named_bounds(solution.judgement),
                 failure_interval=clopper_pearson(*self._ranking.failed_runs(number)) if solution.replicates > 1 else None,
                 **self._ranking.uncertainty(solution),
             )
             changed = before is None or not same(solution.objective, before.objective, solution.span)
             gain = 0.0 if before is None else solution.sign * (self.best.objective - before.objective)
             # the first set that keeps all constraints may be worse than the last that does not
-            if before is None or (changed and (gain > 0 or (goals is not None and goals.bounds))):
+            if before is None or (changed and (gain > 0 or goals.bounds)):
                 self.record_event(connection, solution)
                 is_better = True
         unknown = self.baseline is None or self.baseline.objective is None

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.analysis.goals import valued_by
 from drivecal.analysis.optima import one_per_region_first, regions
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy, failing_at_most, key_of
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
@@ -81,13 +80,12 @@ class RobustnessStage(StudyStage):
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
         self._goals = problem.goals
-        super().__init__(database, campaign, problem, view, valued_by(problem.goals))
+        super().__init__(database, campaign, problem, view, problem.goals.valued)
         wanted = problem.specification.robustness
         if wanted is None:
             raise ValueError("the campaign has no robustness stage")
         given = wanted.model_dump(exclude={"solutions", "sets", "of"})
         self._wanted, self._settings = wanted, RobustnessSettings(**given, least=problem.bench.scale.tolerance)
-        self._sign = problem.bench.scale.sign
         self._examined = self._requested() or self._choose()
         self._seeds = list(dict.fromkeys(map(problem.bench.seed_of, range(wanted.samples))))
         self._benches = SeededBenches(problem.bench)
@@ -107,12 +105,12 @@ class RobustnessStage(StudyStage):
         return [Examined(sets[number], *beside.get(key_of(sets[number].floats), (0, None))) for number in sorted(sets)]
 
     def _ranking(self, wanted: ReplicatesSpecification) -> Ranking:
-        return Ranking(self._problem.weights, self._sign, self._goals, self._problem.bench.scale.span, wanted)
+        return Ranking(self._problem.weights, self._goals, wanted)
 
     def _choose(self) -> list[Examined]:
         """The named sets, then the best sets of the calibration, or its front, one of each region first. Simulations that this campaign
         sees correct copied scores of another campaign, as in that one's ranking."""
-        goals, of = self._goals, self._wanted.of
+        of = self._wanted.of
         with self._database.read() as connection:
             source = self._campaign if of is None else campaigns.get(connection, of)
             theirs = resolved_spec(source)
@@ -125,8 +123,7 @@ class RobustnessStage(StudyStage):
                     valued=self._valued,
                 )
             )
-            several = goals is not None and len(goals.objectives) > 1
-            best, worse = self._on_front(standing) if several else self._within(standing)
+            best, worse = (self._on_front if len(self._goals.objectives) > 1 else self._within)(standing)
             sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
         named = list(self._problem.robust_sets)
         best_sets = [sets[solution.parameter_set] for solution in best]
@@ -247,7 +244,7 @@ class RobustnessStage(StudyStage):
         best = self._best_of(usable)
         chosen = max(best, key=lambda number: (known[number].degree, known[number].radius, ratings[number], -number))
         degree = f"the largest degree of robustness ({known[chosen].degree}{' or more' if known[chosen].at_least else ''})"
-        if self._goals is not None and len(self._goals.objectives) > 1:
+        if len(self._goals.objectives) > 1:
             return chosen, f"of {len(best)} sets that no other examined set dominates, {degree}"
         best_one = "the best objective" if len(self._seeds) == 1 else "an objective that cannot be told from the best one"
         return chosen, f"{best_one} ({objectives[chosen]:.4g}, {len(best)} sets), and of these {degree}"
@@ -256,10 +253,10 @@ class RobustnessStage(StudyStage):
         """Returns the sets that cannot be told from the best one, or with goals the non-dominated sets."""
         known = [each for number in usable if (each := self._nominal[number]) is not None]
         first, best = min(known, key=self._standing.order), np.zeros(len(known), dtype=np.bool_)
-        if self._goals is not None:
-            points = self._goals.signed(judged for each in known if (judged := each.choice.judgement) is not None)
+        if not self._goals.is_weighted_score:
+            points = self._goals.signed(each.choice.judgement for each in known)
             best = self._goals.leading(points, np.array([each.choice.violation for each in known], dtype=np.float64))
-        if self._goals is None or len(self._goals.objectives) == 1:
+        if len(self._goals.objectives) == 1:
             best |= [each.is_close or first.equals(each) for each in known]
         return [usable[place] for place in np.flatnonzero(best).tolist()]
 

@@ -75,7 +75,7 @@ def search_task(database: Database, view: View, problem: CalibrationProblem, ans
     is_cut_off = problem.specification.reduction.mode == "off"
     aim, variants = answers.aim, answers.aims_of_variants
     known = [] if is_cut_off else _known(database, view, problem, aim)
-    start, changes = problem.start_indices, {} if problem.goals is None else problem.goals.changes
+    start, changes = problem.start_indices, problem.goals.changes
     best = [indices for indices in best_known((aim, *variants), known) if list(indices) not in start.tolist()]
     first = {*best, *map(tuple, start.tolist())}  # asked all the same, so that the campaign ranks them
     return SearchTask(
@@ -193,13 +193,13 @@ def _known(database: Database, view: View, problem: CalibrationProblem, aim: Wei
         watermark = campaigns.first_watermark(connection, view.campaign)  # the same again is the same
         for place, scenario in enumerate(problem.scenarios):
             stored = earlier.rated(connection, view.bench, view.earlier, scenario, watermark, MOST_KNOWN)
-            measured = {} if problem.goals is None else runs.values_of(connection, [run.evaluation for run in stored])
+            measured = {} if problem.goals.valued is None else runs.values_of(connection, [run.evaluation for run in stored])
             for run in stored:
                 indices = place_in(problem.space, run.parameters)
                 if indices is None:
                     continue
                 values = {SCORE: run.score}
-                if problem.goals is not None:
+                if measured:
                     values |= problem.goals.values(*measured[run.evaluation], run.parameters)
                 cell = CellScore(0, scenario, run.score, run.rating, own=True, iteration=0, individual=0, values=values)
                 failed = run.score == view.bench.scale.failed
