@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +10,11 @@ import pytest
 from tests.support.cell_search import CellSearchPlugin
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.deaths import Killed
+from tests.support.deaths import killed_between_rounds
 from tests.support.runs import dispatcher, everything, finish, get, submit
 from tests.support.values import present
 
 from drivecal.campaigns.resolve import resolvers
-from drivecal.campaigns.stages.calibration import Calibration
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.constraints import Constraint, Constraints
 from drivecal.plugins import registry
@@ -87,24 +85,6 @@ def test_the_same_search_again_simulates_nothing_and_another_begins_with_what_is
     assert (other.cells.repeated >= 9, other.cells.runs + other.cells.repeated) == (True, 60)  # the three best stored sets
 
 
-def killed_between_rounds(database: Database, campaign: StoredCampaign, deaths: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Carries a campaign out; its dispatcher dies after another closed round `deaths` times."""
-    left, go_on = [deaths], Calibration._go_on
-
-    def die(stage: Calibration) -> None:
-        if left[0] and stage._closed > deaths - left[0]:
-            left[0] -= 1
-            raise Killed("between two rounds")
-        go_on(stage)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(Calibration, "_go_on", die)
-        while not get(database, campaign).state.ended:
-            with suppress(Killed):
-                finish(database, campaign, dispatcher(database))
-    assert left == [0]
-
-
 def test_a_repaired_set_that_was_asked_before_is_no_requested_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few: dict[str, Constraint] = {"few sets": lambda values: np.sum(list(values.values()), axis=0) <= 0.5}
     monkeypatch.setattr(resolvers, "Constraints", lambda space, _: Constraints(space, few))
@@ -113,7 +93,7 @@ def test_a_repaired_set_that_was_asked_before_is_no_requested_cell(tmp_path: Pat
     for deaths in (0, 4):
         database = migrated(f"sqlite:///{tmp_path / f'{deaths}.db'}")
         campaign = submit(database, **spec)
-        killed_between_rounds(database, campaign, deaths, monkeypatch)
+        killed_between_rounds(database, campaign, range(1, deaths + 1))
         outcomes.append(everything(database, campaign))
         cells, search = get(database, campaign).cells, get(database, campaign).search
         database.dispose()
@@ -126,14 +106,12 @@ def test_a_repaired_set_that_was_asked_before_is_no_requested_cell(tmp_path: Pat
 @pytest.mark.parametrize(
     "optimizer", [{"kind": "cell_search"}, {"kind": "genetic", "population": 12}], ids=["cells", "population"]
 )
-def test_a_search_resumes_between_a_closed_round_and_the_next_one(
-    tmp_path: Path, optimizer: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_search_resumes_between_a_closed_round_and_the_next_one(tmp_path: Path, optimizer: dict[str, Any]) -> None:
     result = []
     for deaths in (0, 3):
         database = migrated(f"sqlite:///{tmp_path / f'{deaths}.db'}")
         campaign = submit(database, optimizer=optimizer, budget={"simulations": 100}, **WITH_SIX)
-        killed_between_rounds(database, campaign, deaths, monkeypatch)
+        killed_between_rounds(database, campaign, range(1, deaths + 1))
         result.append((everything(database, campaign)[0], get(database, campaign).cells))
         database.dispose()
     (whole, undisturbed), (cells, killed) = result

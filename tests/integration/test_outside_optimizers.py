@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -259,6 +260,7 @@ def test_a_request_may_wait_for_an_answer(sqlite: RunningApi) -> None:
 def test_a_set_costs_one_transaction_of_the_api_and_four_of_the_dispatcher(
     sqlite: RunningApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("drivecal.dispatch.dispatcher.TIDY_SECONDS", math.inf)
     campaign, work, written = submitted(sqlite), dispatcher(sqlite.database, ComputedBackend(1)), list[Database]()
     propose(sqlite, campaign, sets(0, 1))
     while len(answers(sqlite, campaign)["items"]) < 2:
@@ -270,7 +272,6 @@ def test_a_set_costs_one_transaction_of_the_api_and_four_of_the_dispatcher(
         return whole(database)
 
     monkeypatch.setattr(Database, "transaction", counted)
-    monkeypatch.setattr(Dispatcher, "_tidy", lambda _: False)
     propose(sqlite, campaign, sets(1, 1, scenarios=["S1"]))
     assert len(written) == 1
     while len(answers(sqlite, campaign)["items"]) < 3:

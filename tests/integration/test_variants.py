@@ -1,19 +1,18 @@
 """Campaigns for several variants: shared simulations, the best set of each, and what the best common one costs."""
 
-from contextlib import suppress
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
-from tests.support.deaths import Killed
-from tests.support.runs import dispatcher, everything, finish, get, submit
+from tests.support.deaths import killed_between_rounds
+from tests.support.runs import everything, get, submit
 
 from drivecal.api.results.document import results_of
 from drivecal.api.tables.ranking import ranking, variants_of
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.campaigns.stages.calibration import Calibration
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
@@ -31,11 +30,9 @@ def by_mass(setup: Any, cell: Cell) -> CellResult:
     return computed(setup.scenario, Cell(cell.id, {**cell.parameters, "P1": (cell.parameters["P1"] + shift) % 1.0}))
 
 
-def carried_out(database: Database, workers: int = 1, **changes: Any) -> StoredCampaign:
+def carried_out(database: Database, workers: int = 1, deaths: Sequence[int] = (), **changes: Any) -> StoredCampaign:
     campaign = submit(database, variants=VARIANTS, likeness="a", **changes)
-    while not get(database, campaign).state.ended:
-        with suppress(Killed):
-            finish(database, campaign, dispatcher(database, ComputedBackend(workers, driven=by_mass, count=workers)))
+    killed_between_rounds(database, campaign, deaths, lambda: ComputedBackend(workers, driven=by_mass, count=workers))
     return get(database, campaign)
 
 
@@ -67,22 +64,12 @@ def test_each_variant_has_its_best_set_and_the_common_one_its_cost(
         assert ranking(database, ended, resolved.of_variant(found.name), None).solutions(0, 1) == [found.best]
 
 
-def test_variants_depend_on_no_worker_and_no_kill_and_use_the_budget_exactly(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    outcomes, left, close = [], [0], Calibration._close
-
-    def die(stage: Calibration, number: int) -> None:
-        close(stage, number)
-        if left[0] and number > 4 - left[0]:
-            left[0] -= 1
-            raise Killed("between two rounds")
-
-    monkeypatch.setattr(Calibration, "_close", die)
-    for workers, left[0] in ((1, 0), (8, 2)):
+def test_variants_depend_on_no_worker_and_no_kill_and_use_the_budget_exactly(tmp_path: Path) -> None:
+    outcomes = []
+    for workers, deaths in ((1, ()), (8, (4, 5))):
         database = migrated(f"sqlite:///{tmp_path / f'{workers}.db'}")
-        ended = carried_out(database, workers, **SURROGATE)
+        ended = carried_out(database, workers, deaths, **SURROGATE)
         outcomes.append(everything(database, ended))
-        assert (ended.cells.requested, left) == (71, [0])
+        assert ended.cells.requested == 71
         database.dispose()
     assert outcomes[0] == outcomes[1]

@@ -1,7 +1,7 @@
 """Dispatchers that die at a moment of their choice, and what their campaigns find in spite of it."""
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
@@ -10,11 +10,12 @@ from typing import Any, TypeVar
 from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.runs import finish, run
+from tests.support.runs import dispatcher, finish, run
 
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
 from drivecal.execution.pool import Leases, WorkPool
+from drivecal.storage import generations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -70,6 +71,23 @@ def live(database: Database, campaign: StoredCampaign, working: Dispatcher) -> b
     except Killed:
         return True
     return False
+
+
+def killed_between_rounds(
+    database: Database,
+    campaign: StoredCampaign,
+    rounds: Iterable[int],
+    backend: Callable[[], ComputedBackend] = ComputedBackend,
+) -> None:
+    """Carries a campaign out. For each number, a dispatcher dies right after that round was stored as finished, counted from 1."""
+    for number in rounds:
+
+        def dies(number: int = number) -> bool:
+            with database.read() as connection:
+                return generations.finished(connection, campaign.sequence) >= number
+
+        assert live(database, campaign, mortal(database, dies, backend())), f"it ended before {number} rounds"
+    finish(database, campaign, dispatcher(database, backend()))
 
 
 def ends_in_spite_of_deaths(

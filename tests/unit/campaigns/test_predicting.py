@@ -1,6 +1,7 @@
 """Batches that use a predictor."""
 
 from decimal import Decimal
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,7 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.storage import new_evaluation
+from tests.support.databases import migrated
+from tests.support.storage import campaign, new_evaluation
 
 from drivecal.campaigns.cells import predicting
 from drivecal.campaigns.cells.planning import ReuseTime
@@ -28,10 +30,7 @@ from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.domain.scales import COMFORT
 from drivecal.reduction.assignment import LIKELY
 from drivecal.reduction.prediction import FEWEST_KNOWN, Predictions
-from drivecal.storage import lots
 from drivecal.storage.lots import LotVerdict, StoredLot
-
-NOTHING: Any = None
 
 
 def lot(size: int, sample: int = 16, *, seconds: float = 1.0, known: int = 1000, errors: int | None = 0) -> StoredLot:
@@ -125,9 +124,8 @@ def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:
     assert 0.0 < released.upper_95 <= 1.0
 
 
-def test_sets_within_reach_of_the_best_one_are_simulated_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sets_within_reach_of_the_best_one_are_simulated_whole(tmp_path: Path) -> None:
     """By their predicted objective, or by two standard deviations above the believed mean."""
-    monkeypatch.setattr(lots, "insert", lambda _, __, new: list(range(len(new))))
     weights = {"S1": 0.5, "S2": 0.5}
     planner = planner_of(weights)
     cells = [
@@ -141,6 +139,10 @@ def test_sets_within_reach_of_the_best_one_are_simulated_whole(monkeypatch: pyte
     predictions = Predictions(scores, scores, np.ones(98), means, variances)
     planner._rows = {place: place for place in range(98)}
     planner._forecasts = {name: predicting._Forecast(predictions, np.zeros(98), 500, 3.0) for name in weights}
-    planned = planner.plan(NOTHING, cells, 6.0, ())
+    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    with database.transaction() as connection:
+        assert campaign(connection).sequence == 1
+        planned = planner.plan(connection, cells, 6.0, ())
+    database.dispose()
     assert {cell.individual for cell in planned if cell.plan is Outcome.SIMULATED} == {0, 2}
     assert {cell.individual for cell in planned if cell.plan is Outcome.PREDICTED} == {1, *range(3, 98)}

@@ -21,12 +21,13 @@ def hook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return module
 
 
-def stand_in(hook: ModuleType, monkeypatch: pytest.MonkeyPatch, folder: Path, script: str) -> None:
-    """A node that is a shell script."""
-    node = folder / "node"
-    node.write_text(f"#!/bin/sh\n{script}\n")
-    node.chmod(0o755)
-    monkeypatch.setattr(hook, "_node", lambda: (str(node), [str(node)]))
+def stand_in(monkeypatch: pytest.MonkeyPatch, folder: Path, script: str) -> None:
+    """A node and an npm that are a shell script."""
+    for name in ("node", "npm"):
+        (folder / name).write_text(f'#!/bin/sh\nif [ "$1" = --version ]; then echo v24.0.0; exit; fi\n{script}\n')
+        (folder / name).chmod(0o755)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setenv("PATH", f"{folder}:/bin:/usr/bin")
 
 
 def test_without_node_it_says_so_and_installs_the_rest(
@@ -53,13 +54,13 @@ def test_an_old_node_is_not_tried(hook: ModuleType, tmp_path: Path, monkeypatch:
 def test_libraries_that_cannot_be_fetched_are_the_reason(
     hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stand_in(hook, monkeypatch, tmp_path, "echo 'npm error network no such host' >&2; exit 1")
+    stand_in(monkeypatch, tmp_path, "echo 'npm error network no such host' >&2; exit 1")
     assert "no such host" in hook.build()
 
 
 def test_a_build_that_hangs_is_given_up(hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hook, "SECONDS_TO_FETCH", 0.2)
-    stand_in(hook, monkeypatch, tmp_path, "exec sleep 30")
+    stand_in(monkeypatch, tmp_path, "exec sleep 30")
     assert "longer than 0.2 s" in hook.build()
 
 
@@ -67,7 +68,7 @@ def test_a_page_is_built_once_and_again_when_its_sources_change(
     hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runs = tmp_path / "runs"
-    stand_in(hook, monkeypatch, tmp_path, f'echo "$1" >> {runs}; echo page > {hook.TARGET}/index.html')
+    stand_in(monkeypatch, tmp_path, f'echo "$1" >> {runs}; echo page > {hook.TARGET}/index.html')
     assert hook.build() is None
     assert runs.read_text().split() == ["ci", "node_modules/vite/bin/vite.js"]
     assert hook.build() is None
@@ -80,10 +81,10 @@ def test_a_page_is_built_once_and_again_when_its_sources_change(
 def test_a_page_that_fails_leaves_nothing_of_the_one_before(
     hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stand_in(hook, monkeypatch, tmp_path, f"echo page > {hook.TARGET}/index.html")
+    stand_in(monkeypatch, tmp_path, f"echo page > {hook.TARGET}/index.html")
     hook.build()
     (hook.WEB / "src" / "main.ts").write_text("export const other = ;")
-    stand_in(hook, monkeypatch, tmp_path, "echo 'syntax error'; exit 1")
+    stand_in(monkeypatch, tmp_path, "echo 'syntax error'; exit 1")
     assert "syntax error" in hook.build()
     assert [path.name for path in hook.TARGET.iterdir()] == ["missing.txt"]
 
