@@ -3,10 +3,12 @@
 import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
-from fastapi import Depends, FastAPI
+from fastapi import APIRouter, Depends, FastAPI
+from starlette.routing import BaseRoute
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.http import problems, queries
@@ -89,8 +91,6 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         redirect_slashes=False,
         docs_url=None,  # FastAPI's own pages load scripts of other hosts; see routes.page
         redoc_url=None,
-        responses=problems.RESPONSES,
-        dependencies=[Depends(queries.check_names)],
     )
     app.add_middleware(Authorisation, tokens=tokens)
     app.add_middleware(
@@ -100,6 +100,15 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
     )
     app.add_middleware(RequestRecords, meters=meters)  # the last one is the first that a request meets
     problems.install(app)
+    app.router.routes.extend(_routes())
+    _describe(app, asks_for_tokens=tokens is not None)
+    return app
+
+
+@cache
+def _routes() -> list[BaseRoute]:
+    """Every route, built once in a process: FastAPI would read the signatures of all handlers again for each application."""
+    router = APIRouter(responses=problems.RESPONSES, dependencies=[Depends(queries.check_names)])
     for noun in (
         campaigns,
         comparisons,
@@ -114,11 +123,10 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         outside,
         page_session,
     ):
-        app.include_router(noun.router, prefix=ROOT)
-    app.include_router(page.router)
-    app.include_router(health.router)
-    _describe(app, asks_for_tokens=tokens is not None)
-    return app
+        router.include_router(noun.router, prefix=ROOT)
+    router.include_router(page.router)
+    router.include_router(health.router)
+    return router.routes
 
 
 def _describe(app: FastAPI, *, asks_for_tokens: bool) -> None:
