@@ -1,4 +1,4 @@
-"""A package that cannot be imported, or that claims what another one has, costs only what is asked of it by name."""
+"""Packages of users. One that cannot be imported, or that claims what another one has, costs only what is asked of it by name."""
 
 import json
 import os
@@ -125,3 +125,37 @@ def test_a_scenario_id_of_two_catalogues_is_refused_with_both_names(tmp_path: Pa
     assert field == "catalogue[1]"
     assert "highway" in message
     assert "theirs" in message
+
+
+def test_a_plugin_of_another_package_is_found(tmp_path: Path) -> None:
+    install(tmp_path, "theirs", EMPTY, "[drivecal.scenarios]\ntheirs = theirs:PLUGIN\n")
+    program = "import json; from drivecal.plugins import registry as r; print(json.dumps([r.catalogue('theirs').name, r.names('{}')]))"
+    assert run(tmp_path, program.format("drivecal.scenarios")) == ["theirs", ["highway", "theirs"]]
+
+
+PLAIN = """
+from drivecal.optimizers.built_in import GENETIC
+class Plain:
+    name, settings = "plain", GENETIC.settings
+    def create(self, settings, n_values, start=None):
+        return GENETIC.create(settings, n_values, start)
+    def restore(self, settings, n_values, state):
+        return GENETIC.restore(settings, n_values, state)
+PLUGIN = Plain()
+"""
+SEARCHES = """
+import json
+import numpy as np
+from drivecal.plugins import registry
+plugin, kinds = registry.optimizer("plain"), ["grid", "integer"]
+settings, n_values = plugin.settings.model_validate({"kind": "genetic", "population": 4}), np.array([5, 5])
+optimizer = plugin.create(settings, n_values, None, kinds)
+restored = plugin.restore(settings, n_values, optimizer.state(), kinds)
+print(json.dumps([sorted(plugin.supports), *(each.ask().population.tolist() for each in (optimizer, restored))]))
+"""
+
+
+def test_an_optimizer_that_declares_nothing_gets_grids_and_is_not_told_kinds(tmp_path: Path) -> None:
+    install(tmp_path, "plain", PLAIN, "[drivecal.optimizers]\nplain = plain:PLUGIN\n")
+    supports, population, restored = run(tmp_path, SEARCHES)
+    assert (supports, population) == (["grid", "integer"], restored)

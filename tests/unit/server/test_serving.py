@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from tests.support.databases import migrated
+from tests.support.scripted import server
 
 from drivecal.configuration.settings import load_settings
 from drivecal.server import serving
@@ -34,19 +35,19 @@ def test_a_dispatcher_is_known_by_its_term_whatever_the_clock_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jump: timedelta
 ) -> None:
     database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
-    monkeypatch.setattr(serving, "_answers", lambda _: True)
     elect(database)
     report(database, "idle")
-    startup = Startup(database, "http://127.0.0.1:1")
-    assert startup.missing() == ["dispatcher"]
-    monkeypatch.setattr(processes, "now", lambda: now() + jump)
-    report(database, "idle")  # of the last one, which has not ended yet
-    assert startup.missing() == ["dispatcher"]
-    elect(database)
-    report(database, "starting")
-    assert startup.missing() == ["workers"]
-    report(database, "idle")
-    assert startup.missing() == []
+    with server(*4 * [(200, {}, b"")]) as (api, _):
+        startup = Startup(database, api.url)
+        assert startup.missing() == ["dispatcher"]
+        monkeypatch.setattr(processes, "now", lambda: now() + jump)
+        report(database, "idle")  # of the last one, which has not ended yet
+        assert startup.missing() == ["dispatcher"]
+        elect(database)
+        report(database, "starting")
+        assert startup.missing() == ["workers"]
+        report(database, "idle")
+        assert startup.missing() == []
     database.dispose()
 
 
