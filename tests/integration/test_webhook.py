@@ -9,6 +9,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
 import pytest
+from tests.support.deaths import InterceptedDatabase
 from tests.support.fake_backend import FakeBackend
 from tests.support.problems import store
 from tests.support.runs import dispatcher, get, step_until, submit
@@ -86,18 +87,18 @@ def test_an_end_and_a_degradation_are_posted_once_each_with_attempts_until_they_
         assert [each["event"] for each in posted[3:]] == ["degraded"]
 
 
-def test_what_is_not_marked_is_posted_again(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_marked_is_posted_again(database: Database) -> None:
     with listening() as (url, posted):
         Webhook(database, url).post()
         campaign = end(database)
 
-        def crash(*_: Any) -> None:
-            raise SystemExit
+        def crash(_: str) -> None:
+            if posted:
+                raise SystemExit
 
-        with monkeypatch.context() as patched:
-            patched.setattr(events, "mark_posted", crash)
-            with pytest.raises(SystemExit):
-                Webhook(database, url).post()
+        intercepted: Any = InterceptedDatabase(database, crash)
+        with pytest.raises(SystemExit):
+            Webhook(intercepted, url).post()
         Webhook(database, url).post()
         assert [each["campaign"]["id"] for each in posted] == [campaign] * 2
 

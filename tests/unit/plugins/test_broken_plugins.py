@@ -1,4 +1,4 @@
-"""Packages of users. One that cannot be imported, or that claims what another one has, costs only what is asked of it by name."""
+"""Packages of users: what is found, and that a broken one, or one whose name is taken, costs only what is asked of it by name."""
 
 import json
 import os
