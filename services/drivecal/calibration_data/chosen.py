@@ -91,10 +91,12 @@ def figures_of(
     """
     if isinstance(chosen, FrontRow):
         yield "rank on the front", str(chosen.rank)
-        yield from ((f"objective {name}", _number(amount)) for name, amount in chosen.objectives.items())
+        yield from ((f"objective {name}", _number(amount)) for name, amount in (chosen.objectives | chosen.uncertainty).items())
     else:
         yield "rank", str(chosen.rank)
         yield "objective", _number(chosen.objective)
+        ends = {"standard error": chosen.standard_error, "lower end": chosen.lower, "upper end": chosen.upper}
+        yield from ((f"{name} of the objective", _number(amount)) for name, amount in ends.items() if amount is not None)
     yield "score", score or known.campaign.scale.name
     if weights is not None:
         yield "weights", ",".join(f"{name}={_number(weight)}" for name, weight in weights.items())

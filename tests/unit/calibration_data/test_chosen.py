@@ -166,6 +166,15 @@ def test_an_undecided_set_breaks_no_constraint_by_a_figure() -> None:
     assert ("violation of constraints" in names, "limits on rates" in names) == (False, True)
 
 
+def test_a_set_of_a_random_simulator_has_the_interval_of_its_objective() -> None:
+    chosen = Data().ranked(None, None)[0].model_copy(update={"standard_error": 0.25, "lower": 2.5, "upper": None})
+    figures = dict(figures_of(Data().results(), chosen, None, None))
+    ends = [figures.get(f"{name} of the objective") for name in ("standard error", "lower end", "upper end")]
+    assert ends == ["0.25", "2.5", None]
+    member = Data().front(None).model_copy(update={"uncertainty": {"jerk_lower": 0.4}})
+    assert dict(figures_of(Data().results(), member, None, None))["objective jerk_lower"] == "0.4"
+
+
 def test_a_set_has_its_rank_objective_and_scores() -> None:
     own = {"rank": "1", "objective": "3", "score": "discomfort", "score follow": "2", "score brake": "4"}
     assert exported(Data()) == own
