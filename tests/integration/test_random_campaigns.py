@@ -313,6 +313,7 @@ def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: 
     assert ended.cells.unrepeatable > 0
     assert present(ended.best).lower is not None
     assert sum("samples" in note for note in ended.notes) == 1
+    assert not any("tolerance" in note for note in ended.notes), "predictions answer no cell"
 
 
 @pytest.mark.slow("rates", "quantiles of a population")

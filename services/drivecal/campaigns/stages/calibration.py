@@ -20,6 +20,7 @@ from drivecal.campaigns.cells.inspection import check_reuse, form_lots_of_refere
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
 from drivecal.campaigns.cells.predicting import CHANGED, LotPlanner, slice_size
 from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.resolve.resolvers import note_predictions
 from drivecal.campaigns.stages import task
 from drivecal.campaigns.stages.answers import CellAnswers, PopulationAnswers
 from drivecal.campaigns.stages.asking import (
@@ -505,6 +506,8 @@ class Calibration(Stage):
         if (rejected := rejected_text(self._error_rate)) is not None:
             notes.append(rejected)
         if counts.unrepeatable:
+            advice = note_predictions(self._problem.specification, self._problem.bench.scale)  # holds for equal runs
+            notes = [note for note in notes if note not in advice]
             notes.append(f"runs that differ from another one of the same cell: {counts.unrepeatable}; scores are samples")
             if not self._repeatable_no_more:
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": notes[-1]})
