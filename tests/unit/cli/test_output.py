@@ -2,7 +2,9 @@
 
 import io
 import time
+from contextlib import nullcontext
 from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
@@ -10,6 +12,7 @@ from rich.progress import Progress as RichProgress
 from rich.progress import TextColumn
 from typer.testing import CliRunner
 
+from drivecal.cli.commands import imported
 from drivecal.cli.commands.campaigns import counted
 from drivecal.cli.main import app
 from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, saved, when
@@ -31,6 +34,16 @@ def test_durations_read_well(seconds: float, text: str) -> None:
 def test_columns_align_numbers_right_and_text_left(capsys: pytest.CaptureFixture[str]) -> None:
     print_columns(["name", "share", "n"], [["a", "5.0 %", 1000], ["long name", "12.5 %", None]])
     assert capsys.readouterr().out == "name        share     n\na           5.0 %  1000\nlong name  12.5 %     -\n"
+
+
+def test_results_from_elsewhere_show_curves_in_the_place_of_coefficients(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = dict.fromkeys(("source", "date", "scenario", "name", "value", "simulated", "difference", "unit"), "")
+    rows = [SimpleNamespace(**known, parameters=each) for each in ({"g.c1": 1.0, "g.c2": 2.0}, {"g.c1": 3.0})]
+    shape = SimpleNamespace(names=["g.c1", "g.c2"], values=lambda _: [1.0, 2.0])
+    client = SimpleNamespace(imported=lambda *_: rows, problem=lambda _: SimpleNamespace(shapes={"g": shape}))
+    monkeypatch.setattr(imported, "connect", lambda _: nullcontext(client))
+    printed = CliRunner().invoke(app, ["results", "list", "p"]).stdout
+    assert [text in printed for text in ("g=[", "c2=", "c1=3")] == [True, False, True]
 
 
 def test_saved_is_the_share_that_needed_no_simulation() -> None:

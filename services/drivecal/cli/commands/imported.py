@@ -1,6 +1,7 @@
 """`drivecal results`: results of vehicles, test benches and other tools."""
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +9,7 @@ import typer
 
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, say
 from drivecal.cli.views.output import parameters_text, print_columns, print_json
+from drivecal.contracts.setup import ShapeAnswer
 
 results = typer.Typer(
     no_args_is_help=True, help="Results of vehicles, test benches and other tools, compared with simulations."
@@ -52,12 +54,19 @@ def list_(
     """List results from elsewhere, the stored simulations of the same sets, and the differences."""
     with connect(url) as client:
         rows = client.imported(problem, source)
+        shapes = {} if as_json else client.problem(problem).shapes
     if as_json:
         print_json(rows)
     else:
         header = ["source", "date", "scenario", "parameters", "name", "value", "simulated", "difference", "unit"]
         shown = ([getattr(row, name) for name in header] for row in rows)
-        print_columns(header, ([*line[:3], parameters_text(line[3]), *line[4:]] for line in shown))
+        print_columns(header, ([*line[:3], _set_text(line[3], shapes), *line[4:]] for line in shown))
+
+
+def _set_text(parameters: Mapping[str, float | str], shapes: Mapping[str, ShapeAnswer]) -> str:
+    """Returns a set with its curves; sets of earlier pushes may lack coefficients."""
+    whole = {name: shape for name, shape in shapes.items() if parameters.keys() >= {*shape.names}}
+    return parameters_text(parameters, shapes=whole)
 
 
 @results.command()
