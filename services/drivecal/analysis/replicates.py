@@ -69,6 +69,8 @@ class SetStatistics:
     """Variance of a run, the effect of its seed included."""
     freedom: Floats
     """Degrees of freedom of the variances."""
+    spread_freedom: Floats
+    """Degrees of freedom of the spreads."""
     noise: float | None = None
     """Deviation of a run without the effect of its seed, over all sets; None if unknown."""
     skewness: float = 0.0
@@ -109,7 +111,7 @@ class SetStatistics:
         """Returns half the widths of two-sided intervals of the sets' own means (Student)."""
         from scipy.special import stdtrit
 
-        result: Floats = stdtrit(self.freedom, 0.5 + confidence / 2) * self.standard_errors
+        result: Floats = stdtrit(self.spread_freedom, 0.5 + confidence / 2) * self.standard_errors
         return result
 
     def best(self, confidence: float) -> int:
@@ -198,12 +200,12 @@ def _means(samples: Floats) -> SetStatistics:
     residuals = np.where(run, samples - effects - means[:, np.newaxis], 0.0)
     raw = np.where(run, samples, 0.0).sum(axis=1) / counts
     deviations = np.where(run, samples - raw[:, np.newaxis], 0.0)
-    seeds = int(run[several].any(axis=0).sum())
-    own = counts - 1.0
-    freedom = max(own.sum() - max(seeds - 1, 0), 0.0)
+    sets_by_seed = run[several].sum(axis=0)
+    used, own = sets_by_seed > 0, counts - 1.0
+    freedom = max(own.sum() - max(used.sum() - 1, 0), 0.0)
     if freedom < FEWEST:
-        unknown = np.full(len(samples), np.nan)
-        return SetStatistics(counts, means, unknown, unknown, np.full(len(samples), freedom))
+        unknown, few = np.full(len(samples), np.nan), np.full(len(samples), freedom)
+        return SetStatistics(counts, means, unknown, unknown, few, few)
     if np.abs(deviations).max() <= 1e-12 * np.abs(raw).max():  # rounding is no noise
         residuals = deviations = np.zeros_like(deviations)
     squares, spread = float((residuals**2).sum()), (deviations**2).sum() / own.sum()
@@ -215,11 +217,14 @@ def _means(samples: Floats) -> SetStatistics:
     variances = np.maximum(
         variances, noise
     )  # a few equal runs, or none with a rare failure, make no set surer than all together
-    spreads = (prior * spread + (deviations**2).sum(axis=1)) / (prior + own)
     triples = float((own * (counts - 2) / counts).sum())  # cubes of two runs cancel out
     skewness = float((deviations**3).sum() / triples / spread**1.5) if triples > 0 and spread > 0 else 0.0
-    freedoms, spreads = np.minimum(prior + own, freedom), np.maximum(spreads, variances)
-    return SetStatistics(counts, means, variances, spreads, freedoms, noise**0.5, skewness)
+    # each seed is one draw of what it does to all sets; its estimate has noise as well
+    common = np.maximum(effects[used].var(ddof=1) - noise * (1 / sets_by_seed[used]).mean(), 0.0) if spread > 0 else 0.0
+    freedoms, spreads = np.minimum(prior + own, freedom), variances + common
+    share = common / np.maximum(spreads, 1e-300)
+    spread_freedoms = 1 / (share**2 / (used.sum() - 1) + (1 - share) ** 2 / freedoms)  # Satterthwaite 1946
+    return SetStatistics(counts, means, variances, spreads, freedoms, spread_freedoms, noise**0.5, skewness)
 
 
 def _step(values: Floats) -> float:

@@ -326,13 +326,12 @@ class Ranking:
         numbers, standing = known
         for number in self._solutions.keys() - set(numbers):  # compared before the first set kept the constraints
             self._solutions[number] = replace(self._solutions[number], **UNCOMPARED)
-        chosen = {seed for objectives in self._samples.values() for seed in objectives if seed <= self._choosing}
         for place, number in enumerate(numbers):
             fresh = [objective for seed, objective in sorted(self._samples.get(number, {}).items()) if seed > self._choosing]
             if len(fresh) > 1:
                 others = (0.0, 0.0)
                 if standing.is_known and self._level is None:  # runs under one seed have much in common
-                    others = float(standing.spreads[place]), min(float(standing.freedom[place]), len(chosen) - 1.0)
+                    others = float(standing.spreads[place]), float(standing.spread_freedom[place])
                 solution = self._solutions[number]
                 error = float((replicates.variance(fresh, *others) / len(fresh)) ** 0.5) * replicates.widening(self._level)
                 lower, upper = replicates.interval(fresh, self._level, confidence, *others, solution.sign * standing.skewness)

@@ -121,6 +121,14 @@ def test_effects_that_all_sets_share_disappear_from_comparisons() -> None:
     assert standing.errors.max() < 0.3 < 10 < standing.standard_errors.min()
 
 
+def test_what_a_seed_does_to_all_sets_is_drawn_once_however_many_there_are() -> None:
+    random = np.random.Generator(np.random.PCG64(1))
+    drawn = random.normal(size=(300, 1, 3)) + 0.1 * random.normal(size=(300, 20, 3))
+    drawn[:, 5:, 2] = np.nan
+    inside = [np.abs(np.nanmean(each, axis=1)) <= assess(each).half_widths(CONFIDENCE) for each in drawn]
+    assert 0.93 <= np.mean(inside) <= 0.985
+
+
 def test_equal_runs_need_no_further_ones() -> None:
     samples = np.tile(np.arange(5.0)[:, np.newaxis] / 10, (1, 3))  # a mean of three equal ones is another number
     assert allocate(assess(samples), 8, 20, CONFIDENCE) == []
