@@ -14,6 +14,8 @@ export interface SetSide {
   scores: Readonly<Record<string, number | null>>;
   /** How each scenario was answered. */
   answers?: Readonly<Record<string, string>> | undefined;
+  /** Seeds of the runs that make its scores, if there are several. */
+  seeds?: readonly number[];
   /** The number of its evaluation in a scenario; null if there is none. */
   cell: (scenario: string) => Promise<number | null>;
 }
@@ -35,14 +37,10 @@ const MOST = 1000;
 type Values = Readonly<Record<string, number | string>>;
 const same = (wanted: Values, given: Values): boolean => Object.entries(wanted).every(([name, value]) => given[name] === value);
 
-async function ranked(campaign: string, parameters: Values): Promise<PageSolution["items"][number] | undefined> {
+/** A set as it is ranked; undefined if it is not among the first of the ranking. */
+export async function ranked(campaign: string, parameters: Values): Promise<PageSolution["items"][number] | undefined> {
   const { items } = await get<PageSolution>(`/campaigns/${campaign}/solutions?limit=${MOST}`);
   return items.find((item) => same(parameters, item.parameters));
-}
-
-/** The rank of a set; null if it is not among the first of the ranking. */
-export async function rankOf(campaign: string, parameters: Values): Promise<number | null> {
-  return (await ranked(campaign, parameters))?.rank ?? null;
 }
 
 /** The number of the best set's evaluation in a scenario: others of the same objective and rating may come before it. */
@@ -66,9 +64,10 @@ export function baselineSide({ id, baseline }: Pick<Campaign, "id" | "baseline">
 /** A set of a front or a ranking as a view compares it. */
 export function sideOf(campaign: string, set: FrontRow | PageSolution["items"][number]): SetSide {
   const { rank, iteration, individual, parameters, scores } = set;
+  const seeds = "seeds" in set ? set.seeds : Array.from({ length: set.replicates > 1 ? set.replicates : 0 }, (_, place) => place + 1);
   const answers = "answers" in set ? set.answers : Object.fromEntries(set.reused.map((scenario) => [scenario, "reused"]));
   const cell = async (scenario: string): Promise<number | null> => (iteration === null || individual === null ? null : cellAt(campaign, iteration, individual, scenario));
-  return { title: `Set ${rank}`, column: `set ${rank}`, parameters, scores, answers, cell };
+  return { title: `Set ${rank}`, column: `set ${rank}`, parameters, scores, answers, seeds, cell };
 }
 
 /** Opens the evaluation of a set in a scenario, or the ranking if there is none. */
