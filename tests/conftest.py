@@ -26,7 +26,7 @@ from drivecal.execution.supervised import WorkerLimits
 
 # Everyday examples are the same everywhere, so that a newcomer's first run is no lottery. No test asserts a time: a first example that
 # imports or compiles something may take as long as it likes.
-hypothesis.settings.register_profile("everyday", deadline=None, derandomize=True, max_examples=50)
+hypothesis.settings.register_profile("everyday", deadline=None, derandomize=True, max_examples=30)
 hypothesis.settings.register_profile("wide", deadline=None, max_examples=effort.examples(100), print_blob=True)
 hypothesis.settings.load_profile("wide" if effort.LONG else "everyday")
 

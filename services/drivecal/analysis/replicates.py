@@ -33,6 +33,8 @@ LEAST_APART = 0.1
 """Least squared distance of sets, in the largest squared error."""
 NEGLIGIBLE = 0.05
 """Rivals whose probability is below this share of the permitted error get no runs."""
+UNLIKELY = 0.001
+"""Sets whose probability to be better than the highest mean is below this have none to be the best."""
 LISTED = 200
 """Most sets whose probability to be the best is computed."""
 
@@ -131,10 +133,14 @@ class SetStatistics:
         return result
 
     def probabilities(self) -> Floats:
-        """Returns the probability of each set to be the best; NaN: unknown. Only the LISTED most promising ones have one above 0."""
+        """Returns the probability of each set to be the best; NaN: unknown. Of at most LISTED sets that may beat the highest mean."""
         if self.failing is not None:
             return _with_failures(*self.failing)
-        listed = np.argsort(-(self.means + 2 * self.errors), kind="stable")[:LISTED].tolist()
+        leader = int(np.argmax(self.means))
+        may_win = self.ahead(leader) >= UNLIKELY
+        may_win[leader] = True
+        promising = np.argsort(-(self.means + 2 * self.errors), kind="stable")
+        listed = promising[may_win[promising]][:LISTED].tolist()
         result = np.zeros(len(self.means))
         for place in listed:
             result[place] = self.probability(place, listed)
