@@ -303,9 +303,8 @@ def donors(connection: Connection, campaign_sequence: int, stage: StageName) -> 
 
 def _select() -> Select[Any]:
     """Selects the columns of `StoredEvaluation`, in its order."""
-    others = {"parameters": parameter_sets.c.parameter_values, "seed": RUN_SEED, "has_seed": HAS_SEED}
-    columns = (others[name] if name in others else evaluations.c[name] for name in _NAMES)
-    return select(*columns).select_from(evaluations.join(parameter_sets))
+    columns = {**evaluations.c, "parameters": parameter_sets.c.parameter_values, "seed": RUN_SEED, "has_seed": HAS_SEED}
+    return select(*(columns[name] for name in _NAMES)).select_from(evaluations.join(parameter_sets))
 
 
 def _of_campaign(campaign_sequence: int) -> Select[Any]:

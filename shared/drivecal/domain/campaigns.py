@@ -21,8 +21,7 @@ class CampaignState(StrEnum):
 
 
 class StageName(StrEnum):
-    """The stages of a campaign: `claims` first, then in this order. Append only: databases store their positions. The cells of a single
-    evaluation have the name `calibration`."""
+    """Stages: `claims` first, then in this order. Append only: positions are stored. Single evaluations are stored as `calibration`."""
 
     SENSITIVITY = "sensitivity"
     CALIBRATION = "calibration"

@@ -186,16 +186,26 @@ def test_an_existing_file_is_never_replaced(database: Database, tmp_path: Path, 
 
 
 @pytest.mark.slow("postgresql")
-def test_a_backup_that_fails_leaves_nothing_behind(used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_backup_that_fails_leaves_nothing_behind(used: Database, tmp_path: Path) -> None:
     def fail(*_: object) -> None:
         raise UnavailableError("the disk is gone")
 
     with pytest.raises(UnavailableError, match="the disk is gone"):
         backup.write(used, tmp_path / "backup.db", fail)
     assert not list(tmp_path.glob("*backup*"))
-    monkeypatch.setattr("drivecal.storage.maintenance.backup._compare", fail)
-    with pytest.raises(UnavailableError, match="the disk is gone"):
-        backup.write(used, tmp_path / "backup.db", silent)
+
+
+def test_a_copy_that_lacks_rows_is_no_backup(used_sqlite: Path, tmp_path: Path) -> None:
+    def lose(_: str, done: int, total: int) -> None:
+        if done == total:
+            (partial,) = tmp_path.glob("*.partial*")
+            with closing(sqlite3.connect(partial)) as copy, copy:
+                copy.execute("DELETE FROM events")
+
+    database = Database.open(f"sqlite:///{used_sqlite}")
+    with pytest.raises(DatabaseError, match="in events"):
+        backup.write(database, tmp_path / "backup.db", lose)
+    database.dispose()
     assert not list(tmp_path.glob("*backup*"))
 
 

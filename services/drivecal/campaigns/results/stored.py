@@ -38,11 +38,10 @@ def given_sets(bench: Bench, given: Sequence[Values], field: str, diagnostics: D
 
 
 def stored_simulations(connection: Connection, bench: Bench, sets: Sequence[ParameterSet]) -> list[StoredSimulation]:
-    """Returns the stored simulations of sets in the bench's scenarios, by place. Random simulators count under seed 1.
+    """Returns the stored simulations of sets in the bench's scenarios, by place, under the bench's seed.
 
     Runs that were rated by another score only are rated from their measures, unless the score needs their time series.
     """
-    bench = bench.seeded(1)
     ids = parameter_sets.ids(connection, [each.key for each in sets])
     known = setups.ids(connection, [setup.fingerprint for setup in bench.setups.values()])
     places: dict[int, list[int]] = {}

@@ -1,6 +1,8 @@
 """Runs of random simulators: the benches of seeds, and the runs after a search that decide which set is the best."""
 
 from collections.abc import Sequence
+from functools import cache
+from itertools import groupby
 
 import numpy as np
 from sqlalchemy import Connection
@@ -27,22 +29,13 @@ class SeededBenches:
     """The benches of a problem by seed, each made once."""
 
     def __init__(self, bench: Bench) -> None:
-        self._bench = bench
-        self._benches = {bench.seed: bench}
-
-    def of(self, seed: int) -> Bench:
-        """Returns the bench of a seed."""
-        if seed not in self._benches:
-            self._benches[seed] = self._bench.seeded(seed)
-        return self._benches[seed]
+        self.of = cache(bench.seeded)
+        """The bench of a seed."""
 
     def with_cells(self, wanted: Sequence[RequestedCell]) -> list[tuple[Bench, list[RequestedCell]]]:
         """Returns cells with the benches of their seeds, in the order of the seeds."""
-        by_bench: dict[int, tuple[Bench, list[RequestedCell]]] = {}
-        for cell in sorted(wanted, key=lambda cell: cell.seed):
-            bench = self.of(cell.seed)
-            by_bench.setdefault(bench.seed, (bench, []))[1].append(cell)
-        return list(by_bench.values()) or [(self._bench, [])]
+        by_seed = groupby(sorted(wanted, key=lambda cell: cell.seed), lambda cell: cell.seed)
+        return [(self.of(seed), list(cells)) for seed, cells in by_seed] or [(self.of(1), [])]
 
 
 class Replication:

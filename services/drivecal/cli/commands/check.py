@@ -385,8 +385,7 @@ def _markdown(chosen: str, checked: CheckedSet, findings: Sequence[Finding]) -> 
     ]
     for row in _rows(checked, findings):
         shown = [
-            "" if value is None else score_text(value) if isinstance(value, float | int) else str(value)
-            for value in row.values()
+            "" if each is None else score_text(each) if isinstance(each, float | int) else str(each) for each in row.values()
         ]
         lines.append(f"| {' | '.join(text.replace('|', chr(92) + '|') for text in shown)} |")
     return "\n".join([*lines, "", ""])

@@ -156,10 +156,7 @@ def solutions_table(solutions: Sequence[Solution]) -> list[Block]:
             *(amount if isinstance(amount := getattr(solution, name), int) else score_text(amount) for name in uncertain),
             *(broken_text(solution) if solution.violation else "kept" for _ in broken),
             *(f"{value:.6g}" for value in solution.constraints.values()),
-            *(
-                f"{score_text(score)}*" if name in solution.reused else score_text(score)
-                for name, score in solution.scores.items()
-            ),
+            *(score_text(score) + "*" * (name in solution.reused) for name, score in solution.scores.items()),
             *solution.parameters.values(),
         ]
         for solution in solutions
