@@ -92,7 +92,7 @@ class Campaign:
     @property
     def is_right(self) -> bool:
         """True if the best set was chosen."""
-        known = self.ranking.standing()
+        known = self.ranking.statistics()
         return known is not None and known[0][known[1].best(MANY.confidence)] == 0
 
     @property

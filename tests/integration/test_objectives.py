@@ -123,7 +123,7 @@ def test_sets_that_share_the_best_objective_and_keep_the_constraints_are_examine
         "robustness": {"delta": 0.05, "steps": 1, "samples": 2, "solutions": 1000},
     }
     ended = run(database, submit(database, **spec), backend())
-    listed = ranking_of(database, ended).ranking()
+    listed = ranking_of(database, ended).best_first()
     good = [each for each in listed if each.violation == 0 and each.objective >= listed[0].objective - 1e-9]
     with database.read() as connection:
         study = studies.get(connection, ended.sequence, StageName.ROBUSTNESS)

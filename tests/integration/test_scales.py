@@ -42,7 +42,7 @@ def test_the_search_minimises_and_a_failed_run_never_wins(database: Database) ->
     with database.read() as connection:
         ranking = by_score({"S1": 1.0, "S2": 1.0, "S3": 1.0}, COST)
         ranking.add(results.answers(connection, ended.sequence, StageName.CALIBRATION))
-        ranked = ranking.ranking()
+        ranked = ranking.best_first()
         figures = generations.course(connection, ended.sequence)
         told = [event.data["objective"] for event in events.since(connection, ended.sequence, 0, 1_000) if event.kind == "best"]
     assert ended.best is not None

@@ -11,7 +11,7 @@ from tests.support.deaths import killed_between_rounds
 from tests.support.runs import everything, get, submit
 
 from drivecal.api.results.document import results_of
-from drivecal.api.tables.ranking import ranking, variants_of
+from drivecal.api.tables.ranking import campaign_ranking, variants_of
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.storage import results
@@ -61,7 +61,7 @@ def test_each_variant_has_its_best_set_and_the_common_one_its_cost(
         assert found.best is not None
         assert found.best.objective == pytest.approx(max(known[found.name].values()))
         assert found.cost == pytest.approx(found.best.objective - (found.common or 0))
-        assert ranking(database, ended, resolved.of_variant(found.name), None).solutions(0, 1) == [found.best]
+        assert campaign_ranking(database, ended, resolved.of_variant(found.name), None).solutions(0, 1) == [found.best]
 
 
 def test_variants_depend_on_no_worker_and_no_kill_and_use_the_budget_exactly(tmp_path: Path) -> None:

@@ -19,6 +19,9 @@ from drivecal.domain.evaluations import CellScore
 from drivecal.domain.rounding import levels, same
 from drivecal.plugins.ports import Floats
 
+Cells = Mapping[str, CellScore]
+"""Answers of a set by scenario."""
+
 
 @dataclass(frozen=True, slots=True)
 class EvaluatedSet:
@@ -104,17 +107,93 @@ class FrontMember:
         return len(self.alike)
 
 
+class SetJudge:
+    """Makes sets of answers, by weights and goals. It keeps no answer."""
+
+    def __init__(self, weights: Mapping[str, float], goals: Goals, wanted: ReplicatesSpecification) -> None:
+        """See `Ranking`."""
+        self.shares = normalised(weights)
+        self.first = replace(goals.objectives[0], shares=self.shares) if goals.is_weighted_score else goals.objectives[0]
+        self.goals = replace(goals, objectives=(self.first, *goals.objectives[1:]))
+        self._is_rated = self.first.is_weighted_mean(self.shares)
+        self.choosing, self.level = replicates.choosing(wanted.most), wanted.level
+        judged = (*goals.objectives, *goals.bounds)
+        bounding = {scenario for goal in judged for scenario in goal.shares}.difference(self.shares)
+        self.scenarios = dict.fromkeys((*self.shares, *sorted(bounding))).keys()
+        """Scenarios whose answers count, weighted ones first."""
+
+    def of_cells(self, number: int, place: tuple[int, int], cells: Cells, runs: Sequence[Cells] = ()) -> EvaluatedSet | None:
+        """Returns the set of this id, first met at a place, by its cells; None if a result is missing. `runs`: see `Goals.judge`."""
+        scores: dict[str, float] = {}
+        ratings: list[float] = []
+        for scenario in self.shares:
+            cell = cells.get(scenario)
+            if cell is None or cell.score is None or cell.rating is None:
+                return None
+            scores[scenario] = cell.score
+            ratings.append(cell.rating)
+        judgement = self.goals.judge(cells, runs)
+        if judgement is None:
+            return None
+        reused = tuple(scenario for scenario in self.scenarios if scenario in cells and not cells[scenario].own)
+        objective = judgement.amounts[0]
+        rating = weighted(0.0, ratings, self.shares.values()) if self._is_rated else objective
+        return EvaluatedSet(number, objective, rating, scores, reused, *place, judgement, self.first.sign, self.first.span)
+
+    def by_seed(self, number: int, place: tuple[int, int], runs: Mapping[int, Cells]) -> dict[int, EvaluatedSet]:
+        """Returns a set by each of its seeds with a result; none if a run failed under another one: a mean of those alone that did
+        not fail would say too much."""
+        judged = {seed: self.of_cells(number, place, cells) for seed, cells in sorted(runs.items())}
+        whole = {seed: each for seed, each in judged.items() if each is not None}
+        lost = any(cell.failed for seed in judged.keys() - whole.keys() for cell in runs[seed].values())
+        return {} if lost else whole
+
+    def over_seeds(self, by_seed: Mapping[int, EvaluatedSet], runs: Mapping[int, Cells]) -> tuple[EvaluatedSet | None, Cells]:
+        """Returns a set by the means over its seeds, None without a result, and its cells by the seeds that choose."""
+        if len(runs) == 1 or not by_seed:
+            return next(iter(by_seed.values()), None), next(iter(runs.values()))
+        fresh = [seed for seed in by_seed if seed > self.choosing]
+        choosing = [seed for seed in by_seed if seed <= self.choosing] or fresh
+        solution, cells = self._mean(by_seed, runs, choosing)
+        if solution is None:
+            return None, cells
+        reported = self._mean(by_seed, runs, fresh)[0] if len(fresh) > 1 and choosing is not fresh else None
+        if reported is not None:
+            solution = replace(reported, chosen_by=replace(solution, replicates=len(choosing)))
+        failures = sum(cell.failed for seed in by_seed for cell in runs[seed].values())
+        return replace(solution, replicates=len(by_seed), failures=failures), cells
+
+    def _mean(
+        self, by_seed: Mapping[int, EvaluatedSet], runs: Mapping[int, Cells], seeds: Sequence[int]
+    ) -> tuple[EvaluatedSet | None, Cells]:
+        """Returns a set by the means over some of its seeds, with its objective over them, and these means."""
+        cells = {name: over_seeds([runs[seed][name] for seed in seeds]) for name in runs[seeds[0]]}
+        first, values = by_seed[seeds[0]], [by_seed[seed].objective for seed in seeds]
+        place = first.iteration, first.individual
+        solution = self.of_cells(first.parameter_set, place, cells, self.counted(runs))
+        if solution is None:
+            return None, cells
+        quantile, judgement = None if self.level is None else Aggregate("quantile", self.level), solution.judgement
+        objective = fmean(values) if quantile is None else quantile(values, [1 / len(values)] * len(values))
+        if len(judgement.amounts) == 1:
+            judgement = replace(judgement, amounts=(objective,))
+        return replace(solution, objective=objective, judgement=judgement, seeds=tuple(seeds)), cells
+
+    def counted(self, runs: Mapping[int, Cells]) -> list[Cells]:
+        """Returns the cells of a set by seed that rates count: of the seeds that choose."""
+        return [cells for seed, cells in sorted(runs.items()) if seed <= self.choosing]
+
+
 class Ranking:
     """All parameter sets with their scores, under one choice of weights; grows as answers arrive."""
 
     def __init__(self, weights: Mapping[str, float], goals: Goals, wanted: ReplicatesSpecification | None = None) -> None:
         """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named count for goals alone. `goals`: their
         first objective ranks. `wanted`: replicates of a random simulator."""
-        self._shares, self._wanted = normalised(weights), wanted or ReplicatesSpecification()
-        first = replace(goals.objectives[0], shares=self._shares) if goals.is_weighted_score else goals.objectives[0]
-        self._goals, self._first = replace(goals, objectives=(first, *goals.objectives[1:])), first
-        self._is_rated = first.is_weighted_mean(self._shares)
-        self._choosing, self._level = replicates.choosing(self._wanted.most), self._wanted.level
+        self._wanted = wanted or ReplicatesSpecification()
+        self._judge = SetJudge(weights, goals, self._wanted)
+        self._goals, self._choosing, self._level = self._judge.goals, self._judge.choosing, self._judge.level
+        self.scenarios = self._judge.scenarios
         self._runs: dict[int, dict[int, dict[str, CellScore]]] = {}
         """Answers by set, seed and scenario."""
         self._samples: dict[int, dict[int, float]] = {}
@@ -122,11 +201,8 @@ class Ranking:
         self._varies = False
         """Ratings of a set differ between seeds, so that equal scores, which have steps, do not say that there is no noise."""
         self._is_assessed = True
-        judged = (*goals.objectives, *goals.bounds)
-        bounding = {scenario for goal in judged for scenario in goal.shares}.difference(self._shares)
-        self.scenarios = dict.fromkeys((*self._shares, *sorted(bounding))).keys()
-        """Scenarios whose answers count, weighted ones first."""
-        self._answers: dict[int, dict[str, CellScore]] = {}
+        self._answers: dict[int, Cells] = {}
+        """Answers by set and scenario: means over the seeds that choose."""
         self._places: dict[int, tuple[int, int]] = {}
         self._solutions: dict[int, EvaluatedSet] = {}
         self._predicted: dict[int, EvaluatedSet] = {}
@@ -150,16 +226,18 @@ class Ranking:
         self._surest_front = self._best = self._levels = None
         self._is_assessed = False
         for number in touched:
-            solution = self._over_seeds(number)
-            if solution is None:
-                self._solutions.pop(number, None)
-                self._predicted.pop(number, None)
-                continue
-            if any(cell.predicted for cell in self._answers[number].values()):
-                self._predicted[number] = solution
-            else:
-                self._solutions[number] = solution
-                self._predicted.pop(number, None)
+            runs = self._runs[number]
+            by_seed = self._judge.by_seed(number, self._places[number], runs)
+            if by_seed and len(runs) > 1:
+                self._samples[number] = {seed: each.objective for seed, each in by_seed.items()}
+                self._varies |= len({each.rating for each in by_seed.values()}) > 1
+            solution, self._answers[number] = self._judge.over_seeds(by_seed, runs)
+            is_predicted = any(cell.predicted for cell in self._answers[number].values())
+            for sets, belongs in ((self._predicted, is_predicted), (self._solutions, not is_predicted)):
+                if solution is not None and belongs:
+                    sets[number] = solution
+                else:
+                    sets.pop(number, None)
 
     @property
     def sets(self) -> int:
@@ -173,51 +251,12 @@ class Ranking:
         if self._levels is None:
             known = list((self._solutions | self._predicted).values())
             violations = levels(np.array([each.choice.violation for each in known])).tolist()
-            objectives = levels(np.array([-each.sign * each.ranked_by for each in known]), self._first.span).tolist()
+            objectives = levels(np.array([-each.sign * each.ranked_by for each in known]), self._judge.first.span).tolist()
             numbers = (each.parameter_set for each in known)
             self._levels = dict(zip(numbers, zip(violations, objectives, strict=True), strict=True))
         rating = -solution.sign * solution.choice.rating
         runs = len(self._runs[solution.parameter_set])
         return *self._levels[solution.parameter_set], -runs, rating, solution.iteration, solution.individual
-
-    def _over_seeds(self, number: int) -> EvaluatedSet | None:
-        """Returns the solution of a set with the means over its seeds."""
-        runs = self._runs[number]
-        if len(runs) == 1:
-            [self._answers[number]] = runs.values()
-            return self._solution(number, self._answers[number])
-        by_seed = {seed: self._solution(number, cells) for seed, cells in sorted(runs.items())}
-        whole = {seed: solution for seed, solution in by_seed.items() if solution is not None}
-        lost = any(cell.failed for seed in by_seed.keys() - whole.keys() for cell in runs[seed].values())
-        if lost or not whole:  # a mean of those seeds alone that did not fail would say too much
-            self._answers[number] = next(iter(runs.values()))
-            return None
-        self._samples[number] = {seed: solution.objective for seed, solution in whole.items()}
-        self._varies |= len({solution.rating for solution in whole.values()}) > 1
-        fresh = [seed for seed in whole if seed > self._choosing]
-        choosing = [seed for seed in whole if seed <= self._choosing] or fresh
-        reported = self._mean(number, fresh) if len(fresh) > 1 and choosing is not fresh else None
-        solution = self._mean(number, choosing)  # last: the answers of a set are by the seeds that choose
-        if solution is None:
-            return None
-        if reported is not None:
-            solution = replace(reported, chosen_by=replace(solution, replicates=len(choosing)))
-        failures = sum(cell.failed for seed in whole for cell in runs[seed].values())
-        return replace(solution, replicates=len(whole), failures=failures)
-
-    def _mean(self, number: int, seeds: Sequence[int]) -> EvaluatedSet | None:
-        """Returns the solution of a set by the means over some of its seeds, which become its answers, and its objective over them."""
-        runs = self._runs[number]
-        self._answers[number] = {name: over_seeds([runs[seed][name] for seed in seeds]) for name in runs[seeds[0]]}
-        solution = self._solution(number, self._answers[number], self._counted(number))
-        if solution is None:
-            return None
-        values, judgement = [self._samples[number][seed] for seed in seeds], solution.judgement
-        quantile = None if self._level is None else Aggregate("quantile", self._level)
-        objective = fmean(values) if quantile is None else quantile(values, [1 / len(values)] * len(values))
-        if len(judgement.amounts) == 1:
-            judgement = replace(judgement, amounts=(objective,))
-        return replace(solution, objective=objective, judgement=judgement, seeds=tuple(seeds))
 
     def uncertainty(self, best: EvaluatedSet) -> dict[str, Any]:
         """Returns the uncertainty of the best set's objective, how many sets cannot be told from it, and the noise of each scenario."""
@@ -237,7 +276,7 @@ class Ranking:
         noise: dict[str, float] = {}
         repeated = sorted(self._samples)
         last = max((seed for number in repeated for seed in self._runs[number]), default=0)
-        for scenario in self._shares:
+        for scenario in self._judge.shares:
             samples = np.full((len(repeated), last), np.nan)
             for place, number in enumerate(repeated):
                 for seed, cells in self._runs[number].items():
@@ -259,15 +298,11 @@ class Ranking:
         if not judgement.undecided:
             return None if judgement.broken else 0
         left = 1_000_000 if ever else sum(seed not in runs for seed in range(1, self._choosing + 1))
-        rates, counted = [bound for bound in self._goals.bounds if bound.rate is not None], self._counted(parameter_set)
+        rates, counted = [bound for bound in self._goals.bounds if bound.rate is not None], self._judge.counted(runs)
         shown = bisect_left(range(left + 1), True, key=lambda seeds: all(bound.is_shown(counted, seeds) for bound in rates))
         return shown if shown <= left else None
 
-    def _counted(self, parameter_set: int) -> list[dict[str, CellScore]]:
-        """Returns the cells of a set by seed that rates count: of the seeds that choose."""
-        return [cells for seed, cells in sorted(self._runs[parameter_set].items()) if seed <= self._choosing]
-
-    def standing(self, seeds: int = 0) -> tuple[list[int], SetStatistics] | None:
+    def statistics(self, seeds: int = 0) -> tuple[list[int], SetStatistics] | None:
         """Returns what is known of the sets by the seeds that choose, and their ids; None without a set. Sets that keep all
         constraints, or may show it under this many further `seeds`, or else all sets."""
         everything = list(self._solutions.values())
@@ -299,7 +334,7 @@ class Ranking:
         samples = np.full((len(self._goals.objectives), len(numbers), min(last, self._choosing)), np.nan)
         for place, number in enumerate(numbers):
             for seed, cells in self._runs[number].items():
-                solution = self._solution(number, cells) if seed <= self._choosing else None
+                solution = self._judge.of_cells(number, self._places[number], cells) if seed <= self._choosing else None
                 if solution is not None:
                     samples[:, place, seed - 1] = solution.judgement.amounts
         kept = np.isfinite(samples[0]).any(axis=1)
@@ -320,48 +355,48 @@ class Ranking:
         if not self._samples:
             return
         self._levels = None
-        known = self.standing()
-        if known is None:
+        statistics = self.statistics()
+        if statistics is None:
             return
-        numbers, standing = known
+        numbers, known = statistics
         for number in self._solutions.keys() - set(numbers):  # compared before the first set kept the constraints
             self._solutions[number] = replace(self._solutions[number], **UNCOMPARED)
         for place, number in enumerate(numbers):
             fresh = [objective for seed, objective in sorted(self._samples.get(number, {}).items()) if seed > self._choosing]
             if len(fresh) > 1:
                 others = (0.0, 0.0)
-                if standing.is_known and self._level is None:  # runs under one seed have much in common
-                    others = float(standing.spreads[place]), float(standing.spread_freedom[place])
+                if known.is_known and self._level is None:  # runs under one seed have much in common
+                    others = float(known.spreads[place]), float(known.spread_freedom[place])
                 solution = self._solutions[number]
                 error = float((replicates.variance(fresh, *others) / len(fresh)) ** 0.5) * replicates.widening(self._level)
-                lower, upper = replicates.interval(fresh, self._level, confidence, *others, solution.sign * standing.skewness)
+                lower, upper = replicates.interval(fresh, self._level, confidence, *others, solution.sign * known.skewness)
                 own = replace(solution, lower=lower, upper=upper, standard_error=error)
                 self._solutions[number] = own
-        leader = standing.best(confidence)
-        if not standing.is_known:  # too few runs tell no set from the best one
+        leader = known.best(confidence)
+        if not known.is_known:  # too few runs tell no set from the best one
             for number in set(numbers) - {numbers[leader]}:
                 self._solutions[number] = replace(self._solutions[number], is_close=True)
             return
-        probabilities, bounds = standing.probabilities(), standing.bounds(confidence)
-        ahead, halves = standing.ahead(leader), standing.half_widths(confidence)
+        probabilities, bounds = known.probabilities(), known.bounds(confidence)
+        ahead, halves = known.ahead(leader), known.half_widths(confidence)
         for place, number in enumerate(numbers):
             solution = self._solutions[number]
             is_reported, half = solution.chosen_by is not None, float(halves[place])
             close = place != leader and ahead[place] > 1 - confidence
-            middle = solution.objective if self._level is None else solution.sign * float(standing.means[place])
+            middle = solution.objective if self._level is None else solution.sign * float(known.means[place])
             self._solutions[number] = replace(
                 solution,
-                standard_error=solution.standard_error if is_reported else float(standing.standard_errors[place]),
+                standard_error=solution.standard_error if is_reported else float(known.standard_errors[place]),
                 # runs that chose the best set say too much of it
                 lower=solution.lower if is_reported or place == leader else middle - half,
                 upper=solution.upper if is_reported or place == leader else middle + half,
                 probability_best=None if np.isnan(probabilities[place]) else float(probabilities[place]),
                 is_close=bool(close),
-                runs_to_tell=replicates.to_tell(standing, leader, place, confidence) if close else None,
+                runs_to_tell=replicates.to_tell(known, leader, place, confidence) if close else None,
                 bound=solution.sign * float(bounds[place]),
             )
 
-    def ranking(self) -> list[EvaluatedSet]:
+    def best_first(self) -> list[EvaluatedSet]:
         """All solutions, best first."""
         self._assess()
         return sorted(self._solutions.values(), key=self.order)
@@ -473,26 +508,6 @@ class Ranking:
         """A parameter set's solution, None if a result is missing; `parameter_set` is its id."""
         self._assess()
         return self._solutions.get(parameter_set)
-
-    def _solution(
-        self, number: int, cells: Mapping[str, CellScore], runs: Sequence[Mapping[str, CellScore]] = ()
-    ) -> EvaluatedSet | None:
-        scores: dict[str, float] = {}
-        ratings: list[float] = []
-        for scenario in self._shares:
-            cell = cells.get(scenario)
-            if cell is None or cell.score is None or cell.rating is None:
-                return None
-            scores[scenario] = cell.score
-            ratings.append(cell.rating)
-        judgement = self._goals.judge(cells, runs)
-        if judgement is None:
-            return None
-        reused = tuple(scenario for scenario in self.scenarios if scenario in cells and not cells[scenario].own)
-        objective = judgement.amounts[0]
-        rating = weighted(0.0, ratings, self._shares.values()) if self._is_rated else objective
-        place, first = self._places[number], self._first
-        return EvaluatedSet(number, objective, rating, scores, reused, *place, judgement, first.sign, first.span)
 
 
 def over_seeds(cells: Sequence[CellScore]) -> CellScore:

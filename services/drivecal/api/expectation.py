@@ -8,7 +8,7 @@ from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.live.dispatcher_health import judge
-from drivecal.api.tables.ranking import ranking
+from drivecal.api.tables.ranking import campaign_ranking
 from drivecal.campaigns.cells.earlier import earlier_versions, sample, unclaimed
 from drivecal.campaigns.comparison import ComparisonProblem, resolve_comparison
 from drivecal.campaigns.resolve.bench import Bench
@@ -163,7 +163,9 @@ def _with_set(database: Database, goal: GoalSpecification, problem: str) -> Goal
             except NotFoundError:
                 return goal
             place = 1 if not mark else int(rank) if rank.isdecimal() else 0
-            for solution in ranking(database, campaign, resolved_spec(campaign), None).solutions(max(0, place - 1), place):
+            for solution in campaign_ranking(database, campaign, resolved_spec(campaign), None).solutions(
+                max(0, place - 1), place
+            ):
                 return goal.model_copy(update={name: solution.parameters})
     return goal
 

@@ -38,7 +38,7 @@ def test_sets_are_tried_from_the_best_on_until_one_has_only_scores_of_its_own() 
     believed = [copied(1, 5), copied(2, 7), copied(3, 6), copied(4, 5, own=True), copied(5, 4)]
     ranking, confirmation = confirmed(believed, {2: 3, 3: 6}, limit=10)
     assert confirmation.tried == [2, 3]
-    best = ranking.ranking()[0]
+    best = ranking.best_first()[0]
     assert (best.parameter_set, best.objective, best.reused) == (3, 6.0, ())
     outcome = confirmation.outcome(best)
     assert (outcome.state, outcome.objective, outcome.believed, outcome.tried) == ("confirmed", 6.0, 7.0, 2)
@@ -47,14 +47,14 @@ def test_sets_are_tried_from_the_best_on_until_one_has_only_scores_of_its_own() 
 def test_a_set_whose_simulation_fails_is_tried_once_and_told() -> None:
     ranking, confirmation = confirmed([copied(1, 7), copied(2, 6), copied(3, 5, own=True)], {1: None, 2: 4}, limit=10)
     assert confirmation.tried == [1, 2]
-    outcome = confirmation.outcome(ranking.ranking()[0])
+    outcome = confirmation.outcome(ranking.best_first()[0])
     assert (outcome.state, outcome.copied, outcome.failed) == ("unconfirmed", ["S1"], True)
 
 
 def test_no_more_than_the_limit_are_tried_and_that_is_told() -> None:
     ranking, confirmation = confirmed([copied(number, 7) for number in range(5)], dict.fromkeys(range(5), 1), limit=3)
     assert confirmation.tried == [0, 1, 2]
-    outcome = confirmation.outcome(ranking.ranking()[0])
+    outcome = confirmation.outcome(ranking.best_first()[0])
     assert (outcome.state, outcome.failed, outcome.tried) == ("unconfirmed", False, 3)
 
 
@@ -69,7 +69,7 @@ def test_sets_that_are_believed_to_be_better_and_were_not_tried_are_named(believ
     assert confirmation.choose(ranking) is None
     untried = present(ranking.doubtful(confirmation.tried))
     assert untried.parameter_set == 3
-    outcome = confirmation.outcome(ranking.ranking()[0], untried)
+    outcome = confirmation.outcome(ranking.best_first()[0], untried)
     assert (outcome.state, outcome.reach) == (state, 7.0 if state == "untried" else None)
 
 
@@ -83,7 +83,7 @@ def test_the_confirmed_best_is_the_best_of_those_that_have_scores_of_their_own(
     answers = [copied(number, score, own=own) for number, (score, own) in enumerate(believed)]
     truth: dict[int, int | None] = {number: max(0, score + off[number]) for number, (score, _) in enumerate(believed)}
     ranking, confirmation = confirmed(answers, truth, limit=100)
-    best, *others = ranking.ranking()
+    best, *others = ranking.best_first()
     assert not best.reused
     assert len(set(confirmation.tried)) == len(confirmation.tried)
     assert best.objective == max(item.objective for item in [best, *others] if not item.reused)

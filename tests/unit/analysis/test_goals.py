@@ -96,7 +96,7 @@ def test_a_copied_score_that_only_a_constraint_needs_is_named() -> None:
     goals = Goals((replace(COMFORTABLE, shares={"S1": 1.0}),), (bound,))
     ranking = Ranking({"S1": 1.0, "S2": 0.0}, goals=goals)
     ranking.add([cell(1, "S1", 6.0), cell(1, "S2", 4.0, own=False)])
-    (ranked_set,) = ranking.ranking()
+    (ranked_set,) = ranking.best_first()
     assert (ranked_set.reused, ranked_set.objective) == (("S2",), 6.0)
     assert ranked_set.violation == pytest.approx(1 / 7)
 
@@ -127,14 +127,14 @@ def test_a_set_that_keeps_the_constraints_is_better_than_every_set_that_does_not
     ranking.add(cell(3, name, 1.0, 5.0) for name in EVEN)
     best = present(ranking.best())
     assert (best[0].parameter_set, best[1]) == (3, 1)
-    assert [solution.parameter_set for solution in ranking.ranking()] == [3, 2, 1]
+    assert [solution.parameter_set for solution in ranking.best_first()] == [3, 2, 1]
 
 
 def test_a_set_that_lacks_a_value_has_no_place() -> None:
     ranking = Ranking(EVEN, goals=Goals((COMFORTABLE, GAP)))
     ranking.add([cell(1, "S1", 5.0, 2.0), cell(1, "S2", 5.0), cell(2, "S1", 5.0, 2.0), cell(2, "S2", None, 2.0)])
     assert not ranking.front()
-    assert not ranking.ranking()
+    assert not ranking.best_first()
 
 
 def test_copied_sets_that_would_be_on_the_front_are_confirmed_until_none_is_left() -> None:

@@ -172,7 +172,7 @@ def test_a_set_with_one_lucky_run_stands_behind_a_set_that_is_known() -> None:
             CellScore(number, "S1", score, score, True, 0, number, seed=seed, failed=seed == 2)
             for seed, score in enumerate(listed, 1)
         )
-    ranked = ranking.ranking()
+    ranked = ranking.best_first()
     assert [solution.parameter_set for solution in ranked] == [1, 3, 2]
     assert ranked[1].is_close
     assert (ranked[1].runs_to_tell or 0) > 1
@@ -283,7 +283,7 @@ def test_a_quantile_prefers_a_set_whose_runs_are_alike() -> None:
         ranking = by_score({"S1": 1}, COST, wanted)
         for number, scores in runs.items():
             ranking.add(CellScore(number, "S1", x, x, True, 0, number, seed=seed) for seed, x in enumerate(scores.tolist(), 1))
-        ranked.append(ranking.ranking())
+        ranked.append(ranking.best_first())
     assert [[each.parameter_set for each in sets] for sets in ranked] == [[1, 2, 3], [2, 1, 3]]
     assert ranked[1][0].objective == sorted(runs[2])[10]  # the least value that nine of ten runs do not exceed
 
@@ -311,8 +311,8 @@ def test_sets_that_change_alike_get_more_runs_and_the_best_one_has_a_report(budg
         spent += len(chosen)
         chosen = next_runs(ranking, wanted, 2, budget - spent)
     assert spent == budget
-    assert ranking.ranking()[0].chosen_by is not None
-    assert ranking.ranking()[0].bound is not None  # the noise is known
+    assert ranking.best_first()[0].chosen_by is not None
+    assert ranking.best_first()[0].bound is not None  # the noise is known
 
 
 def test_reports_with_equal_scores_have_an_interval() -> None:
@@ -320,7 +320,7 @@ def test_reports_with_equal_scores_have_an_interval() -> None:
     for number, scores in enumerate(6.0 + random.integers(-1, 2, (2, 20)) / 6):
         scores[12:] = 6.0
         ranking.add(CellScore(number, "S1", x, x, True, 0, number, seed=seed) for seed, x in enumerate(scores.tolist(), 1))
-    assert 5.8 < (ranking.ranking()[0].lower or 0.0) < 5.97
+    assert 5.8 < (ranking.best_first()[0].lower or 0.0) < 5.97
 
 
 def test_a_lucky_single_run_counts_less_than_many_good_ones() -> None:
@@ -395,7 +395,7 @@ def test_bounds_of_rates_are_exact() -> None:
 )
 def test_the_best_set_gets_the_runs_that_show_its_rate(most: int, fails: dict[int, int], best: int, undecided: bool) -> None:
     ranking = rated(most, fails)
-    winner = ranking.ranking()[0]
+    winner = ranking.best_first()[0]
     assert (winner.parameter_set, winner.violation > 0, winner.is_undecided) == (best, undecided, undecided)
     for place in fails:  # it can keep the rate no more, and gets no further runs
         assert max(ranking.seeds(place)) < 22
@@ -403,6 +403,6 @@ def test_the_best_set_gets_the_runs_that_show_its_rate(most: int, fails: dict[in
 
 def test_a_small_budget_decides_the_rate_of_one_set_before_it_tries_another() -> None:
     ranking = rated(40, {0: 2, 1: 3}, sets=12, budget=34, scatter=0.0)
-    winner = ranking.ranking()[0]
+    winner = ranking.best_first()[0]
     assert (winner.parameter_set, winner.is_undecided) == (2, False)
     assert [ranking.to_show(place) for place in range(4)] == [None, None, 0, 21 - (len(ranking.seeds(3)) - 1)]

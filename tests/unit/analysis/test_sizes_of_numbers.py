@@ -63,8 +63,8 @@ def test_ranks_fronts_and_constraints_do_not_depend_on_the_unit(
     rows: list[tuple[int, int, int]], size: tuple[float, float], tolerance: float, limit: float | None
 ) -> None:
     usual, other = (ranked(rows, *each, goals(*each, tolerance=tolerance, limit=limit)) for each in ((1.0, 0.0), size))
-    assert [each.parameter_set for each in usual.ranking()] == [each.parameter_set for each in other.ranking()]
-    assert [each.violation > 0 for each in usual.ranking()] == [each.violation > 0 for each in other.ranking()]
+    assert [each.parameter_set for each in usual.best_first()] == [each.parameter_set for each in other.best_first()]
+    assert [each.violation > 0 for each in usual.best_first()] == [each.violation > 0 for each in other.best_first()]
     first, same = usual.best(), other.best()
     assert present(first)[1] == present(same)[1]
     fronts = [[(member.solution.parameter_set, member.alike) for member in each.front()] for each in (usual, other)]
@@ -118,7 +118,7 @@ def test_courses_populations_and_conditions_do_not_depend_on_the_unit(values: li
 def test_huge_measures_and_cancelling_sums_do_not_break_a_ranking() -> None:
     aims = goals(1.0, 0.0, limit=5.0)
     standing = ranked([(1, 2, 3), (3, 2, 1)], 1e306, 0.0, aims)
-    assert len(standing.ranking()) == 2
+    assert len(standing.best_first()) == 2
     assert FIRST.of({"first": 1.797e308}, None) == 1e15
     assert replace(FIRST, failed=-1e300).of({}, "collision") == -1e15
 

@@ -24,7 +24,7 @@ def _cells(scores: dict[int, dict[str, int | None]]) -> list[CellScore]:
 def _ranking(cells: list[CellScore], weights: dict[str, float]) -> list[EvaluatedSet]:
     ranking = by_score(weights)
     ranking.add(cells)
-    return ranking.ranking()
+    return ranking.best_first()
 
 
 def test_a_set_without_a_result_in_a_weighted_scenario_is_not_ranked() -> None:
@@ -42,7 +42,7 @@ def test_equal_objectives_are_ordered_by_rating_then_by_discovery() -> None:
     ]
     ranking = by_score({"S1": 1})
     ranking.add(cells)
-    assert [item.parameter_set for item in ranking.ranking()] == [2, 3, 1, 4]
+    assert [item.parameter_set for item in ranking.best_first()] == [2, 3, 1, 4]
     result = present(ranking.best())
     assert (result[0].parameter_set, result[1]) == (2, 3)
 
@@ -70,7 +70,7 @@ def test_a_solution_says_which_of_its_scores_are_those_of_a_reference() -> None:
 
 
 def test_nothing_evaluated_gives_no_ranking() -> None:
-    assert by_score({"S1": 1}).ranking() == []
+    assert by_score({"S1": 1}).best_first() == []
     assert by_score({"S1": 1}).best() is None
 
 
@@ -96,7 +96,7 @@ def test_the_standing_does_not_depend_on_the_order_or_the_portions_of_the_answer
     ranking = by_score({"S1": 1, "S2": 2, "S3": 3})
     for cell in mixed:
         ranking.add([cell])
-    assert ranking.ranking() == _ranking(cells, {"S1": 1, "S2": 2, "S3": 3})
+    assert ranking.best_first() == _ranking(cells, {"S1": 1, "S2": 2, "S3": 3})
 
 
 def test_lower_objectives_are_better_on_a_scale_that_is_minimised() -> None:
@@ -108,6 +108,6 @@ def test_lower_objectives_are_better_on_a_scale_that_is_minimised() -> None:
     ]
     ranking = by_score({"S1": 1}, COST)
     ranking.add(cells)
-    assert [item.parameter_set for item in ranking.ranking()] == [4, 3, 2, 1], "of equal ones the better rating first"
+    assert [item.parameter_set for item in ranking.best_first()] == [4, 3, 2, 1], "of equal ones the better rating first"
     surest, doubtful = ranking.surest(), ranking.doubtful()
     assert (present(surest).parameter_set, present(doubtful).parameter_set) == (2, 4)

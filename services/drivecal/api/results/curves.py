@@ -6,7 +6,7 @@ from itertools import takewhile
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.api.tables.ranking import ranking
+from drivecal.api.tables.ranking import campaign_ranking
 from drivecal.bundles.manifest import Manifest
 from drivecal.bundles.shapes import ShapeEntry
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
@@ -45,7 +45,7 @@ def shapes_with_good_sets(database: Database, connection: Connection, campaign: 
     answers = shapes_of(manifest)
     if not answers or campaign.best is None:
         return answers
-    ranked = ranking(database, campaign, resolved_spec(campaign), None)
+    ranked = campaign_ranking(database, campaign, resolved_spec(campaign), None)
     near = ranked.scale.tolerance or NEAR * ranked.scale.span
     feasible = [each for each in ranked.ranked[:MOST_SETS] if each.violation == ranked.ranked[0].violation]
     good = list(takewhile(lambda each: abs(each.objective - feasible[0].objective) <= near + 1e-9, feasible))

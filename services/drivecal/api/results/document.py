@@ -17,7 +17,7 @@ from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidenc
 from drivecal.api.responses import campaign_answer
 from drivecal.api.results.curves import shapes_with_good_sets
 from drivecal.api.tables.front import bound_text, summary
-from drivecal.api.tables.ranking import ranking, variants_of
+from drivecal.api.tables.ranking import campaign_ranking, variants_of
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of, stored_scale
@@ -158,7 +158,7 @@ def _trust(
         search = _search(connection, campaign)
     if search is not None and search.course and campaign.best is not None and campaign.best.alternatives > 1:
         begun_with = resolved_spec(campaign)
-        ranked = ranking(database, campaign, begun_with, None).ranked
+        ranked = campaign_ranking(database, campaign, begun_with, None).ranked
         search = replace(search, regions=len(set(alternatives(database, ranked, begun_with.space).regions.tolist())))
     known = Evidence(studies=made, search=search, front=_compromises(database, campaign, front), chosen=chosen)
     return trust(campaign_answer(campaign, now(), silent=None), known)

@@ -13,7 +13,7 @@ from drivecal.api.responses import calibration
 from drivecal.api.results.document import about, results_of, setup_of, study_answer
 from drivecal.api.tables.front import front_table
 from drivecal.api.tables.influence import importance
-from drivecal.api.tables.ranking import ranking
+from drivecal.api.tables.ranking import campaign_ranking
 from drivecal.calibration_data.chosen import characteristics_of, curves_of, figures_of, quality_of
 from drivecal.calibration_data.files import CalibrationFormat, labels_of, write
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
@@ -130,7 +130,7 @@ def _written(database: Database, campaign: str, query: CalibrationFileOf) -> byt
         chosen = _ranked(front_table(database, stored, front, query.weights), query, stored.id, "front")
     else:
         _, rank = query.place
-        ranked = ranking(database, stored, resolved, query.weights, query.score)
+        ranked = campaign_ranking(database, stored, resolved, query.weights, query.score)
         chosen = _ranked(ranked.solutions(rank - 1, rank), query, stored.id, "solutions")
     known = results_of(database, stored, front, (chosen.iteration, chosen.individual))
     figures = [*figures_of(known, chosen, given, query.score), *([("variant", query.variant)] if query.variant else [])]

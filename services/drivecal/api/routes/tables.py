@@ -14,7 +14,7 @@ from drivecal.api.responses import calibration, evaluation_row
 from drivecal.api.tables import influence
 from drivecal.api.tables.front import front_table, judged_sets, summary, weighted
 from drivecal.api.tables.paging import listed, page_or_file, slices, table_answer
-from drivecal.api.tables.ranking import ranking
+from drivecal.api.tables.ranking import campaign_ranking
 from drivecal.api.tables.selection import Row
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
@@ -111,7 +111,7 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
     """The evaluated parameter sets, best first, under the campaign's weights and score or others. Nothing is simulated for it."""
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign).of_variant(query.variant)
-    ranked = ranking(database, campaign, begun_with, query.weights, query.score)
+    ranked = campaign_ranking(database, campaign, begun_with, query.weights, query.score)
     columns = ranked_columns(Solution, ranked.scenarios, replace(begun_with, scale=ranked.scale, goals=ranked.goals))
     return table_answer(f"solutions-{campaign.id}", query, accept, lambda: columns, slices(ranked.solutions, len(ranked)))
 
@@ -123,7 +123,7 @@ def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependenc
     most the first 10,000 of them."""
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
-    ranked = ranking(database, campaign, begun_with, None)
+    ranked = campaign_ranking(database, campaign, begun_with, None)
     known = alternatives(database, ranked.ranked, begun_with.space)
 
     def rows(start: int, stop: int) -> list[OptimumRow]:

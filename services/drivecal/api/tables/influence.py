@@ -8,7 +8,7 @@ import numpy as np
 
 from drivecal.analysis.importance import HELD_OUT, TREES, importances
 from drivecal.api.http.queries import ImportanceOf
-from drivecal.api.tables.ranking import ranking
+from drivecal.api.tables.ranking import campaign_ranking
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.campaigns.resolve.spaces import space_from_document
@@ -96,7 +96,7 @@ def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedS
     Counts sets whose values are their own, by a simulation of that very set.
     """
     scenario = query.scenario
-    ranked = ranking(database, campaign, resolved, query.weights, query.score)
+    ranked = campaign_ranking(database, campaign, resolved, query.weights, query.score)
     if scenario is not None and scenario not in ranked.scenarios:
         problem = Problem("scenario", f"the campaign has no scenario {scenario!r}", f"one of {', '.join(ranked.scenarios)}")
         raise InvalidInputError(problem)

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from sqlalchemy import Connection
 
 from drivecal.analysis.goals import SCORE, Aggregate, CellValue, Goals, Objective, normalised, weighted_mean
-from drivecal.analysis.solutions import EvaluatedSet as Ranked
-from drivecal.analysis.solutions import Ranking
+from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.fingerprints import score_id
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
@@ -39,7 +38,7 @@ class CampaignRanking:
     """The ranked parameter sets of a campaign; only shown ones have their values read."""
 
     database: Database
-    ranked: Sequence[Ranked]
+    ranked: Sequence[EvaluatedSet]
     scenarios: Sequence[str]
     scale: Scale
     goals: Goals
@@ -64,7 +63,7 @@ class CampaignRanking:
         ]
 
 
-def ranking(
+def campaign_ranking(
     database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, weights: str | None, score: str | None = None
 ) -> CampaignRanking:
     """Returns the ranking by the campaign's first objective, or under `weights` (`S1=2,S2=1`) by its score or another one. Sets that keep
@@ -77,14 +76,14 @@ def ranking(
     other = None if score is None else _other_score(database, campaign, score, resolved.evaluator)
     scale = resolved.scale if other is None or other.scale is None else other.scale
     goals = resolved.goals if weights is None and score is None else _constrained(resolved.goals, used, scale, other)
-    standing = Ranking(used, goals, resolved.replicates)
+    ranking = Ranking(used, goals, resolved.replicates)
     with database.read() as connection:
         if other is None:
             stage, corrected_by = StageName.CALIBRATION, resolved.evaluator
-            standing.add(results.answers(connection, campaign.sequence, stage, corrected_by=corrected_by, valued=goals.valued))
+            ranking.add(results.answers(connection, campaign.sequence, stage, corrected_by=corrected_by, valued=goals.valued))
         else:
-            standing.add(_rated(connection, campaign, resolved.evaluator, other, goals))
-    return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0], scale, goals)
+            ranking.add(_rated(connection, campaign, resolved.evaluator, other, goals))
+    return CampaignRanking(database, ranking.best_first(), [name for name, weight in used.items() if weight > 0], scale, goals)
 
 
 def variants_of(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec) -> list[VariantResult]:
@@ -94,16 +93,16 @@ def variants_of(database: Database, campaign: StoredCampaign, resolved: Resolved
     with database.read() as connection:
         valued, stage = resolved.goals.valued, StageName.CALIBRATION
         answers = list(results.answers(connection, campaign.sequence, stage, corrected_by=resolved.evaluator, valued=valued))
-    standings = list[Ranking]()
+    rankings = list[Ranking]()
     for spec in (resolved, *map(resolved.of_variant, resolved.variants)):
-        standings.append(Ranking(spec.weights, spec.goals, spec.replicates))
-        standings[-1].add(answers)
-    best, rows = standings[0].best(), list[VariantResult]()
-    for (name, goals), standing in zip(resolved.variants.items(), standings[1:], strict=True):
+        rankings.append(Ranking(spec.weights, spec.goals, spec.replicates))
+        rankings[-1].add(answers)
+    best, rows = rankings[0].best(), list[VariantResult]()
+    for (name, goals), ranking in zip(resolved.variants.items(), rankings[1:], strict=True):
         shares = dict(goals.objectives[0].shares)
-        own = CampaignRanking(database, standing.ranking()[:1], list(shares), resolved.scale, goals).solutions(0, 1)
+        own = CampaignRanking(database, ranking.best_first()[:1], list(shares), resolved.scale, goals).solutions(0, 1)
         rows.append(VariantResult(name=name, scenarios=shares, best=next(iter(own), None)))
-        if best is not None and (common := standing.get(best[0].parameter_set)) is not None:
+        if best is not None and (common := ranking.get(best[0].parameter_set)) is not None:
             cost = {"cost": common.sign * (own[0].objective - common.objective) + 0.0, "violation": common.violation}
             rows[-1] = rows[-1].model_copy(update=cost | {"common": common.objective})
     return rows

@@ -109,7 +109,7 @@ def front_of(database: Database, campaign: StoredCampaign, resolved: ResolvedSpe
                 connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=goals.valued
             )
         )
-    front = CampaignFront(goals, [each.choice for each in ranking.ranking()], ranking.front())
+    front = CampaignFront(goals, [each.choice for each in ranking.best_first()], ranking.front())
     numbers, known = ranking.by_objective()
     confidence = resolved.replicates.confidence
     if not known or not front.members or not all(each.is_known for each in known):

@@ -100,7 +100,7 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
         room: the largest number of runs.
         affordable: number of runs, each in all scenarios, that the budget has left.
     """
-    kept = ranking.standing()
+    kept = ranking.statistics()
     if kept is None or wanted.most < 2:
         return []
     choosing = replicates.choosing(wanted.most)
@@ -108,25 +108,25 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
     spare = (
         affordable - len(fresh) if ranking.to_show(kept[0][0]) == 0 else affordable
     )  # without a set, there is nothing to report
-    numbers, standing = ranking.standing(spare) or kept
+    numbers, known = ranking.statistics(spare) or kept
     needed = {place: seeds for place, number in enumerate(numbers) if (seeds := ranking.to_show(number))}
     untried = [[seed for seed in range(1, choosing + 1) if seed not in ranking.seeds(number)] for number in numbers]
-    leader = standing.best(wanted.confidence)
-    if needed.get(leader, spare + 1) <= spare and standing.counts.max() > 1:
+    leader = known.best(wanted.confidence)
+    if needed.get(leader, spare + 1) <= spare and known.counts.max() > 1:
         # of sets as good as the leader, as far as is known, the one with the fewest seeds left to show its rates is first
-        close = np.flatnonzero(standing.ahead(leader) > 1 - wanted.confidence).tolist()
+        close = np.flatnonzero(known.ahead(leader) > 1 - wanted.confidence).tolist()
         place = min([leader, *close], key=lambda place: needed.get(place, choosing))
         half = max(1, len(ranking.seeds(numbers[place])) // 2)  # of its seeds so far: a bad set is soon known
         places = [place] * min(room, needed[place], half)
     else:
         # a small budget reports by fewer runs
-        report = len(fresh) if standing.is_known else min(len(fresh), max(FEWEST_REPORTING, affordable - replicates.FIRST))
-        places = replicates.allocate(standing, min(room, affordable - report), choosing, wanted.confidence)
+        report = len(fresh) if known.is_known else min(len(fresh), max(FEWEST_REPORTING, affordable - replicates.FIRST))
+        places = replicates.allocate(known, min(room, affordable - report), choosing, wanted.confidence)
     # a seed without a result is not tried again
     chosen = [(numbers[place], untried[place].pop(0)) for place in places if untried[place]]
-    if chosen or (standing.is_known and not standing.is_random):
+    if chosen or (known.is_known and not known.is_random):
         return chosen
-    numbers, standing = kept
-    best = numbers[standing.best(wanted.confidence)]
+    numbers, known = kept
+    best = numbers[known.best(wanted.confidence)]
     left = [seed for seed in fresh if seed not in ranking.seeds(best)]
     return [(best, seed) for seed in left[:affordable]]

@@ -90,7 +90,7 @@ class RobustnessStage(StudyStage):
         self._seeds = list(dict.fromkeys(map(problem.bench.seed_of, range(wanted.samples))))
         self._benches = SeededBenches(problem.bench)
         self._scores = np.full((len(self._examined), len(self._seeds), len(problem.scenarios)), np.nan)
-        self._standing = self._ranking(problem.specification.replicates)
+        self._nominal_ranking = self._ranking(problem.specification.replicates)
         self._nominal: list[EvaluatedSet | None] = [None] * len(self._examined)
         """The examined sets with the nominal vehicle, over their seeds."""
         self._study: RobustnessStudy | None = None
@@ -114,8 +114,8 @@ class RobustnessStage(StudyStage):
         with self._database.read() as connection:
             source = self._campaign if of is None else campaigns.get(connection, of)
             theirs = resolved_spec(source)
-            standing = self._ranking(theirs.replicates)
-            standing.add(
+            ranking = self._ranking(theirs.replicates)
+            ranking.add(
                 results.answers(
                     *(connection, source.sequence, StageName.CALIBRATION),
                     corrected_by=None if of is None else theirs.evaluator,
@@ -123,7 +123,7 @@ class RobustnessStage(StudyStage):
                     valued=self._valued,
                 )
             )
-            best, worse = (self._on_front if len(self._goals.objectives) > 1 else self._within)(standing)
+            best, worse = (self._on_front if len(self._goals.objectives) > 1 else self._within)(ranking)
             sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
         named = list(self._problem.robust_sets)
         best_sets = [sets[solution.parameter_set] for solution in best]
@@ -138,19 +138,19 @@ class RobustnessStage(StudyStage):
             for position in (*range(len(named)), *(len(named) + place for place in chosen))
         ]
 
-    def _within(self, standing: Ranking) -> tuple[list[EvaluatedSet], list[EvaluatedSet]]:
+    def _within(self, ranking: Ranking) -> tuple[list[EvaluatedSet], list[EvaluatedSet]]:
         """The sets that count as the best or cannot be told from it, which break constraints no more than the best set, and others."""
-        ranking = standing.ranking()
-        best = [each for each in ranking if each.is_close or ranking[0].equals(each)]
+        ranked = ranking.best_first()
+        best = [each for each in ranked if each.is_close or ranked[0].equals(each)]
         chosen = {each.parameter_set for each in best}
-        return best[:MOST_BEST], [each for each in ranking if each.parameter_set not in chosen][:MOST_WORSE]
+        return best[:MOST_BEST], [each for each in ranked if each.parameter_set not in chosen][:MOST_WORSE]
 
     @staticmethod
-    def _on_front(standing: Ranking) -> tuple[list[EvaluatedSet], list[EvaluatedSet]]:
+    def _on_front(ranking: Ranking) -> tuple[list[EvaluatedSet], list[EvaluatedSet]]:
         """The sets of the front, and others."""
-        front = [member.solution for member in standing.front()]
+        front = [member.solution for member in ranking.front()]
         members = {solution.parameter_set for solution in front}
-        others = [solution for solution in standing.ranking() if solution.parameter_set not in members]
+        others = [solution for solution in ranking.best_first() if solution.parameter_set not in members]
         return front[:MOST_BEST], others[:MOST_WORSE]
 
     @property
@@ -191,9 +191,9 @@ class RobustnessStage(StudyStage):
             for answer in answers:
                 place = answer.individual, self._seeds.index(answer.seed), columns[answer.scenario]
                 self._scores[place] = np.nan if answer.score is None else answer.score
-            self._standing.add(answers)
+            self._nominal_ranking.add(answers)
             numbers = {answer.individual: answer.parameter_set for answer in answers}
-            self._nominal = [self._standing.get(numbers[place]) for place in range(len(self._examined))]
+            self._nominal = [self._nominal_ranking.get(numbers[place]) for place in range(len(self._examined))]
             bench = self._problem.bench
             self._study = RobustnessStudy(self._scores, bench.varied, bench.values, self._settings)
             return
@@ -252,7 +252,7 @@ class RobustnessStage(StudyStage):
     def _best_of(self, usable: Sequence[int]) -> list[int]:
         """Returns the sets that cannot be told from the best one, or with goals the non-dominated sets."""
         known = [each for number in usable if (each := self._nominal[number]) is not None]
-        first, best = min(known, key=self._standing.order), np.zeros(len(known), dtype=np.bool_)
+        first, best = min(known, key=self._nominal_ranking.order), np.zeros(len(known), dtype=np.bool_)
         if not self._goals.is_weighted_score:
             points = self._goals.signed(each.choice.judgement for each in known)
             best = self._goals.leading(points, np.array([each.choice.violation for each in known], dtype=np.float64))
