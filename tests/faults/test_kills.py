@@ -78,16 +78,6 @@ def test_campaigns_on_sqlite_outlive_what_carries_them(server_on: MakeServer, wi
     assert "the dispatcher ended unexpectedly" in log
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(1200)
-def test_campaigns_on_postgresql_outlive_their_database(
-    server_on: MakeServer, without_faults: dict[str, Found], postgres: KillablePostgres
-) -> None:
-    """Its workers have no Ray, whose start takes as long as all of this."""
-    server = server_on("postgresql", DRIVECAL_BACKEND="processes")
-    live(server, [(Moment(0.3, 0.0), outage(postgres, 1.0))], without_faults)
-
-
 @pytest.mark.faults
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("life", range(LIVES))

@@ -89,7 +89,9 @@ def breaking(cell: Cell, scenario: str, draws: random.Random) -> CellResult:
     )
 
 
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 50))])
+@pytest.mark.slow(*map(str, range(4, 10)))
+@pytest.mark.faults(*map(str, range(10, 50)))
+@pytest.mark.parametrize("seed", range(50))
 def test_runs_are_what_simulators_count_and_keep_to_the_budget(
     tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -144,11 +144,12 @@ def test_all_kinds_of_controllers_give_the_same_bits(folder: Path) -> None:
     assert outcomes[0].failure is None
 
 
-@pytest.mark.slow(
-    *(f"{traffic}-{kind}" for traffic in ("exact", "random", "sublanes") for kind in ("python", "process", "numba", "fmu")
-      if (traffic, kind) != ("sublanes", "numba"))
-)  # fmt: skip
-@pytest.mark.parametrize("kind", ["python", "process", "numba", "fmu"])
+KINDS = ("python", "process", "numba", "fmu")
+
+
+@pytest.mark.slow(*(f"exact-{kind}" for kind in KINDS), "random-python")
+@pytest.mark.faults(*(f"random-{kind}" for kind in KINDS[1:]), "sublanes-python", "sublanes-process", "sublanes-fmu")
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     "data",
     [
