@@ -14,7 +14,7 @@ from tests.support.runs import finish, get, request, rows_of
 
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.stages import calibration
+from drivecal.campaigns.stages import search as searches
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, Given, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
@@ -203,7 +203,7 @@ def test_a_pause_takes_no_minutes_of_a_budget(database: Database, monkeypatch: p
     while get(database, campaign).state is not CampaignState.PAUSED:
         dispatcher.step()
     later = now() + timedelta(hours=10)
-    monkeypatch.setattr(calibration, "now", lambda: later)
+    monkeypatch.setattr(searches, "now", lambda: later)
     request(database, campaign, "resume")
     search = finish(database, campaign, dispatcher).search
     assert search is not None

@@ -27,7 +27,7 @@ from drivecal.contracts.tables import Generation
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import digest
-from drivecal.optimizers.external import EXTERNAL
+from drivecal.optimizers.external import EXTERNAL, External
 from drivecal.plugins import registry
 from drivecal.plugins.search import SearchPlugin
 from drivecal.storage import campaigns, generations
@@ -106,7 +106,7 @@ def _places(specification: ComparisonSpecification) -> Iterator[tuple[int, int, 
 def _is_by_cell(kind: str) -> bool:
     """Returns whether an optimizer has no populations; False for an unknown one, which is refused later."""
     try:
-        return isinstance(registry.optimizer(kind), SearchPlugin)
+        return isinstance(registry.optimizer(kind), SearchPlugin | External)
     except InvalidInputError:
         return False
 

@@ -13,16 +13,16 @@ from datetime import timedelta
 from typing import Any
 
 from drivecal.campaigns.cells.planning import View
-from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
 from drivecal.campaigns.resolve.workbench import stored_bundles, with_tools
-from drivecal.campaigns.stages.campaign import SingleEvaluation, StagedCampaign
+from drivecal.campaigns.stages.campaign import SingleEvaluation, StagedCampaign, stages_of
+from drivecal.campaigns.stages.stage import Stage
 from drivecal.cluster import tracing
 from drivecal.configuration import logs
 from drivecal.contracts.work import SetupRequest
 from drivecal.dispatch.heartbeat import Waits
-from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError, DrivecalError, SupersededError, UnavailableError
 from drivecal.execution.backend import BackendLostError, WorkerInfo
 from drivecal.execution.measures import MEASURES
@@ -34,6 +34,7 @@ from drivecal.storage.campaigns import CampaignHeading, StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.maintenance import deletion
+from drivecal.storage.outside.sets import AWAITED
 
 EVALUATION_PRIORITY = 1000
 """A user waits for a single evaluation; a campaign can wait a batch longer."""
@@ -44,8 +45,8 @@ class Active:
     """A campaign in work. `job` is None until it resumes from its rows. `unwritten`: results to store, also after a failed transaction."""
 
     campaign: CampaignHeading
-    job: Job | None = None
-    beginning: Job | None = None
+    job: StagedCampaign | None = None
+    beginning: StagedCampaign | None = None
     """A job that computes before its first cells; then it becomes the `job`."""
     unwritten: list[Completed] = field(default_factory=list)
     stopping: CampaignState | None = None
@@ -65,15 +66,15 @@ class Active:
         return self.campaign.id
 
     @property
-    def stage(self) -> StageName | None:
-        """The running stage, for the log."""
+    def stage(self) -> Stage | None:
+        """The running stage; None if it is not known yet, and after the last."""
         return None if self.job is None else self.job.stage
 
     @property
     def awaited(self) -> str | None:
         """The reason if another program has to act first."""
         job = self.job or self.beginning
-        return None if job is None else job.awaited
+        return AWAITED if job is not None and job.wait == "sets" else None
 
     @property
     def priority(self) -> int:
@@ -85,7 +86,7 @@ Prober = Callable[[SetupRequest], str | None]
 """Returns what the `probe` of a bundle answers on a worker; None until one has answered."""
 
 
-def take_up(database: Database, sequence: int, probe: Prober, workers: int = 1) -> Job | None:
+def take_up(database: Database, sequence: int, probe: Prober, workers: int = 1) -> StagedCampaign | None:
     """Returns a job that continues from the campaign's rows; None while `probe` has no answer for the campaign's bundle.
 
     Raises ConflictError if any version differs from its start.
@@ -103,11 +104,11 @@ def take_up(database: Database, sequence: int, probe: Prober, workers: int = 1) 
     known = {} if tools is None else {"tools": tools}
     _pin(database, campaign, problem.resolution() | known, may_change=problem.bench.bundle.manifest.has_planner)
     if isinstance(problem, CalibrationProblem):
-        return StagedCampaign(database, campaign, problem, workers)
+        return StagedCampaign(stages_of(database, campaign, problem, workers))
     with database.read() as connection:
         traced = traces.is_made_by(connection, campaign.sequence)
     view = View(campaign.sequence, campaign.watermark or 0, problem.bench, traced=traced)
-    return SingleEvaluation(database, campaign, problem, view)
+    return StagedCampaign(iter([SingleEvaluation(database, campaign, problem, view)]))
 
 
 def _pin(database: Database, campaign: StoredCampaign, resolution: Mapping[str, Any], *, may_change: bool) -> None:
@@ -198,10 +199,11 @@ class Dispatcher:
             more = self._tidy()
             self._next_tidy = self._clock() + (BUSY_TIDY_SECONDS if more else TIDY_SECONDS)
         for active in list(self._active.values()):
-            with logs.about(campaign=active.campaign.id, campaign_name=active.campaign.name, stage=active.stage):
+            stage = None if active.stage is None else active.stage.name
+            with logs.about(campaign=active.campaign.id, campaign_name=active.campaign.name, stage=stage):
                 self._advance(active)
         by_tag = {active.tag: active for active in self._active.values()}
-        paces = [active.job.write_seconds for active in by_tag.values() if active.job is not None]
+        paces = [active.stage.write_seconds for active in by_tag.values() if active.stage is not None]
         for completion in self._pool.poll(min([POLL_SECONDS, *paces])):
             if completion.tag in by_tag:
                 by_tag[completion.tag].unwritten.append(completion)
@@ -367,7 +369,7 @@ class Dispatcher:
                 work = job.record(active.unwritten)
             active.unwritten.clear()
             active.moved_at, active.stalled = self._clock(), False
-            active.write_at = self._clock() + job.write_seconds
+            active.write_at = self._clock() + (0.0 if job.stage is None else job.stage.write_seconds)
             self._submit(active, work)
         if active.stopping is not None:
             self._finish_stopping(active)
@@ -375,13 +377,13 @@ class Dispatcher:
         held = self._pool.held(active.tag)
         if held and (reason := self._pool.hopeless(active.tag)) is not None:
             raise ConflictError(reason)
-        if held and not job.asks_ahead:
+        if held and job.stage is not None and not job.stage.asks_ahead:
             return
         work = job.work()
         self._submit(active, work)
-        if job.finished:
+        if job.stage is None:
             self._end(active, CampaignState.SUCCEEDED)
-        elif not work and not job.goes_on and not held:
+        elif not work and job.wait == "answers" and not held:
             log.warning("cells of the campaign are answered or simulated elsewhere; it starts again from the database")
             active.job, active.not_before = None, self._clock() + RETRY_SECONDS
 
@@ -405,7 +407,7 @@ class Dispatcher:
             active.not_before = self._clock() + LOOK_SECONDS
             return False
         work = active.beginning.work()
-        if not work and active.beginning.goes_on:  # it does not know yet which results it waits for
+        if not work and active.beginning.wait in {"computation", "sets"}:  # it does not know yet which results it waits for
             return False
         active.job, active.beginning = active.beginning, None
         held = self._pool.keep(active.tag, {cell.id for batch in work for cell in batch.cells})  # of a dropped job, at workers
@@ -414,7 +416,7 @@ class Dispatcher:
 
     def _submit(self, active: Active, work: Sequence[Work]) -> None:
         if active.stopping is None:
-            budget = None if active.job is None else active.job.budget
+            budget = None if active.stage is None else active.stage.budget
             self._pool.submit(*work, tag=active.tag, priority=active.priority, budget=budget)
 
     def _finish_stopping(self, active: Active) -> None:

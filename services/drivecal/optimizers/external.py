@@ -1,12 +1,10 @@
 """`optimizer: {kind: external}`: another program proposes the sets, by the API, and a campaign evaluates them."""
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivecal.plugins.ports import Ability
-from drivecal.plugins.search import AskedCell, CellAnswer, Search, SearchPlugin, SearchTask
 
 
 class ExternalSettings(BaseModel):
@@ -23,28 +21,11 @@ class ExternalSettings(BaseModel):
 
 
 class External:
-    """See `drivecal.plugins.search.SearchPlugin`. Its rounds are proposed sets, so that no search begins here."""
+    """An optimizer without a search: its rounds are the sets that another program proposes."""
 
     name = "external"
     settings: type[BaseModel] = ExternalSettings
     supports: frozenset[Ability] = frozenset(get_args(Ability))
 
-    def begin(self, settings: BaseModel, task: SearchTask) -> Search:
-        """Raises TypeError."""
-        del settings, task
-        raise TypeError("others propose the sets of this search")
 
-    def resume(
-        self,
-        settings: BaseModel,
-        task: SearchTask,
-        rounds: Sequence[Sequence[AskedCell]],
-        answers: Sequence[Sequence[CellAnswer]],
-        state: Mapping[str, Any],
-    ) -> Search:
-        """Raises TypeError."""
-        del rounds, answers, state
-        return self.begin(settings, task)
-
-
-EXTERNAL: SearchPlugin = External()
+EXTERNAL = External()

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from drivecal.optimizers.external import External
 from drivecal.plugins import ports, simulators
 from drivecal.plugins.search import SearchPlugin
 
@@ -45,7 +46,7 @@ def signature(function: Any) -> list[tuple[str, Any]]:
 @pytest.mark.parametrize(("group", "entry"), BUILT_IN)
 def test_it_has_what_its_port_asks_for(group: str, entry: EntryPoint) -> None:
     plugin = entry.load()
-    port = SearchPlugin if isinstance(plugin, SearchPlugin) else PORTS[group]
+    port = SearchPlugin if isinstance(plugin, SearchPlugin) else ports.Named if isinstance(plugin, External) else PORTS[group]
     assert members(port) >= {"name"}
     for member in members(port):
         assert hasattr(plugin, member), f"{entry.value} has no {member}"

@@ -132,15 +132,13 @@ class CellTracker:
         stored = [(cell.scenario, cell.donor) for cell in cells if cell.answered_at_once and cell.donor is not None]
         self.faults.note_stored(connection, stored)
 
-    def limit(self, runs: int, cells: int) -> None:
-        """Limits the runs of this stage, before its cells are loaded.
+    def limit(self, runs: int) -> None:
+        """Limits the starts of the simulator in this stage, those so far included, before its cells are loaded."""
+        self.budget, self._counts_starts = RunBudget(runs - self._counts["runs"] + self._counts["lost"]), True
 
-        Args:
-            runs: most starts of the simulator, those so far included.
-            cells: most cells that the search may ask for, those so far included; 0 if it does not ask by the cell.
-        """
-        kept = max(0, cells - self._counts["requested"] - self._counts["pending"])
-        self.budget, self._counts_starts = RunBudget(runs - self._counts["runs"] + self._counts["lost"], kept), True
+    def limit_cells(self, cells: int) -> None:
+        """Limits the cells that a search by the cell may ask for, those so far included."""
+        self.budget.kept = max(0, cells - self._counts["requested"] - self._counts["pending"])
 
     def load(self, connection: Connection, *, share_runs: bool, benches: Sequence[Bench] = ()) -> list[Work]:
         """Loads the cells that wait for an answer, and draws the samples of new lots. Returns the work to simulate, without cells that it

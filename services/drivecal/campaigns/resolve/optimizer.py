@@ -39,33 +39,28 @@ UNLIMITED = 1_000_000
 class Optimization:
     """The chosen optimizer with its checked settings, and the end of its search."""
 
-    plugin: OptimizerPlugin | SearchPlugin
+    plugin: OptimizerPlugin | SearchPlugin | External
     settings: BaseModel
     budget: BudgetSpecification | None
     iterations: int | None
     """Largest number of iterations; None if the budget alone ends the search."""
 
     @property
-    def by_cell(self) -> SearchPlugin | None:
-        """The plug-in if it searches by the cell."""
-        return self.plugin if isinstance(self.plugin, SearchPlugin) else None
-
-    @property
-    def is_external(self) -> bool:
-        """True if another program proposes the sets."""
-        return isinstance(self.plugin, External)
+    def is_by_cell(self) -> bool:
+        """True if the plug-in searches by the cell, or another program proposes the sets; False if it proposes whole populations."""
+        return isinstance(self.plugin, SearchPlugin | External)
 
     @property
     def by_population(self) -> OptimizerPlugin:
         """The plug-in if it proposes whole populations. Raises TypeError."""
-        if isinstance(self.plugin, SearchPlugin):
+        if isinstance(self.plugin, SearchPlugin | External):
             raise TypeError(f"{self.plugin.name} searches by the cell")
         return self.plugin
 
     @property
     def population(self) -> int:
         """Sets in each iteration; 0 of a search by the cell."""
-        return 0 if self.by_cell is not None else int(self._setting("population"))
+        return 0 if self.is_by_cell else int(self._setting("population"))
 
     @property
     def seed(self) -> int:
@@ -78,7 +73,7 @@ class Optimization:
 
     def expected_cells(self, scenarios: int) -> tuple[int, int]:
         """Returns the largest numbers of proposed and of requested cells."""
-        unknown = 0 if self.is_external else UNLIMITED
+        unknown = 0 if isinstance(self.plugin, External) else UNLIMITED
         most = unknown if self.budget is None or self.budget.simulations is None else self.budget.simulations
         if self.iterations is None:
             return most, most
@@ -131,12 +126,12 @@ def choose_optimizer(specification: CampaignSpecification, scenarios: int, diagn
                 diagnostics.problems.append(problem(field, detail))
         return None
     budget = specification.budget
-    if budget is None and isinstance(plugin, SearchPlugin) and not isinstance(plugin, External):
+    if budget is None and isinstance(plugin, SearchPlugin):
         budget = BudgetSpecification(simulations=SIMULATIONS_OF_A_SCENARIO * max(1, scenarios))
     ends_by_budget = budget is not None and wanted.iterations is None
     iterations = (
         None
-        if ends_by_budget or isinstance(plugin, SearchPlugin)
+        if ends_by_budget or isinstance(plugin, SearchPlugin | External)
         else int(settings.model_dump(include={"iterations"})["iterations"])
     )
     return Optimization(plugin, settings, budget, iterations)

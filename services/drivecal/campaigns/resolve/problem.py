@@ -88,7 +88,7 @@ class CalibrationProblem:
         asks for so few at once that a lot of references would be simulated whole. A random simulator's cells have runs of their own."""
         chosen, reduction = self.optimization, self.specification.reduction
         mode, seed = reduction.mode, 0 if chosen is None else chosen.seed
-        if mode != "off" and (self.bench.is_random or chosen is None or chosen.by_cell is not None):
+        if mode != "off" and (self.bench.is_random or chosen is None or chosen.is_by_cell):
             mode = "influence" if reduction.uses_map and reduction.max_error >= 1.0 and not self.bench.is_random else "exact"
         return Policy(mode, reduction.audit, seed)
 
@@ -123,12 +123,19 @@ class CalibrationProblem:
         """The number of seeds that constraints on rates need at least; 0 without any."""
         return self.goals.fewest_seeds
 
+    @property
+    def search(self) -> Optimization:
+        """The chosen optimizer. Raises ValueError without one."""
+        if self.optimization is None:
+            raise ValueError("the campaign has no search")
+        return self.optimization
+
     def search_simulations(self, *, varies: bool = False) -> int | None:
         """Returns the simulations of the budget that the search may use; None without a limit. `varies`: equal runs have differed."""
         budget, is_random = None if self.optimization is None else self.optimization.budget, varies or self.bench.is_random
         if self.optimization is None or budget is None or budget.simulations is None or not is_random:
             return None if budget is None else budget.simulations
-        by_cell, most = self.optimization.by_cell is not None, self.specification.replicates.most
+        by_cell, most = self.optimization.is_by_cell, self.specification.replicates.most
         return budget.simulations - kept_back(budget.simulations, len(self.scenarios), most, self.rate_seeds, by_cell=by_cell)
 
     @property
@@ -240,7 +247,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     notes += more
     check_abilities(optimization, constraints, goals, diagnostics)
     notes += note_search(optimization, constraints)
-    population = None if optimization is None or optimization.by_cell is not None else optimization.population
+    population = None if optimization is None or optimization.is_by_cell else optimization.population
     within = replace(constraints, limits=goals.limits) if constraints is not None else None
     start_sets = resolvers.find_start_sets(specification, baseline, within, diagnostics, population, shapes)
     robust_sets = resolvers.find_robust_sets(specification, workbench.varied, constraints, diagnostics, shapes)

@@ -20,7 +20,7 @@ from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import Indices
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import CellAnswer
-from drivecal.storage import results
+from drivecal.storage import evaluations, generations, results
 
 
 class SearchAnswers(ABC):
@@ -143,11 +143,11 @@ class CellAnswers(SearchAnswers):
 class PopulationAnswers(SearchAnswers):
     """The answers of a generational optimizer: an individual keeps its answers until it is requested again."""
 
-    def __init__(self, problem: CalibrationProblem, population: int) -> None:
+    def __init__(self, problem: CalibrationProblem) -> None:
         super().__init__(problem)
         self._runs: dict[tuple[int, str], dict[int, CellScore]] = {}
         """Answers of the newest round by individual, scenario and seed."""
-        self._cells: list[dict[str, CellScore]] = [{} for _ in range(population)]
+        self._cells: list[dict[str, CellScore]] = [{} for _ in range(problem.search.population)]
         """By individual and scenario."""
         self._requested: set[int] = set()
         """Individuals of the current population with answers of their own."""
@@ -200,3 +200,15 @@ class PopulationAnswers(SearchAnswers):
                 amounts[individual] = judgement.amounts
                 violations[individual] = judgement.violation
         return amounts, violations
+
+
+def asked_rounds(connection: Connection, campaign: int, scenarios: Sequence[str]) -> list[AskedRound]:
+    """Returns all rounds of a search by the cell."""
+    places, cells = {name: place for place, name in enumerate(scenarios)}, dict[int, list[tuple[int, int, int]]]()
+    for iteration, individual, scenario, seed in evaluations.places(connection, campaign, StageName.CALIBRATION):
+        cells.setdefault(iteration, []).append((individual, places[scenario], seed))
+    populations = [np.array(each, dtype=np.int64) for each in generations.populations(connection, campaign)]
+    return [
+        AskedRound(rows, np.ones(len(rows), dtype=np.bool_), cells.get(number, []), {})
+        for number, rows in enumerate(populations)
+    ]

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.repair import RepairCount, RepairingOptimizer, checked_proposal
 from drivecal.plugins.ports import Optimizer
@@ -47,6 +48,11 @@ class AskedRound:
     """State of the search, JSON-ready."""
     repaired: RepairCount | None = None
 
+    @property
+    def unchanged(self) -> int:
+        """Number of its sets that keep earlier answers."""
+        return int((~self.changed).sum())
+
 
 class Asker(Protocol):
     """A search as a campaign asks it."""
@@ -61,39 +67,22 @@ class Asker(Protocol):
 class PopulationAsker:
     """A generational optimizer: a round is its population, in all scenarios, and it is told when the whole round is answered."""
 
-    def __init__(
-        self,
-        optimizer: Optimizer,
-        name: str,
-        shape: tuple[int, Indices],
-        scenarios: int,
-        populations: Sequence[Any] = (),
-        seeds: int = 1,
-    ) -> None:
-        """Wraps an optimizer.
-
-        Args:
-            optimizer: the optimizer.
-            name: its name, for errors.
-            shape: size of the population, and grid sizes.
-            scenarios: number of scenarios.
-            populations: grid indices of all populations so far.
-            seeds: number of seeds under which each set runs.
-        """
-        self._optimizer, self._name, self._shape, self._scenarios = optimizer, name, shape, scenarios
-        self._seeds = seeds
+    def __init__(self, optimizer: Optimizer, problem: CalibrationProblem, populations: Sequence[Any]) -> None:
+        """`populations`: grid indices of the newest population, or of all so far if proposals are repaired."""
+        self._optimizer, self._problem = optimizer, problem
         self._evaluated = np.array(populations[-1], dtype=np.int64) if populations else None
         if isinstance(optimizer, RepairingOptimizer):
             optimizer.known.update(tuple(row) for population in populations for row in population)
 
     def ask(self) -> AskedRound:
         """Returns the next population. Raises InvalidInputError if a plug-in's does not fit the space."""
-        proposal = checked_proposal(self._name, self._optimizer.ask(), *self._shape, self._evaluated)
+        chosen, n_values = self._problem.search, self._problem.space.n_values
+        proposal = checked_proposal(chosen.plugin.name, self._optimizer.ask(), chosen.population, n_values, self._evaluated)
         self._evaluated = proposal.population
         changed, repaired = proposal.changed.copy(), None
         if isinstance(self._optimizer, RepairingOptimizer):
             changed[self._optimizer.again], repaired = False, self._optimizer.repaired
-        return population_round(proposal.population, changed, self._optimizer.state(), self._scenarios, self._seeds, repaired)
+        return population_round(self._problem, proposal.population, changed, self._optimizer.state(), repaired)
 
     def tell(self, *answers: Any) -> None:
         """Passes objectives and tie breakers on."""
@@ -135,16 +124,15 @@ class CellAsker:
 
 
 def population_round(
+    problem: CalibrationProblem,
     population: Indices,
     changed: npt.NDArray[np.bool_],
     state: dict[str, Any],
-    scenarios: int,
-    seeds: int,
     repaired: RepairCount | None = None,
 ) -> AskedRound:
     """Returns the round of a population."""
-    individuals = np.flatnonzero(changed).tolist()
-    cells = [(each, scenario, seed) for seed in range(1, seeds + 1) for each in individuals for scenario in range(scenarios)]
+    seeds, individuals, places = problem.least_replicates, np.flatnonzero(changed).tolist(), range(len(problem.scenarios))
+    cells = [(each, place, seed) for seed in range(1, seeds + 1) for each in individuals for place in places]
     return AskedRound(population, changed, cells, state, repaired)
 
 
@@ -169,11 +157,20 @@ class Computation:
             asks: whether a round is wanted.
         """
         self._patience = PATIENCE_SECONDS
-        self._outcome: Future[tuple[Asker, AskedRound | None]] = Future()
-        arguments = (self._outcome, obtain, answers, asks)
-        # A daemon: a process that ends waits for no optimizer.
-        threading.Thread(target=_compute, args=arguments, name="optimizer", daemon=True).start()
+        self._outcome = outcome = Future[tuple[Asker, AskedRound | None]]()
         self.asks = asks
+
+        def compute() -> None:
+            try:
+                asker = obtain()
+                if answers is not None:
+                    asker.tell(*answers)
+                outcome.set_result((asker, asker.ask() if asks else None))
+            except BaseException as error:  # noqa: BLE001  # `result` raises it in the dispatcher's thread
+                outcome.set_exception(error)
+
+        # A daemon: a process that ends waits for no optimizer.
+        threading.Thread(target=compute, name="optimizer", daemon=True).start()
 
     @property
     def is_done(self) -> bool:
@@ -188,18 +185,3 @@ class Computation:
         Raises what the search raised. Waits for the result unless it `is_done`.
         """
         return self._outcome.result()
-
-
-def _compute(
-    outcome: Future[tuple[Asker, AskedRound | None]],
-    obtain: Callable[[], Asker],
-    answers: tuple[Any, ...] | None,
-    asks: bool,  # noqa: FBT001  # a thread's arguments are positional
-) -> None:
-    try:
-        asker = obtain()
-        if answers is not None:
-            asker.tell(*answers)
-        outcome.set_result((asker, asker.ask() if asks else None))
-    except BaseException as error:  # noqa: BLE001  # `result` raises it in the dispatcher's thread
-        outcome.set_exception(error)

@@ -1,27 +1,28 @@
 """A whole campaign, its stages in sequence, each resumed from the database; and a single evaluation."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from drivecal.campaigns.cells.earlier import bench_of, checked_cells, earlier_versions, unclaimed
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import rate_stored_runs
-from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.maps import check_basis, stored_map, warnings_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem
-from drivecal.campaigns.stages.calibration import Calibration
+from drivecal.campaigns.stages.cell_search import CellSearch
 from drivecal.campaigns.stages.claims import ClaimCheck, checkable, compare
 from drivecal.campaigns.stages.outside import OutsideSearch
+from drivecal.campaigns.stages.population_search import PopulationSearch
 from drivecal.campaigns.stages.prediction_validation import PredictionValidation
 from drivecal.campaigns.stages.replication import SeededBenches
 from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
-from drivecal.campaigns.stages.stage import Round, Stage
+from drivecal.campaigns.stages.stage import Round, Stage, Wait
 from drivecal.campaigns.stages.validation import ValidationStage
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NoResultError
 from drivecal.domain.evaluations import Purpose, RequestedCell
 from drivecal.execution.scheduling.in_flight import Completed, Work
+from drivecal.optimizers.external import External
 from drivecal.reduction.assignment import Policy
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
@@ -35,6 +36,7 @@ class SingleEvaluation(Stage):
 
     name = StageName.CALIBRATION
     ends_early = False
+    _problem: EvaluationProblem
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: EvaluationProblem, view: View) -> None:
         is_new = view.traced or problem.specification.fresh
@@ -45,9 +47,9 @@ class SingleEvaluation(Stage):
             rate_stored_runs(database, replace(view, bench=bench_of(version, problem.bench)))
         compared = [(version, *compare(database, view, [version], cells)) for version in versions]
         checked = tuple(version for version, number, faults in compared if number and not faults)
-        super().__init__(database, campaign, replace(view, earlier=checked))
+        super().__init__(database, campaign, problem, replace(view, earlier=checked))
         self._unchecked = [version for version in versions if version not in checked]
-        self._problem, self._is_new, self._benches = problem, is_new, SeededBenches(problem.bench)
+        self._is_new, self._benches = is_new, SeededBenches(problem.bench)
         self._asked = False
 
     @property
@@ -83,15 +85,6 @@ class SingleEvaluation(Stage):
             raise NoResultError(f"{failed:,} of the {self._at_most:,} cells gave no result{self._causes()}")
 
 
-StageKind = (
-    type[ClaimCheck]
-    | type[Sensitivity]
-    | type[Calibration]
-    | type[OutsideSearch]
-    | type[RobustnessStage]
-    | type[ValidationStage]
-    | type[PredictionValidation]
-)
 Wanted = Callable[[StoredCampaign, CalibrationProblem], bool]
 
 
@@ -100,11 +93,21 @@ def _wants_validation(problem: CalibrationProblem, *, of_predictions: bool) -> b
     return wanted is not None and (wanted.of is not None) == of_predictions
 
 
-STAGES: tuple[tuple[StageKind, Wanted], ...] = (
+def _search(problem: CalibrationProblem) -> type[Stage] | None:
+    """Returns the kind of search that a campaign wants, if it wants one."""
+    if problem.optimization is None:
+        return None
+    if isinstance(problem.optimization.plugin, External):
+        return OutsideSearch
+    return CellSearch if problem.optimization.is_by_cell else PopulationSearch
+
+
+STAGES: tuple[tuple[type[Stage], Wanted], ...] = (
     (ClaimCheck, lambda _, problem: problem.bench.bundle.manifest.claims),
     (Sensitivity, lambda campaign, problem: campaign.influence_map_id is None and problem.analysis() is not None),
-    (Calibration, lambda _, problem: problem.optimization is not None and not problem.optimization.is_external),
-    (OutsideSearch, lambda _, problem: problem.optimization is not None and problem.optimization.is_external),
+    (PopulationSearch, lambda _, problem: _search(problem) is PopulationSearch),
+    (CellSearch, lambda _, problem: _search(problem) is CellSearch),
+    (OutsideSearch, lambda _, problem: _search(problem) is OutsideSearch),
     (RobustnessStage, lambda _, problem: problem.specification.robustness is not None),
     (ValidationStage, lambda _, problem: _wants_validation(problem, of_predictions=False)),
     (PredictionValidation, lambda _, problem: _wants_validation(problem, of_predictions=True)),
@@ -112,85 +115,73 @@ STAGES: tuple[tuple[StageKind, Wanted], ...] = (
 """In running order, each with whether a campaign wants it and does not have its outcome already."""
 
 
-class StagedCampaign(Job):
-    """Delegates work and results to its stages, in order. The sensitivity stage ends when the campaign has an influence map."""
+class StagedCampaign:
+    """The stages of a campaign, one after the other. The database holds all state after every call."""
 
-    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, workers: int = 1) -> None:
-        """`workers`: their number at present."""
-        self._database = database
-        self._problem = problem
-        self._view = View(campaign.sequence, campaign.watermark or 0, problem.bench, workers=workers)
-        self._begun = False
-        self._sequence = campaign.sequence
-        names = [kind.name for kind, _ in STAGES]
-        self._ahead = list(STAGES if campaign.stage is None else STAGES[names.index(campaign.stage) :])
-        self.stage = campaign.stage
-        """The current stage; None before the first."""
-        self._stage: Stage | None = None
+    def __init__(self, stages: Iterator[Stage]) -> None:
+        """`stages`: each is taken when the one before is complete."""
+        self._stages = stages
+        self.wait: Wait = "answers"
+        self.stage = next(stages, None)
+        """The running stage; None after the last."""
 
     def work(self) -> list[Work]:
-        """Returns what to simulate next; empty while answers are awaited, and when the campaign is `finished`."""
-        if not self._begun:
-            self._begin()
-        while self._stage is not None:
-            work = self._stage.work()
-            self.goes_on, self.asks_ahead, self.budget = self._stage.goes_on, self._stage.asks_ahead, self._stage.budget
-            self.awaited, self.write_seconds = self._stage.awaited, self._stage.write_seconds
-            if work or not self._stage.finished:
+        """Returns what to simulate next; `wait` says what the running stage waits for then."""
+        while self.stage is not None:
+            work, self.wait = self.stage.work()
+            if self.wait != "nothing":
                 return work
-            self._stage = self._next(self._campaign())
-        self.finished = True
+            self.stage = next(self._stages, None)
         return []
-
-    def _begin(self) -> None:
-        rate_stored_runs(self._database, self._view)
-        claims = self._take_claims()
-        campaign = self._campaign()
-        with self._database.read() as connection:  # what was known of the map when the campaign was submitted
-            warnings = warnings_of(connection, self._problem, campaign.influence_map_id, campaign.created_at)
-        notes = [*claims, *warnings]
-        if notes:
-            self._problem = replace(self._problem, notes=(*self._problem.notes, *notes))
-        self._stage = self._next(campaign)
-        self._begun = True
-
-    def _take_claims(self) -> list[str]:
-        """Takes the earlier versions whose runs answer cells into the view; returns notes on them."""
-        if self._problem.specification.reduction.mode == "off":
-            return []
-        with self._database.read() as connection:
-            bundle = self._problem.bench.bundle
-            view = replace(self._view, earlier=earlier_versions(connection, self._problem.bench))
-            unused = unclaimed(connection, bundle.digest, bundle.manifest)
-        sampled = checkable(self._database, view, self._problem) if view.earlier else []
-        used = tuple(version for version in view.earlier if any(each is version for each, *_ in sampled))
-        self._view = replace(view, earlier=used)
-        claims = ", ".join(dict.fromkeys(claim for version in used for claim in version.claims))
-        checked = f"a sample of {len(sampled)} was checked by simulation in the stage claims"
-        return [f"stored runs of earlier versions of the problem answer cells by {claims}: {checked}"] if used else unused
-
-    def _campaign(self) -> StoredCampaign:
-        with self._database.read() as connection:
-            return campaigns.by_sequence(connection, self._sequence)
 
     def record(self, completed: Sequence[Completed]) -> list[Work]:
         """Stores results; returns what to simulate in their place."""
-        return [] if self._stage is None else self._stage.record(completed)
+        return [] if self.stage is None else self.stage.record(completed)
 
-    def _next(self, campaign: StoredCampaign) -> Stage | None:
-        """Returns the next stage that the campaign wants; None when all are over."""
-        while self._ahead:
-            (kind, is_wanted), *self._ahead = self._ahead
-            if is_wanted(campaign, self._problem):
-                view = self._with_map(campaign) if kind.uses_map else self._view
-                self.stage = kind.name
-                return kind(self._database, campaign, self._problem, view)
-        return None
 
-    def _with_map(self, campaign: StoredCampaign) -> View:
-        if campaign.influence_map_id is None:
-            return self._view
-        with self._database.read() as connection:
-            stored = influence_maps.get(connection, campaign.influence_map_id)
-        check_basis(stored, self._problem)
-        return replace(self._view, influence_map=stored_map(stored), influence_map_sequence=stored.sequence)
+def stages_of(database: Database, campaign: StoredCampaign, problem: CalibrationProblem, workers: int = 1) -> Iterator[Stage]:
+    """Yields the current stage of a campaign and the later stages that it wants. A sensitivity stage ends with an influence map.
+
+    Args:
+        database: where the rows are.
+        campaign: its rows at present.
+        problem: what it calibrates.
+        workers: their number at present.
+    """
+    view = View(campaign.sequence, campaign.watermark or 0, problem.bench, workers=workers)
+    rate_stored_runs(database, view)
+    view, claims = _with_claims(database, view, problem)
+    with database.read() as connection:  # what was known of the map when the campaign was submitted
+        warnings = warnings_of(connection, problem, campaign.influence_map_id, campaign.created_at)
+    problem = replace(problem, notes=(*problem.notes, *claims, *warnings))
+    names = [kind.name for kind, _ in STAGES]
+    for kind, is_wanted in STAGES if campaign.stage is None else STAGES[names.index(campaign.stage) :]:
+        with database.read() as connection:
+            campaign = campaigns.by_sequence(connection, campaign.sequence)
+        if is_wanted(campaign, problem):
+            yield kind(database, campaign, problem, _with_map(database, view, campaign, problem) if kind.uses_map else view)
+
+
+def _with_claims(database: Database, view: View, problem: CalibrationProblem) -> tuple[View, list[str]]:
+    """Returns the view with the earlier versions whose runs answer cells, and notes on them."""
+    if problem.specification.reduction.mode == "off":
+        return view, []
+    with database.read() as connection:
+        bundle = problem.bench.bundle
+        view = replace(view, earlier=earlier_versions(connection, problem.bench))
+        unused = unclaimed(connection, bundle.digest, bundle.manifest)
+    sampled = checkable(database, view, problem) if view.earlier else []
+    used = tuple(version for version in view.earlier if any(each is version for each, *_ in sampled))
+    claims = ", ".join(dict.fromkeys(claim for version in used for claim in version.claims))
+    checked = f"a sample of {len(sampled)} was checked by simulation in the stage claims"
+    notes = [f"stored runs of earlier versions of the problem answer cells by {claims}: {checked}"] if used else unused
+    return replace(view, earlier=used), notes
+
+
+def _with_map(database: Database, view: View, campaign: StoredCampaign, problem: CalibrationProblem) -> View:
+    if campaign.influence_map_id is None:
+        return view
+    with database.read() as connection:
+        stored = influence_maps.get(connection, campaign.influence_map_id)
+    check_basis(stored, problem)
+    return replace(view, influence_map=stored_map(stored), influence_map_sequence=stored.sequence)

@@ -38,7 +38,7 @@ class ClaimCheck(Stage):
     name = StageName.CLAIMS
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
-        super().__init__(database, campaign, replace(view, earlier=()))
+        super().__init__(database, campaign, problem, replace(view, earlier=()))
         self._sample = [(scenario, parameters) for _, scenario, parameters in checkable(database, view, problem)]
         self._answered, self._versions = not self._sample, view.earlier
 

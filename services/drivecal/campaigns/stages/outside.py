@@ -4,20 +4,20 @@ Sets that no round has asked for yet can be cancelled, so that rounds take only 
 reference table answers cost nothing and do not count.
 """
 
-import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from sqlalchemy import Connection
 
+from drivecal.campaigns.cells.inspection import form_lots_of_references
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.stages.answers import CellAnswers
-from drivecal.campaigns.stages.asking import WINDOW, AskedRound, Asker
-from drivecal.campaigns.stages.calibration import Calibration
-from drivecal.campaigns.stages.stage import Round, Stage
+from drivecal.campaigns.stages.answers import CellAnswers, asked_rounds
+from drivecal.campaigns.stages.asking import WINDOW, AskedRound
+from drivecal.campaigns.stages.search import SearchStage
+from drivecal.campaigns.stages.stage import Round, Stage, Wait
 from drivecal.contracts.campaign import SearchEnd
 from drivecal.domain.evaluations import Outcome, Purpose, RequestedCell
 from drivecal.storage.campaigns import StoredCampaign
@@ -31,50 +31,48 @@ MOST_SETS = 1_000
 """Sets of a round."""
 
 
-class OutsideSearch(Calibration):
+class OutsideSearch(SearchStage):
     """The first round is the baseline, if there is one. The search ends by its budget, or when the campaign is asked to finish and every
-    set is answered."""
+    set is answered. No round waits for the answers of another one."""
+
+    asks_ahead = True
+    kind_of_answers = CellAnswers
+    _answers: CellAnswers
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
         super().__init__(database, campaign, problem, view)
-        if self._limit is not None:
-            self._tracker.limit(self._limit, 0)  # answers of the table cost nothing
-            self.budget = self._tracker.budget
-        self._window = sys.maxsize  # no round waits for the answers of another one
         self._ahead = WINDOW * self._search.room
         """Cells that may wait for workers."""
         self._most = self._ahead
         """Sets that the next round tries to ask for: fewer after a cut, because each set is looked up again."""
         self._offered: Sequence[OutsideSet] = ()
         self._look_at, self._fed_at = 0.0, time.monotonic()
-
-    def _begin(self) -> None:
-        super()._begin()
+        self._seen: Wait = "computation"
+        """Result of the last look for sets."""
+        with database.read() as connection:
+            self._answers.take_in(connection, campaign.sequence, range(self._closed))
+            rounds = asked_rounds(connection, campaign.sequence, problem.scenarios)
         for number in range(self._closed):
-            self._forget(number)
-
-    def _forget(self, number: int) -> None:
-        self._asked.pop(number)
-        if isinstance(self._answers, CellAnswers):
             self._answers.forget(number)
-
-    def _compute(self, obtain: Callable[[], Asker]) -> None:
-        """Does nothing: no search computes."""
+        self._asked = {number: asked for number, asked in enumerate(rounds) if number >= self._closed}
 
     def _may_ask(self) -> bool:
         return not self._under_way or (self._search.ended_by is None and self._tracker.waiting < self._ahead)
 
-    def _is_ready(self) -> bool:
-        """Returns whether a set waits or the search ends; otherwise it is to be asked again."""
-        is_read = super()._is_ready()
+    def _awaited(self) -> Wait | None:
+        """Waits until a set is proposed or the search ends."""
         if not self._resumed or self._search.ended_by is not None or self._begins_with_baseline:
-            return is_read
+            return None
         if time.monotonic() < self._look_at:
-            return False
+            return self._seen
         with self._database.read() as connection:
             closes, self._offered = outside_sets.waiting(connection, self._campaign.sequence, self._most)
-        reason = self._end_before(max(1, self._next))
-        if reason is None and closes and not self._offered:
+        reason: SearchEnd | None = None
+        if self._is_spent:
+            reason = "budget"
+        elif self._search.stood_still_at is not None:
+            reason = "stagnation"
+        elif closes and not self._offered:
             reason = "finished"
         if reason is not None:
             self._end_search(reason)
@@ -82,16 +80,13 @@ class OutsideSearch(Calibration):
             self._fed_at = time.monotonic()
         pause = min(LONGEST_LOOK, max(LOOK_SECONDS, (time.monotonic() - self._fed_at) / 10))
         self._look_at, self.write_seconds = time.monotonic() + pause, min(Stage.write_seconds, pause)
-        self.awaited = outside_sets.AWAITED if reason is None and not self._offered and not self._under_way else None
-        return reason is not None or bool(self._offered)
+        is_over = reason is not None or bool(self._offered)
+        self._seen = "computation" if is_over or self._under_way else "sets"
+        return None if is_over else self._seen
 
     @property
     def _begins_with_baseline(self) -> bool:
         return self._next == 0 and bool(self._problem.start_sets)
-
-    def _end_before(self, number: int) -> SearchEnd | None:
-        """As of other searches; the order of answers may decide."""
-        return super()._end_before(number) or ("stagnation" if self._search.stood_still_at is not None else None)
 
     def _ask(self) -> Round | None:
         """Returns the next round of sets, or the next set to confirm after the end of the search."""
@@ -119,7 +114,7 @@ class OutsideSearch(Calibration):
             RequestedCell(individual, problem.scenarios[place], sets[individual], purpose=purpose, seed=seed)
             for individual, place, seed in cells
         ]
-        return Round(number, self._benches.with_cells(requested), self._policy())
+        return Round(number, self._benches.with_cells(requested), self._problem.policy)
 
     def _form_lots(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
         """Cuts the round to what room and budget allow, before a set that was cancelled a moment ago."""
@@ -128,7 +123,7 @@ class OutsideSearch(Calibration):
         round_ = self._asked[asked.number]
         if planned and planned[0].seed > 1:  # the first seed has decided which sets are asked for
             kept = [cell for cell in planned if cell.individual < len(round_.population)]
-            return super()._form_lots(connection, asked, kept)
+            return self._lots(connection, kept)
         if self._offered:
             held = outside_sets.hold(connection, self._campaign.sequence, [each.number for each in self._offered])
             planned = [cell for cell in planned if cell.individual < held]
@@ -137,16 +132,14 @@ class OutsideSearch(Calibration):
         self._most = min(MOST_SETS, 2 * self._most) if len(kept) == len(planned) else max(self._ahead, 2 * sets)
         self._offered = self._offered[:sets]
         self._asked[asked.number] = replace(round_, population=round_.population[:sets], changed=round_.changed[:sets])
-        return super()._form_lots(connection, asked, kept)
+        return self._lots(connection, kept)
+
+    def _lots(self, connection: Connection, planned: list[RequestedCell]) -> list[RequestedCell]:
+        return form_lots_of_references(connection, self._view, planned, self._problem.specification.reduction.max_error, {})
 
     @property
     def _cells_left(self) -> float:
         return self._tracker.budget.left
-
-    def _within_budget(self, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
-        """Returns the cells: they were cut before their lots were formed."""
-        del asked
-        return planned
 
     def _cut(self, planned: list[RequestedCell]) -> list[RequestedCell]:
         """Returns the cells of the first sets; at least one set, unless the budget does not suffice for it."""
@@ -175,9 +168,11 @@ class OutsideSearch(Calibration):
             outside_sets.place(connection, self._campaign.sequence, asked.number, numbers)
             self._offered = ()
 
-    def _close(self, number: int) -> None:
-        super()._close(number)
-        self._forget(number)
+    def _tell(self, asked: Round) -> None:
+        if asked.number < self._next:
+            self._close(asked.number)
+            self._asked.pop(asked.number)
+            self._answers.forget(asked.number)
 
     def _save(self, connection: Connection) -> None:
         super()._save(connection)

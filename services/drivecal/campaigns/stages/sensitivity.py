@@ -39,13 +39,13 @@ class Sensitivity(Stage):
     """
 
     name = StageName.SENSITIVITY
+    _problem: CalibrationProblem
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
         analysis = problem.analysis()
         if analysis is None:
             raise ValueError("the campaign has no sensitivity stage")
-        super().__init__(database, campaign, view)
-        self._problem = problem
+        super().__init__(database, campaign, problem, view)
         self._analysis: SensitivityAnalysis = analysis
         self._benches = SeededBenches(problem.bench)
         self._expected = problem.expected_runs()
@@ -63,7 +63,7 @@ class Sensitivity(Stage):
             return None
         return Round(self._phase.number, self._benches.with_cells(self._wanted(self._phase)), exact_policy(self._problem))
 
-    def _announce(self, connection: Connection, asked: Round) -> None:
+    def _store(self, connection: Connection, asked: Round) -> None:
         del asked
         self._record_progress(connection)
 

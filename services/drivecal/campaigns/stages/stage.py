@@ -1,21 +1,20 @@
 """The loop of every stage: requests cells round by round, plans and stores them, and passes their answers on in that order."""
 
 import time
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from sqlalchemy import Connection
 
 from drivecal.analysis.scoring import REMEDY
 from drivecal.campaigns.cells.cell_tracker import CellTracker
 from drivecal.campaigns.cells.planning import View, plan_cells
-from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.bench import Bench
-from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem
 from drivecal.campaigns.results.failures import broken_down
 from drivecal.campaigns.stages.eta import EtaEstimate
 from drivecal.contracts.campaign import CellCounts, Progress
@@ -23,7 +22,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
 from drivecal.domain.events import EventKind
-from drivecal.execution.scheduling.in_flight import Completed, Work
+from drivecal.execution.scheduling.in_flight import Completed, RunBudget, Work
 from drivecal.reduction.assignment import Policy
 from drivecal.storage import campaigns, evaluations, events, results, studies
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
@@ -52,8 +51,13 @@ class Round:
     """Own answers from this iteration on are not seen, so that rounds under way do not depend on the order of answers; None to see all."""
 
 
-class Stage(Job):
-    """A stage of a campaign: `work` returns cells to simulate, `record` takes their results, until the stage is `finished`. It ends early
+Wait = Literal["answers", "computation", "sets", "nothing"]
+"""A stage that has returned its work waits for answers of its cells, for a computation (or its next look for sets), for sets that another
+program proposes, or for nothing, because it is complete."""
+
+
+class Stage(ABC):
+    """A stage of a campaign: `work` returns cells to simulate, `record` takes their results, until it waits for nothing. It ends early
     if nothing in it has a result.
 
     The database holds all state after every call, so a new object continues exactly as this object would. By default it requests the
@@ -67,8 +71,20 @@ class Stage(Job):
     ends_early: ClassVar[bool] = True
     """True if it fails when its first cells return no result."""
 
-    def __init__(self, database: Database, campaign: StoredCampaign, view: View) -> None:
+    asks_ahead: ClassVar[bool] = False
+    """True if `work` may return more cells while earlier cells are at workers."""
+
+    write_seconds: float = 0.25
+    """Least interval between transactions with results while cells are at workers: half of the time of small ones is fixed."""
+
+    budget: RunBudget | None = None
+    """Runs that the stage may start; None without a limit."""
+
+    def __init__(
+        self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem | EvaluationProblem, view: View
+    ) -> None:
         counts = campaign.counts(self.name)
+        self._problem = problem
         self._database = database
         self._campaign = campaign
         self._view = view
@@ -80,7 +96,6 @@ class Stage(Job):
         self._under_way: deque[Round] = deque()
         """Rounds that the stage has no answers of, in the order of asking."""
         self._recorded = {count for count in ("unscored", "cut", "failed") if getattr(counts, count)}
-        self.finished = False
 
     @abstractmethod
     def _ask(self) -> Round | None:
@@ -99,21 +114,19 @@ class Stage(Job):
         """Resumes from stored rows if the stage does not request its finished rounds again."""
         return []
 
-    def _is_ready(self) -> bool:  # a hook
-        """Returns whether the stage can resume and ask for its next round without long computations in the dispatcher's loop."""
-        return True
+    def _awaited(self) -> Wait | None:  # a hook
+        """Returns what has to happen before the stage can resume or ask for its next round without long computations in the dispatcher's
+        loop; None if nothing has."""
+        return None
 
     def _may_ask(self) -> bool:  # a hook
         """Returns whether the next round may be asked for: by default if the one before is answered."""
         return not self._under_way
 
-    def _announce(self, connection: Connection, asked: Round) -> None:  # a hook
-        """Adds the events that precede a new round."""
+    def _store(self, connection: Connection, asked: Round) -> None:  # noqa: B027  # a hook
+        """Stores the data and events of a new round besides its cells."""
 
-    def _store(self, connection: Connection, asked: Round) -> None:  # a hook
-        """Stores the data of a new round besides its cells."""
-
-    def _conclude(self) -> None:  # a hook
+    def _conclude(self) -> None:  # noqa: B027  # a hook
         """Stores the outcome of the stage."""
 
     def _snapshot(self, connection: Connection) -> Snapshot:
@@ -167,39 +180,36 @@ class Stage(Job):
     def _progress(self, requested: int, proposed: int) -> Progress:
         return self._eta.progress(requested, max(self._at_most, proposed), worked(self._tracker.counts))
 
-    def work(self) -> list[Work]:
-        """Returns what to simulate next; empty while answers are awaited, while it computes (`goes_on`), and when it is `finished`.
+    def work(self) -> tuple[list[Work], Wait]:
+        """Returns what to simulate next, and what the stage waits for then. It is not called again after it waits for nothing.
 
         It may be called while earlier cells are at workers (`asks_ahead`).
 
         Raises NoResultError if everything so far has failed, also in an earlier process.
         """
         self._refuse_failures()
-        self.goes_on = not self._resumed and not self._is_ready()
-        if self.goes_on:
-            return []
         work: list[Work] = []
         if not self._resumed:
+            if (awaited := self._awaited()) is not None:
+                return work, awaited
             work += self._resume()
             self._resumed = True
-        while not self.finished:
+        while True:
             while self._under_way and not self._tracker.waits_for(self._under_way[0].number):
                 self._tell(self._under_way.popleft())
             if not self._may_ask() or (self._tracker.waiting and not self._under_way):
-                break
-            self.goes_on = not self._is_ready()
-            if self.goes_on:
-                break
+                return work, "answers"
+            if (awaited := self._awaited()) is not None:
+                return work, awaited
             asked = self._ask()
             if asked is None:
-                if not self._under_way:
-                    self._conclude()
-                    self.finished = True
-                break
+                if self._under_way:
+                    return work, "answers"
+                self._conclude()
+                return work, "nothing"
             self._round = asked
             self._under_way.append(asked)
             work += self._request(asked)
-        return work
 
     def record(self, completed: Sequence[Completed]) -> list[Work]:
         """Stores results, in one transaction with the counters that they change; returns what to simulate in their place.
@@ -223,7 +233,6 @@ class Stage(Job):
             if not is_new and not results.is_pending(connection, sequence, self.name, asked.number):
                 return []  # over before this process began; cells that wait belong to a later round
             if is_new:
-                self._announce(connection, asked)
                 for position, (bench, cells) in enumerate(asked.cells):
                     view = self._view if bench is self._view.bench else replace(self._view, bench=bench)
                     planned = plan_cells(connection, view, asked.policy, self.name, asked.number, cells, asked.before)
@@ -276,6 +285,8 @@ class StudyStage(Stage):
     """A study of a campaign. Its cells are answered by equal parameter sets or simulated, never reused. `valued`: computes the values of
     a run that its answers need besides the score."""
 
+    _problem: CalibrationProblem
+
     def __init__(
         self,
         database: Database,
@@ -284,8 +295,8 @@ class StudyStage(Stage):
         view: View,
         valued: results.Valued | None = None,
     ) -> None:
-        super().__init__(database, campaign, replace(view, influence_map=None, influence_map_sequence=None))
-        self._problem, self._valued = problem, valued
+        super().__init__(database, campaign, problem, replace(view, influence_map=None, influence_map_sequence=None))
+        self._valued = valued
 
     @abstractmethod
     def _take(self, number: int, answers: Sequence[CellScore]) -> None:
@@ -300,13 +311,10 @@ class StudyStage(Stage):
             answers = list(results.answers(connection, self._campaign.sequence, self.name, asked.number, valued=self._valued))
         self._take(asked.number, answers)
 
-    def _announce(self, connection: Connection, asked: Round) -> None:
+    def _store(self, connection: Connection, asked: Round) -> None:
         if asked.number == 0:
             begun = {"stage": self.name, "cells": self._at_most}
             events.add(connection, self._campaign.sequence, EventKind.STAGE, begun)
-
-    def _store(self, connection: Connection, asked: Round) -> None:
-        del asked
         studies.save(connection, self._campaign.sequence, self.name, self._outcome())
 
     def _conclude(self) -> None:

@@ -1,0 +1,203 @@
+"""A search by the cell: a round is some cells of some sets, and several rounds are under way.
+
+Its task is the space, the aim, and the answers that are stored before the campaign begins.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from sqlalchemy import Connection
+
+from drivecal.analysis.aims import JudgedGoals, WeightedScore
+from drivecal.analysis.goals import SCORE
+from drivecal.analysis.replicates import choosing
+from drivecal.campaigns.cells import earlier
+from drivecal.campaigns.cells.earlier import place_in
+from drivecal.campaigns.cells.inspection import form_lots_of_references
+from drivecal.campaigns.cells.planning import View
+from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.stages.answers import CellAnswers, asked_rounds
+from drivecal.campaigns.stages.asking import WINDOW, CellAsker, cells_of
+from drivecal.campaigns.stages.search import ComputedSearch
+from drivecal.campaigns.stages.stage import Round
+from drivecal.domain.evaluations import CellScore, RequestedCell
+from drivecal.domain.parameters import Indices
+from drivecal.optimizers.population import start_population
+from drivecal.plugins.ports import Floats
+from drivecal.plugins.search import Aim, AskedCell, CellAnswer, SearchPlugin, SearchTask
+from drivecal.storage import campaigns, generations
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.generations import StoredGeneration
+from drivecal.storage.references import runs
+
+MOST_BEST = 3
+"""Best stored sets by each objective that a search begins with."""
+MOST_KNOWN = 2_000
+"""Newest stored runs of each scenario from which a search begins."""
+
+
+class CellSearch(ComputedSearch):
+    """A search whose plug-in asks for cells."""
+
+    window = WINDOW
+    asks_ahead = True
+    kind_of_answers = CellAnswers
+    _answers: CellAnswers
+
+    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
+        self._within = problem.search_simulations() or 0
+        super().__init__(database, campaign, problem, view)
+        if self._limit is not None:
+            self._tracker.limit_cells(_most_cells(self._within, problem.bench.repeated_share))
+        told = max(0, self._next - self.window)
+        with database.read() as connection:
+            last = generations.last(connection, campaign.sequence)
+            self._answers.take_in(connection, campaign.sequence, range(self._closed))
+            rounds = asked_rounds(connection, campaign.sequence, problem.scenarios)
+        self._asked = {number: asked for number, asked in enumerate(rounds) if number >= told}
+        if self._search.ended_by is None:
+            answers = [self._answers.for_search(number, rounds[number])[0] for number in range(told)]
+            asked = [cells_of(asked, problem.least_replicates) for asked in rounds]
+            self._compute(partial(self._restored, asked, answers, last))
+
+    def _restored(
+        self, rounds: Sequence[Sequence[AskedCell]], answers: Sequence[Sequence[CellAnswer]], last: StoredGeneration | None
+    ) -> CellAsker:
+        """Returns the search as it was after the `last` round; a new one before the first."""
+        plugin, settings = self._optimization.plugin, self._optimization.settings
+        if not isinstance(plugin, SearchPlugin):
+            raise TypeError(f"{plugin.name} does not search by the cell")
+        task = _search_task(self._database, self._view, self._problem, self._answers)
+        state = {} if last is None else (last.optimizer_state or {}).get("search", {})
+        search = plugin.begin(settings, task) if last is None else plugin.resume(settings, task, rounds, answers, state)
+        return CellAsker(search, self._search.room, self._problem.least_replicates)
+
+    def _may_ask(self) -> bool:
+        return not self._under_way or self._computation is not None
+
+    def _ask(self) -> Round | None:
+        """Returns the next round of the search, or the next one after it."""
+        asked = self._propose()
+        if asked is None:
+            return None if self._under_way else self._after_search()
+        self._tracker.note_discarded(asked.state.get("discarded", 0))
+        number, cells = self._next - 1, self._cells(asked, range(len(asked.population)))
+        self._go_on()
+        return Round(number, cells, self._problem.policy, before=number - self.window + 1)
+
+    def _tell(self, asked: Round) -> None:
+        if asked.number < self._next:
+            self._close(asked.number)
+            self._go_on()
+
+    @property
+    def _cells_left(self) -> float:
+        left, budget = super()._cells_left, self._tracker.budget
+        return left if math.isinf(left) else min(left, budget.kept - (self._within - self._simulations))
+
+    def _form_lots(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
+        """Forms lots, and returns the first cells for which the budget suffices: each counts, whatever is stored."""
+        if asked.number >= self._next:
+            return planned
+        limit = self._problem.specification.reduction.max_error
+        planned = form_lots_of_references(
+            connection, self._view, planned, limit, {}
+        )  # rates are known at another time in each run
+        room = int(min(max(0, self._cells_left), len(planned)))
+        if room < len(planned):
+            self._end_search("budget")
+        return planned[:room]
+
+
+def _search_task(database: Database, view: View, problem: CalibrationProblem, answers: CellAnswers) -> SearchTask:
+    """Returns the task of a campaign's search. It depends on what was stored when the campaign began, and on nothing later."""
+    space, constraints = problem.space, problem.search_constraints
+    region = constraints.whole_region if constraints else None
+
+    def repair(rows: Indices) -> Indices:
+        return rows if region is None else region.repair(rows)
+
+    def sample(count: int, generator: np.random.Generator) -> Indices:
+        if region is None:
+            return start_population("lhs", count, space.n_values, generator, None)
+        return region.sample(count, generator)
+
+    limit = problem.search_simulations()
+    is_cut_off = problem.specification.reduction.mode == "off"
+    aim, variants = answers.aim, answers.aims_of_variants
+    known = [] if is_cut_off else _known(database, view, problem, aim)
+    start, changes = problem.start_indices, problem.goals.changes
+    best = [indices for indices in _best_known((aim, *variants), known) if list(indices) not in start.tolist()]
+    first = {*best, *map(tuple, start.tolist())}  # asked all the same, so that the campaign ranks them
+    return SearchTask(
+        n_values=space.n_values,
+        kinds=space.kinds,
+        aim=aim,
+        feasible=constraints.feasible,
+        repair=repair,
+        sample=sample,
+        start=np.concatenate([start, np.array(best, dtype=np.int64).reshape(len(best), len(space.n_values))]),
+        known=[answer for answer in known if answer.cell.indices not in first],
+        cells=None if limit is None else _most_cells(limit, problem.bench.repeated_share) // problem.least_replicates,
+        window=WINDOW,
+        random=problem.bench.is_random,
+        replicates=choosing(problem.specification.replicates.most) // problem.least_replicates
+        if problem.bench.is_random
+        else 1,
+        given=(lambda rows: aim.given(constraints.entries(rows))) if changes and isinstance(aim, JudgedGoals) else None,
+        references=np.unique([each.row(space) for each in changes.values()], axis=0) if changes else None,
+        variants=variants,
+    )
+
+
+def _most_cells(runs: int, repeated_share: float) -> int:
+    """Returns the cells that a search may ask for in a budget of runs: `repeated_share` of the simulated cells run twice."""
+    return runs - math.ceil(runs * repeated_share / (1.0 + repeated_share))
+
+
+def _best_known(aims: Sequence[Aim], known: Sequence[CellAnswer]) -> list[tuple[int, ...]]:
+    """Returns the best stored sets, which a search asks for first: the table answers them, so that the campaign ranks them.
+
+    Args:
+        aims: the campaign's aim, and the aims of its variants.
+        known: stored answers.
+
+    Returns:
+        grid indices of the MOST_BEST best sets by each objective; constraints on results come first.
+    """
+    sets, aim = dict[tuple[int, ...], Floats](), aims[0]
+    for answer in known:
+        cells = sets.setdefault(answer.cell.indices, np.full((aim.scenarios, aim.values), np.nan))
+        cells[answer.cell.scenario] = answer.values
+    listed, best = list(sets), dict[tuple[int, ...], None]()
+    for each in aims if listed else ():
+        objectives, violations = each.judge(np.array(list(sets.values())))
+        whole = np.flatnonzero(np.isfinite(violations) & np.isfinite(objectives).all(axis=1))
+        for objective in objectives[whole].T:
+            order = np.lexsort((-objective, violations[whole]))[:MOST_BEST]
+            best |= dict.fromkeys(listed[place] for place in whole[order].tolist())
+    return list(best)
+
+
+def _known(database: Database, view: View, problem: CalibrationProblem, aim: WeightedScore | JudgedGoals) -> list[CellAnswer]:
+    """Returns the stored answers of sets in the space, in the order of references."""
+    answers = []
+    with database.transaction() as connection:
+        watermark = campaigns.first_watermark(connection, view.campaign)  # the same again is the same
+        for place, scenario in enumerate(problem.scenarios):
+            stored = earlier.rated(connection, view.bench, view.earlier, scenario, watermark, MOST_KNOWN)
+            measured = {} if problem.goals.valued is None else runs.values_of(connection, [run.evaluation for run in stored])
+            for run in stored:
+                indices = place_in(problem.space, run.parameters)
+                if indices is None:
+                    continue
+                values = {SCORE: run.score}
+                if measured:
+                    values |= problem.goals.values(*measured[run.evaluation], run.parameters)
+                cell = CellScore(0, scenario, run.score, run.rating, own=True, iteration=0, individual=0, values=values)
+                failed = run.score == view.bench.scale.failed
+                answers.append(CellAnswer(AskedCell(indices, place), aim.of(cell), failed=failed))
+    return answers

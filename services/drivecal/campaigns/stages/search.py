@@ -1,0 +1,377 @@
+"""The common part of all searches: rounds and the ranking of their sets, the end by a budget, and the confirmation of the best set.
+
+Cells of the confirmation continue the stage's iteration numbers, without a generation.
+"""
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+from sqlalchemy import Connection
+
+from drivecal.analysis.confirmation import Confirming, front_outcome
+from drivecal.analysis.verdicts import confirmation_verdict
+from drivecal.campaigns.cells.inspection import check_reuse, rejected_text
+from drivecal.campaigns.cells.planning import View, sync_reference_keys
+from drivecal.campaigns.resolve.bench import Bench
+from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.resolve.resolvers import note_predictions
+from drivecal.campaigns.stages.answers import SearchAnswers
+from drivecal.campaigns.stages.asking import AskedRound, Asker, Computation, room_for
+from drivecal.campaigns.stages.leader import Leader
+from drivecal.campaigns.stages.replication import Replication, SeededBenches
+from drivecal.campaigns.stages.stage import Round, Stage, Wait
+from drivecal.contracts.campaign import CellCounts, ErrorRate, GenerationCounts, SearchEnd, SearchState
+from drivecal.contracts.tables import Generation
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.errors import NoResultError
+from drivecal.domain.evaluations import Purpose, RequestedCell
+from drivecal.domain.events import EventKind
+from drivecal.execution.scheduling.in_flight import Work
+from drivecal.optimizers.repair import RepairCount
+from drivecal.reduction.assignment import Policy
+from drivecal.storage import evaluations, events, generations, results
+from drivecal.storage.campaigns import Snapshot, StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
+from drivecal.storage.references import parameter_sets
+
+STALE = 50
+"""Generations without a new set after which a search with a budget ends: its space is exhausted, or its population stands still."""
+
+
+class SearchStage(Stage):
+    """The search of a campaign: its rounds, and after the last one sets to confirm."""
+
+    name = StageName.CALIBRATION
+    uses_map = True
+    kind_of_answers: ClassVar[type[SearchAnswers]]
+    _problem: CalibrationProblem
+
+    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
+        super().__init__(database, campaign, problem, view)
+        self._optimization, self._answers = problem.search, self.kind_of_answers(problem)
+        self._ranking = self._answers.ranking
+        self._leader = Leader(campaign, problem, self._ranking)
+        self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
+        if campaign.search is not None:
+            view.reuse_time.seconds += campaign.search.reuse_seconds
+        self._repeatable_no_more = campaign.cells.unrepeatable > 0
+        begun, room = campaign.search, room_for(view.workers)
+        self._search = SearchState(room=room, began_at=now()) if begun is None else begun.resumed(now())
+        self._asked: dict[int, AskedRound] = {}
+        """Rounds whose answers the search does not know, by number."""
+        self._confirming: Confirming | None = None
+        """The sets that are simulated after the search; None before its end."""
+        self._confirmation = campaign.confirmation
+        self._limit = None if problem.search.budget is None else problem.search.budget.simulations
+        if self._limit is not None:
+            self._tracker.limit(self._limit)
+            self.budget = self._tracker.budget
+        self._benches = SeededBenches(problem.bench)
+        with view.reuse_time.counted():
+            sync_reference_keys(database, view)
+        with database.read() as connection:
+            last = generations.last(connection, campaign.sequence)
+            self._closed = generations.finished(connection, campaign.sequence)
+        self._next = 0 if last is None else last.iteration + 1
+        """Number of rounds that were asked; `_closed` of them are answered."""
+
+    @property
+    def _at_most(self) -> int:
+        return 0 if self._search.ended_by is not None else self._problem.expected_runs().calibration_at_most
+
+    @property
+    @abstractmethod
+    def _cells_left(self) -> float:
+        """Cells that the search may ask for; infinite without a budget of simulations."""
+
+    @property
+    def _is_spent(self) -> bool:
+        """True if the budget is used up."""
+        budget = self._optimization.budget
+        if budget is None:
+            return False
+        is_late = budget.minutes is not None and self._search.minutes(now()) >= budget.minutes
+        return is_late or (budget.simulations is not None and self._cells_left < 1)
+
+    def _end_search(self, reason: SearchEnd) -> None:
+        """Notes the end, which is stored with the next rows."""
+        minutes = self._search.minutes(now())
+        self._search = self._search.model_copy(update={"ended_by": reason, "spent_minutes": minutes})
+
+    def _resume(self) -> list[Work]:
+        """Resumes the rounds that have cells without an answer, or starts with the first.
+
+        What the constructor read stays true: only the dispatcher changes it, and every transaction first checks that this process is
+        still the one.
+        """
+        share_runs = self._problem.policy.mode != "off"
+        with self._database.transaction() as connection:
+            if self._next == 0:
+                self._leader.remember_baseline(connection)
+                return self._tracker.load(connection, share_runs=share_runs)
+            seeds = {cell.seed for cell in results.pending(connection, self._campaign.sequence)}
+            benches = [self._benches.of(seed) for seed in sorted(seeds)]
+            work = self._tracker.load(connection, share_runs=share_runs, benches=benches)
+            self._save(connection)
+        for number in range(self._closed, self._next):
+            self._round = Round(number, (), self._problem.policy)
+            self._under_way.append(self._round)
+        return work
+
+    def _store(self, connection: Connection, asked: Round) -> None:
+        """Commits a round with the search's state and its cells; a set to confirm belongs to no generation."""
+        if asked.number >= self._next:
+            return
+        if generations.is_stored(connection, self._campaign.sequence, asked.number):  # with an earlier batch
+            return
+        round_ = self._asked[asked.number]
+        generations.insert(
+            connection,
+            self._campaign.sequence,
+            Generation(iteration=asked.number, carried_over=round_.unchanged * len(self._problem.scenarios)),
+            population=round_.population.tolist(),
+            changed=round_.changed.tolist(),
+            optimizer_state=round_.state,
+        )
+        if asked.number == 0:
+            events.add(connection, self._campaign.sequence, EventKind.STAGE, {"stage": self.name, "cells": self._at_most})
+            for note in self._problem.notes:
+                if note not in self._campaign.notes:  # the sensitivity stage has recorded those
+                    events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": note})
+
+    def _confirm(self) -> Round | None:
+        """The best set in the scenarios with scores copied from references, after the previous answers; None when no set is left."""
+        sequence, first = self._campaign.sequence, self._next
+        limit, best = self._problem.specification.reduction.confirm, self._ranking.best()
+        believed = self._ranking.doubtful() if best is None else best[0]  # every set may have a predicted score
+        if limit and self._search.last_look is None:
+            self._search = self._search.model_copy(update={"last_look": []})
+        if limit == 0 or believed is None:
+            with self._database.transaction() as connection:
+                self._save(connection)  # what is noted at the end of a search
+            return None
+        with self._database.transaction() as connection:
+            if self._confirming is None:
+                tried = results.sets_since(connection, sequence, self.name, first)
+                last_look = self._search.last_look or []
+                self._confirming, taken = Confirming(limit, believed.objective, tried, last_look), 0
+            else:
+                tried, taken = self._confirming.tried, len(self._confirming.tried) - 1
+            for number in range(taken, len(tried)):
+                self._answers.add(self._answers.read(connection, sequence, first + number))
+            if tried:
+                self._leader.describe(connection)
+            chosen = self._confirming.choose(self._ranking)
+            if chosen is not None and len(chosen.reused) > self._tracker.budget.left:
+                chosen = None
+            if chosen is None:
+                self._end_confirmation(connection, self._confirming)
+            else:
+                parameters = parameter_sets.load(connection, [chosen.parameter_set])[chosen.parameter_set]
+            self._save(connection)
+        if chosen is None:
+            return None
+        wanted = [RequestedCell(0, scenario, parameters, purpose=Purpose.CONFIRMATION) for scenario in chosen.reused]
+        tried.append(chosen.parameter_set)
+        return Round(first + len(tried) - 1, [(self._problem.bench, wanted)], Policy("exact"))
+
+    def _end_confirmation(self, connection: Connection, confirming: Confirming) -> None:
+        """Stores the outcome of the confirmation, once; its simulations may contradict others."""
+        best = self._ranking.best()
+        dismissed = len(self._ranking.dismissed())
+        if (confirming.tried or dismissed) and best is not None:
+            last, scenarios = self._next - 1, self._problem.scenarios
+            self._error_rate = check_reuse(connection, self._view, last, scenarios, self._error_rate)
+            if self._confirmation is None:
+                is_front, untried = self._problem.goals.is_vector, self._ranking.doubtful(confirming.tried)
+                front = self._ranking.front() if is_front else []
+                if is_front and (not best[0].reused or any(member.solution.reused for member in front)):
+                    outcome = front_outcome(front, confirming.tried, untried)
+                else:
+                    outcome = confirming.outcome(best[0], untried)
+                self._confirmation = outcome.model_copy(update={"dismissed": dismissed})
+                text = confirmation_verdict(self._confirmation).text
+                events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": text})
+                if not is_front and confirming.tried and confirming.is_changed(best[0]):
+                    self._leader.record_event(connection, best[0])
+
+    def _close(self, number: int) -> None:
+        """Closes a round: every cell has its answer."""
+        asked, sequence = self._asked[number], self._campaign.sequence
+        with self._database.transaction() as connection:
+            sets = self._ranking.sets
+            self._answers.take_in(connection, sequence, [number])
+            self._answers.settle(asked.population)
+            objectives = self._answers.objectives(number)
+            with self._view.reuse_time.counted():
+                self._error_rate = check_reuse(connection, self._view, number, self._problem.scenarios, self._error_rate)
+            is_better = self._leader.describe(connection) or self._answers.has_better_variant()
+            cells, carried_over = (
+                evaluations.counts(connection, sequence, self.name, number),
+                asked.unchanged * len(self._problem.scenarios),
+            )
+            cells = cells.model_copy(update={"carried_over": carried_over, "proposed": cells.requested + carried_over})
+            figures = self._answers.figures(number, cells, objectives)
+            self._search = self._progressed(figures, number, is_better=is_better, is_new=self._ranking.sets > sets)
+            generations.finish(connection, sequence, figures, objectives.tolist())
+            self._closed = number + 1
+            self._save(connection)
+            data = {"iterations": self._optimization.iterations, **figures.model_dump()}
+            events.add(connection, sequence, EventKind.GENERATION, data)
+
+    def _progressed(self, cells: GenerationCounts, number: int, *, is_better: bool, is_new: bool) -> SearchState:
+        """Returns the state after a round. It counts simulations since the last better set, and generations since the last new set.
+
+        A search by the cell counts requested cells, not simulated ones: what it asks for must not depend on stored results.
+        """
+        search, budget, by_cell = self._search, self._optimization.budget, self._optimization.is_by_cell
+        simulated = search.simulated + (cells.requested if by_cell else cells.simulated + cells.failed)
+        better_at = simulated if is_better else search.better_at
+        stale = 0 if is_new or budget is None or by_cell else search.stale + 1
+        stood_still = budget is not None and budget.stagnation is not None and simulated - better_at >= budget.stagnation
+        at = number + 1 if (stood_still or stale >= STALE) and search.stood_still_at is None else search.stood_still_at
+        return search.model_copy(update={"simulated": simulated, "better_at": better_at, "stood_still_at": at, "stale": stale})
+
+    def _snapshot(self, connection: Connection) -> Snapshot:
+        counts = CellCounts(**self._tracker.counts)
+        notes = list(self._problem.notes)
+        if (rejected := rejected_text(self._error_rate)) is not None:
+            notes.append(rejected)
+        if counts.unrepeatable:
+            advice = note_predictions(self._problem.specification, self._problem.bench.scale)  # holds for equal runs
+            notes = [note for note in notes if note not in advice]
+            notes.append(f"runs that differ from another one of the same cell: {counts.unrepeatable}; scores are samples")
+            if not self._repeatable_no_more:
+                events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": notes[-1]})
+                self._repeatable_no_more = True
+        notes += self._score_notes()
+        repaired = self._search.repaired
+        if RepairCount(repaired.proposed, repaired.distinct).collapses:
+            notes.append(
+                f"{repaired.proposed:,} proposals broke constraints and became {repaired.distinct:,} new sets: the search hardly moves;"
+                " choose another optimizer, or loosen the constraints"
+            )
+        is_over = self._search.ended_by is not None
+        reuse = 0.0 if self._problem.policy.mode == "off" else self._view.reuse_time.seconds
+        if is_over and self._search.predictions_off is not None:
+            notes.append(self._search.predictions_off)
+        if is_over:
+            notes += self._leader.notes()
+        return replace(
+            super()._snapshot(connection),
+            iteration=self._next - 1 if self._next else None,
+            search=self._search.model_copy(
+                update={"reuse_seconds": reuse, "spent_minutes": self._search.minutes(now()), "surest": self._leader.surest}
+            ),
+            progress=self._progress(counts.requested, counts.requested + counts.pending),
+            error_rate=self._error_rate,
+            best=self._leader.best,
+            confirmation=self._confirmation,
+            baseline=self._leader.baseline,
+            notes=tuple(notes),
+        )
+
+
+class ComputedSearch(SearchStage):
+    """A search that computes its rounds in a thread: round n knows the answers of the rounds up to n - `window` and nothing else."""
+
+    window: ClassVar[int]
+
+    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
+        super().__init__(database, campaign, problem, view)
+        self._asker: Asker | None = None
+        """The search; None until it is created or restored."""
+        self._computation: Computation | None = None
+        """The search's running computation; None if the next round needs none."""
+        self._replication = Replication(problem, self._answers, self._benches)
+
+    def _awaited(self) -> Wait | None:
+        """Waits until the search is restored, or has computed the next round."""
+        if self._computation is not None and not self._computation.is_done:
+            return "computation"
+        if self._computation is not None and not self._computation.asks:
+            (self._asker, _), self._computation = self._computation.result(), None
+        return None
+
+    def _compute(self, obtain: Callable[[], Asker]) -> None:
+        """Begins to obtain the search, and to ask it for the next round if that may be asked for."""
+        number, oldest, known = self._next, self._next - self.window, None
+        asks = oldest < 0 or self._closed > oldest
+        if asks and (reason := self._end_before(number)) is not None:
+            self._end_search(reason)
+            return
+        if self._asker is not None and not asks:
+            return
+        if asks and oldest >= 0:
+            known = self._answers.for_search(oldest, self._asked.pop(oldest))
+        self._computation = Computation(obtain, known, asks=asks)
+
+    def _go_on(self) -> None:
+        """Begins to compute the next round, if it is time."""
+        asker = self._asker
+        if asker is not None and self._computation is None and self._search.ended_by is None:
+            self._compute(lambda: asker)
+
+    def _end_before(self, number: int) -> SearchEnd | None:
+        """Returns why the search ends before a round; None if it goes on. Knows the rounds that the search knows, and the clock."""
+        if self._optimization.iterations is not None and number >= self._optimization.iterations:
+            return "iterations"
+        if number and self._is_spent:
+            return "budget"
+        stood_still = self._search.stood_still_at
+        return "stagnation" if stood_still is not None and stood_still <= number - self.window else None
+
+    @property
+    def _cells_left(self) -> float:
+        return self._tracker.budget.left - ((self._limit or 0) - self._simulations)
+
+    @property
+    def _simulations(self) -> int:
+        """Simulations of the budget that are the search's own; further ones tell its best sets apart."""
+        varies = self._tracker.counts.get("unrepeatable", 0) > 0
+        return self._problem.search_simulations(varies=varies) or 0
+
+    def _propose(self) -> AskedRound | None:
+        """Returns the computed round; None if there is none, or the search ends because it has nothing left to ask for."""
+        if self._computation is None:
+            return None
+        (self._asker, asked), self._computation = self._computation.result(), None
+        if asked is None:
+            set_cells = len(self._problem.scenarios) * self._problem.least_replicates
+            self._end_search("budget" if self._cells_left < set_cells else "stagnation")
+            return None
+        self._asked[self._next] = asked
+        self._next += 1
+        return asked
+
+    def _cells(self, asked: AskedRound, individuals: Sequence[int]) -> list[tuple[Bench, list[RequestedCell]]]:
+        """Returns the cells of some individuals of a round, with the benches of their seeds."""
+        problem = self._problem
+        sets = dict(zip(individuals, problem.space.parameter_sets(asked.population[individuals]), strict=True))
+        purposes = {number: Purpose.START if each in problem.start_sets else Purpose.SEARCH for number, each in sets.items()}
+        return self._benches.with_cells(
+            [
+                RequestedCell(individual, problem.scenarios[place], sets[individual], purpose=purposes[individual], seed=seed)
+                for individual, place, seed in asked.cells
+                if individual in sets
+            ]
+        )
+
+    def _after_search(self) -> Round | None:
+        """Returns the next set to confirm, or the next runs under further seeds that decide which set is the best, after the answers of
+        the previous ones; None if all is decided, or the budget is used up."""
+        asked, is_random = None, self._problem.bench.is_random
+        if not is_random:
+            asked = self._confirm()
+        if asked is None and (is_random or self._tracker.counts.get("unrepeatable")):
+            with self._database.transaction() as connection:
+                asked = self._replication.ask(connection, self._campaign.sequence, self._next, self._search.room, self._tracker)
+                self._leader.describe(connection)
+                self._save(connection)
+        if asked is None and self._ranking.best() is None:
+            failed = CellCounts(**self._tracker.counts).failed
+            raise NoResultError(f"no parameter set has a result in every scenario; {failed:,} cells failed{self._causes()}")
+        return asked
