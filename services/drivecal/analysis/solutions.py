@@ -370,8 +370,7 @@ class Ranking:
                 solution = self._solutions[number]
                 error = float((replicates.variance(fresh, *others) / len(fresh)) ** 0.5) * replicates.widening(self._level)
                 lower, upper = replicates.interval(fresh, self._level, confidence, *others, solution.sign * known.skewness)
-                own = replace(solution, lower=lower, upper=upper, standard_error=error)
-                self._solutions[number] = own
+                self._solutions[number] = replace(solution, lower=lower, upper=upper, standard_error=error)
         leader = known.best(confidence)
         if not known.is_known:  # too few runs tell no set from the best one
             for number in set(numbers) - {numbers[leader]}:

@@ -63,8 +63,7 @@ class SearchAnswers(ABC):
         return list(results.answers(connection, campaign, StageName.CALIBRATION, iteration, valued=self._goals.valued))
 
     def _worst(self, known: Floats) -> float | None:
-        sign = self._goals.objectives[0].sign
-        return float(sign * np.min(sign * known)) if known.size else None
+        return (float(known.min()) if self._goals.objectives[0].sign > 0 else float(known.max())) if known.size else None
 
     def figures(self, number: int, cells: GenerationCounts, objectives: Floats) -> Generation:
         """Returns the figures of a round with these counts and objectives, shape (n,), NaN without a result."""

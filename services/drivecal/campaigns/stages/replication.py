@@ -105,9 +105,8 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
         return []
     choosing = replicates.choosing(wanted.most)
     fresh = range(choosing + 1, wanted.most + 1)
-    spare = (
-        affordable - len(fresh) if ranking.to_show(kept[0][0]) == 0 else affordable
-    )  # without a set, there is nothing to report
+    # without a set, there is nothing to report
+    spare = affordable - len(fresh) if ranking.to_show(kept[0][0]) == 0 else affordable
     numbers, known = ranking.statistics(spare) or kept
     needed = {place: seeds for place, number in enumerate(numbers) if (seeds := ranking.to_show(number))}
     untried = [[seed for seed in range(1, choosing + 1) if seed not in ranking.seeds(number)] for number in numbers]
