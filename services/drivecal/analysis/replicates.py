@@ -26,7 +26,7 @@ FIRST = 4
 SWEEPS = 30
 """Iterations of the fit of means and effects of seeds."""
 DRAWS = 4000
-"""Draws of the means of sets some of whose runs failed."""
+"""Draws of the means of sets that tell how probably each is the best."""
 QUANTILES = 200
 """Points of a distribution over which probabilities are integrated."""
 LEAST_APART = 0.1
@@ -133,19 +133,26 @@ class SetStatistics:
         return result
 
     def probabilities(self) -> Floats:
-        """Returns the probability of each set to be the best; NaN: unknown. Of at most LISTED sets that may beat the highest mean."""
+        """Returns the probability of each set to be the best; NaN: unknown. Only the LISTED most promising ones have one above 0.
+
+        A rare failure is no noise of all sets: the mean of a set is the mean of its other runs, less what failures lose in the share of its
+        runs that fail. This share is drawn as its runs tell it, and the share of all sets as SHRINKAGE runs more.
+        """
+        known, sound, failures, lost = self, np.arange(len(self.means)), np.zeros(len(self.means)), 0.0
         if self.failing is not None:
-            return _with_failures(*self.failing)
-        leader = int(np.argmax(self.means))
-        may_win = self.ahead(leader) >= UNLIKELY
-        may_win[leader] = True
-        promising = np.argsort(-(self.means + 2 * self.errors), kind="stable")
-        listed = promising[may_win[promising]][:LISTED].tolist()
-        result = np.zeros(len(self.means))
-        for place in listed:
-            result[place] = self.probability(place, listed)
-        total = result.sum()
-        return result / total if total > 0 else result
+            samples, failed, level = self.failing
+            others = np.where(failed, np.nan, samples)
+            sound = np.flatnonzero(np.isfinite(others).any(axis=1))
+            if level is not None or not len(sound) or not (known := assess(others[sound])).is_known:
+                return np.full(len(samples), np.nan)
+            failures, lost = failed[sound].sum(axis=1), float(samples[failed].mean())
+        listed = np.argsort(-(known.means + 2 * known.errors), kind="stable")[:LISTED]
+        means, counts, failures = known.means[listed], known.counts[listed], failures[listed]
+        prior = max(SHRINKAGE * failures.sum() / (failures + counts).sum(), 1e-9)
+        random, shape = np.random.Generator(np.random.PCG64(1)), (DRAWS, len(listed))
+        drawn = means + np.maximum(known.errors[listed], 1e-12) * random.standard_t(known.freedom[listed], shape)
+        drawn -= random.beta(failures + prior, counts + SHRINKAGE - prior, shape) * (means - lost)
+        return np.bincount(sound[listed[drawn.argmax(axis=1)]], minlength=len(self.means)) / DRAWS
 
     def probability(self, place: int, rivals: Sequence[int]) -> float:
         """Returns the probability that a set is better than all `rivals`."""
@@ -173,27 +180,6 @@ def assess(samples: Floats, level: float | None = None, failed: npt.NDArray[np.b
     if level is not None:
         return _quantiles(samples, known, level)
     return _without_luck(known) if known.is_known else known
-
-
-def _with_failures(samples: Floats, failed: npt.NDArray[np.bool_], level: float | None) -> Floats:
-    """Returns the probability of each set to be the best; NaN for quantiles, and if the noise is unknown.
-
-    A rare failure is no noise of all sets: the mean of a set is the mean of its other runs, less what failures lose in the share of its
-    runs that fail. This share is drawn as the set's runs tell it, with the share of all sets as SHRINKAGE runs more. A set has 0 if all
-    its runs failed."""
-    result, others = np.zeros(len(samples)), np.where(failed, np.nan, samples)
-    sound = np.flatnonzero(np.isfinite(others).any(axis=1))
-    if level is not None or not len(sound) or not (known := assess(others[sound])).is_known:
-        return np.full(len(samples), np.nan)
-    listed = np.argsort(-(known.means + 2 * known.errors), kind="stable")[:LISTED]
-    failures = failed[sound[listed]].sum(axis=1)
-    prior = max(SHRINKAGE * failures.sum() / (failures + known.counts[listed]).sum(), 1e-9)
-    random, shape = np.random.Generator(np.random.PCG64(1)), (DRAWS, len(listed))
-    means = known.means[listed] + known.errors[listed] * random.standard_t(known.freedom[listed], shape)
-    rates = random.beta(failures + prior, known.counts[listed] + SHRINKAGE - prior, shape)
-    best = (means - rates * (known.means[listed] - samples[failed].mean())).argmax(axis=1)
-    result[sound[listed]] = np.bincount(best, minlength=len(listed)) / DRAWS
-    return result
 
 
 def _means(samples: Floats) -> SetStatistics:

@@ -18,7 +18,6 @@ from drivecal.campaigns.stages.replication import next_runs
 from drivecal.contracts.specification import Quantile, ReplicatesSpecification
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.scales import Direction, Scale
-from drivecal.plugins.ports import Floats
 
 SETS, CONFIDENCE, MOST = 12, 0.95, 300
 
@@ -64,11 +63,6 @@ class Campaign:
             for place in chosen:
                 self.run(place)
 
-    def fresh(self, place: int, count: int) -> Floats:
-        """Returns objectives under seeds that did not choose."""
-        drawn: Floats = -place + self.noise * self._random.normal(size=(2, count)).sum(axis=0)
-        return drawn
-
 
 @pytest.mark.slow("3.0-40")
 @pytest.mark.parametrize(("noise", "campaigns"), [(0.5, 60), (1.0, 60), (3.0, 40)])
@@ -81,18 +75,6 @@ def test_the_best_set_is_found_with_fewer_runs_than_equal_ones(noise: float, cam
         runs, equal = runs + adaptive.runs, equal + equally.runs
     assert right >= 0.95 * campaigns
     assert runs <= 0.6 * equal
-
-
-def test_intervals_of_the_chosen_set_cover_its_mean() -> None:
-    covered = 0
-    for number in range(400):
-        campaign = Campaign(1.0, number)
-        best = campaign.decide()
-        lower, upper = interval(campaign.fresh(best, 8).tolist(), None, CONFIDENCE)
-        assert lower is not None
-        assert upper is not None
-        covered += lower <= -best <= upper
-    assert 0.925 <= covered / 400 <= 0.975
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
@@ -121,12 +103,16 @@ def test_effects_that_all_sets_share_disappear_from_comparisons() -> None:
     assert standing.errors.max() < 0.3 < 10 < standing.standard_errors.min()
 
 
-def test_what_a_seed_does_to_all_sets_is_drawn_once_however_many_there_are() -> None:
-    random = np.random.Generator(np.random.PCG64(1))
-    drawn = random.normal(size=(300, 1, 3)) + 0.1 * random.normal(size=(300, 20, 3))
-    drawn[:, 5:, 2] = np.nan
-    inside = [np.abs(np.nanmean(each, axis=1)) <= assess(each).half_widths(CONFIDENCE) for each in drawn]
-    assert 0.93 <= np.mean(inside) <= 0.985
+def test_intervals_hold_the_mean_though_seeds_do_most_of_the_scatter() -> None:
+    """Three seeds choose among 20 sets, and eight report the first: what a seed does is drawn once, however many sets there are."""
+    random, inside = np.random.Generator(np.random.PCG64(1)), []
+    for drawn in random.normal(size=(400, 1, 11)) + 0.1 * random.normal(size=(400, 20, 11)):
+        drawn[5:, 2] = np.nan
+        known = assess(drawn[:, :3])
+        ends = interval(drawn[0, 3:].tolist(), None, CONFIDENCE, known.spreads[0], known.spread_freedom[0])
+        rest = np.abs(np.nanmean(drawn[1:, :3], axis=1)) <= known.half_widths(CONFIDENCE)[1:]
+        inside.append([np.prod(np.array(ends, dtype=float)) <= 0, rest.mean()])
+    assert np.all(np.abs(np.mean(inside, axis=0) - CONFIDENCE) <= 0.025)
 
 
 def test_equal_runs_need_no_further_ones() -> None:
@@ -181,20 +167,14 @@ def test_a_set_with_one_lucky_run_stands_behind_a_set_that_is_known() -> None:
 
 def test_a_rare_failure_is_no_noise_of_sets_that_do_not_fail() -> None:
     """Set 0 is the best without its one failure, and loses more by a rate of 5 % than what it is ahead."""
-    for wanted in (ReplicatesSpecification(), ReplicatesSpecification(aggregate=Quantile(quantile=0.1))):
-        ranking, scores = by_score({"S1": 1}, wanted=wanted), 0.3 * np.random.default_rng(1).normal(size=(4, 12))
-        for (place, seed), noise in np.ndenumerate(scores):
-            score, failed = noise - 0.3 * place, (place, seed) == (0, 5)
-            ranking.add(
-                [CellScore(place, "S1", -15.0 if failed else score, score, True, 0, place, failed=failed, seed=seed + 1)]
-            )
-        chances = [solution and solution.probability_best for solution in map(ranking.get, range(4))]
-        if wanted.level is None:
-            assert (chances[1] or 0.0) > 0.6 > 0.3 > (chances[0] or 1.0) > 0.1 > (chances[3] or 0.0)
-            assert sum([each or 0.0 for each in chances]) == pytest.approx(1.0)
-        else:
-            assert chances == [None] * 4
-    assert np.isnan(assess(np.ones((2, 3)), None, np.ones((2, 3), dtype=np.bool_)).probabilities()).all()
+    ranking, scores = by_score({"S1": 1}), 0.3 * (np.random.default_rng(1).normal(size=(4, 12)) - np.arange(4)[:, np.newaxis])
+    scores[0, 5] = -15
+    for (place, seed), x in np.ndenumerate(scores):
+        ranking.add([CellScore(place, "S1", x, x, True, 0, place, failed=x == -15, seed=seed + 1)])
+    chances = [getattr(ranking.get(place), "probability_best", 0.0) for place in range(4)]
+    assert chances[1] > 0.6 > 0.3 > chances[0] > 0.1 > chances[3]
+    for level, failed in ((0.1, scores == -15), (None, scores < 15)):
+        assert np.isnan(assess(scores, level, failed).probabilities()).all()
 
 
 def test_kept_runs_report_the_best_set_though_the_noise_is_unknown() -> None:
@@ -250,11 +230,8 @@ def test_the_noise_of_each_scenario_is_told() -> None:
 
 
 def test_runs_that_would_tell_grow_with_the_noise() -> None:
-    quiet, loud = (Campaign(noise, 1) for noise in (0.5, 3.0))
-    for campaign in (quiet, loud):
-        for place in range(SETS):
-            campaign.run(place)
-    needed = [to_tell(campaign.standing, 0, 1, CONFIDENCE) or 0 for campaign in (quiet, loud)]
+    drawn, means = np.random.default_rng(1).normal(size=(SETS, 2)), np.arange(SETS)[:, np.newaxis]
+    needed = [to_tell(assess(noise * drawn - means), 0, 1, CONFIDENCE) or 0 for noise in (0.5, 3.0)]
     assert 1 <= needed[0] < needed[1]
 
 
@@ -289,15 +266,12 @@ def test_a_quantile_prefers_a_set_whose_runs_are_alike() -> None:
 
 
 def test_equal_scores_of_ratings_that_differ_do_not_say_that_there_is_no_noise() -> None:
-    ranking, wanted = by_score({"S1": 1}, wanted=ReplicatesSpecification()), ReplicatesSpecification()
-    for number in range(6):
-        seeds = range(1, 3 if number < 5 else 2)
-        ranking.add(CellScore(number, "S1", 6.0, 6.0 + 0.1 * seed, True, 0, number, seed=seed) for seed in seeds)
-    assert next_runs(ranking, wanted, 8, 100)
-    alike = by_score({"S1": 1}, wanted=wanted)
-    for number in range(6):
-        alike.add(CellScore(number, "S1", 6.0, 6.0, True, 0, number, seed=seed) for seed in range(1, 3))
-    assert next_runs(alike, wanted, 8, 100) == []
+    for step in (0.1, 0.0):
+        ranking, wanted = by_score({"S1": 1}, wanted=ReplicatesSpecification()), ReplicatesSpecification()
+        for number in range(6):
+            seeds = range(1, 3 if number < 5 or not step else 2)
+            ranking.add(CellScore(number, "S1", 6.0, 6.0 + step * seed, True, 0, number, seed=seed) for seed in seeds)
+        assert bool(next_runs(ranking, wanted, 8, 100)) == (step > 0)
 
 
 @pytest.mark.parametrize("budget", [8, 15])

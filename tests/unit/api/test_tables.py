@@ -126,10 +126,7 @@ def test_scores_have_whole_columns_on_whole_scales_only() -> None:
         solution = {column.name: column.kind for column in columns_of(Solution, keys, whole_scores=whole)}
         assert (evaluation["score"], solution["score_S1"]) == (kind, kind)
         assert (evaluation["rating"], solution["objective"], evaluation["id"]) == ("number", "number", "integer")
-
-
-def test_files_of_solutions_have_the_seeds_of_the_report() -> None:
-    row = {"rank": 1, "objective": 1.0, "rating": 1.0, "scores": {}, "parameters": {}, "iteration": 0, "individual": 0}
+    row = {"rank": 1, "objective": 1, "rating": 1, "scores": {}, "parameters": {}, "iteration": 0, "individual": 0}
     assert file_row(Solution.model_validate(row | {"seeds": [13, 14]}))["seeds"] == "13 14"
 
 

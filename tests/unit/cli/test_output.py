@@ -18,6 +18,7 @@ from drivecal.cli.main import app
 from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, saved, when
 from drivecal.cli.views.progress import Bar, Lines
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
+from drivecal.contracts.outside.imported import ImportedRow
 from drivecal.domain.scales import objective_text
 
 CELLS = CellCounts(proposed=100, carried_over=40, requested=60, repeated=6, reused=9, simulated=44, failed=1, audited=2)
@@ -36,14 +37,13 @@ def test_columns_align_numbers_right_and_text_left(capsys: pytest.CaptureFixture
     assert capsys.readouterr().out == "name        share     n\na           5.0 %  1000\nlong name  12.5 %     -\n"
 
 
-def test_results_from_elsewhere_show_curves_in_the_place_of_coefficients(monkeypatch: pytest.MonkeyPatch) -> None:
-    known = dict.fromkeys(("source", "date", "scenario", "name", "value", "simulated", "difference", "unit"), "")
-    rows = [SimpleNamespace(**known, parameters=each) for each in ({"g.c1": 1.0, "g.c2": 2.0}, {"g.c1": 3.0})]
-    shape = SimpleNamespace(names=["g.c1", "g.c2"], values=lambda _: [1.0, 2.0])
-    client = SimpleNamespace(imported=lambda *_: rows, problem=lambda _: SimpleNamespace(shapes={"g": shape}))
+def test_results_from_elsewhere_show_curves(monkeypatch: pytest.MonkeyPatch) -> None:
+    row = SimpleNamespace(**dict.fromkeys(ImportedRow.model_fields) | {"parameters": {"c1": 1.0, "c2": 2.0}})
+    shape = SimpleNamespace(names=["c1", "c2"], values=lambda _: [1.0, 2.0])
+    client = SimpleNamespace(imported=lambda *_: [row], problem=lambda _: SimpleNamespace(shapes={"g": shape}))
     monkeypatch.setattr(imported, "connect", lambda _: nullcontext(client))
     printed = CliRunner().invoke(app, ["results", "list", "p"]).stdout
-    assert [text in printed for text in ("g=[", "c2=", "c1=3")] == [True, False, True]
+    assert ("g=[" in printed, "c2=" in printed) == (True, False)
 
 
 def test_saved_is_the_share_that_needed_no_simulation() -> None:

@@ -1,7 +1,6 @@
 """`drivecal results`: results of vehicles, test benches and other tools."""
 
 import warnings
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +8,6 @@ import typer
 
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, say
 from drivecal.cli.views.output import parameters_text, print_columns, print_json
-from drivecal.contracts.setup import ShapeAnswer
 
 results = typer.Typer(
     no_args_is_help=True, help="Results of vehicles, test benches and other tools, compared with simulations."
@@ -59,14 +57,12 @@ def list_(
         print_json(rows)
     else:
         header = ["source", "date", "scenario", "parameters", "name", "value", "simulated", "difference", "unit"]
-        shown = ([getattr(row, name) for name in header] for row in rows)
-        print_columns(header, ([*line[:3], _set_text(line[3], shapes), *line[4:]] for line in shown))
-
-
-def _set_text(parameters: Mapping[str, float | str], shapes: Mapping[str, ShapeAnswer]) -> str:
-    """Returns a set with its curves; sets of earlier pushes may lack coefficients."""
-    whole = {name: shape for name, shape in shapes.items() if parameters.keys() >= {*shape.names}}
-    return parameters_text(parameters, shapes=whole)
+        lines: list[list[object]] = []
+        for row in rows:  # a set of an earlier push may lack coefficients
+            whole = {name: shape for name, shape in shapes.items() if row.parameters.keys() >= {*shape.names}}
+            text = parameters_text(row.parameters, shapes=whole)
+            lines.append([text if name == "parameters" else getattr(row, name) for name in header])
+        print_columns(header, lines)
 
 
 @results.command()
