@@ -40,6 +40,7 @@ LINK = re.compile(r"\]\([^)]*\)")
 COMMENT = re.compile(r"/\*.*?\*/|<!--.*?-->|(?<![:\w\"'`])//[^\n]*", re.DOTALL)
 """Comments of TypeScript and Svelte."""
 MAYBE_COMMENT = re.compile(r"(?=(#.*))")
+MAYBE_DOCSTRING = re.compile(r'^(?=[ \t]*[rR]?"""(.*?)""")', re.MULTILINE | re.DOTALL)
 BLOCKS = ("body", "orelse", "finalbody", "handlers", "cases")
 """Fields of a syntax tree that hold statements."""
 
@@ -73,11 +74,13 @@ def phrases_of(name: str) -> Iterator[Phrase]:
     lines = text.splitlines()
     parts = python_prose(text) if kind == ".py" else page_prose(text) if kind == ".md" else script_comments(text)
     places = {place for start, part, is_docstring in parts for place in patterns_in(start, part, is_docstring=is_docstring)}
-    if kind != ".svelte":
+    likely = {**LINES, **(NAMES if kind == ".py" else {})}
+    likely = {pattern: regex for pattern, regex in likely.items() if re.search(regex, text, re.MULTILINE)}
+    if kind != ".svelte" and likely:
         places |= {
             (number, pattern)
             for number, line in enumerate(lines, start=1)
-            for pattern, regex in {**LINES, **(NAMES if kind == ".py" else {})}.items()
+            for pattern, regex in likely.items()
             if re.search(regex, line)
         }
     for number, pattern in sorted(places):
@@ -108,7 +111,8 @@ def patterns_in(start: int, text: str, *, is_docstring: bool) -> Iterator[tuple[
 
 def python_prose(text: str) -> Iterator[tuple[int, str, bool]]:
     """Yields line, text and kind of each comment and docstring, docstrings of attributes included."""
-    nodes: list[ast.AST] = [ast.parse(text)]
+    is_suspect = any(any(patterns_in(1, part[1], is_docstring=True)) for part in MAYBE_DOCSTRING.finditer(text))
+    nodes: list[ast.AST] = [ast.parse(text)] if is_suspect else []  # to parse takes longer than all else
     for node in nodes:  # statements alone: to walk through expressions takes as long as all else
         nodes += [statement for block in BLOCKS for statement in getattr(node, block, ())]
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 import yaml
-from tests.support.tree import PROJECT
+from tests.support.tree import PROJECT, parsed, statements
 
 from drivecal.configuration.settings import Settings
 
@@ -194,8 +194,7 @@ def imported(begin: Sequence[str], *, late: bool) -> set[str]:
         if module in seen or file is None:
             continue
         seen.add(module)
-        tree = ast.parse(file.read_text())
-        for node in ast.walk(tree) if late else tree.body:
+        for node in statements(parsed(file)) if late else parsed(file).body:
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom) and node.module is not None:
                 names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]

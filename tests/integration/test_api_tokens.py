@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ OWN = "/api/v1/session"
 SMALL = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 2}}
 
 
+@cache
 def routes() -> list[tuple[str, str]]:
     """Method and path of everything that the application answers, and of some that it does not."""
     app = create_app(load_settings(database_url="sqlite:///never-made.db", tokens_file=None))

@@ -38,21 +38,12 @@ def carried_out(database: Database, seed: int = 0, **changes: Any) -> StoredCamp
     return get(database, campaign)
 
 
-def test_what_is_asked_for_does_not_depend_on_the_order_of_answers(tmp_path: Path) -> None:
-    result = []
-    for seed in range(2):
-        database = migrated(f"sqlite:///{tmp_path / f'{seed}.db'}")
-        result.append(everything(database, carried_out(database, seed, budget={"simulations": 50}, **BY_CELL)))
-        database.dispose()
-    assert result[0] == result[1]
-
-
 def test_a_budget_is_used_up_exactly_and_cells_of_sets_that_cannot_win_are_in_no_sum(database: Database) -> None:
-    ended = carried_out(database, budget={"simulations": 101}, **BY_CELL)
-    assert (ended.state, ended.cells.runs, ended.cells.simulated) == (CampaignState.SUCCEEDED, 101, 101)
+    ended = carried_out(database, budget={"simulations": 53}, **BY_CELL)
+    assert (ended.state, ended.cells.runs, ended.cells.simulated) == (CampaignState.SUCCEEDED, 53, 53)
     assert present(ended.search).ended_by == "budget"
     assert ended.cells.discarded > 0
-    assert ended.cells.proposed == ended.cells.requested == 101
+    assert ended.cells.proposed == ended.cells.requested == 53
     best = present(ended.best).parameters
     with database.read() as connection:
         rows = [row for row in results.stream(connection, ended.sequence) if row.parameters.floats == best]
@@ -61,28 +52,27 @@ def test_a_budget_is_used_up_exactly_and_cells_of_sets_that_cannot_win_are_in_no
 
 @pytest.mark.parametrize("mode", ["exact", "predicted"])
 def test_a_generational_search_ends_within_its_budget(database: Database, mode: str) -> None:
-    optimizer = {"kind": "genetic", "population": 24, "seed": 3}
-    ended = carried_out(database, optimizer=optimizer, budget={"simulations": 200}, **WITH_SIX | {"reduction": {"mode": mode}})
-    assert 180 <= ended.cells.runs <= 200
+    optimizer = {"kind": "genetic", "population": 12, "seed": 3}
+    ended = carried_out(database, optimizer=optimizer, budget={"simulations": 100}, **WITH_SIX | {"reduction": {"mode": mode}})
+    assert 90 <= ended.cells.runs <= 100
     assert present(ended.search).ended_by == "budget"
 
 
 def test_a_search_that_stands_still_ends(database: Database) -> None:
     ended = carried_out(database, budget={"simulations": 3_000, "stagnation": 60}, **BY_CELL)
-    assert ended.search is not None
-    assert ended.search.ended_by == "stagnation"
+    assert present(ended.search).ended_by == "stagnation"
     assert ended.cells.runs < 3_000
-    assert ended.search.stood_still_at is not None
+    assert present(ended.search).stood_still_at is not None
     assert ended.progress.done == ended.progress.total
 
 
 def test_the_same_search_again_simulates_nothing_and_another_begins_with_what_is_stored(database: Database) -> None:
-    spec: dict[str, Any] = {"optimizer": {"kind": "surrogate"}, "budget": {"simulations": 60}} | WITH_SIX
+    spec: dict[str, Any] = {"optimizer": {"kind": "surrogate"}, "budget": {"simulations": 30}} | WITH_SIX
     first = carried_out(database, likeness="a", **spec)
     again = carried_out(database, likeness="a", **spec)
     other = carried_out(database, likeness="b", weights={"S1": 3.0}, **spec)
-    assert (again.cells.runs, again.cells.repeated, again.best == first.best) == (0, 60, True)
-    assert (other.cells.repeated >= 9, other.cells.runs + other.cells.repeated) == (True, 60)  # the three best stored sets
+    assert (again.cells.runs, again.cells.repeated, again.best == first.best) == (0, 30, True)
+    assert (other.cells.repeated >= 9, other.cells.runs + other.cells.repeated) == (True, 30)  # the three best stored sets
 
 
 def test_a_repaired_set_that_was_asked_before_is_no_requested_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,7 +80,7 @@ def test_a_repaired_set_that_was_asked_before_is_no_requested_cell(tmp_path: Pat
     monkeypatch.setattr(resolvers, "Constraints", lambda space, _: Constraints(space, few))
     spec = WITH_SIX | {"optimizer": {"kind": "random", "population": 12, "iterations": 5}}
     outcomes = []
-    for deaths in (0, 4):
+    for deaths in (0, 2):
         database = migrated(f"sqlite:///{tmp_path / f'{deaths}.db'}")
         campaign = submit(database, **spec)
         killed_between_rounds(database, campaign, range(1, deaths + 1))
@@ -108,9 +98,9 @@ def test_a_repaired_set_that_was_asked_before_is_no_requested_cell(tmp_path: Pat
 )
 def test_a_search_resumes_between_a_closed_round_and_the_next_one(tmp_path: Path, optimizer: dict[str, Any]) -> None:
     result = []
-    for deaths in (0, 3):
+    for deaths in (0, 2):
         database = migrated(f"sqlite:///{tmp_path / f'{deaths}.db'}")
-        campaign = submit(database, optimizer=optimizer, budget={"simulations": 100}, **WITH_SIX)
+        campaign = submit(database, optimizer=optimizer, budget={"simulations": 60}, **WITH_SIX)
         killed_between_rounds(database, campaign, range(1, deaths + 1))
         result.append((everything(database, campaign)[0], get(database, campaign).cells))
         database.dispose()

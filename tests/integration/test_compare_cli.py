@@ -81,7 +81,7 @@ def test_the_campaigns_are_listed_and_compared_by_their_tag(run: Run, api: Runni
 
 
 def test_campaigns_of_a_tag_are_paused_cancelled_and_deleted_together(run: Run, api: RunningApi) -> None:
-    large = SMALL | {"name": "large", "populations": [500], "iterations": 500}
+    large = SMALL | {"name": "large", "populations": [60], "iterations": 500}
     tag = json.loads(run("compare-optimizers", "-", "--json", stdin=json.dumps(large)).stdout)["tag"]
     for action in ("pause", "cancel"):
         asked = json.loads(run(action, "--tag", tag, "--json").stdout)

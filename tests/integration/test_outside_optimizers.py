@@ -315,7 +315,7 @@ def told(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
 
 
 def test_a_dispatcher_that_is_killed_at_any_moment_loses_and_doubles_nothing(tmp_path: Path) -> None:
-    ends = ends_in_spite_of_deaths(tmp_path, begun, ComputedBackend, told, tries(20, 1))
+    ends = ends_in_spite_of_deaths(tmp_path, begun, ComputedBackend, told, tries(45, 1))
     assert len(ends) > tries(3, 10)
     assert len(ends[0][0]) == 51
     assert all(end == ends[0] for end in ends)

@@ -73,7 +73,7 @@ def lots_of(database: Database, campaign: StoredCampaign) -> list[StoredLot]:
 @pytest.fixture(scope="module")
 def predicted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Database, StoredCampaign]]:
     database = migrated(f"sqlite:///{tmp_path_factory.mktemp('predicted') / '1.db'}")
-    yield database, run(database, ask(database, population=400), ComputedBackend(answer=slowly))
+    yield database, run(database, ask(database, population=280), ComputedBackend(answer=slowly))
     database.dispose()
 
 
@@ -136,7 +136,7 @@ def test_a_predictor_that_errs_has_its_lots_rejected(database: Database, monkeyp
 
     monkeypatch.setattr(Forest, "predict", sabotaged)
     monkeypatch.setattr(Forest, "known_errors", lambda self: (self._scores * 0.0 + 1.0, self._scores < 0.0))
-    campaign = run(database, ask(database, population=400), ComputedBackend(answer=slowly))
+    campaign = run(database, ask(database, population=280), ComputedBackend(answer=slowly))
     inspected = [lot for lot in lots_of(database, campaign) if lot.size]
     assert inspected
     assert all(lot.verdict is LotVerdict.REJECTED for lot in inspected)
@@ -278,7 +278,7 @@ def test_a_search_whose_scenarios_are_known_ends_with_a_set_that_was_simulated(d
 
 
 def test_a_rerun_predicts_from_what_the_first_campaign_simulated(database: Database) -> None:
-    first = run(database, ask(database, population=400), ComputedBackend(answer=slowly))
+    first = run(database, ask(database, population=280), ComputedBackend(answer=slowly))
     wanted = RerunSpecification.model_validate({"weights": {"S1": 3.0}, "optimizer": {"kind": "genetic", "seed": 4}})
     again = submission.rerun(database, Limits.of(load_settings()), first.id, wanted, None)
     ended = run(database, again, ComputedBackend(answer=slowly))

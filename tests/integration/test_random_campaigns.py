@@ -49,6 +49,7 @@ MANIFEST: dict[str, Any] = {
     "scores": {"cost": {"formula": "y", "direction": "minimise", "range": [0, 10]}},
 }
 SPEC: dict[str, Any] = {"problem": "noisy", "optimizer": {"kind": "surrogate", "seed": 1}, "budget": {"simulations": 120}}
+FEW = {"budget": {"simulations": 72}}
 POPULATIONS = {"kind": "random", "population": 10, "seed": 1}
 
 
@@ -125,7 +126,7 @@ def test_a_budget_too_small_for_a_further_set_is_no_stagnation(database: Databas
 def test_all_sets_meet_the_same_seeds_and_a_search_by_the_cell_asks_further_ones_where_they_tell_more(
     database: Database,
 ) -> None:
-    ended = carried_out(database, budget={"simulations": 160})
+    ended = carried_out(database, budget={"simulations": 120})
     by_set: dict[float, set[int]] = {}
     rows = [row for row in rows_of(database, ended) if row.seed <= 12]
     for row in rows:
@@ -294,7 +295,7 @@ def test_a_simulator_that_says_random_and_is_not_gets_few_further_runs(database:
     def exact(_: SetupRequest, cell: Cell) -> CellResult:
         return CellResult(cell.id, None, None, {"y": true_cost(float(cell.parameters["x"]))}, None, 7.0)
 
-    ended = carried_out(database, driven=exact, budget={"simulations": 200})
+    ended = carried_out(database, driven=exact, budget={"simulations": 120})
     assert sum(row.seed > 1 for row in rows_of(database, ended)) <= 26
     assert present(ended.best).standard_error in {None, 0.0}
 
@@ -308,7 +309,7 @@ def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: 
         y = true_cost(float(cell.parameters["x"])) + NOISE * NormalDist().inv_cdf((len(runs) * 0.618) % 1 or 0.5)
         return CellResult(cell.id, None, None, {"y": y}, None, 7.0, repeats=False if cell.check else None)
 
-    ended = carried_out(database, driven=unsaid)
+    ended = carried_out(database, driven=unsaid, budget={"simulations": 64})
     database.dispose()
     assert ended.cells.unrepeatable > 0
     assert present(ended.best).lower is not None
@@ -319,7 +320,7 @@ def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: 
 @pytest.mark.slow("rates", "quantiles of a population")
 @pytest.mark.parametrize(
     ("changes", "driven"),
-    [({}, noisy), ({"optimizer": POPULATIONS, "replicates": {"aggregate": {"quantile": 0.9}}}, noisy), (RATED, failing)],
+    [(FEW, noisy), ({"optimizer": POPULATIONS, "replicates": {"aggregate": {"quantile": 0.9}}}, noisy), (RATED, failing)],
     ids=["cells", "quantiles of a population", "rates"],
 )
 def test_kills_workers_and_the_order_of_answers_change_nothing(

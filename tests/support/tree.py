@@ -39,3 +39,11 @@ def loaded(name: str, path: Path) -> ModuleType:
 def parsed(path: Path) -> ast.Module:
     """The syntax tree of a file."""
     return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+
+
+def statements(tree: ast.Module) -> list[ast.stmt]:
+    """All statements of a file: expressions, which are most of a tree, are not looked at."""
+    nodes = list(tree.body)
+    for node in nodes:
+        nodes += [each for block in ("body", "orelse", "finalbody", "handlers", "cases") for each in getattr(node, block, ())]
+    return nodes

@@ -154,8 +154,8 @@ def test_a_campaign_that_ran_when_it_was_backed_up_ends_alike_in_the_restored_da
 def test_a_backup_holds_one_moment_however_much_is_written_meanwhile(
     used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivecal.storage.maintenance.backup.PAGES", 8)
-    monkeypatch.setattr("drivecal.storage.maintenance.backup.CHUNK", 50)
+    monkeypatch.setattr("drivecal.storage.maintenance.backup.PAGES", 16)
+    monkeypatch.setattr("drivecal.storage.maintenance.backup.CHUNK", 200)
     written = []
 
     def write_meanwhile(*_: object) -> None:

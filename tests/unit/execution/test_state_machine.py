@@ -2,7 +2,7 @@ import pytest
 from tests.support.effort import tries
 from tests.support.turmoil import run_turmoil
 
-STEPS = tries(3_000, 200_000)
+STEPS = tries(1_500, 200_000)
 
 
 @pytest.mark.timeout(3600)
