@@ -44,10 +44,10 @@ gc.disable()
 SHARE_RAY = {"tests/contract/backend/test_backend.py", "tests/faults/test_poison.py", "tests/integration/test_ray_backend.py"}
 """The files that use `ray_backend`: one process runs them all and starts Ray once."""
 LONG_FILES = (
-    *("kills", "page_views", "backend", "poison", "ray_backend", "random_campaigns", "process", "outside_optimizers"),
-    *("children", "fmu", "guard", "cell_search", "problem", "supervisor", "surrogate", "check_cli", "page_sources"),
-    *("api_schema", "database", "api_corpus", "disk", "database_away", "documentation", "highway", "serve", "backup"),
-    *("hostile_drives", "problems_whole_way", "tutorials", "notebooks", "how_tos"),
+    *("kills", "how_tos", "page_views", "backend", "poison", "ray_backend", "random_campaigns", "process"),
+    *("problems_whole_way", "outside_optimizers", "children", "fmu", "guard", "cell_search", "problem", "supervisor"),
+    *("surrogate", "check_cli", "page_sources", "api_schema", "database", "api_corpus", "disk", "database_away"),
+    *("documentation", "highway", "serve", "backup", "hostile_drives", "tutorials", "notebooks"),
 )
 """Files that take longest, in `make test` or only in `make test-slow`: waiting files alternate with computing ones."""
 SUITES = ("compose", "faults", "browser", "integration", "contract", "golden", "architecture", "unit")

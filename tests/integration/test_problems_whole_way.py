@@ -16,7 +16,7 @@ from tests.support.user_problems import SPEC, problem, rows
 
 from drivecal.client import Client
 
-OPTIMIZER: dict[str, Any] = {"kind": "genetic", "population": 8, "iterations": 12, "seed": 4}
+OPTIMIZER: dict[str, Any] = {"kind": "genetic", "population": 8, "iterations": 6, "seed": 4}
 """Few cells and many iterations, so that a kill hits the middle."""
 FORMULA = "2*{0} + 1"
 EXAMPLES = ("acc-process", "command-shell", "python-function", "fmu", "acc-highway")
@@ -144,7 +144,7 @@ def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(tmp_path: Path
     simulated = []
     cache = str(tmp_path / "cache")
     with (
-        serving(tmp_path, workers=2, DRIVECAL_BACKEND="ray", DRIVECAL_BUNDLE_CACHE=cache) as server,
+        serving(tmp_path, workers=1, DRIVECAL_BACKEND="ray", DRIVECAL_BUNDLE_CACHE=cache) as server,
         Client(server.url) as client,
     ):
         client.push_problem(folder)
