@@ -44,7 +44,7 @@ def test_a_campaign_waits_and_says_why_while_every_worker_has_another_version(da
     campaign = _submit(database)
     backend = FakeBackend(2, refusing={1: REASON, 2: REASON})
     dispatcher = _Beating(database, backend)
-    for _ in range(400):  # tenths of a second: longer than it takes until refusing workers are replaced
+    for _ in range(330):  # tenths of a second: longer than it takes until refusing workers are replaced
         dispatcher.step()
     assert backend.replaced
     waiting = get(database, campaign)
