@@ -24,8 +24,10 @@ from drivecal.bundles.expressions import Constraint
 from drivecal.bundles.installed import Bundle
 from drivecal.bundles.manifest import Manifest, ParameterEntry
 from drivecal.bundles.shapes import with_points
+from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.workbench import bench_of, constraints_of, parameters_of
 from drivecal.contracts.specification import ProblemSpecification
+from drivecal.contracts.work import CellResult, SetupRequest
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.domain.parameters import ParameterSpace
@@ -35,6 +37,7 @@ from drivecal.runtime.compilation import prepare_cache
 
 SEED = 20261121
 FAULTS = (NoMeasuresError, UnavailableError, OSError)
+Settings = Mapping[str, Setting]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,16 +106,18 @@ def other_set(manifest: Manifest) -> dict[str, Setting] | None:
 
 
 def run_problem(
-    manifest: Manifest, archive: bytes, parameters: Mapping[str, Setting], other: Mapping[str, Setting] | None = None
+    manifest: Manifest, archive: bytes, parameters: Settings, other: Settings | None = None
 ) -> Iterator[CheckedScenario]:
     """Yields the result of each scenario. Raises UnavailableError if this machine cannot run the simulator."""
-    conditions = {name: entry.nominal for name, entry in manifest.varied.items()}
-    further = None if other is None else {**other, **conditions}
     if manifest.has_planner:
         prepare_cache()
+    wanted = [ProblemSpecification(problem=manifest.problem, evaluator=name) for name in manifest.scores]
+    benches = {bench.score: bench for bench in (bench_of(each, lambda _: Bundle("", "", manifest)) for each in wanted)}
+    told = next((each for each in benches.values() if each.needs_series), next(iter(benches.values())))
+    rated = {name: each for name, each in benches.items() if not each.needs_series or each.evaluator is told.evaluator}
     with _unpacked(archive) as folder:
-        for scenario in manifest.scenarios:
-            yield _checked(manifest, scenario, folder, {**parameters, **conditions}, further)
+        for setup in told.requests.values():
+            yield _checked(setup, rated, folder, parameters, other)
 
 
 def ask_probe(manifest: Manifest, archive: bytes) -> str | None:
@@ -136,28 +141,22 @@ def _unpacked(archive: bytes) -> Iterator[Path]:
 
 
 def _checked(
-    manifest: Manifest, scenario: str, folder: Path, parameters: Mapping[str, Setting], other: Mapping[str, Setting] | None
+    setup: SetupRequest, benches: Mapping[str, Bench], folder: Path, parameters: Settings, other: Settings | None
 ) -> CheckedScenario:
-    section = manifest.simulator.model_dump(mode="json", exclude_none=True)
-    units = {**manifest.reported, **manifest.series}
-    parameter_units = manifest.arguments | {name: entry.unit for name, entry in manifest.varied.items()}
-    declared = Declared(
-        *(manifest.problem, tuple(manifest.reported), manifest.failures, tuple(manifest.series), units, parameter_units),
-        watched=True,
-        varied={name: entry.nominal for name, entry in manifest.varied.items()},
-    )
+    manifest, declared = next(iter(benches.values())).bundle.manifest, Declared.of(setup, watched=True)
+    scenario, section = setup.scenario, setup.simulator
 
     @contextmanager
     def opened() -> Iterator[SimulatorSession]:
-        session = simulator_of(section).open(section, scenario, manifest.scenarios[scenario], folder, declared)
+        session = simulator_of(section).open(section, scenario, setup.data, folder, declared)
         try:
             yield session
         finally:
             session.close()
 
-    def run(session: SimulatorSession, values: Mapping[str, Setting], *, series: bool) -> tuple[RunOutcome, float]:
+    def run(session: SimulatorSession, values: Settings, *, series: bool) -> tuple[RunOutcome, float]:
         began = time.perf_counter()
-        outcome = session.evaluate(with_points(values, manifest.shapes, section), series=series)
+        outcome = session.evaluate(with_points({**values, **setup.varied}, manifest.shapes, section), series=series)
         return outcome, time.perf_counter() - began
 
     began, started = time.perf_counter(), 0.0
@@ -172,7 +171,7 @@ def _checked(
             if other is not None:
                 try:
                     outcome, _ = run(session, other, series=False)
-                    elsewhere, bits = OtherRun(**_rated(manifest, scenario, outcome)), _bits(outcome)
+                    elsewhere, bits = OtherRun(**_rated(benches, scenario, outcome)), _bits(outcome)
                 except FAULTS as error:
                     elsewhere = OtherRun(error=str(error))
     except FAULTS as error:
@@ -193,20 +192,19 @@ def _checked(
         cpu_seconds=(first.cpu_seconds, second.cpu_seconds),
         other=elsewhere,
         opened=opened_files,
-        **_rated(manifest, scenario, first),
+        **_rated(benches, scenario, first),
     )
 
 
-def _rated(manifest: Manifest, scenario: str, outcome: RunOutcome) -> dict[str, Any]:
+def _rated(benches: Mapping[str, Bench], scenario: str, outcome: RunOutcome) -> dict[str, Any]:
     """Returns the fields of a `CheckedRun`."""
-    benches = {
-        name: bench_of(ProblemSpecification(problem=manifest.problem, evaluator=name), lambda _: Bundle("", "", manifest))
-        for name in manifest.scores
-    }
-    rated = {name: bench.rate(scenario, outcome.measures, outcome.failure) for name, bench in benches.items()}
+    declared = next(iter(benches.values())).bundle.manifest.measures
+    rating, score = (None, None) if outcome.rating is None else (outcome.rating.rating, outcome.rating.score)
+    result = CellResult(0, rating, score, outcome.measures, outcome.failure, 0.0)
+    rated = {name: bench.rate_result(scenario, result) for name, bench in benches.items()}
     known = {name: scored for name, scored in rated.items() if scored is not None}
     return {
-        "measures": {name: value for name, value in outcome.measures.items() if name in manifest.measures},
+        "measures": {name: value for name, value in outcome.measures.items() if name in declared},
         "failure": outcome.failure,
         "scores": {name: scored.score for name, scored in known.items()},
         "undefined": {name: scored.undefined for name, scored in known.items() if scored.undefined is not None},

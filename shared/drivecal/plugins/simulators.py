@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 from drivecal.contracts.evaluation import ReplayAnswer
+from drivecal.contracts.work import SetupRequest
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown, Rating
 from drivecal.domain.values import Argument
@@ -58,7 +59,7 @@ class RunOutcome:
 class Declared:
     """Names that a manifest declares of a simulator's answers. Without declared `failures`, a simulator may report any name.
 
-    `units` has the known units of measures and series by name; they decide no result. `parameters`: units of the parameters by name.
+    `units` has the known units of measures and series by name; they decide no result. `parameters`: units of what it gets, by name.
     `watched`: drivecal records the files that a Python function opens. `varied`: values of side conditions, which all runs of a session
     have in common. `evaluator`: name of an installed evaluator that rates the time series of runs in this process.
     """
@@ -72,6 +73,14 @@ class Declared:
     watched: bool = field(default=False, compare=False)
     varied: Mapping[str, float] = field(default_factory=dict)
     evaluator: str | None = None
+
+    @classmethod
+    def of(cls, setup: SetupRequest, *, watched: bool = False) -> Self:
+        """Returns what the simulator of a setup is told, on a worker and by the check of a problem."""
+        return cls(
+            *(setup.problem, setup.measures, setup.failures, setup.series, setup.reported, setup.units, watched, setup.varied),
+            evaluator=setup.evaluator and setup.evaluator.split()[0],
+        )
 
 
 class NoMeasuresError(DrivecalError):

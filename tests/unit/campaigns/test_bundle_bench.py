@@ -16,8 +16,10 @@ from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.domain.errors import InvalidInputError, NotFoundError
+from drivecal.plugins.simulators import Declared
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "problems" / "python-function" / "problem.yaml"
+TEMPLATES = Path(__file__).parents[3] / "services" / "drivecal" / "client" / "templates"
 MEASURES = {"min_gap_m": 4.0, "peak_deceleration": 8.0, "rms_jerk": 2.0, "braking_s": 1.5}
 
 
@@ -206,10 +208,12 @@ def test_the_answer_of_the_probe_is_part_of_every_setup() -> None:
     assert any("3.11" in note for note in old.notes)
 
 
-def test_workers_get_the_units_of_parameters() -> None:
-    request = resolved().bench.requests["wet"]
-    assert request.units.keys() == set(request.parameters)
-    assert request.units["deceleration"] == "m/s²"
+def test_an_fmu_is_told_of_the_points_of_curves_that_it_gets_and_of_all_units() -> None:
+    parameters = {"x": {"lower": 0, "upper": 1, "unit": "m"}, "gain": {"curve": {"axis": [0, 1]}, "lower": 0, "upper": 1}}
+    document = yaml.safe_load((TEMPLATES / "fmu" / "problem.yaml").read_text()) | {"problem": "fmu", "parameters": parameters}
+    declared = Declared.of(bench_of(Bundle("d1", "f1", checked(document)), "cost").requests["nominal"])
+    assert declared.parameters == {"x": "m", "gain[1]": "1", "gain[2]": "1"}
+    assert declared.units == {"y_last": "1"}
 
 
 @pytest.mark.parametrize(

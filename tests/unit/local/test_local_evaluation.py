@@ -103,8 +103,12 @@ def test_wrong_arguments_of_a_problem_are_refused_by_their_field(arguments: dict
 
 def test_a_copy_of_the_motorway_gives_its_bits(tmp_path: Path) -> None:
     write_problem("highway-planner", "mine", tmp_path / "mine")
-    manifest, _ = read_bundle(tmp_path / "mine")
+    with (tmp_path / "mine" / "problem.yaml").open("a") as file:
+        file.write("  felt: {evaluator: learned, direction: maximise, range: [0, 10]}\n")
+    manifest, archive = read_bundle(tmp_path / "mine")
     assert manifest.problem == "mine"
+    checked = next(iter(run_problem(manifest, archive, HASTY)))
+    assert local.evaluate(HASTY, "S1", problem=tmp_path / "mine", evaluator="felt").scores == {"S1": checked.scores["felt"]}
     copied, original = (local.evaluate(HASTY, ["S1", "S4"], problem=problem).cells for problem in (tmp_path / "mine", None))
     for name, cell in original.items():
         assert (copied[name].rating, copied[name].metrics) == (cell.rating, cell.metrics)

@@ -315,14 +315,8 @@ class BundleSessions:
 
     def _opened(self, setup: SetupRequest) -> SimulatorSession:
         folder = self._cache.folder(setup.bundle)
-        parameters = {name: setup.units.get(name, "1") for name in (*setup.parameters, *setup.varied)}
-        declared = Declared(
-            *(setup.problem, setup.measures, setup.failures, setup.series),
-            parameters=parameters,
-            varied=setup.varied,
-            evaluator=None if setup.evaluator is None else setup.evaluator.split()[0],
-        )
-        return self._simulators(setup.simulator).open(setup.simulator, setup.scenario, setup.data, folder, declared)
+        simulator = self._simulators(setup.simulator)
+        return simulator.open(setup.simulator, setup.scenario, setup.data, folder, Declared.of(setup))
 
     def _drop(self, key: tuple[str, ...]) -> None:
         """Closes a session, which may be in any state."""

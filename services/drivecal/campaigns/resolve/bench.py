@@ -95,8 +95,6 @@ class Bench:
     def requests(self) -> dict[str, SetupRequest]:
         """Run requests to workers by scenario."""
         manifest = self.bundle.manifest
-        units = manifest.arguments
-        units |= {name: entry.unit for name, entry in manifest.varied.items()}
         unseeded = self._setups(None) if self.has_seed else {}
         return {
             name: SetupRequest(
@@ -114,7 +112,8 @@ class Bench:
                 run_fingerprint=self.setups[name].fingerprint,
                 document=self.setups[name].document,
                 tools=self.bundle.tools,
-                units=units,
+                units=manifest.arguments | {name: entry.unit for name, entry in manifest.varied.items()},
+                reported=manifest.reported | manifest.series,
                 varied=self.vehicles.get(name, self.values),
                 evaluator=self.evaluator_id if self.needs_series else None,
                 seed=self.seed,
@@ -156,7 +155,7 @@ class Bench:
 
     def rate_result(self, scenario: str, result: CellResult) -> Rating | None:
         """Rates what a worker reports of a run: as `rate`, except if the worker has rated it by its time series."""
-        if result.rating is None or result.score is None:
+        if not self.needs_series or result.rating is None or result.score is None:
             return self.rate(scenario, result.metrics, result.failure)
         failed = result.failure is not None
         return Rating(self.scale.worth(result.rating, failed=failed), self.scale.worth(result.score, failed=failed))
