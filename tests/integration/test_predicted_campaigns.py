@@ -141,7 +141,7 @@ def test_a_predictor_that_errs_has_its_lots_rejected(database: Database, monkeyp
     assert inspected
     assert all(lot.verdict is LotVerdict.REJECTED for lot in inspected)
     assert campaign.cells.predicted == 0
-    honest = run(database, ask(database, population=400, mode="off"), ComputedBackend(answer=slowly))
+    honest = run(database, ask(database, population=280, mode="off"), ComputedBackend(answer=slowly))
     assert campaign.best == honest.best
 
 
