@@ -3,7 +3,7 @@
 from typing import Any
 
 from tests.support.computed import ComputedBackend
-from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, run
+from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, rows_of, run
 from tests.support.values import present
 
 from drivecal.contracts.specification import CampaignSpecification
@@ -52,6 +52,14 @@ def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(databa
     assert by_kind["best"][-1]["objective"] == present(ended.best).objective
     assert by_kind["baseline"] == [present(ended.baseline).model_dump()]
     assert len(kinds) <= 30
+
+
+def test_a_phase_counts_no_cell_of_the_next_one_that_is_answered_at_once(database: Database) -> None:
+    run(database, analysed(database), ComputedBackend(answer=influenced))
+    again = run(database, analysed(database), ComputedBackend(answer=influenced))
+    first = next(data for kind, data in told(database, again) if kind == "phase")
+    cells = [row for row in rows_of(database, again) if (row.stage, row.iteration) == (StageName.SENSITIVITY, 0)]
+    assert first["requested"] == len(cells)
 
 
 def test_the_revision_changes_with_whatever_happens(database: Database) -> None:

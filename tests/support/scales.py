@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from drivecal.analysis.goals import normalised, weighted_mean
+from drivecal.analysis.goals import weighted_mean
 from drivecal.analysis.solutions import Ranking
 from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.scales import COMFORT, Direction, Scale
@@ -12,4 +12,4 @@ COST = Scale("cost", Direction.MINIMISE, lower=0.0, upper=100.0, tolerance=2.0, 
 
 def by_score(weights: Mapping[str, float], scale: Scale = COMFORT, wanted: ReplicatesSpecification | None = None) -> Ranking:
     """A ranking by the weighted mean of the score."""
-    return Ranking(weights, weighted_mean(scale, normalised(weights)), wanted)
+    return Ranking(weights, weighted_mean(scale, weights), wanted)

@@ -117,7 +117,7 @@ class SetJudge:
         self.goals = replace(goals, objectives=(self.first, *goals.objectives[1:]))
         self._is_rated = self.first.is_weighted_mean(self.shares)
         self.choosing, self.level = replicates.choosing(wanted.most), wanted.level
-        judged = (*goals.objectives, *goals.bounds)
+        judged = (*self.goals.objectives, *goals.bounds)
         bounding = {scenario for goal in judged for scenario in goal.shares}.difference(self.shares)
         self.scenarios = dict.fromkeys((*self.shares, *sorted(bounding))).keys()
         """Scenarios whose answers count, weighted ones first."""

@@ -33,6 +33,12 @@ def test_a_set_without_a_result_in_a_weighted_scenario_is_not_ranked() -> None:
     assert [entry.parameter_set for entry in _ranking(cells, {"S1": 1, "S2": 0})] == [1, 2]
 
 
+def test_scenarios_of_weight_zero_count_nowhere() -> None:
+    predicted = CellScore(1, "S2", 3, 3.1, own=False, iteration=0, individual=0, predicted=True)
+    (only,) = _ranking([*_cells({1: {"S1": 7}}), predicted], {"S1": 1, "S2": 0})
+    assert only.reused == ()
+
+
 def test_equal_objectives_are_ordered_by_rating_then_by_discovery() -> None:
     cells = [
         CellScore(1, "S1", 6, 5.9, True, 0, 3),

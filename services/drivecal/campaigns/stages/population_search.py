@@ -165,7 +165,7 @@ class PopulationSearch(ComputedSearch):
         return within
 
     def _surest(self) -> tuple[float | None, Any]:
-        """Returns the best simulated objective, and with goals what judges whether a set may reach the front."""
+        """Returns the best simulated objective, and, unless it is the weighted score, what judges whether a set may reach the front."""
         best = self._ranking.surest()
         reaches = None if self._problem.goals.is_weighted_score else self._ranking.reaches_front
         return None if best is None else best.objective, reaches

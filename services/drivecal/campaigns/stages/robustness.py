@@ -250,7 +250,7 @@ class RobustnessStage(StudyStage):
         return chosen, f"{best_one} ({objectives[chosen]:.4g}, {len(best)} sets), and of these {degree}"
 
     def _best_of(self, usable: Sequence[int]) -> list[int]:
-        """Returns the sets that cannot be told from the best one, or with goals the non-dominated sets."""
+        """Returns the sets that cannot be told from the best one, with other goals than the weighted score the non-dominated sets."""
         known = [each for number in usable if (each := self._nominal[number]) is not None]
         first, best = min(known, key=self._nominal_ranking.order), np.zeros(len(known), dtype=np.bool_)
         if not self._goals.is_weighted_score:

@@ -50,7 +50,8 @@ class Sensitivity(Stage):
         self._benches = SeededBenches(problem.bench)
         self._expected = problem.expected_runs()
         self._phase: Phase | None = None
-        self._finished_phase: Phase | None = None
+        self._finished_phase: tuple[Phase, CellCounts] | None = None
+        """The phase whose end is no event yet, with the counts at its end: cells of the next one may be answered at once."""
 
     @property
     def _at_most(self) -> int:
@@ -69,10 +70,11 @@ class Sensitivity(Stage):
 
     def _record_progress(self, connection: Connection) -> None:
         """Adds the event of the stage's start or of the previous phase's end, once: in the transaction that follows it."""
-        sequence, done = self._campaign.sequence, self._finished_phase
-        if done is not None:
-            counts = CellCounts(**self._tracker.counts).model_dump(exclude={"proposed", "pending"})
-            events.add(connection, sequence, EventKind.PHASE, {"phase": done.number, "name": done.name, **counts})
+        sequence = self._campaign.sequence
+        if self._finished_phase is not None:
+            done, counts = self._finished_phase
+            data = {"phase": done.number, "name": done.name, **counts.model_dump(exclude={"proposed", "pending"})}
+            events.add(connection, sequence, EventKind.PHASE, data)
             return
         events.add(
             connection, sequence, EventKind.STAGE, {"stage": StageName.SENSITIVITY, "cells": self._expected.sensitivity_at_most}
@@ -103,7 +105,7 @@ class Sensitivity(Stage):
                 if answer.score is not None:
                     scores[answer.scenario][answer.individual] = answer.score
         self._analysis.tell(scores)
-        self._finished_phase = phase
+        self._finished_phase = phase, CellCounts(**self._tracker.counts)
 
     def _conclude(self) -> None:
         """Stores the map, and the reference keys of the stage's runs under it, so that they are references for the first population."""
