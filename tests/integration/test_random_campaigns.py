@@ -295,7 +295,7 @@ def test_a_simulator_that_says_random_and_is_not_gets_few_further_runs(database:
     def exact(_: SetupRequest, cell: Cell) -> CellResult:
         return CellResult(cell.id, None, None, {"y": true_cost(float(cell.parameters["x"]))}, None, 7.0)
 
-    ended = carried_out(database, driven=exact, budget={"simulations": 120})
+    ended = carried_out(database, driven=exact, budget={"simulations": 200})
     assert sum(row.seed > 1 for row in rows_of(database, ended)) <= 26
     assert present(ended.best).standard_error in {None, 0.0}
 
