@@ -12,6 +12,7 @@ from tests.support.faults.coordinator import coordinator
 from tests.support.faults.lives import wait_until_ended
 from tests.support.faults.workload import submit
 from tests.support.misbehaviour import FOLDER, misbehaving_setup, plug_in
+from tests.support.pooled import MemoryLeases
 from tests.support.values import present
 
 from drivecal.contracts.work import Batch, Cell
@@ -67,7 +68,7 @@ def test_a_segfault_a_hang_and_exhausted_memory_in_a_batch_of_sixteen_cost_their
 
     monkeypatch.setattr(healed, "submit", noting)
     monkeypatch.setattr("drivecal.execution.scheduling.scheduler.MOST_LOSSES", LOSSES)
-    pool = WorkPool(healed, policy=ALL_AT_ONCE)
+    pool = WorkPool(healed, MemoryLeases(), policy=ALL_AT_ONCE)
     setup = misbehaving_setup(name="poisonous")
     begin = time.monotonic()
     pool.submit(Work(setup, [Cell(1, {"dose": 0.0})]), tag="test")  # tells what a cell costs, without which batches are of one

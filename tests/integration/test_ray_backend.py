@@ -8,6 +8,7 @@ import psutil
 import pytest
 from tests.support.fake_backend import Behaviour
 from tests.support.misbehaviour import misbehaving_cells, misbehaving_setup
+from tests.support.pooled import MemoryLeases
 from tests.support.setups import changed
 
 from drivecal.contracts.work import Batch, Cell
@@ -19,7 +20,7 @@ from drivecal.execution.scheduling.in_flight import Completed, Work
 
 @pytest.fixture
 def pool(ray_backend: RayBackend) -> Iterator[WorkPool]:
-    pool = WorkPool(ray_backend)
+    pool = WorkPool(ray_backend, MemoryLeases())
     yield pool
     pool.withdraw("test")
     drain(pool)

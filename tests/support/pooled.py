@@ -1,11 +1,13 @@
 """Work of a pool on a backend of the test's own, and all of its answers."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from tests.support.fake_backend import Behaviour
 
 from drivecal.contracts.work import Cell
-from drivecal.execution.pool import WorkPool
+from drivecal.domain.errors import UnavailableError
+from drivecal.execution.pool import Leases, WorkPool
 from drivecal.execution.scheduling.in_flight import Completed
 
 
@@ -28,3 +30,36 @@ def drain(pool: WorkPool, patience: int = 100_000) -> list[Completed]:
             return completed
         completed += pool.poll(1.0)
     raise AssertionError(f"cells never came back: { ({tag: pool.held(tag) for tag in TAGS}) }")
+
+
+@dataclass
+class MemoryLeases(Leases):
+    """Leases in memory. `fails`: the next exchanges, one entry each, fail before (`before`) or after (`after`) they were done. `denied`:
+    never granted."""
+
+    fails: list[str] = field(default_factory=list)
+    denied: set[int] = field(default_factory=set)
+    held: dict[int, int] = field(default_factory=dict)
+    """The numbers of the leases that are not given back."""
+    numbers: dict[int, int] = field(default_factory=dict)
+    breakdowns: dict[int, int] = field(default_factory=dict)
+    exchanges: list[tuple[dict[int, int], dict[int, int], float]] = field(default_factory=list)
+
+    def exchange(
+        self, returned: Mapping[int, int], wanted: Mapping[int, int], seconds: float, **_: object
+    ) -> Mapping[int, int]:
+        failure = self.fails.pop(0) if self.fails else ""
+        if failure == "before":
+            raise UnavailableError("the database does not answer")
+        self.exchanges.append((dict(returned), dict(wanted), seconds))
+        for cell, count in returned.items():
+            if cell in self.numbers:
+                self.held.pop(cell, None)
+                self.breakdowns[cell] = count
+        granted = [cell for cell in wanted if cell not in self.held and cell not in self.denied]
+        for cell in granted:
+            self.held[cell] = self.numbers[cell] = self.numbers.get(cell, 0) + 1
+            self.breakdowns[cell] = wanted[cell]
+        if failure == "after":
+            raise UnavailableError("the answer to the commit was lost")
+        return {cell: self.numbers[cell] for cell in granted}

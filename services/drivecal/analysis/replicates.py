@@ -33,8 +33,6 @@ LEAST_APART = 0.1
 """Least squared distance of sets, in the largest squared error."""
 NEGLIGIBLE = 0.05
 """Rivals whose probability is below this share of the permitted error get no runs."""
-UNLIKELY = 0.001
-"""Sets whose probability to be better than the highest mean is below this have none to be the best."""
 LISTED = 200
 """Most sets whose probability to be the best is computed."""
 

@@ -93,7 +93,7 @@ NOTHING_WAITS = Waits()
 
 
 class Heartbeat:
-    """A context manager that beats until its block ends. The main thread calls `tell`."""
+    """A context manager that beats until its block ends. The main thread calls `report`."""
 
     def __init__(
         self,

@@ -52,7 +52,7 @@ class WorkPool:
     def __init__(
         self,
         backend: Backend,
-        leases: Leases | None = None,
+        leases: Leases,
         policy: BatchPolicy | None = None,
         clock: Callable[[], float] = time.monotonic,
         resources: Resources | None = None,
@@ -61,7 +61,7 @@ class WorkPool:
 
         Args:
             backend: the workers.
-            leases: None if no other process can lease the cells and breakdowns are not counted.
+            leases: leases the cells before they are sent.
             policy: sizes of batches.
             clock: returns seconds.
             resources: licences and other scarce things, by default none.
@@ -226,10 +226,6 @@ class WorkPool:
 
     def _lease(self, dispatches: Sequence[Dispatch]) -> list[Dispatch]:
         """Leases the cells of a round's dispatches at once and gives back due leases; returns the dispatches to send."""
-        if self._leases is None:
-            self._returned.clear()
-            self._unstarted.clear()
-            return list(dispatches)
         if not dispatches and not self._returned:
             return []
         cells = {cell: count for dispatch in dispatches for cell, count in dispatch.breakdowns.items()}

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -204,10 +204,6 @@ class Parameter:
     def first_from(self, value: int) -> int:
         """Returns the first grid index whose value is at least `value`, in billionths; `n_values` if there is none."""
         return bisect_left(range(self.n_values), value, key=self.billionths)
-
-    def last_upto(self, value: int) -> int:
-        """Returns the last grid index whose value is at most `value`, in billionths; -1 if there is none."""
-        return bisect_right(range(self.n_values), value, key=self.billionths) - 1
 
     def entries(self, indices: Indices) -> list[int] | list[str]:
         """Returns what parameter sets store for grid indices, shape (n,): billionths, or the texts of a choice."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
 from tests.support.misbehaviour import ARCHIVES, misbehaving_cells, misbehaving_setup
+from tests.support.pooled import MemoryLeases
 
 from drivecal.bundles import archives
 from drivecal.contracts.work import Batch, Cell, SetupRequest
@@ -144,7 +145,7 @@ def test_a_cell_waits_for_a_busy_simulator_and_loses_no_attempt(
     ARCHIVES[bundle] = archive
     section = {"kind": kind, "command": COMMANDS[kind], "timeout": 60.0, "memory_mb": 1000}
     setup = SetupRequest(bundle, "busy", "city", {}, section, ("x",), (), ("y",), (), (), "f", units={"x": "1"})
-    pool = WorkPool(backend)
+    pool = WorkPool(backend, MemoryLeases())
     pool.submit(Work(setup, tuple(Cell(number, {"x": float(number)}) for number in range(1, 5))), tag="a")
     completed: list[Completed] = []
     for _ in range(600):

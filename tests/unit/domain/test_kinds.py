@@ -45,9 +45,8 @@ def test_values_indices_and_bounds_agree_without_a_table(parameter: Parameter, d
     assert parameter.billionths_at(np.array(indices)).tolist() == values
     for index, value in zip(indices, values, strict=True):
         assert parameter.index(parameter.value(index)) == index
-        assert parameter.first_from(value) == parameter.last_upto(value) == index
+        assert parameter.first_from(value) == index
         assert parameter.first_from(value + 1) == index + 1
-        assert parameter.last_upto(value - 1) == index - 1
     assert parameter.value(parameter.n_values - 1) == parameter.upper
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
-from tests.support.pooled import cells, drain
+from tests.support.pooled import MemoryLeases, cells, drain
 from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import Batch, Cell
@@ -28,7 +28,7 @@ def test_an_exception_is_tried_once_more_alone_on_another_worker(
         submit(worker, batch_id, batch, expected, alone=alone)
 
     monkeypatch.setattr(backend, "submit", noted)
-    pool = WorkPool(backend)
+    pool = WorkPool(backend, MemoryLeases())
     behaviours = [Behaviour.WELL] * 300
     behaviours[149] = Behaviour.ERROR  # in a batch of many
     pool.submit(Work(setup(), cells(behaviours)), tag="campaign-7")
@@ -47,7 +47,7 @@ def test_an_exception_is_tried_once_more_alone_on_another_worker(
 
 def test_the_only_worker_is_replaced_once_before_its_exceptions_count() -> None:
     backend = FakeBackend(1)
-    pool = WorkPool(backend)
+    pool = WorkPool(backend, MemoryLeases())
     behaviours = [Behaviour.WELL] * 500
     for index in (3, 77, 200, 431):
         behaviours[index] = Behaviour.ERROR
@@ -62,7 +62,7 @@ def test_the_only_worker_is_replaced_once_before_its_exceptions_count() -> None:
 @pytest.mark.parametrize(("workers", "bad"), [(4, {1}), (4, {2, 3}), (4, {1, 2, 4}), (2, {2})])
 def test_bad_workers_cost_no_good_cell(workers: int, bad: set[int]) -> None:
     backend = FakeBackend(workers, bad=bad)
-    pool = WorkPool(backend)
+    pool = WorkPool(backend, MemoryLeases())
     behaviours = [Behaviour.WELL] * 6000
     behaviours[1234] = Behaviour.ERROR
     pool.submit(Work(setup(), cells(behaviours)), tag="a")
@@ -80,7 +80,7 @@ def test_bad_workers_cost_no_good_cell(workers: int, bad: set[int]) -> None:
 
 def test_a_campaign_of_errors_comes_to_its_end_and_costs_few_workers_and_words(caplog: pytest.LogCaptureFixture) -> None:
     backend = FakeBackend(4)
-    pool = WorkPool(backend)
+    pool = WorkPool(backend, MemoryLeases())
     pool.submit(Work(setup(), cells([Behaviour.ERROR] * 1000)), tag="a")
     completed = drain(pool)
     assert len(completed) == 1000
@@ -91,7 +91,7 @@ def test_a_campaign_of_errors_comes_to_its_end_and_costs_few_workers_and_words(c
 
 def test_cells_that_every_worker_refuses_wait_until_one_is_mended(caplog: pytest.LogCaptureFixture) -> None:
     backend = FakeBackend(2, refusing={1: "it has version 2", 2: "it has version 2"})
-    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool = WorkPool(backend, MemoryLeases(), clock=lambda: backend.now)
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 50)), tag="a")
     pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 50, first=101)), tag="b")
     troubles = set()
@@ -125,7 +125,7 @@ class Failing(FakeBackend):
 
 def test_a_refusal_in_the_middle_of_a_batch_keeps_the_results_before_it() -> None:
     backend = Failing(2)
-    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool = WorkPool(backend, MemoryLeases(), clock=lambda: backend.now)
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 1000)), tag="a")
     completed = drain(pool)
     assert sorted(entry.result.id for entry in completed) == list(range(1, 1001))
@@ -147,7 +147,7 @@ class Picky(FakeBackend):
 
 def test_busy_workers_lose_little_time_with_setups_that_they_refuse() -> None:
     backend = Picky(2, {"S2": 5.0})
-    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool = WorkPool(backend, MemoryLeases(), clock=lambda: backend.now)
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 10)), tag="a", priority=1)
     while "2 workers refuse" not in (pool.trouble() or ""):
         pool.poll(1.0)
@@ -162,7 +162,7 @@ def test_busy_workers_lose_little_time_with_setups_that_they_refuse() -> None:
 
 def test_a_refusal_of_long_ago_does_not_replace_a_worker_at_another_one(caplog: pytest.LogCaptureFixture) -> None:
     backend = FakeBackend(1, refusing={1: "it has version 2"})
-    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool = WorkPool(backend, MemoryLeases(), clock=lambda: backend.now)
     pool.submit(Work(setup(), cells([Behaviour.WELL])), tag="a")
     while pool.trouble() is None:
         pool.poll(1.0)
@@ -186,7 +186,7 @@ def test_a_refusal_of_long_ago_does_not_replace_a_worker_at_another_one(caplog: 
 @pytest.mark.parametrize("workers", [1, 2, 12])
 def test_where_everything_fails_the_first_sets_fail_first_in_all_scenarios(workers: int, behaviour: Behaviour) -> None:
     backend = FakeBackend(workers)
-    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool = WorkPool(backend, MemoryLeases(), clock=lambda: backend.now)
     work = [
         Work(
             setup(f"S{scenario}"),

@@ -4,8 +4,7 @@ import random
 
 import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
-from tests.support.leases import MemoryLeases
-from tests.support.pooled import cells, drain
+from tests.support.pooled import MemoryLeases, cells, drain
 from tests.support.setups import bare as setup
 
 from drivecal.domain.errors import UnavailableError

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
 from tests.support.fake_backend import Behaviour, FakeBackend
-from tests.support.pooled import cells, drain
+from tests.support.pooled import MemoryLeases, cells, drain
 from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import Cell
@@ -19,7 +19,7 @@ from drivecal.execution.scheduling.scheduler import ATTEMPTS
 def test_a_poison_cell_costs_three_attempts_and_none_of_its_neighbours() -> None:
     for poison, cause in ((Behaviour.CRASH, "crash"), (Behaviour.HANG, "hang"), (Behaviour.MEMORY, "memory")):
         backend = FakeBackend()
-        pool = WorkPool(backend)
+        pool = WorkPool(backend, MemoryLeases())
         pool.submit(Work(setup(), cells([Behaviour.WELL] * 300)), tag="a")
         pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 20 + [poison] + [Behaviour.WELL] * 279, first=1001)), tag="a")
         completed = drain(pool)
@@ -32,7 +32,7 @@ def test_a_poison_cell_costs_three_attempts_and_none_of_its_neighbours() -> None
 
 def test_batches_take_half_a_second_whatever_a_cell_costs() -> None:
     backend = FakeBackend(seconds_per_cell={"S1": 0.007, "S2": 0.1, "S3": 3.0, "S4": 0.0001})
-    pool = WorkPool(backend)
+    pool = WorkPool(backend, MemoryLeases())
     for index, scenario in enumerate(("S1", "S2", "S3", "S4")):
         count = 40 if scenario == "S3" else 1000
         pool.submit(Work(setup(scenario), cells([Behaviour.WELL] * count, first=1 + 10_000 * index)), tag="a")
@@ -50,7 +50,7 @@ def test_batches_take_half_a_second_whatever_a_cell_costs() -> None:
 
 def test_the_setups_of_a_generation_are_spread_over_the_workers() -> None:
     backend = FakeBackend(3)
-    pool = WorkPool(backend)
+    pool = WorkPool(backend, MemoryLeases())
     for generation in range(3):
         begun = len(backend.sizes)
         works = [
@@ -63,13 +63,14 @@ def test_the_setups_of_a_generation_are_spread_over_the_workers() -> None:
 
 
 def test_a_cell_cannot_be_in_flight_twice() -> None:
-    pool = WorkPool(FakeBackend())
+    pool = WorkPool(FakeBackend(), leases := MemoryLeases())
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 3)), tag="a")
     with pytest.raises(ValueError, match=r"\[1\]"):
         pool.submit(Work(setup("S2"), cells([Behaviour.WELL])), tag="a")
     with pytest.raises(ValueError, match=r"\[9, 9\]"):
         pool.submit(Work(setup(), [Cell(9, {}), Cell(9, {})]), tag="a")
     assert len(drain(pool)) == 3
+    leases.held.clear()
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 3)), tag="a")
     assert len(drain(pool)) == 3
 
@@ -95,7 +96,7 @@ _step = st.one_of(
 @settings(max_examples=examples(120), deadline=None)
 def test_every_cell_comes_back_exactly_once_whatever_happens(workers: int, steps: list[tuple[object, ...]]) -> None:
     backend = FakeBackend(workers, {"S1": 0.007, "S2": 0.5})
-    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool = WorkPool(backend, MemoryLeases(), clock=lambda: backend.now)
     submitted: dict[int, Behaviour] = {}
     tags: dict[int, str] = {}
     completed: list[Completed] = []

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from tests.support.fake_backend import FakeBackend
+from tests.support.pooled import MemoryLeases
 
 from drivecal.contracts.work import Cell, SetupRequest
 from drivecal.execution.pool import WorkPool
@@ -20,7 +21,7 @@ def setup(tools: str | None = None) -> SetupRequest:
 
 
 def pool_on(backend: FakeBackend) -> WorkPool:
-    return WorkPool(backend, clock=lambda: backend.now)
+    return WorkPool(backend, MemoryLeases(), clock=lambda: backend.now)
 
 
 def answer(pool: WorkPool, rounds: int = 100) -> str | None:

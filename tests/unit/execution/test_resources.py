@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from tests.support.effort import examples
 from tests.support.fake_backend import Behaviour, FakeBackend
 from tests.support.plant import V, W, answers, cells, ids, send
+from tests.support.pooled import MemoryLeases, drain
 from tests.support.pooled import cells as behaving
-from tests.support.pooled import drain
 from tests.support.setups import bare
 
 from drivecal.contracts.work import BatchResult, SetupRequest
@@ -37,7 +37,7 @@ def scheduler(total: dict[str, int], **options: float) -> Scheduler:
 @pytest.mark.parametrize("keeps", [False, True])
 def test_licences_are_in_use_while_work_waits_for_them_and_hold_no_other_work_up(keeps: bool) -> None:
     backend = FakeBackend(4, {"S1": 0.1, "S2": 0.1})
-    pool = WorkPool(backend, clock=lambda: backend.now, resources=Resources(LICENCES))
+    pool = WorkPool(backend, MemoryLeases(), clock=lambda: backend.now, resources=Resources(LICENCES))
     both = [
         Work(licensed(keeps=keeps), behaving([Behaviour.WELL] * 300)),
         Work(bare("S2"), behaving([Behaviour.WELL] * 500, 1001)),
@@ -55,7 +55,7 @@ def test_licences_are_in_use_while_work_waits_for_them_and_hold_no_other_work_up
 @settings(max_examples=examples(25), deadline=None)
 def test_there_are_never_more_runs_than_licences_whoever_is_killed(keeps: bool, kills: list[tuple[int, int]]) -> None:
     backend = FakeBackend(4, {"S1": 0.4, "S2": 0.3, "S3": 0.2}, linger_seconds=5.0)
-    pool = WorkPool(backend, clock=lambda: backend.now, resources=Resources(LICENCES, settle_seconds=6.0))
+    pool = WorkPool(backend, MemoryLeases(), clock=lambda: backend.now, resources=Resources(LICENCES, settle_seconds=6.0))
     pool.submit(Work(licensed(keeps=keeps), behaving([Behaviour.WELL] * 40)), tag="a")
     pool.submit(Work(licensed("S2", 2, keeps=keeps), behaving([Behaviour.WELL] * 10, 1001)), tag="b", priority=1)
     pool.submit(Work(bare("S3"), behaving([Behaviour.WELL] * 60, 2001)), tag="c")
@@ -72,7 +72,7 @@ def test_there_are_never_more_runs_than_licences_whoever_is_killed(keeps: bool, 
 
 def test_campaigns_share_licences_and_a_higher_priority_takes_them_first() -> None:
     backend = FakeBackend(4, {"S1": 0.5})
-    pool = WorkPool(backend, clock=lambda: backend.now, resources=Resources(LICENCES))
+    pool = WorkPool(backend, MemoryLeases(), clock=lambda: backend.now, resources=Resources(LICENCES))
     for tag, first in (("a", 1), ("b", 1001)):
         pool.submit(Work(licensed(), behaving([Behaviour.WELL] * 50, first)), tag=tag)
     pool.poll(0.1)
@@ -85,7 +85,7 @@ def test_campaigns_share_licences_and_a_higher_priority_takes_them_first() -> No
 @pytest.mark.parametrize("keeps", [False, True])
 def test_a_campaign_that_needs_two_licences_gets_its_share_beside_one_that_needs_one(keeps: bool) -> None:
     backend = FakeBackend(4, {"S1": 0.5, "S2": 0.5})
-    pool = WorkPool(backend, clock=lambda: backend.now, resources=Resources(LICENCES))
+    pool = WorkPool(backend, MemoryLeases(), clock=lambda: backend.now, resources=Resources(LICENCES))
     pool.submit(Work(licensed(keeps=keeps), behaving([Behaviour.WELL] * 200)), tag="a")
     pool.poll(1.0)
     pool.submit(Work(licensed("S2", 2, keeps=keeps), behaving([Behaviour.WELL] * 20, 1001)), tag="b")
@@ -176,7 +176,7 @@ def test_resources_are_not_kept_for_cells_that_the_worker_refuses() -> None:
 
 def test_a_busy_simulator_takes_no_attempt_and_holds_no_other_work_up() -> None:
     backend = FakeBackend(2, {"S1": 0.1, "S2": 0.1}, busy_until={"S1": 20.0})
-    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool = WorkPool(backend, MemoryLeases(), clock=lambda: backend.now)
     pool.submit(
         Work(bare("S1"), behaving([Behaviour.WELL] * 6)), Work(bare("S2"), behaving([Behaviour.WELL] * 20, 101)), tag="a"
     )

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import yaml
+from tests.support.pooled import MemoryLeases
 
 from drivecal.adapters.children import REPLY_SECONDS
 from drivecal.bundles.archives import content_digest
@@ -79,7 +80,7 @@ def test_a_repaired_cache_gets_the_files_again(tmp_path: Path) -> None:
         folder.mkdir()
         folder.chmod(0o777)  # others could change it
     now = 0.0
-    pool = WorkPool(WorkersHere(folders), clock=lambda: now)
+    pool = WorkPool(WorkersHere(folders), MemoryLeases(), clock=lambda: now)
     names = (("x",), (), ("y",), (), ())
     setup = SetupRequest(content_digest(archive()), "mine", "city", {}, SIMULATOR, *names, "fingerprint")
     while now < PATIENCE_WITH_REFUSALS / 2:

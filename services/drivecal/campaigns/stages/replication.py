@@ -13,11 +13,10 @@ from drivecal.campaigns.cells.cell_tracker import CellTracker
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.answers import SearchAnswers
-from drivecal.campaigns.stages.stage import Round
+from drivecal.campaigns.stages.stage import Round, exact_policy
 from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Purpose, RequestedCell
-from drivecal.reduction.assignment import Policy
 from drivecal.storage import evaluations
 from drivecal.storage.references import parameter_sets
 
@@ -74,8 +73,7 @@ class Replication:
             for number, seed in chosen
             for scenario in scenarios
         ]
-        policy = Policy("off" if self._problem.specification.reduction.mode == "off" else "exact")
-        return Round(last + 1, self._benches.with_cells(cells), policy) if cells else None
+        return Round(last + 1, self._benches.with_cells(cells), exact_policy(self._problem)) if cells else None
 
     def _left(self, tracker: CellTracker, after: int) -> int:
         """Returns how many simulations the budget has left, or are adequate for what the search has asked without one. Answers from the
