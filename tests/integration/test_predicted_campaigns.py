@@ -17,6 +17,7 @@ from tests.support.runs import (
     everything,
     get,
     influenced,
+    post_map,
     rows_of,
     run,
     run_posted,
@@ -43,6 +44,7 @@ from drivecal.storage import evaluations, lots
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.lots import LotVerdict, StoredLot
+from drivecal.storage.maintenance.consistency import verify
 
 ITERATIONS = 4
 STRIDE = tries(27, 9)
@@ -89,6 +91,29 @@ def test_a_sample_is_compared_and_its_lot_released_or_simulated_whole(predicted:
         rest = {row.outcome for row in members if row.purpose != "sample"}
         assert lot.verdict is (LotVerdict.RELEASED if lot.errors <= lot.acceptance else LotVerdict.REJECTED)
         assert rest <= ({Outcome.PREDICTED} if lot.verdict is LotVerdict.RELEASED else {Outcome.SIMULATED, Outcome.FAILED})
+
+
+def test_lots_of_a_slice_that_the_budget_cuts_are_sampled_as_planned_and_no_slice_follows(database: Database) -> None:
+    """Lots of references and of predictions; the dispatcher dies after the cut."""
+    ignored = {f"P{number}": {"influential": False} for number in range(2, 12)}
+    campaign = submit(
+        database,
+        stored_map=post_map(database, {"S1": ignored}),
+        parameters=SPACE,
+        catalogue=["S1", "S2"],
+        optimizer={"kind": "genetic", "population": 280, "seed": 3},
+        budget={"simulations": 250},
+        reduction={"mode": "both", "audit": 0.0, "max_error": 0.05, "confirm": 0},
+    )
+    working = dispatcher(database, ComputedBackend(answer=simple))
+    while (search := get(database, campaign).search) is None or search.ended_by is None:
+        working.step()
+    asked = len(rows_of(database, campaign))
+    ended = run(database, campaign, ComputedBackend(answer=simple))
+    assert (present(ended.search).ended_by, ended.iteration, ended.cells.requested) == ("budget", 0, asked)
+    released = {lot.kind for lot in lots_of(database, campaign) if lot.verdict is LotVerdict.RELEASED}
+    assert released == {Outcome.PREDICTED, Outcome.REUSED}
+    assert [check for check in verify(database) if check.problems] == []
 
 
 def test_sizes_of_errors_are_those_in_the_samples_of_released_lots(predicted: tuple[Database, StoredCampaign]) -> None:

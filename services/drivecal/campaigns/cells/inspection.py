@@ -155,20 +155,24 @@ class Inspection:
         }
 
 
+def enters_lot(cell: RequestedCell, limit: float) -> bool:
+    """Returns whether a planned cell's reference answers it after an inspection only. A `limit` of 1 makes no lots."""
+    return cell.plan is Outcome.REUSED and not cell.from_equal_campaign and limit < 1.0
+
+
 def form_lots_of_references(
     connection: Connection, view: View, cells: Sequence[RequestedCell], limit: float, rates: Mapping[str, ErrorRate]
 ) -> list[RequestedCell]:
-    """Stores a lot for the reused cells of each scenario in a batch, and returns all cells, these with their lots. A `limit` of 1 makes no
-    lots.
+    """Stores a lot for the reused cells of each scenario in a batch, and returns all cells, these with their lots.
 
     An answer is wrong if it is off by more than the scale's tolerance. `rates` are the audits so far; they choose how many errors a sample
     may hold. The sample of a very small lot is the whole lot.
     """
     members: dict[str, list[int]] = defaultdict(list)
     for place, cell in enumerate(cells):
-        if cell.plan is Outcome.REUSED and not cell.from_equal_campaign:
+        if enters_lot(cell, limit):
             members[cell.scenario].append(place)
-    if not members or limit >= 1.0:
+    if not members:
         return list(cells)
     first, new = cells[0], []
     for scenario, places in members.items():

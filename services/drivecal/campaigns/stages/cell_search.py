@@ -15,7 +15,6 @@ from drivecal.analysis.goals import SCORE
 from drivecal.analysis.replicates import choosing
 from drivecal.campaigns.cells import earlier
 from drivecal.campaigns.cells.earlier import place_in
-from drivecal.campaigns.cells.inspection import form_lots_of_references
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.answers import CellAnswers, asked_rounds
@@ -98,14 +97,11 @@ class CellSearch(ComputedSearch):
         left, budget = super()._cells_left, self._tracker.budget
         return left if math.isinf(left) else min(left, budget.kept - (self._within - self._simulations))
 
-    def _form_lots(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
-        """Forms lots, and returns the first cells for which the budget suffices: each counts, whatever is stored."""
+    def _affordable(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
+        """Returns the first cells for which the budget suffices: each counts, whatever is stored."""
+        del connection
         if asked.number >= self._next:
             return planned
-        limit = self._problem.specification.reduction.max_error
-        planned = form_lots_of_references(
-            connection, self._view, planned, limit, {}
-        )  # rates are known at another time in each run
         room = int(min(max(0, self._cells_left), len(planned)))
         if room < len(planned):
             self._end_search("budget")

@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.campaigns.cells.inspection import form_lots_of_references
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.answers import CellAnswers, asked_rounds
@@ -116,14 +115,13 @@ class OutsideSearch(SearchStage):
         ]
         return Round(number, self._benches.with_cells(requested), self._problem.policy)
 
-    def _form_lots(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
+    def _affordable(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
         """Cuts the round to what room and budget allow, before a set that was cancelled a moment ago."""
         if asked.number >= self._next:  # a set to confirm
             return planned
         round_ = self._asked[asked.number]
         if planned and planned[0].seed > 1:  # the first seed has decided which sets are asked for
-            kept = [cell for cell in planned if cell.individual < len(round_.population)]
-            return self._lots(connection, kept)
+            return [cell for cell in planned if cell.individual < len(round_.population)]
         if self._offered:
             held = outside_sets.hold(connection, self._campaign.sequence, [each.number for each in self._offered])
             planned = [cell for cell in planned if cell.individual < held]
@@ -132,10 +130,7 @@ class OutsideSearch(SearchStage):
         self._most = min(MOST_SETS, 2 * self._most) if len(kept) == len(planned) else max(self._ahead, 2 * sets)
         self._offered = self._offered[:sets]
         self._asked[asked.number] = replace(round_, population=round_.population[:sets], changed=round_.changed[:sets])
-        return self._lots(connection, kept)
-
-    def _lots(self, connection: Connection, planned: list[RequestedCell]) -> list[RequestedCell]:
-        return form_lots_of_references(connection, self._view, planned, self._problem.specification.reduction.max_error, {})
+        return kept
 
     @property
     def _cells_left(self) -> float:

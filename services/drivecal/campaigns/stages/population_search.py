@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.campaigns.cells.inspection import form_lots_of_references
+from drivecal.campaigns.cells.inspection import enters_lot, form_lots_of_references
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.predicting import CHANGED, LotPlanner, slice_size
 from drivecal.campaigns.resolve.problem import CalibrationProblem
@@ -69,10 +69,11 @@ class PopulationSearch(ComputedSearch):
                 asked = population_round(problem, rows, changed, dict(last.optimizer_state or {}))
                 self._asked = {last.iteration: asked}
                 here = campaign.sequence, self.name, last.iteration
+                is_open = not last.finished and self._search.ended_by is None
                 self._batches = [
                     each
                     for each in self._split(last.iteration, asked)
-                    if not last.finished and not results.is_requested(connection, *here, each[0] if each else None)
+                    if is_open and not results.is_requested(connection, *here, each[0] if each else None)
                 ]
         if self._search.ended_by is None:
             self._compute(partial(self._restored, last, populations))
@@ -158,11 +159,7 @@ class PopulationSearch(ComputedSearch):
             given = range(len(self._problem.start_sets)) if asked.number == 0 else ()
             best, reaches = self._surest()
             planned = self._planner.plan(connection, planned, best, given, reaches)
-        within = self._affordable(planned, [bench.seed for bench, _ in asked.cells])
-        if len(within) < len(planned):
-            self._end_search("budget")
-            self._batches.clear()
-        return within
+        return planned
 
     def _surest(self) -> tuple[float | None, Any]:
         """Returns the best simulated objective, and, unless it is the weighted score, what judges whether a set may reach the front."""
@@ -170,15 +167,15 @@ class PopulationSearch(ComputedSearch):
         reaches = None if self._problem.goals.is_weighted_score else self._ranking.reaches_front
         return None if best is None else best.objective, reaches
 
-    def _affordable(self, planned: Sequence[RequestedCell], seeds: Sequence[int]) -> list[RequestedCell]:
-        """Returns the first cells for which the budget suffices, without parts of individuals. Every cell without a stored answer counts:
-        workers simulate rejected lots, too.
-
-        Args:
-            planned: cells under one of the seeds of a round.
-            seeds: the seeds of the round, in the order of planning. An individual runs under all of them or none.
-        """
+    def _affordable(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
+        """Returns the first cells for which the budget suffices, without parts of individuals, and ends the search if these are not all. An
+        individual runs under all seeds of a round or none. Cells without a stored answer count, and reused cells that will enter
+        a lot: workers simulate rejected lots, too."""
+        del connection
+        if asked.number >= self._next:
+            return planned
         room, reduction = self._cells_left, self._problem.specification.reduction
+        seeds = [bench.seed for bench, _ in asked.cells]
         if self._problem.policy.mode not in {"off", "exact"}:  # may confirm the best set
             room -= min(min(reduction.confirm, CONFIRMED) * len(self._problem.scenarios), (self._limit or 0) // 10)
         place, within = seeds.index(planned[0].seed) if planned else 0, list(planned)
@@ -186,11 +183,14 @@ class PopulationSearch(ComputedSearch):
             within = [cell for cell in planned if cell.individual in self._kept]
         room /= len(seeds) - place
         for number, cell in enumerate(within):
-            room -= not cell.answered_at_once
+            room -= not cell.answered_at_once or enters_lot(cell, reduction.max_error)
             if room < 0:
                 within = [each for each in within[:number] if each.individual != cell.individual]
                 break
         self._kept = {cell.individual for cell in within}
+        if len(within) < len(planned):
+            self._end_search("budget")
+            self._batches.clear()
         return within
 
     def _confirm(self) -> Round | None:

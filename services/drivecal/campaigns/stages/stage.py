@@ -237,7 +237,7 @@ class Stage(ABC):
                     view = self._view if bench is self._view.bench else replace(self._view, bench=bench)
                     planned = plan_cells(connection, view, asked.policy, self.name, asked.number, cells, asked.before)
                     with view.reuse_time.counted():
-                        planned = self._form_lots(connection, asked, planned)
+                        planned = self._form_lots(connection, asked, self._affordable(connection, asked, planned))
                     self._tracker.request(connection, planned, carried_over=0 if position else asked.carried_over)
                     has_lots |= any(cell.lot is not None for cell in planned)
                 self._store(connection, asked)
@@ -249,8 +249,13 @@ class Stage(ABC):
                 self._save(connection)
         return work
 
+    def _affordable(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:  # a hook
+        """Returns the first cells under a seed of a round: those for which the budget suffices. Called once for each seed."""
+        del connection, asked
+        return planned
+
     def _form_lots(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:  # a hook
-        """Puts reused cells into lots, and replaces simulations by predictions in lots."""
+        """Puts reused cells into lots, and replaces simulations by predictions in lots. All these cells are stored."""
         del connection, asked
         return planned
 
