@@ -9,7 +9,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from drivecal.analysis.front import non_dominated
 from drivecal.analysis.importance import _interval
+from drivecal.analysis.replicates import assess, interval
 from drivecal.analysis.robustness import undetected_share
 from drivecal.analysis.validation import mean_interval
 from drivecal.reduction.audit import clopper_pearson
@@ -78,6 +80,34 @@ def importance(size: int) -> Row:
     return held / REPEATS, float(np.mean(widths)), None
 
 
+def random_sets(common: float, *, part: str) -> Row:
+    """Objectives of 20 sets of a random simulator: each under three seeds, five under nine more, the best one reported by eight others.
+
+    What a seed does to all sets is `common` times as large as a set's own noise.
+    """
+    random, held, widths = np.random.default_rng(6), [], []
+    for _ in range(REPEATS):
+        truths, sets, known = random.normal(size=(2, 20)), [], []
+        for truth in truths:
+            drawn = truth[:, np.newaxis] + random.normal(size=(20, 20)) + common * random.normal(size=20)
+            few = np.argsort(drawn[:, :3].mean(axis=1))[:-5]
+            sets.append(drawn.copy())
+            drawn[few, 3:] = np.nan
+            known.append(assess(drawn[:, :12]))
+        first, places, halves = known[0], np.arange(20), known[0].half_widths(0.95)
+        middles = np.where(first.counts > 3, sets[0][:, :12].mean(axis=1), sets[0][:, :3].mean(axis=1))
+        if part == "best":
+            places = np.array([first.best(0.95)])
+            spread = float(first.spreads[places[0]]), min(float(first.spread_freedom[places[0]]), 11.0)
+            lower, upper = interval(sets[0][places[0], 12:].tolist(), None, 0.95, *spread, first.skewness)
+            middles, halves = np.full(20, ((upper or 0) + (lower or 0)) / 2), np.full(20, ((upper or 0) - (lower or 0)) / 2)
+        elif part == "front":
+            places, middles = np.flatnonzero(non_dominated(np.stack([each.means for each in known], axis=1))), first.means
+        held += (np.abs(truths[0] - middles) <= halves)[places].tolist()
+        widths += (2 * halves)[places].tolist()
+    return float(np.mean(held)), float(np.mean(widths)), None
+
+
 PLAN = smallest_plan(250, 0.05, 1)
 TABLE: dict[str, Callable[[], Row]] = {
     "wrong answers, 2 % of 200 (Clopper, Pearson)": lambda: counts(0.02, 200),
@@ -90,6 +120,10 @@ TABLE: dict[str, Callable[[], Row]] = {
     "failing vehicles, 10 % in every box, 1 set (up to)": lambda: boxes(0.1, 30, 1),
     "failing vehicles, 10 % in every box, the best of 20 sets (up to)": lambda: boxes(0.1, 30, 20),
     "importance, 100 held-out sets": lambda: importance(100),
+    "best of 20 random sets": lambda: random_sets(0.0, part="best"),
+    "best of 20 random sets, seeds do ten times as much as their own noise": lambda: random_sets(10.0, part="best"),
+    "all 20 of them": lambda: random_sets(10.0, part="all"),
+    "sets of a front of two objectives": lambda: random_sets(0.0, part="front"),
 }
 
 
