@@ -3,7 +3,7 @@
 .PHONY: help demo test test-slow test-faults test-compose test-packages check bench train page docs format lock audit sbom clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
-# Four processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
+# Four processes for two cores, because tests also wait: for deadlines, and for processes that start and end. Long forms wait most: six.
 WHOLE_FILES := $(BIN)/pytest --numprocesses 4 --dist loadfile --no-loadscope-reorder
 # Containers often set it. Every process that a server or a test starts would compile all that it imports: half of a start's time.
 unexport PYTHONDONTWRITEBYTECODE
@@ -23,7 +23,7 @@ test: $(INSTALLED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and
 
 test-slow: $(INSTALLED) ## run the long forms, which `make test` leaves out: whole campaigns, more kills, further cases (minutes)
 	@$(BIN)/python -m tests.support.web
-	@$(WHOLE_FILES) -m slow
+	@$(WHOLE_FILES) --numprocesses 6 -m slow
 
 test-faults: $(INSTALLED) ## the long forms of all tests of `make test` and `make test-slow` but those in a browser: kill, stop and starve everything, every case, random examples (one to two hours)
 	@$(BIN)/python -m tests.support.web
