@@ -109,7 +109,7 @@ class Campaign:
         for seeds in range(2, most + 1):
             standing = assess(self.samples[:, :seeds])
             leader = int(np.argmax(standing.means))
-            if standing.is_known and standing.probability(leader, range(sets)) >= confidence:
+            if standing.is_known and standing.probabilities()[leader] >= confidence:
                 return sets * seeds
         return sets * most
 

@@ -136,6 +136,8 @@ class SetStatistics:
         A rare failure is no noise of all sets: the mean of a set is the mean of its other runs, less what failures lose in the share of its
         runs that fail. This share is drawn as its runs tell it, and the share of all sets as SHRINKAGE runs more.
         """
+        from scipy.special import stdtrit
+
         known, sound, failures, lost = self, np.arange(len(self.means)), np.zeros(len(self.means)), 0.0
         if self.failing is not None:
             samples, failed, level = self.failing
@@ -148,20 +150,13 @@ class SetStatistics:
         means, counts, failures = known.means[listed], known.counts[listed], failures[listed]
         prior = max(SHRINKAGE * failures.sum() / (failures + counts).sum(), 1e-9)
         random, shape = np.random.Generator(np.random.PCG64(1)), (DRAWS, len(listed))
-        drawn = means + np.maximum(known.errors[listed], 1e-12) * random.standard_t(known.freedom[listed], shape)
+        freedoms, places = np.unique(
+            known.freedom[listed], return_inverse=True
+        )  # equal shares of the draws in equal shares of t
+        usual = stdtrit(freedoms, (np.arange(DRAWS)[:, np.newaxis] + 0.5) / DRAWS)[:, places]
+        drawn = means + np.maximum(known.errors[listed], 1e-12) * random.permuted(usual, axis=0)
         drawn -= random.beta(failures + prior, counts + SHRINKAGE - prior, shape) * (means - lost)
         return np.bincount(sound[listed[drawn.argmax(axis=1)]], minlength=len(self.means)) / DRAWS
-
-    def probability(self, place: int, rivals: Sequence[int]) -> float:
-        """Returns the probability that a set is better than all `rivals`."""
-        from scipy.special import stdtr, stdtrit
-
-        others = [rival for rival in rivals if rival != place]
-        errors = np.maximum(self.errors, 1e-12)
-        levels = (np.arange(QUANTILES) + 0.5) / QUANTILES
-        points = self.means[place] + errors[place] * stdtrit(self.freedom[place], levels)
-        below = stdtr(self.freedom[others], (points[:, np.newaxis] - self.means[others]) / errors[others])
-        return float(below.prod(axis=1).mean())
 
 
 def assess(samples: Floats, level: float | None = None, failed: npt.NDArray[np.bool_] | None = None) -> SetStatistics:
@@ -297,7 +292,10 @@ def allocate(standing: SetStatistics, room: int, most: int, confidence: float) -
         return []
     leader = int(np.argmax(standing.means))
     ahead = standing.ahead(leader)
-    if standing.probability(leader, range(len(counts))) >= confidence:
+    shown = standing.probabilities()
+    if np.isnan(shown[leader]):  # what failures mean for quantiles is not known
+        shown = replace(standing, failing=None).probabilities()
+    if shown[leader] >= confidence:
         return []
     rivals = np.flatnonzero(ahead > NEGLIGIBLE * (1 - confidence))
     variances = np.maximum(standing.variances, 1e-300)

@@ -56,7 +56,7 @@ class Campaign:
                 chosen = allocate(standing, 8, MOST, CONFIDENCE)
             else:
                 leader = int(np.argmax(standing.means))
-                is_decided = standing.is_known and standing.probability(leader, range(SETS)) >= CONFIDENCE
+                is_decided = standing.is_known and standing.probabilities()[leader] >= CONFIDENCE
                 chosen = [] if is_decided else list(range(SETS))
             if not chosen:
                 return standing.best(CONFIDENCE)
