@@ -150,11 +150,12 @@ class SetStatistics:
         means, counts, failures = known.means[listed], known.counts[listed], failures[listed]
         prior = max(SHRINKAGE * failures.sum() / (failures + counts).sum(), 1e-9)
         random, shape = np.random.Generator(np.random.PCG64(1)), (DRAWS, len(listed))
-        freedoms, places = np.unique(
-            known.freedom[listed], return_inverse=True
-        )  # equal shares of the draws in equal shares of t
+        freedoms, places = np.unique(known.freedom[listed], return_inverse=True)
+        # equal shares of the draws in equal shares of t
         usual = stdtrit(freedoms, (np.arange(DRAWS)[:, np.newaxis] + 0.5) / DRAWS)[:, places]
-        drawn = means + np.maximum(known.errors[listed], 1e-12) * random.permuted(usual, axis=0)
+        drawn = means + np.maximum(known.errors[listed], 1e-12 * np.maximum(1.0, np.abs(means))) * random.permuted(
+            usual, axis=0
+        )
         drawn -= random.beta(failures + prior, counts + SHRINKAGE - prior, shape) * (means - lost)
         return np.bincount(sound[listed[drawn.argmax(axis=1)]], minlength=len(self.means)) / DRAWS
 

@@ -201,7 +201,12 @@ def _rated(benches: Mapping[str, Bench], scenario: str, outcome: RunOutcome) -> 
     declared = next(iter(benches.values())).bundle.manifest.measures
     rating, score = (None, None) if outcome.rating is None else (outcome.rating.rating, outcome.rating.score)
     result = CellResult(0, rating, score, outcome.measures, outcome.failure, 0.0)
-    rated = {name: bench.rate_result(scenario, result) for name, bench in benches.items()}
+    rated = {
+        name: bench.rate_result(scenario, result)
+        if bench.needs_series
+        else bench.rate(scenario, outcome.measures, outcome.failure)
+        for name, bench in benches.items()
+    }
     known = {name: scored for name, scored in rated.items() if scored is not None}
     return {
         "measures": {name: value for name, value in outcome.measures.items() if name in declared},

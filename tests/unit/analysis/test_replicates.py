@@ -103,6 +103,10 @@ def test_effects_that_all_sets_share_disappear_from_comparisons() -> None:
     assert standing.errors.max() < 0.3 < 10 < standing.standard_errors.min()
 
 
+def test_equal_sets_are_the_best_with_equal_probability_however_large_their_objectives() -> None:
+    assert assess(np.full((2, 3), 1e6)).probabilities() == pytest.approx([0.5, 0.5], abs=0.05)
+
+
 def test_equal_runs_need_no_further_ones() -> None:
     samples = np.tile(np.arange(5.0)[:, np.newaxis] / 10, (1, 3))  # a mean of three equal ones is another number
     assert allocate(assess(samples), 8, 20, CONFIDENCE) == []

@@ -155,7 +155,7 @@ class Bench:
 
     def rate_result(self, scenario: str, result: CellResult) -> Rating | None:
         """Rates what a worker reports of a run: as `rate`, except if the worker has rated it by its time series."""
-        if not self.needs_series or result.rating is None or result.score is None:
+        if result.rating is None or result.score is None:
             return self.rate(scenario, result.metrics, result.failure)
         failed = result.failure is not None
         return Rating(self.scale.worth(result.rating, failed=failed), self.scale.worth(result.score, failed=failed))
