@@ -104,7 +104,7 @@ def test_effects_that_all_sets_share_disappear_from_comparisons() -> None:
 
 
 def test_equal_sets_are_the_best_with_equal_probability_however_large_their_objectives() -> None:
-    assert assess(np.full((2, 3), 1e6)).probabilities() == pytest.approx([0.5, 0.5], abs=0.05)
+    assert assess(np.full((2, 6), 1e6)).probabilities() == pytest.approx([0.5, 0.5], abs=0.05)
 
 
 def test_equal_runs_need_no_further_ones() -> None:
