@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -14,11 +15,14 @@ from tests.support.runs import dispatcher, finish
 from drivecal.api.results.document import results_of
 from drivecal.api.routes.campaigns import read
 from drivecal.bundles.shapes import Shape, with_points
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.front import StoredRanking
 from drivecal.cli.views.output import print_results, print_solutions
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.campaigns import CampaignState
 from drivecal.storage.engine.database import Database
+from drivecal.storage.results import answers
 
 WANTED = [3.0, 2.2, 1.4, 0.9, 0.8]
 MANIFEST: dict[str, Any] = {
@@ -64,7 +68,9 @@ def test_results_show_curves_with_the_range_of_good_sets(database: Database, cap
     wanted |= {"budget": {"simulations": 60}}
     ended = finish(database, submit_checked(database, wanted), dispatcher(database, ComputedBackend(driven=driven)))
     assert ended.state is CampaignState.SUCCEEDED, ended.error
-    results = results_of(database, ended)
+    with mock.patch("drivecal.storage.results.answers", wraps=answers) as reads:
+        results = results_of(StoredRanking(database, ended, resolved_spec(ended)))
+    assert reads.call_count == 1, "curves and variants are of one ranking"
     gain, load = results.setup.shapes["gain"], results.setup.shapes["load"]
     best, baseline = results.campaign.best, results.campaign.baseline
     assert best is not None

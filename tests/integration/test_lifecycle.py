@@ -190,9 +190,7 @@ def test_simulations_that_do_not_repeat_themselves_are_told(database: Database) 
         )
         drawn = {(cell.iteration, cell.individual, cell.scenario): cell.values["draw"] for cell in cells if cell.seed == 1}
     own = [row for row in repeated if row.outcome == Outcome.SIMULATED]
-    assert [drawn[row.iteration, row.individual, row.scenario] for row in own] == [row.id for row in own], (
-        "measures of its own run"
-    )
+    assert [drawn[row.iteration, row.individual, row.scenario] for row in own] == [row.id for row in own], "of its own run"
 
 
 def test_a_pause_takes_no_minutes_of_a_budget(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:

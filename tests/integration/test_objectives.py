@@ -13,7 +13,7 @@ from tests.support.values import present
 from drivecal.analysis.solutions import Ranking
 from drivecal.api.tables.front import front_table
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.campaigns.results.front import answers_of, front_of
+from drivecal.campaigns.results.front import StoredRanking, answers_of, front_of
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
 from drivecal.storage import results, studies
@@ -53,11 +53,7 @@ def backend() -> ComputedBackend:
 
 def ranking_of(database: Database, campaign: StoredCampaign) -> Ranking:
     """The ranking by stored rows alone."""
-    resolved = resolved_spec(get(database, campaign))
-    ranking = Ranking(resolved.weights, resolved.goals)
-    with database.read() as connection:
-        ranking.add(results.answers(connection, campaign.sequence, StageName.CALIBRATION, valued=resolved.goals.values))
-    return ranking
+    return StoredRanking(database, campaign, resolved_spec(get(database, campaign)), watermark=0).sets
 
 
 def vectors(database: Database, campaign: StoredCampaign) -> list[tuple[float, ...]]:
@@ -111,7 +107,7 @@ def test_the_robustness_of_every_set_of_the_front_is_examined(database: Database
     examined = [item["parameters"] for item in present(study)["items"]]
     assert len(examined) == len(front) > 1
     assert all(each.floats in examined for each in sets.values())
-    rows = front_table(database, ended, front_of(database, ended, resolved_spec(ended)))
+    rows = front_table(database, ended, front_of(StoredRanking(database, ended, resolved_spec(ended))))
     assert [row.degree for row in rows].count(None) == 0
 
 

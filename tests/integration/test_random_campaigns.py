@@ -25,7 +25,7 @@ from tests.support.values import faults_of, present
 from drivecal.analysis.robustness import directions, vehicles
 from drivecal.api.tables.front import front_table, summary
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.campaigns.results.front import front_of
+from drivecal.campaigns.results.front import StoredRanking, front_of
 from drivecal.campaigns.stages.replication import Replication
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -229,7 +229,7 @@ def test_a_set_whose_failures_are_rare_enough_is_the_best(database: Database) ->
     assert 0.05 <= abs(float(kept.parameters["x"]) - 0.6) < 0.1
     assert (kept.violation, kept.undecided, kept.constraints["failures"]) == (0.0, False, 0.0)
     assert kept.constraints["failures_upper"] <= 0.2
-    rows = front_table(database, rated, front_of(database, rated, resolved_spec(rated)))
+    rows = front_table(database, rated, front_of(StoredRanking(database, rated, resolved_spec(rated))))
     assert {(row.violation, row.undecided, row.constraints["failures_upper"] <= 0.2) for row in rows} == {(0.0, False, True)}
 
 
@@ -237,7 +237,7 @@ def test_the_values_of_a_front_have_intervals_and_sets_that_may_belong_to_it_are
     names = ("city", "road")
     objectives = [{"name": name, "measure": "y", "direction": "minimise", "scenarios": [name]} for name in names]
     ended = carried_out(database, objectives=objectives)
-    front = front_of(database, ended, resolved_spec(ended))
+    front = front_of(StoredRanking(database, ended, resolved_spec(ended)))
     rows, known = front_table(database, ended, front), summary(front)
     for row, name in product(rows, names):
         lower, upper = (row.uncertainty[f"{name}_{end}"] for end in ("lower", "upper"))

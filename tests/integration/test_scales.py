@@ -27,10 +27,8 @@ def costs(monkeypatch: pytest.MonkeyPatch) -> None:
 def costly(scenario: str, cell: Cell) -> CellResult:
     """Costs beyond 100, and failures that the worker believes to be the best of all."""
     cost = 17.0 * rating_of(scenario, cell)
-    failed = cost < 8.5
-    return CellResult(
-        cell.id, 0.0 if failed else cost, 0 if failed else cost, {"cost": cost}, "collision" if failed else None, 7.0
-    )
+    failure, believed = ("collision", 0.0) if cost < 8.5 else (None, cost)
+    return CellResult(cell.id, believed, believed, {"cost": cost}, failure, 7.0)
 
 
 def test_the_search_minimises_and_a_failed_run_never_wins(database: Database) -> None:

@@ -11,8 +11,9 @@ from tests.support.deaths import killed_between_rounds
 from tests.support.runs import everything, get, submit
 
 from drivecal.api.results.document import results_of
-from drivecal.api.tables.ranking import campaign_ranking, variants_of
+from drivecal.api.tables.ranking import solution_pages, variants_of
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
@@ -42,6 +43,7 @@ def test_each_variant_has_its_best_set_and_the_common_one_its_cost(
 ) -> None:
     ended = carried_out(database, common=common, **search)
     resolved = resolved_spec(ended)
+    stored = StoredRanking(database, ended, resolved)
     by_set: dict[int, dict[str, float]] = {}
     assert list(resolved.weights) == ["S1", "S1@us", "S2", "S2@us", "S3@us"], "jp shares the vehicle of us"
     with database.read() as connection:
@@ -52,16 +54,16 @@ def test_each_variant_has_its_best_set_and_the_common_one_its_cost(
         for name, own in SHARES.items()
     }
     combined = [[own[each] for own in known.values()] for each, cells in by_set.items() if len(cells) == 5]
-    [asked] = [each.numbers["asked"] for each in results_of(database, ended).trust.verdicts if each.code == "seen"]
+    [asked] = [each.numbers["asked"] for each in results_of(stored).trust.verdicts if each.code == "seen"]
     assert asked == str(len(by_set))
     assert ended.best is not None
     assert ended.best.objective == pytest.approx(max(min(each) if common == "worst" else sum(each) / 3 for each in combined))
-    for found in variants_of(database, ended, resolved):
+    for found in variants_of(stored):
         assert found.scenarios == pytest.approx(SHARES[found.name])
         assert found.best is not None
         assert found.best.objective == pytest.approx(max(known[found.name].values()))
         assert found.cost == pytest.approx(found.best.objective - (found.common or 0))
-        assert campaign_ranking(database, ended, resolved.of_variant(found.name), None).solutions(0, 1) == [found.best]
+        assert solution_pages(StoredRanking(database, ended, resolved.of_variant(found.name))).solutions(0, 1) == [found.best]
 
 
 def test_variants_depend_on_no_worker_and_no_kill_and_use_the_budget_exactly(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.live.dispatcher_health import judge
-from drivecal.api.tables.ranking import campaign_ranking
+from drivecal.api.tables.ranking import solution_pages
 from drivecal.campaigns.cells.earlier import earlier_versions, sample, unclaimed
 from drivecal.campaigns.comparison import ComparisonProblem, resolve_comparison
 from drivecal.campaigns.resolve.bench import Bench
@@ -18,6 +18,7 @@ from drivecal.campaigns.resolve.outside import indices_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.resolve.workbench import moved, stored_bundles
+from drivecal.campaigns.results.front import StoredRanking
 from drivecal.campaigns.stages.prediction_validation import check_predictions, runs_at_most
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.contracts.campaign import STUDIES, ExpectedRuns
@@ -163,9 +164,8 @@ def _with_set(database: Database, goal: GoalSpecification, problem: str) -> Goal
             except NotFoundError:
                 return goal
             place = 1 if not mark else int(rank) if rank.isdecimal() else 0
-            for solution in campaign_ranking(database, campaign, resolved_spec(campaign), None).solutions(
-                max(0, place - 1), place
-            ):
+            ranked = solution_pages(StoredRanking(database, campaign, resolved_spec(campaign)))
+            for solution in ranked.solutions(max(0, place - 1), place):
                 return goal.model_copy(update={name: solution.parameters})
     return goal
 

@@ -6,15 +6,13 @@ from itertools import takewhile
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.api.tables.ranking import campaign_ranking
+from drivecal.api.tables.ranking import solution_pages
 from drivecal.bundles.manifest import Manifest
 from drivecal.bundles.shapes import ShapeEntry
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.resolve.workbench import bundles_of
+from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.setup import GoodSets, ShapeAnswer
 from drivecal.domain.errors import NotFoundError
-from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.engine.database import Database
 
 MOST_SETS = 1000
 """Good sets whose curves are read."""
@@ -36,17 +34,18 @@ def shapes_of(manifest: Manifest) -> dict[str, ShapeAnswer]:
     return answers
 
 
-def shapes_with_good_sets(database: Database, connection: Connection, campaign: StoredCampaign) -> dict[str, ShapeAnswer]:
+def shapes_with_good_sets(connection: Connection, stored: StoredRanking) -> dict[str, ShapeAnswer]:
     """Returns the curves and maps of a campaign's problem with the range of its good sets; nothing for a problem that is gone."""
     try:
-        manifest = bundles_of(connection)(campaign.spec["problem"]).manifest
+        manifest = bundles_of(connection)(stored.campaign.spec["problem"]).manifest
     except NotFoundError:
         return {}
     answers = shapes_of(manifest)
-    if not answers or campaign.best is None:
+    if not answers or stored.campaign.best is None:
         return answers
-    ranked = campaign_ranking(database, campaign, resolved_spec(campaign), None)
-    near = ranked.scale.tolerance or NEAR * ranked.scale.span
+    ranked = solution_pages(stored)
+    scale = stored.resolved.scale
+    near = scale.tolerance or NEAR * scale.span
     feasible = [each for each in ranked.ranked[:MOST_SETS] if each.violation == ranked.ranked[0].violation]
     good = list(takewhile(lambda each: abs(each.objective - feasible[0].objective) <= near + 1e-9, feasible))
     sets = [each.parameters for each in replace(ranked, ranked=good).solutions(0, len(good))]

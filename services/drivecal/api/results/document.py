@@ -17,14 +17,14 @@ from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidenc
 from drivecal.api.responses import campaign_answer
 from drivecal.api.results.curves import shapes_with_good_sets
 from drivecal.api.tables.front import bound_text, summary
-from drivecal.api.tables.ranking import campaign_ranking, variants_of
+from drivecal.api.tables.ranking import variants_of
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import measure
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of, stored_scale
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of, stored_scale
 from drivecal.campaigns.resolve.spaces import Function
 from drivecal.campaigns.resolve.workbench import bundles_of, find_workbench
 from drivecal.campaigns.results.failures import causes_of
-from drivecal.campaigns.results.front import CampaignFront, baseline_of, front_of
+from drivecal.campaigns.results.front import CampaignFront, StoredRanking, baseline_of, front_of
 from drivecal.campaigns.results.optima import alternatives
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.assignments import value_text
@@ -38,7 +38,6 @@ from drivecal.domain.parameters import Parameter, Value
 from drivecal.domain.setups import Setup
 from drivecal.storage import campaigns, evaluations, generations, lots, results, studies
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import influence_maps, setups
 from drivecal.storage.studies import StoredStudy
@@ -48,44 +47,37 @@ SAME_FOR_A_MAP = ("setups", "evaluator", "space", "fixed")
 
 
 def results_of(
-    database: Database, campaign: StoredCampaign, front: CampaignFront | None = None, place: tuple[int, int] | None = None
+    stored: StoredRanking, front: CampaignFront | None = None, place: tuple[int, int] | None = None
 ) -> CampaignResults:
-    """Returns the document.
-
-    Args:
-        database: where the rows are.
-        campaign: a calibration.
-        front: the campaign's front, if it is known already.
-        place: iteration and individual of a set that the verdicts are about, in the place of the best.
-
-    Raises NotFoundError if the search has no such place.
-    """
+    """Returns the document. `front`: the campaign's, or a variant's, if it is known already. `place`: iteration and individual of a set
+    that the verdicts are about, in the place of the best. Raises NotFoundError if the search has no such place."""
+    database, campaign = stored.database, stored.campaign
     with database.read() as connection:
-        known = setup_of(database, connection, campaign)
+        known = setup_of(connection, stored)
         answered = any(cells.get("requested") for cells in campaign.stages.values())
         accounting = account_of(connection, campaign) if answered else None
         causes = causes_of(connection, campaign) if answered else []
         made = studies_of(connection, campaign)
     objectives = campaign.resolution is not None and bool(campaign.spec.get("objectives")) and campaign.best is not None
     if front is None and (objectives or place is not None):
-        front = front_of(database, campaign, resolved_spec(campaign))
+        front = front_of(stored)
     baseline = None if front is None else baseline_of(database, campaign, front)
-    chosen = None if front is None or place is None else set_at(database, campaign, front, place, baseline)
+    chosen = None if front is None or place is None else set_at(stored, front, place, baseline)
     return CampaignResults(
         campaign=campaign_answer(campaign, now(), silent=None),
         setup=known,
-        trust=_trust(database, campaign, made, front, chosen),
+        trust=_trust(stored, made, front, chosen),
         accounting=accounting,
         front=summary(front, baseline) if objectives and front is not None else None,
         failures=causes,
-        variants=variants_of(database, campaign, resolved_spec(campaign)),
+        variants=variants_of(stored),
         studies=made,
     )
 
 
-def setup_of(database: Database, connection: Connection, campaign: StoredCampaign) -> CampaignSetup:
+def setup_of(connection: Connection, stored: StoredRanking) -> CampaignSetup:
     """Returns the parameters, versions and fingerprints that a campaign began with; while it is queued, the current ones."""
-    begun_with = resolved_spec(campaign)
+    campaign, begun_with = stored.campaign, stored.resolved
     documents = setups.documents(connection, list(begun_with.setups.values()))
     words = _descriptions(_function(connection, campaign))
     scenarios = [_scenario(name, begun_with, documents) for name in begun_with.weights]
@@ -96,7 +88,7 @@ def setup_of(database: Database, connection: Connection, campaign: StoredCampaig
         server=version("drivecal"),
         settings=settings_of(campaign.spec, scenarios, begun_with.evaluator),
         constraints=[bound_text(bound) for bound in begun_with.goals.bounds],
-        shapes=shapes_with_good_sets(database, connection, campaign),
+        shapes=shapes_with_good_sets(connection, stored),
     )
 
 
@@ -123,9 +115,8 @@ def account_of(connection: Connection, campaign: StoredCampaign) -> Accounting:
     """Returns savings of cells answered without a simulation, cost of the sensitivity stage, and the break-even of its map."""
     rows = evaluations.costs_by_outcome(connection, campaign.sequence)
     predictors: dict[str, float] = defaultdict(float)
-    for lot in lots.of_campaign(
-        connection, campaign.sequence, Outcome.PREDICTED
-    ):  # `released` sums up the lots of whole generations
+    # `released` sums up the lots of whole generations
+    for lot in lots.of_campaign(connection, campaign.sequence, Outcome.PREDICTED):
         predictors[lot.scenario] += lot.seconds
     known = [*campaign.error_rate, *(row.scenario for row in rows if row.stage is StageName.CALIBRATION)]
     return account(
@@ -151,43 +142,40 @@ def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin |
     return MapOrigin(stored.id, maker.id, evaluations.costs_by_outcome(connection, maker.sequence))
 
 
-def _trust(
-    database: Database, campaign: StoredCampaign, made: list[StudyResult], front: CampaignFront | None, chosen: Chosen | None
-) -> ResultTrust:
-    with database.read() as connection:
-        search = _search(connection, campaign)
+def _trust(stored: StoredRanking, made: list[StudyResult], front: CampaignFront | None, chosen: Chosen | None) -> ResultTrust:
+    campaign = stored.campaign
+    with stored.database.read() as connection:
+        search = _search(connection, stored)
     if search is not None and search.course and campaign.best is not None and campaign.best.alternatives > 1:
-        begun_with = resolved_spec(campaign)
-        ranked = campaign_ranking(database, campaign, begun_with, None).ranked
-        search = replace(search, regions=len(set(alternatives(database, ranked, begun_with.space).regions.tolist())))
-    known = Evidence(studies=made, search=search, front=_compromises(database, campaign, front), chosen=chosen)
+        known_best = alternatives(stored.database, stored.sets.best_first(), stored.resolved.space)
+        search = replace(search, regions=len(set(known_best.regions.tolist())))
+    known = Evidence(studies=made, search=search, front=_compromises(stored, front), chosen=chosen)
     return trust(campaign_answer(campaign, now(), silent=None), known)
 
 
-def _compromises(database: Database, campaign: StoredCampaign, front: CampaignFront | None) -> Compromises | None:
+def _compromises(stored: StoredRanking, front: CampaignFront | None) -> Compromises | None:
     """Returns the front of several objectives in numbers, without sets before the end; None with a single objective."""
-    if campaign.resolution is None or not has_several_objectives(campaign):
+    campaign = stored.campaign
+    if campaign.resolution is None or len(stored.resolved.goals.objectives) == 1:
         return None
     if not campaign.state.ended:
         return Compromises(0, None)
-    front = front or front_of(database, campaign, resolved_spec(campaign))
-    baseline = baseline_of(database, campaign, front)
+    front = front or front_of(stored)
+    baseline = baseline_of(stored.database, campaign, front)
     copied = sum(bool(member.solution.reused) for member in front.members)
     if baseline is None:
         return Compromises(len(front.members), None, copied)
     return Compromises(len(front.members), front.dominating(baseline), copied, baseline.parameter_set in front.unbeaten)
 
 
-def set_at(
-    database: Database, stored: StoredCampaign, front: CampaignFront, place: tuple[int, int], baseline: EvaluatedSet | None
-) -> Chosen:
+def set_at(stored: StoredRanking, front: CampaignFront, place: tuple[int, int], baseline: EvaluatedSet | None) -> Chosen:
     """Returns the set at a `place` of the search, its iteration and individual, with its objectives and the `baseline` to compare with.
     Raises NotFoundError if the search has no such place."""
-    scenario = next(iter(front.goals.objectives[0].shares))
-    with database.read() as connection:
-        cell = results.by_id(connection, results.number_at(connection, stored.sequence, *place, scenario))
+    campaign, scenario = stored.campaign, next(iter(front.goals.objectives[0].shares))
+    with stored.database.read() as connection:
+        cell = results.by_id(connection, results.number_at(connection, campaign.sequence, *place, scenario))
     parameters = cell.parameters.floats
-    is_best = stored.best is not None and stored.best.parameters == parameters
+    is_best = campaign.best is not None and campaign.best.parameters == parameters
     judged = next((each for each in front.ranked if each.parameter_set == cell.parameter_set_id), None)
     if judged is None:
         return Chosen(parameters, is_judged=False, is_best=is_best)
@@ -216,23 +204,18 @@ def _tolerance(goal: Objective, objectives: int) -> float:
     return goal.value.scale.tolerance
 
 
-def has_several_objectives(campaign: StoredCampaign) -> bool:
-    """Returns whether a campaign has a front in the place of a best set."""
-    return len(resolved_spec(campaign).goals.objectives) > 1
-
-
-def _search(connection: Connection, campaign: StoredCampaign) -> SearchCourse | None:
+def _search(connection: Connection, stored: StoredRanking) -> SearchCourse | None:
     """Returns the course of an ended search; None before its end."""
+    campaign, begun_with = stored.campaign, stored.resolved
     if not campaign.state.ended or campaign.resolution is None:
         return None
-    begun_with = resolved_spec(campaign)
     searched = [parameter for parameter in begun_with.space.searched if parameter.kind != "choice" and parameter.n_values > 2]
     ranges = {parameter.name: (float(parameter.lower), float(parameter.upper)) for parameter in searched}
     function = _function(connection, campaign)
     coefficients = {name for shape in (function.shapes.values() if function else ()) for name in shape.names}
     titles = {name: words for name, words in _descriptions(function).items() if name in coefficients}
     limits = {} if function is None else {each.name: _limits(function, each) for each in searched}
-    course = [] if has_several_objectives(campaign) else generations.course(connection, campaign.sequence)
+    course = [] if len(begun_with.goals.objectives) > 1 else generations.course(connection, campaign.sequence)
     whole = all(parameter.kind != "continuous" for parameter in begun_with.space.searched)
     grid = prod(parameter.n_values for parameter in begun_with.space.searched) if whole else 0
     requested = campaign.cells.proposed // max(1, len(begun_with.weights))

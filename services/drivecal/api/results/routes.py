@@ -13,11 +13,11 @@ from drivecal.api.responses import calibration
 from drivecal.api.results.document import about, results_of, setup_of, study_answer
 from drivecal.api.tables.front import front_table
 from drivecal.api.tables.influence import importance
-from drivecal.api.tables.ranking import campaign_ranking
+from drivecal.api.tables.ranking import solution_pages
 from drivecal.calibration_data.chosen import characteristics_of, curves_of, figures_of, quality_of
 from drivecal.calibration_data.files import CalibrationFormat, labels_of, write
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.campaigns.results.front import front_of
+from drivecal.campaigns.results.front import StoredRanking, front_of
 from drivecal.contracts.assignments import assignments, settings
 from drivecal.contracts.campaign import StudyPage
 from drivecal.contracts.results import CampaignResults, ImportanceAnswer
@@ -62,14 +62,15 @@ def read_results(campaign_id: str, query: PlaceQuery, database: DatabaseDependen
     are about its best set, or about the set at a place of its search."""
     with database.read() as connection:
         campaign = calibration(campaigns.get(connection, campaign_id), ", which has no search")
-    return results_of(database, campaign, place=query.place)
+    return results_of(StoredRanking(database, campaign, resolved_spec(campaign)), place=query.place)
 
 
 @router.get("/setup")
 def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
     """The parameters, versions and fingerprints that the campaign began with; while it is queued, the current ones."""
     with database.read() as connection:
-        return setup_of(database, connection, calibration(campaigns.get(connection, campaign_id)))
+        campaign = calibration(campaigns.get(connection, campaign_id))
+        return setup_of(connection, StoredRanking(database, campaign, resolved_spec(campaign)))
 
 
 @router.get("/importance")
@@ -119,8 +120,9 @@ def _written(database: Database, campaign: str, query: CalibrationFileOf) -> byt
         raise InvalidInputError(Problem("front", "a set is of the solutions or of the front", "give set or front"))
     with database.read() as connection:
         stored = calibration(campaigns.get(connection, campaign), ", which ranks nothing")
-    resolved = resolved_spec(stored).of_variant(query.variant)
-    front = front_of(database, stored, resolved)
+    whole = StoredRanking(database, stored, resolved_spec(stored))
+    wanted = whole.under(whole.resolved.of_variant(query.variant))
+    front = front_of(wanted)
     on_front = query.front is not None or (query.rank is None and len(front.goals.objectives) > 1)
     if on_front and query.score is not None:
         raise InvalidInputError(Problem("score", "a front has no single score", "give set, the rank in the solutions"))
@@ -130,9 +132,9 @@ def _written(database: Database, campaign: str, query: CalibrationFileOf) -> byt
         chosen = _ranked(front_table(database, stored, front, query.weights), query, stored.id, "front")
     else:
         _, rank = query.place
-        ranked = campaign_ranking(database, stored, resolved, query.weights, query.score)
-        chosen = _ranked(ranked.solutions(rank - 1, rank), query, stored.id, "solutions")
-    known = results_of(database, stored, front, (chosen.iteration, chosen.individual))
+        listed = solution_pages(wanted, query.weights, query.score).solutions(rank - 1, rank)
+        chosen = _ranked(listed, query, stored.id, "solutions")
+    known = results_of(whole, front, (chosen.iteration, chosen.individual))
     figures = [*figures_of(known, chosen, given, query.score), *([("variant", query.variant)] if query.variant else [])]
     shapes = known.setup.shapes
     parameters = [each for each in known.setup.parameters if not any(each.name in shape.names for shape in shapes.values())]

@@ -1,7 +1,6 @@
 """Tables of a campaign, as pages of JSON or whole in CSV and Parquet."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from fastapi import APIRouter, Response
@@ -14,12 +13,12 @@ from drivecal.api.responses import calibration, evaluation_row
 from drivecal.api.tables import influence
 from drivecal.api.tables.front import front_table, judged_sets, summary, weighted
 from drivecal.api.tables.paging import listed, page_or_file, slices, table_answer
-from drivecal.api.tables.ranking import campaign_ranking
+from drivecal.api.tables.ranking import solution_pages
 from drivecal.api.tables.selection import Row
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
 from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
-from drivecal.campaigns.results.front import CampaignFront, baseline_of, front_of
+from drivecal.campaigns.results.front import CampaignFront, StoredRanking, baseline_of, front_of
 from drivecal.campaigns.results.optima import alternatives
 from drivecal.contracts.evaluation import CellNumber
 from drivecal.contracts.results import FrontSummary
@@ -111,8 +110,8 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
     """The evaluated parameter sets, best first, under the campaign's weights and score or others. Nothing is simulated for it."""
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign).of_variant(query.variant)
-    ranked = campaign_ranking(database, campaign, begun_with, query.weights, query.score)
-    columns = ranked_columns(Solution, ranked.scenarios, replace(begun_with, scale=ranked.scale, goals=ranked.goals))
+    ranked = solution_pages(StoredRanking(database, campaign, begun_with), query.weights, query.score)
+    columns = ranked_columns(Solution, ranked.scenarios, ranked.resolved)
     return table_answer(f"solutions-{campaign.id}", query, accept, lambda: columns, slices(ranked.solutions, len(ranked)))
 
 
@@ -123,7 +122,7 @@ def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependenc
     most the first 10,000 of them."""
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
-    ranked = campaign_ranking(database, campaign, begun_with, None)
+    ranked = solution_pages(StoredRanking(database, campaign, begun_with))
     known = alternatives(database, ranked.ranked, begun_with.space)
 
     def rows(start: int, stop: int) -> list[OptimumRow]:
@@ -254,4 +253,4 @@ def _front(database: Database, campaign_id: str) -> tuple[StoredCampaign, Resolv
     with database.read() as connection:
         campaign = campaigns.get(connection, campaign_id)
     resolved = resolved_spec(calibration(campaign, ", which has no front"))
-    return campaign, resolved, front_of(database, campaign, resolved)
+    return campaign, resolved, front_of(StoredRanking(database, campaign, resolved))

@@ -8,10 +8,11 @@ import numpy as np
 
 from drivecal.analysis.importance import HELD_OUT, TREES, importances
 from drivecal.api.http.queries import ImportanceOf
-from drivecal.api.tables.ranking import campaign_ranking
+from drivecal.api.tables.ranking import solution_pages
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.campaigns.resolve.spaces import space_from_document
+from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.results import CLEAR, WEAK, ImportanceAnswer, ParameterImportance
 from drivecal.contracts.tables import DecidedBy, InfluenceRow
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -96,7 +97,7 @@ def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedS
     Counts sets whose values are their own, by a simulation of that very set.
     """
     scenario = query.scenario
-    ranked = campaign_ranking(database, campaign, resolved, query.weights, query.score)
+    ranked = solution_pages(StoredRanking(database, campaign, resolved), query.weights, query.score)
     if scenario is not None and scenario not in ranked.scenarios:
         problem = Problem("scenario", f"the campaign has no scenario {scenario!r}", f"one of {', '.join(ranked.scenarios)}")
         raise InvalidInputError(problem)

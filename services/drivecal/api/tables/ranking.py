@@ -15,6 +15,7 @@ from drivecal.bundles.fingerprints import score_id
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of
 from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
+from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.results import VariantResult
 from drivecal.contracts.strict_json import shown
@@ -34,14 +35,13 @@ LARGEST_WEIGHT = 1e6
 
 
 @dataclass(frozen=True)
-class CampaignRanking:
-    """The ranked parameter sets of a campaign; only shown ones have their values read."""
+class SolutionPages:
+    """The solutions of a campaign, best first; only shown ones have their values read."""
 
     database: Database
     ranked: Sequence[EvaluatedSet]
     scenarios: Sequence[str]
-    scale: Scale
-    goals: Goals
+    resolved: ResolvedSpec
 
     def __len__(self) -> int:
         return len(self.ranked)
@@ -57,52 +57,39 @@ class CampaignRanking:
                 rank=rank,
                 parameters=sets[solution.parameter_set].floats,
                 undecided=solution.is_undecided,
-                constraints=self.goals.named_bounds(solution.judgement),
+                constraints=self.resolved.goals.named_bounds(solution.judgement),
             )
             for rank, solution in enumerate(listed, start + 1)
         ]
 
 
-def campaign_ranking(
-    database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, weights: str | None, score: str | None = None
-) -> CampaignRanking:
-    """Returns the ranking by the campaign's first objective, or under `weights` (`S1=2,S2=1`) by its score or another one. Sets that keep
-    the constraints come first.
-
-    A copied score gives way to a later simulation of the very cell. Another score is computed from the measures of runs; sets with a cell
-    that only a reference or a prediction answered have none. Raises InvalidInputError for unusable weights and unknown scores.
-    """
+def solution_pages(stored: StoredRanking, weights: str | None = None, score: str | None = None) -> SolutionPages:
+    """Returns the solutions by the campaign's first objective, or under `weights` (`S1=2,S2=1`) by its score or another one. Sets that keep
+    the constraints come first. Another score is computed from the measures of runs; sets with a cell that only a reference or a prediction
+    answered have none. Raises InvalidInputError for unusable weights and unknown scores."""
+    resolved = stored.resolved
     used = resolved.weights if weights is None else given_weights(weights, list(resolved.weights), "scenario")
-    other = None if score is None else _other_score(database, campaign, score, resolved.evaluator)
+    other = None if score is None else _other_score(stored, score)
     scale = resolved.scale if other is None or other.scale is None else other.scale
-    goals = resolved.goals if weights is None and score is None else _constrained(resolved.goals, used, scale, other)
-    ranking = Ranking(used, goals, resolved.replicates)
-    with database.read() as connection:
-        if other is None:
-            stage, corrected_by = StageName.CALIBRATION, resolved.evaluator
-            ranking.add(results.answers(connection, campaign.sequence, stage, corrected_by=corrected_by, valued=goals.valued))
-        else:
-            ranking.add(_rated(connection, campaign, resolved.evaluator, other, goals))
-    return CampaignRanking(database, ranking.best_first(), [name for name, weight in used.items() if weight > 0], scale, goals)
+    if weights is not None or score is not None:
+        resolved = replace(resolved, weights=used, scale=scale, goals=_constrained(resolved.goals, used, scale, other))
+    ranking = stored.under(resolved).sets if other is None else Ranking(used, resolved.goals, resolved.replicates)
+    if other is not None:
+        with stored.database.read() as connection:
+            ranking.add(_rated(connection, stored.campaign, resolved.evaluator, other, resolved.goals))
+    scenarios = [name for name, weight in used.items() if weight > 0]
+    return SolutionPages(stored.database, ranking.best_first(), scenarios, resolved)
 
 
-def variants_of(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec) -> list[VariantResult]:
+def variants_of(stored: StoredRanking) -> list[VariantResult]:
     """Returns the best set of each variant and its value under the best common set, as far as they are known."""
-    if not resolved.variants:
-        return []
-    with database.read() as connection:
-        valued, stage = resolved.goals.valued, StageName.CALIBRATION
-        answers = list(results.answers(connection, campaign.sequence, stage, corrected_by=resolved.evaluator, valued=valued))
-    rankings = list[Ranking]()
-    for spec in (resolved, *map(resolved.of_variant, resolved.variants)):
-        rankings.append(Ranking(spec.weights, spec.goals, spec.replicates))
-        rankings[-1].add(answers)
-    best, rows = rankings[0].best(), list[VariantResult]()
-    for (name, goals), ranking in zip(resolved.variants.items(), rankings[1:], strict=True):
-        shares = dict(goals.objectives[0].shares)
-        own = CampaignRanking(database, ranking.best_first()[:1], list(shares), resolved.scale, goals).solutions(0, 1)
-        rows.append(VariantResult(name=name, scenarios=shares, best=next(iter(own), None)))
-        if best is not None and (common := ranking.get(best[0].parameter_set)) is not None:
+    resolved, rows = stored.resolved, list[VariantResult]()
+    best = stored.sets.best() if resolved.variants else None
+    for name in resolved.variants:
+        variant = stored.under(resolved.of_variant(name))
+        own = solution_pages(variant).solutions(0, 1)
+        rows.append(VariantResult(name=name, scenarios=dict(variant.resolved.weights), best=next(iter(own), None)))
+        if best is not None and (common := variant.sets.get(best[0].parameter_set)) is not None:
             cost = {"cost": common.sign * (own[0].objective - common.objective) + 0.0, "violation": common.violation}
             rows[-1] = rows[-1].model_copy(update=cost | {"common": common.objective})
     return rows
@@ -116,12 +103,12 @@ def _constrained(goals: Goals, weights: Mapping[str, float], scale: Scale, score
     return Goals((Objective(scale.name, score or CellValue(scale), shares, Aggregate(), scale.sign),), goals.bounds)
 
 
-def _other_score(database: Database, campaign: StoredCampaign, name: str, own: str) -> CellValue | None:
-    """Returns another score for a campaign, None for its `own` evaluator. Raises InvalidInputError if there is none of this name."""
-    values = find_workbench(specification_of(campaign), stored_bundles(database), Diagnostics()).known
+def _other_score(stored: StoredRanking, name: str) -> CellValue | None:
+    """Returns another score for a campaign, None for its own evaluator. Raises InvalidInputError if there is none of this name."""
+    values = find_workbench(specification_of(stored.campaign), stored_bundles(stored.database), Diagnostics()).known
     known = values.scores
     if "@" in name:
-        return _pushed_score(database, name, own, values.measures)
+        return _pushed_score(stored.database, name, stored.resolved.evaluator, values.measures)
     if name not in known:
         message = f"the campaign's problem has no score {shown(name)}"
         remedy = f"one of {', '.join(known)}; drivecal rerun --evaluator rates stored runs by another evaluator"

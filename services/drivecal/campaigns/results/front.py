@@ -1,4 +1,4 @@
-"""The front of a campaign: its non-dominated sets by stored rows, what sets it apart, and how two of its sets differ."""
+"""The ranking of a campaign by stored rows, and its front: the non-dominated sets, and how they were answered."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,7 +14,7 @@ from drivecal.analysis.goals import Goals
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Outcome
+from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.plugins.ports import Floats
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
@@ -22,6 +22,43 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
 
 _COPIED = {Outcome.REUSED, Outcome.PREDICTED, Outcome.FAILED}
+
+
+@dataclass(frozen=True)
+class StoredRanking:
+    """The sets of a calibration, ranked by weights and goals. Their answers are read when they are first needed, and once.
+
+    A copied score gives way to a later simulation of the very cell. A `watermark` excludes simulations that a campaign with it does not
+    see: 0 excludes all.
+    """
+
+    database: Database
+    campaign: StoredCampaign
+    resolved: ResolvedSpec
+    watermark: int | None = None
+    whole: "StoredRanking | None" = None
+    """A ranking with the same answers."""
+
+    @cached_property
+    def answers(self) -> Sequence[CellScore]:
+        """All answers of the search."""
+        if self.whole is not None:
+            return self.whole.answers
+        evaluator, valued = self.resolved.evaluator, self.resolved.goals.valued
+        with self.database.read() as connection:
+            here = connection, self.campaign.sequence, StageName.CALIBRATION
+            return list(results.answers(*here, corrected_by=evaluator, watermark=self.watermark, valued=valued))
+
+    @cached_property
+    def sets(self) -> Ranking:
+        """The ranked sets."""
+        ranking = Ranking(self.resolved.weights, self.resolved.goals, self.resolved.replicates)
+        ranking.add(self.answers)
+        return ranking
+
+    def under(self, resolved: ResolvedSpec) -> "StoredRanking":
+        """Returns the ranking of the same answers by other weights, or for a variant: goals that need no other values of runs."""
+        return self if resolved is self.resolved else replace(self, resolved=resolved, whole=self)
 
 
 @dataclass(frozen=True)
@@ -100,18 +137,11 @@ class CampaignFront:
         return self.goals.signed(each.judgement for each in sets)
 
 
-def front_of(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec) -> CampaignFront:
-    """Returns the front of a campaign's search. A copied score gives way to a later simulation of the very cell."""
-    goals, ranking = resolved.goals, Ranking(resolved.weights, resolved.goals, resolved.replicates)
-    with database.read() as connection:
-        ranking.add(
-            results.answers(
-                connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=goals.valued
-            )
-        )
+def front_of(stored: StoredRanking) -> CampaignFront:
+    """Returns the front of a campaign's search."""
+    goals, ranking, confidence = stored.resolved.goals, stored.sets, stored.resolved.replicates.confidence
     front = CampaignFront(goals, [each.choice for each in ranking.best_first()], ranking.front())
     numbers, known = ranking.by_objective()
-    confidence = resolved.replicates.confidence
     if not known or not front.members or not all(each.is_known for each in known):
         return front
     columns: dict[str, Floats] = {}

@@ -14,10 +14,10 @@ from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.front import StoredRanking
 from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, Alternatives, unit_cube
 from drivecal.campaigns.stages.replication import SeededBenches
 from drivecal.campaigns.stages.stage import Round, StudyStage, exact_policy
-from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore, RequestedCell
@@ -90,7 +90,7 @@ class RobustnessStage(StudyStage):
         self._seeds = list(dict.fromkeys(map(problem.bench.seed_of, range(wanted.samples))))
         self._benches = SeededBenches(problem.bench)
         self._scores = np.full((len(self._examined), len(self._seeds), len(problem.scenarios)), np.nan)
-        self._nominal_ranking = self._ranking(problem.specification.replicates)
+        self._nominal_ranking = Ranking(problem.weights, self._goals, problem.specification.replicates)
         self._nominal: list[EvaluatedSet | None] = [None] * len(self._examined)
         """The examined sets with the nominal vehicle, over their seeds."""
         self._study: RobustnessStudy | None = None
@@ -104,26 +104,16 @@ class RobustnessStage(StudyStage):
         beside = {key_of(row["parameters"]): (row["region"], row["to_worse"]) for row in document["items"]}
         return [Examined(sets[number], *beside.get(key_of(sets[number].floats), (0, None))) for number in sorted(sets)]
 
-    def _ranking(self, wanted: ReplicatesSpecification) -> Ranking:
-        return Ranking(self._problem.weights, self._goals, wanted)
-
     def _choose(self) -> list[Examined]:
         """The named sets, then the best sets of the calibration, or its front, one of each region first. Simulations that this campaign
         sees correct copied scores of another campaign, as in that one's ranking."""
         of = self._wanted.of
         with self._database.read() as connection:
             source = self._campaign if of is None else campaigns.get(connection, of)
-            theirs = resolved_spec(source)
-            ranking = self._ranking(theirs.replicates)
-            ranking.add(
-                results.answers(
-                    *(connection, source.sequence, StageName.CALIBRATION),
-                    corrected_by=None if of is None else theirs.evaluator,
-                    watermark=self._view.watermark,
-                    valued=self._valued,
-                )
-            )
-            best, worse = (self._on_front if len(self._goals.objectives) > 1 else self._within)(ranking)
+        resolved = replace(resolved_spec(source), weights=self._problem.weights, goals=self._goals)
+        stored = StoredRanking(self._database, source, resolved, 0 if of is None else self._view.watermark)
+        best, worse = (self._on_front if len(self._goals.objectives) > 1 else self._within)(stored.sets)
+        with self._database.read() as connection:
             sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
         named = list(self._problem.robust_sets)
         best_sets = [sets[solution.parameter_set] for solution in best]
