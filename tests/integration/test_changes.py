@@ -1,14 +1,11 @@
 """The smallest change that reaches the limits: objectives and constraints that compare with a set."""
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.databases import migrated
-from tests.support.problems import store, submit_checked
+from tests.support.problems import scored, store, submit_checked
 from tests.support.runs import dispatcher, finish, rows_of
 from tests.support.values import present
 
@@ -23,15 +20,8 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
 BASELINE = {f"p{number}": 0.5 for number in range(1, 7)} | {"mode": "eco"}
-MANIFEST: dict[str, Any] = {
-    "problem": "gains",
-    "parameters": {f"p{number}": {"lower": 0, "upper": 1} for number in range(1, 7)} | {"mode": {"choices": ["eco", "sport"]}},
-    "baseline": BASELINE,
-    "simulator": {"kind": "process", "command": ["mysim"], "deterministic": True},
-    "scenarios": {"city": {}, "road": {}},
-    "measures": {"y": "1"},
-    "scores": {"cost": {"formula": "y", "direction": "minimise", "range": [0, 10]}},
-}
+GAINS = {f"p{number}": {"lower": 0, "upper": 1} for number in range(1, 7)}
+MANIFEST = scored("gains", GAINS | {"mode": {"choices": ["eco", "sport"]}}, baseline=BASELINE)
 SPEC: dict[str, Any] = {
     "problem": "gains",
     "objectives": [{"changes": "baseline"}],
@@ -49,11 +39,9 @@ def driven(setup: SetupRequest, cell: Cell) -> CellResult:
 
 
 @pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
+def database(database: Database) -> Database:
     store(database, MANIFEST)
-    yield database
-    database.dispose()
+    return database
 
 
 def carried_out(database: Database, **changes: Any) -> StoredCampaign:

@@ -1,13 +1,10 @@
 """Stored runs of earlier versions of a problem answer its campaigns if the manifest says what they mean."""
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.databases import migrated
-from tests.support.problems import LIMITS, store, submit_checked
+from tests.support.problems import LIMITS, scored, store, submit_checked
 from tests.support.runs import dispatcher, finish, rows_of
 from tests.support.values import present
 
@@ -37,11 +34,7 @@ def driven(setup: SetupRequest, cell: Cell) -> CellResult:
 
 
 def push(database: Database, parameters: dict[str, Any], model: str = "", **claims: Any) -> None:
-    simulator = {"kind": "process", "command": ["mysim"], "deterministic": True}
-    scores = {"cost": {"formula": "y", "direction": "minimise", "range": [0, 10]}}
-    scenarios: dict[str, Any] = {"city": {}, "road": {}}
-    manifest = {"problem": "acc", "parameters": parameters, "simulator": simulator, "scenarios": scenarios, "scores": scores}
-    store(database, manifest | {"measures": {"y": "1"}} | claims, {"model.py": model})
+    store(database, scored("acc", parameters) | claims, {"model.py": model})
 
 
 def carried_out(database: Database, **changes: Any) -> StoredCampaign:
@@ -59,12 +52,10 @@ def foretold(database: Database, **changes: Any) -> list[str]:
 
 
 @pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
+def database(database: Database) -> Database:
     """The problem's earlier version is pushed."""
-    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
     push(database, BEFORE)
-    yield database
-    database.dispose()
+    return database
 
 
 @pytest.mark.parametrize(

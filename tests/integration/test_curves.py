@@ -1,15 +1,12 @@
 """A campaign on a curve: coefficients are searched, results show values at the support points and the range of good sets."""
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import numpy as np
 import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.databases import migrated
-from tests.support.problems import store, submit_checked
+from tests.support.problems import scored, store, submit_checked
 from tests.support.runs import dispatcher, finish
 
 from drivecal.api.results.document import results_of
@@ -25,24 +22,20 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.results import answers
 
 WANTED = [3.0, 2.2, 1.4, 0.9, 0.8]
-MANIFEST: dict[str, Any] = {
-    "problem": "curved",
-    "parameters": {
-        "gain": {
-            "curve": {"axis": [0, 5, 10, 20, 40], "axis_unit": "m/s"},
-            "lower": 0,
-            "upper": 4,
-            "monotone": "decreasing",
-            "coefficients": 3,
-            "unit": "1/s",
-        },
-        "load": {"map": {"x": [0, 1], "y": [0, 2, 4]}, "lower": 0, "upper": 1, "step": 0.1, "coefficients": 2},
+PARAMETERS: dict[str, Any] = {
+    "gain": {
+        "curve": {"axis": [0, 5, 10, 20, 40], "axis_unit": "m/s"},
+        "lower": 0,
+        "upper": 4,
+        "monotone": "decreasing",
+        "coefficients": 3,
+        "unit": "1/s",
     },
+    "load": {"map": {"x": [0, 1], "y": [0, 2, 4]}, "lower": 0, "upper": 1, "step": 0.1, "coefficients": 2},
+}
+MANIFEST = scored("curved", PARAMETERS, scenarios={"city": {}}) | {
     "baseline": {"gain": [2, 2, 2, 2, 2], "load": [[0, 0, 0], [0, 0, 0]]},
-    "simulator": {"kind": "process", "command": ["mysim"], "deterministic": True},
-    "scenarios": {"city": {}},
-    "measures": {"off": "1"},
-    "scores": {"cost": {"formula": "off", "direction": "minimise", "range": [0, 10], "tolerance": 0.2}},
+    "scores": {"cost": {"formula": "y", "direction": "minimise", "range": [0, 10], "tolerance": 0.2}},
 }
 
 
@@ -51,16 +44,14 @@ def driven(setup: SetupRequest, cell: Cell) -> CellResult:
     shapes = {name: Shape.from_document(name, document) for name, document in setup.shapes.items()}
     arguments = with_points(cell.parameters, shapes, setup.simulator)
     off = float(np.abs(np.array(arguments["gain"]) - WANTED).sum() + abs(np.array(arguments["load"])[-1, -1] - 1))
-    return CellResult(cell.id, None, None, {"off": off}, None, 500.0)
+    return CellResult(cell.id, None, None, {"y": off}, None, 500.0)
 
 
 @pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
+def database(database: Database) -> Database:
     """The problem is pushed."""
-    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
     store(database, MANIFEST)
-    yield database
-    database.dispose()
+    return database
 
 
 def test_results_show_curves_with_the_range_of_good_sets(database: Database, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,9 +1,7 @@
 """Campaigns on workers that are good for nothing: the dispatcher on a real database, the workers in memory."""
 
-from typing import Any
-
 from tests.support.fake_backend import FakeBackend
-from tests.support.problems import store, submit_checked
+from tests.support.problems import scored, store, submit_checked
 from tests.support.runs import finish, get
 
 from drivecal.contracts.specification import CampaignSpecification
@@ -61,14 +59,7 @@ def test_a_campaign_waits_and_says_why_while_every_worker_has_another_version(da
     assert (ended.state, ended.cells.failed, ended.degraded) == (CampaignState.SUCCEEDED, 0, None)
 
 
-PROBLEM: dict[str, Any] = {
-    "problem": "mine",
-    "parameters": {"value": {"lower": 0, "upper": 100}},
-    "simulator": {"kind": "command", "command": ["sh", "-c", "{parameters} {results}"], "deterministic": True},
-    "scenarios": {"city": {}, "road": {}},
-    "measures": {"value": "1"},
-    "scores": {"best": {"formula": "value", "direction": "maximise", "range": [0, 100]}},
-}
+PROBLEM = scored("mine", {"value": {"lower": 0, "upper": 100}}, "value", measures={"value": "1"})
 
 
 def test_a_campaign_whose_problem_no_worker_can_run_fails_at_once_with_the_cause(database: Database) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.problems import store, submit_checked
+from tests.support.problems import RANDOM, scored, store, submit_checked
 from tests.support.runs import finish
 
 from drivecal.analysis.savings import account
@@ -27,20 +27,7 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import check_counters
 from drivecal.storage.references import runs
 
-MANIFEST: dict[str, Any] = {
-    "problem": "mine",
-    "parameters": {"x": {"lower": 0, "upper": 1}},
-    "simulator": {"kind": "process", "command": ["mysim"], "deterministic": True},
-    "scenarios": {"city": {}, "road": {}},
-    "measures": {"y": "1"},
-    "scores": {"cost": {"formula": "1/max(y, 0)", "direction": "minimise", "range": [0, 10]}},
-}
-SPEC: dict[str, Any] = {
-    "problem": "mine",
-    "sensitivity": None,
-    "optimizer": {"kind": "random", "population": 40, "iterations": 2, "seed": 1},
-    "reduction": {"mode": "exact"},
-}
+MANIFEST = scored("mine", {"x": {"lower": 0, "upper": 1}}, "1/max(y, 0)")
 
 
 @dataclass
@@ -70,7 +57,7 @@ def _pushed(database: Database) -> None:
 
 
 def submit(database: Database, **changes: Any) -> StoredCampaign:
-    return submit_checked(database, SPEC | changes)
+    return submit_checked(database, RANDOM | changes)
 
 
 def dispatcher(database: Database, simulated: Simulated, backend: ComputedBackend | None = None) -> Dispatcher:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 from tests.support.computed import ComputedBackend
-from tests.support.problems import store
+from tests.support.problems import RANDOM, scored, store
 from tests.support.runs import run
 from tests.support.several import SEARCH, installed
 
@@ -20,23 +20,14 @@ from drivecal.contracts.work import Cell, CellResult
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 
-MANIFEST: dict[str, Any] = {
-    "problem": "mine",
-    "parameters": {"x": {"lower": 0, "upper": 1, "step": 0.01}},
-    "simulator": {"kind": "process", "command": ["mysim"], "deterministic": True},
-    "scenarios": {"city": {}, "road": {}},
+MANIFEST = scored("mine", {"x": {"lower": 0, "upper": 1, "step": 0.01}}) | {
     "measures": {"score": "1", "y": "1"},
     "scores": {
         "cost": {"formula": "abs(y - 2)", "direction": "minimise", "range": [0, 10], "failed": 10},
         "gain": {"formula": "10*y - score", "direction": "maximise", "range": [0, 100]},
     },
 }
-SPEC: dict[str, Any] = {
-    "problem": "mine",
-    "sensitivity": None,
-    "optimizer": {"kind": "random", "population": 40, "iterations": 1, "seed": 1},
-    "reduction": {"mode": "exact"},
-}
+SPEC = RANDOM | {"optimizer": {"kind": "random", "population": 40, "iterations": 1, "seed": 1}}
 
 
 def simulated(scenario: str, cell: Cell) -> CellResult:

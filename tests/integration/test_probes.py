@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 from tests.support.fake_backend import FakeBackend
-from tests.support.problems import store, submit_checked
+from tests.support.problems import RANDOM, scored, store, submit_checked
 from tests.support.runs import finish, get, request
 
 from drivecal.dispatch.dispatcher import Dispatcher
@@ -15,26 +15,12 @@ from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
-MANIFEST: dict[str, Any] = {
-    "problem": "mine",
-    "parameters": {"value": {"lower": 0, "upper": 100}},
-    "simulator": {
-        "kind": "command",
-        "command": ["sh", "-c", "{parameters} {results}"],
-        "probe": ["mysim", "--version"],
-        "deterministic": True,
-    },
-    "scenarios": {"city": {}, "road": {}},
+MANIFEST = scored("mine", {"value": {"lower": 0, "upper": 100}}, series={"v": "1"}) | {
+    "simulator": {"kind": "process", "command": ["mysim"], "probe": ["mysim", "--version"], "deterministic": True},
     "measures": {"value": "1"},
-    "series": {"v": "1"},
     "scores": {"best": {"formula": "value", "direction": "maximise", "range": [0, 100]}},
 }
-SPEC: dict[str, Any] = {
-    "problem": "mine",
-    "sensitivity": None,
-    "optimizer": {"kind": "random", "population": 10, "iterations": 2, "seed": 1},
-    "reduction": {"mode": "exact"},
-}
+SPEC = RANDOM | {"optimizer": {"kind": "random", "population": 10, "iterations": 2, "seed": 1}}
 CELLS = 26
 """Requested cells of such a campaign."""
 

@@ -18,7 +18,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import Killed
 from tests.support.documentation import DOCS, blocks
-from tests.support.problems import store, submit_checked
+from tests.support.problems import scored, store, submit_checked
 from tests.support.runs import dispatcher, everything, finish, get, rows_of
 from tests.support.values import faults_of, present
 
@@ -40,14 +40,8 @@ from drivecal.storage.outside.sets import OutsideSet
 from drivecal.storage.references import influence_maps
 
 NOISE = 0.3
-MANIFEST: dict[str, Any] = {
-    "problem": "noisy",
-    "parameters": {"x": {"lower": 0, "upper": 1, "step": 0.005}},
-    "simulator": {"kind": "process", "command": ["mysim"], "random": True},
-    "scenarios": {"city": {}, "road": {}},
-    "measures": {"y": "1"},
-    "scores": {"cost": {"formula": "y", "direction": "minimise", "range": [0, 10]}},
-}
+SIMULATOR = {"kind": "process", "command": ["mysim"], "random": True}
+MANIFEST = scored("noisy", {"x": {"lower": 0, "upper": 1, "step": 0.005}}, simulator=SIMULATOR)
 SPEC: dict[str, Any] = {"problem": "noisy", "optimizer": {"kind": "surrogate", "seed": 1}, "budget": {"simulations": 120}}
 FEW = {"budget": {"simulations": 72}}
 POPULATIONS = {"kind": "random", "population": 10, "seed": 1}

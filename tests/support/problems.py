@@ -53,6 +53,13 @@ MANIFEST: dict[str, Any] = {
         "ease": {"formula": "10 - discomfort", "direction": "maximise", "range": [0, 10]},
     },
 }
+RANDOM: dict[str, Any] = {
+    "problem": "mine",
+    "sensitivity": None,
+    "optimizer": {"kind": "random", "population": 40, "iterations": 2, "seed": 1},
+    "reduction": {"mode": "exact"},
+}
+"""A campaign on a problem of this name."""
 SERIES = {"time": [0.0, 1.0, 2.0], "room": [15.0, 18.0, 20.5], "wanted": [21.0, 21.0, 21.0], "power": [2.0, 1.5, 0.5]}
 
 ROADS: dict[str, Any] = {
@@ -81,6 +88,18 @@ REPLAY: dict[str, Any] = {
     "others": [{"id": "leader", "first": 0, "length_m": 5.0, "width_m": 1.8, **PLACES, "x_m": [60.0, 90.0, 120.0]}],
     "plans": [],
 }
+
+
+def scored(name: str, parameters: Mapping[str, Any], formula: str = "y", **changes: Any) -> dict[str, Any]:
+    """The manifest of a problem with one measure and one score, a cost."""
+    return {
+        "problem": name,
+        "parameters": parameters,
+        "simulator": {"kind": "process", "command": ["mysim"], "deterministic": True},
+        "scenarios": {"city": {}, "road": {}},
+        "measures": {"y": "1"},
+        "scores": {"cost": {"formula": formula, "direction": "minimise", "range": [0, 10]}},
+    } | changes
 
 
 def push(database: Database, folder: Path, **changes: Any) -> StoredBundle:

@@ -1,11 +1,16 @@
-"""A problem's archive and a request of its runs."""
+"""A problem's archive, a request of its runs, and workers that have its files."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from drivecal.bundles import archives
 from drivecal.contracts.work import SetupRequest
+from drivecal.runtime.bundles import BundleSessions
+from drivecal.runtime.cache import BundleCache
+from drivecal.runtime.worker import Worker
 
 
 @pytest.fixture
@@ -32,3 +37,23 @@ def request_(archive: bytes) -> SetupRequest:
         run_fingerprint="fingerprint",
         units={"x": "m/s"},
     )
+
+
+@pytest.fixture
+def sessions(tmp_path: Path, archive: bytes, request_: SetupRequest) -> Callable[..., BundleSessions]:
+    """Gives the sessions of a worker that has the problem's files: of this simulator, or of real ones."""
+
+    def opened(simulator: Any = None, **options: Any) -> BundleSessions:
+        if simulator is not None:
+            options["simulators"] = lambda _: simulator
+        result = BundleSessions(BundleCache(tmp_path / "cache"), **options)
+        result.store(request_.bundle, archive)
+        return result
+
+    return opened
+
+
+@pytest.fixture
+def worker(sessions: Callable[..., BundleSessions]) -> Callable[..., Worker]:
+    """Gives a worker with such sessions."""
+    return lambda *arguments, **options: Worker("w", bundles=sessions(*arguments, **options))

@@ -83,24 +83,18 @@ class ScriptedSession:
         self.simulator.closed.append(self.scenario)
 
 
-def worker(tmp_path: Path, simulator: ScriptedSimulator, begins: Callable[[int], None] = lambda _: None) -> Worker:
-    return Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache"), lambda _: simulator, begins=begins))
-
-
 def test_measures_come_back_unrated_with_the_cpu_time_of_children(
-    tmp_path: Path, archive: bytes, request_: SetupRequest
+    worker: Callable[..., Worker], request_: SetupRequest
 ) -> None:
-    works = worker(tmp_path, ScriptedSimulator())
-    works.store(request_.bundle, archive)
+    works = worker(ScriptedSimulator())
     (result,) = works.run(Batch(request_, (Cell(7, {"x": 2.0, "other": 1.0}),))).results
     assert (result.id, result.metrics, result.score, result.rating, result.breakdown) == (7, {"a": 2.0}, None, None, None)
     assert result.milliseconds >= 1000 * SECONDS
 
 
-def test_one_session_serves_all_seeds_and_closes_for_any(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
+def test_one_session_serves_all_seeds_and_closes_for_any(worker: Callable[..., Worker], request_: SetupRequest) -> None:
     simulator = ScriptedSimulator()
-    works = worker(tmp_path, simulator)
-    works.store(request_.bundle, archive)
+    works = worker(simulator)
     for seed in (1, 2, 7):
         fingerprint = f"fingerprint of {seed}"
         works.run(Batch(replace(request_, seed=seed, session="s", run_fingerprint=fingerprint), (Cell(1, {"x": 2.0}),)))
@@ -110,17 +104,17 @@ def test_one_session_serves_all_seeds_and_closes_for_any(tmp_path: Path, archive
 
 
 def test_a_batch_without_its_files_is_refused(tmp_path: Path, request_: SetupRequest) -> None:
-    result = worker(tmp_path, ScriptedSimulator()).run(Batch(request_, (Cell(1, {"x": 2.0}),)))
+    works = Worker("w", bundles=BundleSessions(BundleCache(tmp_path)))
+    result = works.run(Batch(request_, (Cell(1, {"x": 2.0}),)))
     assert request_.bundle in (result.refusal or "")
     assert result.results == ()
 
 
 def test_a_worker_with_another_sumo_refuses_the_cells(
-    tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
+    worker: Callable[..., Worker], request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     section = {"kind": "highway", "controller": {"kind": "python"}, "timeout": 10.0}
-    works = worker(tmp_path, ScriptedSimulator())
-    works.store(request_.bundle, archive)
+    works = worker(ScriptedSimulator())
     batch = Batch(
         replace(request_, simulator=section, document={"adapter": "1", "sumo": setups.sumo()}), (Cell(1, {"x": 2.0}),)
     )
@@ -142,9 +136,8 @@ def installed(number: str | None, package: str) -> str:
     return number
 
 
-def test_a_worker_with_another_adapter_refuses_the_cells(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
-    works = worker(tmp_path, ScriptedSimulator(version="7"))
-    works.store(request_.bundle, archive)
+def test_a_worker_with_another_adapter_refuses_the_cells(worker: Callable[..., Worker], request_: SetupRequest) -> None:
+    works = worker(ScriptedSimulator(version="7"))
     batches = {
         adapter: Batch(replace(request_, document={"adapter": adapter}), (Cell(1, {"x": 2.0}),)) for adapter in ("8", "7")
     }
@@ -154,9 +147,8 @@ def test_a_worker_with_another_adapter_refuses_the_cells(tmp_path: Path, archive
     assert works.run(batches["7"]).refusal is None
 
 
-def test_a_simulator_that_this_machine_lacks_is_refused(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
-    works = worker(tmp_path, ScriptedSimulator())
-    works.store(request_.bundle, archive)
+def test_a_simulator_that_this_machine_lacks_is_refused(worker: Callable[..., Worker], request_: SetupRequest) -> None:
+    works = worker(ScriptedSimulator())
     result = works.run(Batch(replace(request_, data={"missing": True}), (Cell(1, {"x": 2.0}),)))
     assert result.refusal == "there is no such program"
 
@@ -166,12 +158,11 @@ def full_disk() -> OSError:
 
 
 def test_a_machine_without_disk_refuses_cells_and_runs_them_when_there_is_some(
-    tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, worker: Callable[..., Worker], request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     section = {"kind": "process", "command": [sys.executable, "-c", READY], "memory_mb": 500, "timeout": 10.0}
     setup = replace(request_, simulator={**section, "probe": [sys.executable, "--version"]})
-    works = Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache")))
-    works.store(setup.bundle, archive)
+    works = worker()
     with monkeypatch.context() as full:
         full.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
         for cells in ((Cell(1, {"x": 2.0}),), ()):
@@ -182,7 +173,7 @@ def test_a_machine_without_disk_refuses_cells_and_runs_them_when_there_is_some(
     assert answer.metrics == {"a": 2.0}
 
 
-def test_a_session_whose_folder_is_spoilt_is_opened_again(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
+def test_a_session_whose_folder_is_spoilt_is_opened_again(worker: Callable[..., Worker], request_: SetupRequest) -> None:
     class Spoilt(ScriptedSession):
         def evaluate(self, *arguments: Any, **options: Any) -> RunOutcome:
             if len(self.simulator.opened) in faulty:
@@ -196,8 +187,7 @@ def test_a_session_whose_folder_is_spoilt_is_opened_again(tmp_path: Path, archiv
 
     faulty = {1}
     simulator = SpoiltSimulator()
-    works = worker(tmp_path, simulator)
-    works.store(request_.bundle, archive)
+    works = worker(simulator)
     (answer,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
     assert (answer.metrics, len(simulator.opened), len(simulator.closed)) == ({"a": 2.0}, 2, 1)
     faulty |= {2, 3}
@@ -206,21 +196,19 @@ def test_a_session_whose_folder_is_spoilt_is_opened_again(tmp_path: Path, archiv
     assert len(simulator.opened) == len(simulator.closed) == 3
 
 
-def test_a_program_that_removes_its_folder_costs_its_cell_only(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
+def test_a_program_that_removes_its_folder_costs_its_cell_only(worker: Callable[..., Worker], request_: SetupRequest) -> None:
     leaving = READY.replace("    print(json", "    if request['parameters']['x'] == 1.0: leave()\n    print(json")
     program = f"import os, shutil\ndef leave():\n    shutil.rmtree(os.getcwd())\n    os._exit(1)\n{leaving}"
     setup = replace(
         request_, simulator={"kind": "process", "command": [sys.executable, "-c", program], "memory_mb": 500, "timeout": 10.0}
     )
-    works = Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache")))
-    works.store(setup.bundle, archive)
+    works = worker()
     answers = works.run(Batch(setup, tuple(Cell(number, {"x": float(number)}) for number in range(3)))).results
     assert [(answer.breakdown, answer.metrics) for answer in answers] == [(None, {"a": 0.0}), ("crash", {}), (None, {"a": 2.0})]
 
 
-def test_a_run_without_measures_costs_its_cell_only(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
-    works = worker(tmp_path, ScriptedSimulator({2.0: NoMeasuresError(Breakdown.HANG, "too long", cpu_seconds=SECONDS)}))
-    works.store(request_.bundle, archive)
+def test_a_run_without_measures_costs_its_cell_only(worker: Callable[..., Worker], request_: SetupRequest) -> None:
+    works = worker(ScriptedSimulator({2.0: NoMeasuresError(Breakdown.HANG, "too long", cpu_seconds=SECONDS)}))
     first, second = works.run(Batch(request_, (Cell(1, {"x": 2.0}), Cell(2, {"x": 3.0})))).results
     assert (first.breakdown, first.detail) == ("hang", "too long")
     assert first.milliseconds >= 1000 * SECONDS
@@ -228,7 +216,7 @@ def test_a_run_without_measures_costs_its_cell_only(tmp_path: Path, archive: byt
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-9])
-def test_a_checked_cell_runs_twice_to_find_noise(tmp_path: Path, archive: bytes, request_: SetupRequest, noise: float) -> None:
+def test_a_checked_cell_runs_twice_to_find_noise(worker: Callable[..., Worker], request_: SetupRequest, noise: float) -> None:
     outcomes = iter([RunOutcome({"a": 2.0}, cpu_seconds=SECONDS), RunOutcome({"a": 2.0 + noise}, cpu_seconds=SECONDS)] * 2)
 
     class Noisy(ScriptedSession):
@@ -240,15 +228,14 @@ def test_a_checked_cell_runs_twice_to_find_noise(tmp_path: Path, archive: bytes,
             return Noisy(self, "city")
 
     begun: list[int] = []
-    works = worker(tmp_path, NoisySimulator(), begun.append)
-    works.store(request_.bundle, archive)
+    works = worker(NoisySimulator(), begins=begun.append)
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, check=True),))).results
     assert (result.metrics, result.repeats) == ({"a": 2.0}, noise == 0)
     assert result.run_milliseconds < result.milliseconds - 900 * SECONDS
     assert begun == [1, 1]
 
 
-def test_whole_numbers_are_sent_as_such(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
+def test_whole_numbers_are_sent_as_such(worker: Callable[..., Worker], request_: SetupRequest) -> None:
     sent: list[Mapping[str, Argument]] = []
 
     class Listening(ScriptedSession):
@@ -260,31 +247,27 @@ def test_whole_numbers_are_sent_as_such(tmp_path: Path, archive: bytes, request_
         def open(self, *_: Any) -> SimulatorSession:
             return Listening(self, "city")
 
-    works = worker(tmp_path, ListeningSimulator())
-    works.store(request_.bundle, archive)
+    works = worker(ListeningSimulator())
     works.run(Batch(replace(request_, parameters=("x", "n"), integers=("n",)), (Cell(1, {"x": 2.0, "n": 3.0}),)))
     assert [json.dumps(dict(parameters)) for parameters in sent] == ['{"x": 2.0, "n": 3}']
 
 
-def test_a_declared_failure_needs_no_measures(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
-    works = worker(tmp_path, ScriptedSimulator({2.0: RunOutcome({}, failure="collision")}))
-    works.store(request_.bundle, archive)
+def test_a_declared_failure_needs_no_measures(worker: Callable[..., Worker], request_: SetupRequest) -> None:
+    works = worker(ScriptedSimulator({2.0: RunOutcome({}, failure="collision")}))
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
     assert (result.failure, result.breakdown) == ("collision", None)
 
 
-def test_time_series_come_back_compressed(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
-    works = worker(tmp_path, ScriptedSimulator())
-    works.store(request_.bundle, archive)
+def test_time_series_come_back_compressed(worker: Callable[..., Worker], request_: SetupRequest) -> None:
+    works = worker(ScriptedSimulator())
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, trace=True),))).results
     assert result.trace is not None
     assert json.loads(gzip.decompress(result.trace)) == {"measures": {"a": 2.0}, "failure": None, "series": {"v": [1.0, 2.0]}}
 
 
-def test_a_replay_comes_back_beside_the_time_series(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
+def test_a_replay_comes_back_beside_the_time_series(worker: Callable[..., Worker], request_: SetupRequest) -> None:
     replayed = RunOutcome({"a": 2.0}, None, {"v": (1.0, 2.0)}, replay=ReplayAnswer.model_validate(REPLAY))
-    works = worker(tmp_path, ScriptedSimulator({2.0: replayed}))
-    works.store(request_.bundle, archive)
+    works = worker(ScriptedSimulator({2.0: replayed}))
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, trace=True),))).results
     assert result.trace is not None
     assert json.loads(gzip.decompress(result.trace))["replay"] == REPLAY
@@ -292,29 +275,26 @@ def test_a_replay_comes_back_beside_the_time_series(tmp_path: Path, archive: byt
 
 @pytest.mark.parametrize("cause", ["too large", "not finite"])
 def test_a_replay_that_cannot_be_kept_leaves_the_time_series(
-    cause: str, tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
+    cause: str, worker: Callable[..., Worker], request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     replay = ReplayAnswer.model_validate(REPLAY | ({"time_s": [math.nan]} if cause == "not finite" else {}))
     if cause == "too large":
         monkeypatch.setattr(bundles, "LARGEST_SERIES", 150)
-    works = worker(tmp_path, ScriptedSimulator({2.0: RunOutcome({"a": 2.0}, None, {"v": (1.0, 2.0)}, replay=replay)}))
-    works.store(request_.bundle, archive)
+    works = worker(ScriptedSimulator({2.0: RunOutcome({"a": 2.0}, None, {"v": (1.0, 2.0)}, replay=replay)}))
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, trace=True),))).results
     assert result.trace is not None
     assert json.loads(gzip.decompress(result.trace)) == {"measures": {"a": 2.0}, "failure": None, "series": {"v": [1.0, 2.0]}}
 
 
-def test_time_series_that_are_not_finite_cost_their_cell(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
-    works = worker(tmp_path, ScriptedSimulator({2.0: RunOutcome({"a": 2.0}, None, {"v": (float("nan"),)})}))
-    works.store(request_.bundle, archive)
+def test_time_series_that_are_not_finite_cost_their_cell(worker: Callable[..., Worker], request_: SetupRequest) -> None:
+    works = worker(ScriptedSimulator({2.0: RunOutcome({"a": 2.0}, None, {"v": (float("nan"),)})}))
     first, second = works.run(Batch(request_, (Cell(1, {"x": 2.0}, trace=True), Cell(2, {"x": 3.0})))).results
     assert (first.breakdown, second.breakdown) == ("error", None)
 
 
-def test_the_sessions_used_last_stay_open(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
+def test_the_sessions_used_last_stay_open(worker: Callable[..., Worker], request_: SetupRequest) -> None:
     simulator = ScriptedSimulator()
-    works = worker(tmp_path, simulator)
-    works.store(request_.bundle, archive)
+    works = worker(simulator)
     scenarios = [f"s{number}" for number in range(MOST_SESSIONS + 1)]
     for name in (*scenarios, scenarios[-1]):
         works.run(Batch(replace(request_, scenario=name), (Cell(1, {"x": 2.0}),)))
@@ -322,26 +302,27 @@ def test_the_sessions_used_last_stay_open(tmp_path: Path, archive: bytes, reques
     assert simulator.closed == scenarios[:1]
 
 
-def test_sessions_are_closed_when_they_are_unused_for_long(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
+def test_sessions_are_closed_when_they_are_unused_for_long(
+    sessions: Callable[..., BundleSessions], request_: SetupRequest
+) -> None:
     now = [0.0]
     simulator = ScriptedSimulator()
-    sessions = BundleSessions(BundleCache(tmp_path / "cache"), lambda _: simulator, clock=lambda: now[0])
-    sessions.store(request_.bundle, archive)
-    sessions.run(replace(request_, scenario="old"), Cell(1, {"x": 2.0}))
+    opened = sessions(simulator, clock=lambda: now[0])
+    opened.run(replace(request_, scenario="old"), Cell(1, {"x": 2.0}))
     now[0] += IDLE_SECONDS / 2
-    sessions.run(replace(request_, scenario="new"), Cell(2, {"x": 2.0}))
-    sessions.watch()
+    opened.run(replace(request_, scenario="new"), Cell(2, {"x": 2.0}))
+    opened.watch()
     assert simulator.closed == []
     now[0] += IDLE_SECONDS / 2
-    sessions.watch()
+    opened.watch()
     assert simulator.closed == ["old"]
     now[0] += IDLE_SECONDS
-    sessions.run(replace(request_, scenario="other"), Cell(3, {"x": 2.0}))
+    opened.run(replace(request_, scenario="other"), Cell(3, {"x": 2.0}))
     assert simulator.closed == ["old", "new"]
 
 
 def test_a_simulator_that_multiplies_after_its_answer_is_ended(
-    tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, sessions: Callable[..., BundleSessions], request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in (process, bundles):
         monkeypatch.setattr(module, "WATCH_SECONDS", 0.05)
@@ -358,18 +339,17 @@ threading.Thread(target=multiply, daemon=True).start()
 {READY}"""
     section = {"kind": "process", "command": [sys.executable, "-c", program], "memory_mb": 500, "timeout": 10.0}
     setup = replace(request_, simulator=section)
-    sessions = BundleSessions(BundleCache(tmp_path / "cache"))
-    sessions.store(setup.bundle, archive)
-    assert sessions.run(setup, Cell(1, {"x": 2.0})).metrics == {"a": 2.0}
+    opened = sessions()
+    assert opened.run(setup, Cell(1, {"x": 2.0})).metrics == {"a": 2.0}
     assert running(mark)
     go.touch()
     eventually(lambda: not running(mark))
     go.unlink()
-    assert sessions.run(setup, Cell(2, {"x": 3.0})).metrics == {"a": 3.0}
+    assert opened.run(setup, Cell(2, {"x": 3.0})).metrics == {"a": 3.0}
 
 
 def test_a_run_that_waits_reports_its_wall_clock_time_without_that_of_a_start(
-    tmp_path: Path, archive: bytes, request_: SetupRequest
+    worker: Callable[..., Worker], request_: SetupRequest
 ) -> None:
     class Sleeping(ScriptedSession):
         def evaluate(self, *_: Any, **__: Any) -> RunOutcome:
@@ -380,8 +360,7 @@ def test_a_run_that_waits_reports_its_wall_clock_time_without_that_of_a_start(
         def open(self, *_: Any) -> SimulatorSession:
             return Sleeping(self, "city")
 
-    works = worker(tmp_path, SleepingSimulator())
-    works.store(request_.bundle, archive)
+    works = worker(SleepingSimulator())
     for is_start in (False, True):
         (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
         assert result.wall_milliseconds is not None

@@ -6,14 +6,14 @@ Also failing ends of sessions.
 import errno
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
 import pytest
-from tests.unit.runtime.test_bundles import READY, ScriptedSession, ScriptedSimulator, worker
+from tests.unit.runtime.test_bundles import READY, ScriptedSession, ScriptedSimulator
 
 from drivecal.adapters.environment import GRANTED
 from drivecal.contracts.work import Batch, Cell, SetupRequest
@@ -21,13 +21,12 @@ from drivecal.domain.errors import UnavailableError
 from drivecal.domain.values import Argument
 from drivecal.plugins.simulators import MOST_SESSIONS, RunOutcome, SimulatorSession, UnsuitableError
 from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
-from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.worker import Worker
 
 
 @pytest.mark.parametrize("fault", [UnavailableError("no licence"), OSError(errno.ENOMEM, "no memory")])
 def test_a_start_that_fails_beside_idle_sessions_is_tried_without_them(
-    tmp_path: Path, archive: bytes, request_: SetupRequest, fault: Exception
+    worker: Callable[..., Worker], request_: SetupRequest, fault: Exception
 ) -> None:
     class Licensed(ScriptedSimulator):
         most = 2
@@ -38,8 +37,7 @@ def test_a_start_that_fails_beside_idle_sessions_is_tried_without_them(
             return super().open(*arguments)
 
     simulator = Licensed()
-    works = worker(tmp_path, simulator)
-    works.store(request_.bundle, archive)
+    works = worker(simulator)
     for number in range(3):
         assert works.run(Batch(replace(request_, scenario=f"s{number}"), (Cell(1, {"x": 2.0}),))).refusal is None
     assert (simulator.opened, simulator.closed) == (["s0", "s1", "s2"], ["s0", "s1"])
@@ -49,7 +47,7 @@ def test_a_start_that_fails_beside_idle_sessions_is_tried_without_them(
 
 
 def test_a_program_that_crashes_at_its_start_beside_idle_sessions_is_tried_without_them(
-    tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, sessions: Callable[..., BundleSessions], request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(GRANTED, str(tmp_path))
     program = f"""
@@ -59,32 +57,29 @@ open(licence, "x").close()
 atexit.register(os.remove, licence)
 {READY.replace("request = json.loads(input())", "request = json.loads(input())" + chr(10) + "    if 'quit' in request: break")}"""
     section = {"kind": "process", "command": [sys.executable, "-c", program], "memory_mb": 500, "timeout": 10.0}
-    sessions = BundleSessions(BundleCache(tmp_path / "cache"))
-    sessions.store(request_.bundle, archive)
+    opened = sessions()
     for scenario in ("s0", "s1"):
         setup = replace(request_, scenario=scenario, simulator=section)
-        assert sessions.run(setup, Cell(1, {"x": 2.0})).metrics == {"a": 2.0}
+        assert opened.run(setup, Cell(1, {"x": 2.0})).metrics == {"a": 2.0}
 
 
 def test_sessions_are_not_closed_again_for_a_start_that_fails_alone_as_well(
-    tmp_path: Path, archive: bytes, request_: SetupRequest
+    sessions: Callable[..., BundleSessions], request_: SetupRequest
 ) -> None:
     now, simulator = [0.0], ScriptedSimulator()
-    sessions = BundleSessions(BundleCache(tmp_path / "cache"), lambda _: simulator, clock=lambda: now[0])
-    sessions.store(request_.bundle, archive)
+    opened = sessions(simulator, clock=lambda: now[0])
     broken = replace(request_, scenario="broken", data={"missing": True})
     for closed in (1, 1, 2):
-        sessions.run(replace(request_, scenario="good"), Cell(1, {"x": 2.0}))
+        opened.run(replace(request_, scenario="good"), Cell(1, {"x": 2.0}))
         with pytest.raises(UnavailableError):
-            sessions.run(broken, Cell(2, {"x": 2.0}))
+            opened.run(broken, Cell(2, {"x": 2.0}))
         assert simulator.closed == ["good"] * closed
         now[0] += 0.6 * IDLE_SECONDS
 
 
-def test_another_adapter_is_refused_without_closing_anything(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
+def test_another_adapter_is_refused_without_closing_anything(worker: Callable[..., Worker], request_: SetupRequest) -> None:
     simulator = ScriptedSimulator()
-    works = worker(tmp_path, simulator)
-    works.store(request_.bundle, archive)
+    works = worker(simulator)
     works.run(Batch(replace(request_, scenario="good"), (Cell(1, {"x": 2.0}),)))
     other = replace(request_, scenario="other", document={"adapter": "0"})
     assert works.run(Batch(other, (Cell(1, {"x": 2.0}),))).refusal
@@ -93,7 +88,7 @@ def test_another_adapter_is_refused_without_closing_anything(tmp_path: Path, arc
 
 @pytest.mark.parametrize("kind", [UnavailableError, UnsuitableError])
 def test_a_simulator_that_no_longer_starts_refuses_the_cells_from_there_on(
-    tmp_path: Path, archive: bytes, request_: SetupRequest, kind: type[UnavailableError]
+    worker: Callable[..., Worker], request_: SetupRequest, kind: type[UnavailableError]
 ) -> None:
     class Upgraded(ScriptedSession):
         def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = 1) -> RunOutcome:
@@ -107,8 +102,7 @@ def test_a_simulator_that_no_longer_starts_refuses_the_cells_from_there_on(
             return Upgraded(self, "city")
 
     simulator = UpgradedSimulator()
-    works = worker(tmp_path, simulator)
-    works.store(request_.bundle, archive)
+    works = worker(simulator)
     refused = works.run(Batch(request_, tuple(Cell(number, {"x": float(number)}) for number in range(1, 5))))
     assert [(answer.id, answer.metrics) for answer in refused.results] == [(1, {"a": 1.0}), (2, {"a": 2.0})]
     assert (refused.refusal, refused.unsuitable) == ("SUMO has another version", kind is UnsuitableError)
@@ -119,7 +113,7 @@ def test_a_simulator_that_no_longer_starts_refuses_the_cells_from_there_on(
 
 @pytest.mark.parametrize("fault", [UnavailableError("no licence"), OSError(errno.ENOSPC, "no disk")])
 def test_a_checked_cell_whose_second_start_is_refused_keeps_its_first_outcome(
-    tmp_path: Path, archive: bytes, request_: SetupRequest, fault: Exception
+    worker: Callable[..., Worker], request_: SetupRequest, fault: Exception
 ) -> None:
     class Once(ScriptedSession):
         runs = 0
@@ -136,8 +130,7 @@ def test_a_checked_cell_whose_second_start_is_refused_keeps_its_first_outcome(
             return Once(self, "city")
 
     simulator = OnceSimulator()
-    works = worker(tmp_path, simulator)
-    works.store(request_.bundle, archive)
+    works = worker(simulator)
     answered = works.run(Batch(request_, tuple(Cell(number, {"x": float(number)}, check=True) for number in range(1, 4))))
     assert [(answer.metrics, answer.repeats) for answer in answered.results] == [({"a": float(x)}, None) for x in range(1, 4)]
     assert answered.refusal is None
@@ -145,7 +138,7 @@ def test_a_checked_cell_whose_second_start_is_refused_keeps_its_first_outcome(
 
 
 def test_a_scenario_that_no_machine_can_run_closes_no_other_session(
-    tmp_path: Path, archive: bytes, request_: SetupRequest
+    worker: Callable[..., Worker], request_: SetupRequest
 ) -> None:
     class Unsuitable(ScriptedSimulator):
         def open(self, section: Mapping[str, Any], scenario: str, *rest: Any) -> SimulatorSession:
@@ -154,8 +147,7 @@ def test_a_scenario_that_no_machine_can_run_closes_no_other_session(
             return super().open(section, scenario, *rest)
 
     simulator = Unsuitable()
-    works = worker(tmp_path, simulator)
-    works.store(request_.bundle, archive)
+    works = worker(simulator)
     assert works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).refusal is None
     refused = works.run(Batch(replace(request_, scenario="broken"), (Cell(2, {"x": 2.0}),)))
     assert (refused.refusal, refused.unsuitable, refused.results) == ("the network has no lane e9_0", True, ())
@@ -163,15 +155,14 @@ def test_a_scenario_that_no_machine_can_run_closes_no_other_session(
 
 
 def test_a_session_that_cannot_be_closed_costs_no_run_of_others(
-    tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
+    worker: Callable[..., Worker], request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def close(_: ScriptedSession) -> None:
         raise RecursionError
 
     monkeypatch.setattr(ScriptedSession, "close", close)
     simulator = ScriptedSimulator()
-    works = worker(tmp_path, simulator)
-    works.store(request_.bundle, archive)
+    works = worker(simulator)
     for number in range(MOST_SESSIONS + 2):
         result = works.run(Batch(replace(request_, scenario=f"s{number}"), (Cell(1, {"x": 2.0}),)))
         assert [cell.metrics for cell in result.results] == [{"a": 2.0}]
@@ -179,12 +170,11 @@ def test_a_session_that_cannot_be_closed_costs_no_run_of_others(
 
 
 def test_a_machine_without_processes_refuses_cells_and_runs_them_when_there_are_some(
-    tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
+    worker: Callable[..., Worker], request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     section = {"kind": "process", "command": [sys.executable, "-c", READY], "memory_mb": 500, "timeout": 10.0}
     setup = replace(request_, simulator=section)
-    works = Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache")))
-    works.store(setup.bundle, archive)
+    works = worker()
     no_process = Mock(side_effect=BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"))
     with monkeypatch.context() as crowded:
         crowded.setattr(subprocess, "run", no_process)
