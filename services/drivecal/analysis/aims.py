@@ -1,15 +1,14 @@
 """Aims of searches by the cell: the weighted score of a campaign, or its objectives and constraints on results. Pure."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from drivecal.analysis.goals import SCORE, Aggregate, Bound, Goal, Goals, Objective, weighted
+from drivecal.analysis.goals import SCORE, Bound, Goal, Goals, Objective, weighted
 from drivecal.domain.constraints import Columns
 from drivecal.domain.evaluations import CellScore
-from drivecal.domain.rounding import grains
 from drivecal.domain.scales import Scale
 from drivecal.plugins.ports import Floats
 
@@ -54,7 +53,7 @@ class WeightedScore:
             scores = np.floor(scores / self.scale.step + 0.5) * self.scale.step
         scores = self.scale.sign * np.maximum(self.scale.sign * scores, self.scale.sign * self.scale.failed)
         used = {column: weight for column, weight in enumerate(self.weights.values()) if weight}
-        total = weighted(np.zeros(len(values)), scores[:, list(used)].T, used.values())
+        total = weighted(scores[:, list(used)], used.values())
         return self.scale.sign * total[:, np.newaxis], np.where(np.isnan(total), np.nan, 0.0)
 
 
@@ -127,39 +126,11 @@ class JudgedGoals:
         places = {name: place for place, name in enumerate(self.names)}
         columns = {key: column for column, key in enumerate(self.keys)}
 
-        def amounts(goal: Goal) -> Floats:
-            if isinstance(goal, Objective) and goal.variants:
-                parts = np.stack([amounts(part) for part in goal.parts])
-                combined: Floats = goal.sign * (goal.sign * parts).min(axis=0) if goal.worst else parts.mean(axis=0)
-                return combined
-            here = values[:, [places[name] for name in goal.shares], columns[goal.value.key]]
-            return _aggregated(goal.aggregate, here, list(goal.shares.values()))
+        def values_of(goal: Goal) -> Floats:
+            return values[:, [places[name] for name in goal.shares], columns[goal.value.key]]
 
-        objectives = np.stack([goal.sign * amounts(goal) for goal in self.goals.objectives], axis=1)
+        objectives = np.stack([goal.sign * goal.amounts(values_of) for goal in self.goals.objectives], axis=1)
         violations = np.zeros(len(values))
         for bound in self.goals.bounds:
-            missing = bound.sign * (bound.limit - (reached := amounts(bound)))
-            broken = np.where(missing <= grains(reached, bound.limit), 0.0, missing / bound.span)
-            violations += np.where(np.isnan(missing), np.nan, broken)
+            violations += bound.violations(bound.amounts(values_of))
         return objectives, violations
-
-
-def _aggregated(aggregate: Aggregate, values: Floats, shares: Sequence[float]) -> Floats:
-    """Returns `aggregate` of each row of values, shape (n, n_scenarios); NaN if a value is missing."""
-    match aggregate.kind:
-        case "mean":
-            return weighted(np.zeros(len(values)), values.T, shares)
-        case "min":
-            lowest: Floats = values.min(axis=1)
-            return lowest
-        case "max":
-            highest: Floats = values.max(axis=1)
-            return highest
-        case "quantile":
-            order = np.argsort(values, axis=1, kind="stable")
-            reached = np.cumsum(np.array(shares)[order], axis=1) >= aggregate.level - 1e-12
-            reached[:, -1] = True
-            chosen = np.take_along_axis(
-                values, np.take_along_axis(order, reached.argmax(axis=1)[:, np.newaxis], axis=1), axis=1
-            )
-            return np.where(np.isnan(values).any(axis=1), np.nan, chosen[:, 0])

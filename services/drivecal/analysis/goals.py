@@ -4,11 +4,11 @@ A value of a cell is the campaign's score, another score (a formula over measure
 data, so that its results can be read without its problem.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import ceil, isclose, log, log1p
-from typing import Any, Literal, TypeVar
+from math import ceil, isclose, isnan, log, log1p
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -20,7 +20,7 @@ from drivecal.bundles.expressions import Formula
 from drivecal.domain.constraints import ChangeFrom, ChangeLimit
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import ParameterSet
-from drivecal.domain.rounding import grains, levels, same
+from drivecal.domain.rounding import grains, levels
 from drivecal.domain.scales import Scale
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.plugins.ports import Floats
@@ -34,7 +34,8 @@ UNDECIDED = 1e-3
 AT_A_TIME = 256
 """Sets that are compared with a front at a time."""
 AggregateKind = Literal["mean", "min", "max", "quantile"]
-_Number = TypeVar("_Number", float, Floats)
+Cells = Mapping[str, CellScore]
+"""Answers of a set by scenario."""
 
 
 @dataclass(frozen=True)
@@ -89,22 +90,21 @@ class Aggregate:
     kind: AggregateKind = "mean"
     level: float = 0.5
 
-    def __call__(self, values: Sequence[float], shares: Sequence[float]) -> float:
-        """Aggregates values with positive shares of sum 1, in the order of the scenarios."""
+    def __call__(self, values: Floats, shares: Sequence[float]) -> Floats:
+        """Aggregates the values of n sets, shape (n, n_scenarios), with positive shares of sum 1; NaN if a value is missing."""
         match self.kind:
             case "mean":
-                return weighted(0.0, values, shares)
+                return weighted(values, shares)
             case "min":
-                return min(values)
+                return np.asarray(values.min(axis=1))
             case "max":
-                return max(values)
+                return np.asarray(values.max(axis=1))
             case "quantile":
-                reached = 0.0
-                for value, share in sorted(zip(values, shares, strict=True)):
-                    reached += share
-                    if reached >= self.level - 1e-12:
-                        return value
-                return max(values)
+                order = np.argsort(values, axis=1, kind="stable")
+                reached = np.cumsum(np.array(shares)[order], axis=1) >= self.level - 1e-12
+                reached[:, -1] = True
+                places = np.take_along_axis(order, reached.argmax(axis=1, keepdims=True), axis=1)
+                return np.where(np.isnan(values).any(axis=1), np.nan, np.take_along_axis(values, places, axis=1)[:, 0])
 
 
 @dataclass(frozen=True)
@@ -116,16 +116,19 @@ class Goal:
     shares: Mapping[str, float]
     aggregate: Aggregate
 
-    def values_in(self, cells: Iterable[CellScore]) -> list[float | None]:
-        """Returns its value in each cell, None where it is missing. A cell ranked by another score has the campaign's among its values."""
+    def values_in(self, cells: Iterable[CellScore | None]) -> Floats:
+        """Returns its value in each cell, NaN where it is missing. A cell ranked by another score has the campaign's among its values."""
         key = self.value.key
-        return [cell.values.get(key, cell.score if key == SCORE else None) for cell in cells]
+        known = [None if cell is None else cell.values.get(key, cell.score if key == SCORE else None) for cell in cells]
+        return np.array(known, dtype=np.float64)
 
-    def amount(self, cells: Mapping[str, CellScore]) -> float | None:
-        """Returns the aggregate of a set's values by scenario; None if one is missing."""
-        values = self.values_in(cells[scenario] for scenario in self.shares if scenario in cells)
-        known = [value for value in values if value is not None]
-        return self.aggregate(known, list(self.shares.values())) if len(known) == len(self.shares) else None
+    def amounts(self, values: "Values") -> Floats:
+        """Returns the aggregate for each of n sets; NaN if a value is missing."""
+        return self.aggregate(values(self), list(self.shares.values()))
+
+
+Values = Callable[[Goal], Floats]
+"""The values of a goal in its scenarios, shape (n, n_scenarios); NaN where one is missing."""
 
 
 @dataclass(frozen=True)
@@ -144,14 +147,13 @@ class Objective(Goal):
         """The objectives of its variants."""
         return [replace(self, shares=shares, variants=()) for shares in self.variants]
 
-    def amount(self, cells: Mapping[str, CellScore]) -> float | None:
+    def amounts(self, values: Values) -> Floats:
         """See `Goal`."""
         if not self.variants:
-            return super().amount(cells)
-        amounts = [amount for part in self.parts if (amount := part.amount(cells)) is not None]
-        if len(amounts) < len(self.parts):
-            return None
-        return self.sign * min(self.sign * amount for amount in amounts) if self.worst else sum(amounts) / len(amounts)
+            return super().amounts(values)
+        amounts = np.stack([part.amounts(values) for part in self.parts])
+        worst: Floats = self.sign * (self.sign * amounts).min(axis=0)
+        return worst if self.worst else sum(amounts, np.zeros_like(worst)) / len(amounts)
 
     def is_weighted_mean(self, shares: Mapping[str, float]) -> bool:
         """Returns whether it is the mean of the campaign's score with these weights (Eq. 6)."""
@@ -183,12 +185,12 @@ class Bound(Goal):
         """Number of runs that show the rate if none is beyond the limit; 0 without a rate."""
         return 0 if self.rate is None else ceil(log(1 - self.confidence) / log1p(-self.rate) - 1e-9)
 
-    def beyond(self, runs: Iterable[Mapping[str, CellScore]]) -> tuple[int, int]:
+    def beyond(self, runs: Iterable[Cells]) -> tuple[int, int]:
         """Returns how many runs are beyond the limit or have no value, and how many runs there are; `runs`: cells by scenario, by seed."""
         values = self.values_in(run[scenario] for run in runs for scenario in self.shares if scenario in run)
-        return sum(value is None or self.violation(value) > 0 for value in values), len(values)
+        return int(np.count_nonzero(self.violations(values))), len(values)
 
-    def is_shown(self, cells: Iterable[Mapping[str, CellScore]], seeds: int) -> bool:
+    def is_shown(self, cells: Iterable[Cells], seeds: int) -> bool:
         """Returns whether its rate is kept if no run under further `seeds` is beyond the limit; `cells` as in `beyond`."""
         beyond, runs = self.beyond(cells)
         return rate_bounds(beyond, runs + seeds * len(self.shares), self.confidence)[1] <= (self.rate or 0.0)
@@ -201,9 +203,11 @@ class Bound(Goal):
             return 0.0
         return UNDECIDED * (most - rate) / (1 - rate) if least <= rate else max(10 * UNDECIDED, share - rate)
 
-    def violation(self, amount: float) -> float:
-        """Returns by how much it is broken, in spans; 0 if it is kept. An amount that equals the limit but for rounding keeps it."""
-        return 0.0 if same(self.limit, amount) else max(0.0, self.sign * (self.limit - amount) / self.span)
+    def violations(self, amounts: Floats) -> Floats:
+        """Returns by how much amounts break it, in spans, of their shape; 0 if it is kept, NaN without an amount. An amount that equals
+        the limit but for rounding keeps it."""
+        missing = self.sign * (self.limit - amounts)
+        return np.where(missing <= grains(amounts, self.limit), 0.0, missing / self.span)
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,7 +273,7 @@ class Goals:
         """Names of `named_values`."""
         return list(self._by_scenario)
 
-    def named_values(self, cells: Mapping[str, CellScore]) -> dict[str, float]:
+    def named_values(self, cells: Cells) -> dict[str, float]:
         """Returns what makes the objectives and constrained amounts of a set, by `NAME@SCENARIO`; the campaign's score is left out."""
         return {
             name: cells[scenario].values[key]
@@ -309,28 +313,35 @@ class Goals:
         """Number of seeds that show all rates if no run is beyond a limit."""
         return max((ceil(bound.fewest_runs / len(bound.shares)) for bound in self.bounds), default=0)
 
-    def judge(self, cells: Mapping[str, CellScore], runs: Sequence[Mapping[str, CellScore]] = ()) -> Judged | None:
-        """Returns the judgement of a set from its cells by scenario; None if a value is missing. `runs`: its cells by seed, which rates
-        count, if `cells` are means."""
-        amounts = [amount for objective in self.objectives if (amount := objective.amount(cells)) is not None]
-        if len(amounts) < len(self.objectives):
-            return None
-        bounded, violations, undecided = list[float](), list[float](), 0
-        for bound in self.bounds:
-            amount = bound.amount(cells)
-            if amount is None:
-                return None
-            if bound.rate is None:
-                bounded.append(amount)
-                violations.append(bound.violation(amount))
+    def judge(self, sets: Sequence[Cells], runs: Sequence[Sequence[Cells]] = ()) -> Iterator[Judged | None]:
+        """Yields the judgement of each set from its cells by scenario; None if a value is missing. `runs`: the cells of each set by seed,
+        which rates count, if `sets` has means."""
+
+        def values(goal: Goal) -> Floats:
+            return goal.values_in(cells.get(scenario) for cells in sets for scenario in goal.shares).reshape(
+                len(sets), len(goal.shares)
+            )
+
+        amounts = [goal.amounts(values) for goal in (*self.objectives, *self.bounds)]
+        first, last = len(self.objectives), len(amounts)
+        amounts += [bound.violations(each) for bound, each in zip(self.bounds, amounts[first:], strict=True)]
+        for place, row in enumerate(zip(*np.stack(amounts).tolist(), strict=True)):
+            if any(map(isnan, row)):
+                yield None
                 continue
-            beyond, count = bound.beyond(runs or [cells])
-            known = beyond / count, *rate_bounds(beyond, count, bound.confidence)
-            bounded += known
-            violations.append(bound.excess(*known))
-            undecided += 0 < violations[-1] <= UNDECIDED
-        is_open = undecided > 0 and undecided == sum(violation > 0 for violation in violations)
-        return Judged(tuple(amounts), sum(violations, 0.0), tuple(bounded), is_open)
+            bounded, violations, undecided = list[float](), list[float](), 0
+            for bound, amount, violation in zip(self.bounds, row[first:last], row[last:], strict=True):
+                if bound.rate is None:
+                    bounded.append(amount)
+                    violations.append(violation)
+                    continue
+                beyond, count = bound.beyond(runs[place] if runs else [sets[place]])
+                known = beyond / count, *rate_bounds(beyond, count, bound.confidence)
+                bounded += known
+                violations.append(bound.excess(*known))
+                undecided += 0 < violations[-1] <= UNDECIDED
+            is_open = undecided > 0 and undecided == sum(violation > 0 for violation in violations)
+            yield Judged(row[:first], sum(violations, 0.0), tuple(bounded), is_open)
 
     def compared(self, judgement: Judged) -> tuple[float, ...]:
         """Returns the objectives of a set, higher is better."""
@@ -391,11 +402,9 @@ def weighted_mean(scale: Scale, shares: Mapping[str, float]) -> Goals:
     return Goals((objective,), is_weighted_score=True)
 
 
-def weighted(total: _Number, values: Iterable[_Number], shares: Iterable[float]) -> _Number:
-    """Returns a `total` of 0 plus the weighted values (Eq. 6), added in their order: other orders have other last bits."""
-    for value, share in zip(values, shares, strict=True):
-        total = total + share * value
-    return total
+def weighted(values: Floats, shares: Iterable[float]) -> Floats:
+    """Returns the weighted sum (Eq. 6) of each row of values, added in the order of the columns: other orders have other last bits."""
+    return sum((values * np.array(list(shares))).T, np.zeros(len(values)))
 
 
 def _numbered(name: str, taken: Collection[str]) -> str:

@@ -4,23 +4,21 @@ With several objectives or constraints, sets are ranked by the first objective, 
 """
 
 from bisect import bisect_left
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import isnan
 from statistics import fmean
 from typing import Any
 
 import numpy as np
 
 from drivecal.analysis import replicates
-from drivecal.analysis.goals import Aggregate, Goals, Judged, normalised, weighted
+from drivecal.analysis.goals import Aggregate, Cells, Goals, Judged, normalised, weighted
 from drivecal.analysis.replicates import SetStatistics
 from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.rounding import levels, same
 from drivecal.plugins.ports import Floats
-
-Cells = Mapping[str, CellScore]
-"""Answers of a set by scenario."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,31 +120,36 @@ class SetJudge:
         self.scenarios = dict.fromkeys((*self.shares, *sorted(bounding))).keys()
         """Scenarios whose answers count, weighted ones first."""
 
-    def of_cells(self, number: int, place: tuple[int, int], cells: Cells, runs: Sequence[Cells] = ()) -> EvaluatedSet | None:
-        """Returns the set of this id, first met at a place, by its cells; None if a result is missing. `runs`: see `Goals.judge`."""
-        scores: dict[str, float] = {}
-        ratings: list[float] = []
-        for scenario in self.shares:
-            cell = cells.get(scenario)
-            if cell is None or cell.score is None or cell.rating is None:
-                return None
-            scores[scenario] = cell.score
-            ratings.append(cell.rating)
-        judgement = self.goals.judge(cells, runs)
-        if judgement is None:
-            return None
-        reused = tuple(scenario for scenario in self.scenarios if scenario in cells and not cells[scenario].own)
-        objective = judgement.amounts[0]
-        rating = weighted(0.0, ratings, self.shares.values()) if self._is_rated else objective
-        return EvaluatedSet(number, objective, rating, scores, reused, *place, judgement, self.first.sign, self.first.span)
+    def of_cells(
+        self, places: Iterable[tuple[int, int, int]], sets: Sequence[Cells], runs: Sequence[Sequence[Cells]] = ()
+    ) -> Iterator[EvaluatedSet | None]:
+        """Yields each set by its id, the place where it was first met, and its cells; None if a result is missing. `runs`: see
+        `Goals.judge`."""
+        counted = (cells.get(scenario) for cells in sets for scenario in self.shares)
+        ratings = np.array([None if cell is None or cell.score is None else cell.rating for cell in counted], dtype=np.float64)
+        rated = weighted(ratings.reshape(len(sets), len(self.shares)), self.shares.values()).tolist()
+        for place, cells, rating, judgement in zip(places, sets, rated, self.goals.judge(sets, runs), strict=True):
+            if judgement is None or isnan(rating):
+                yield None
+                continue
+            scores = {scenario: score for scenario in self.shares if (score := cells[scenario].score) is not None}
+            reused = tuple(scenario for scenario in self.scenarios if scenario in cells and not cells[scenario].own)
+            objective, first = judgement.amounts[0], self.first
+            rating = rating if self._is_rated else objective
+            yield EvaluatedSet(place[0], objective, rating, scores, reused, *place[1:], judgement, first.sign, first.span)
 
-    def by_seed(self, number: int, place: tuple[int, int], runs: Mapping[int, Cells]) -> dict[int, EvaluatedSet]:
-        """Returns a set by each of its seeds with a result; none if a run failed under another one: a mean of those alone that did
-        not fail would say too much."""
-        judged = {seed: self.of_cells(number, place, cells) for seed, cells in sorted(runs.items())}
-        whole = {seed: each for seed, each in judged.items() if each is not None}
-        lost = any(cell.failed for seed in judged.keys() - whole.keys() for cell in runs[seed].values())
-        return {} if lost else whole
+    def by_seed(
+        self, places: Mapping[int, tuple[int, int]], runs: Mapping[int, Mapping[int, Cells]]
+    ) -> Iterator[tuple[int, dict[int, EvaluatedSet]]]:
+        """Yields the id of each set, and the set by each of its seeds with a result; none if a run failed under another one: a mean of
+        those alone that did not fail would say too much."""
+        cells = [by_seed[seed] for by_seed in runs.values() for seed in sorted(by_seed)]
+        judged = self.of_cells(((number, *places[number]) for number, by_seed in runs.items() for _ in by_seed), cells)
+        for number, by_seed in runs.items():
+            known = zip(sorted(by_seed), judged, strict=False)
+            whole = {seed: each for seed, each in known if each is not None}
+            lost = any(cell.failed for seed in by_seed.keys() - whole.keys() for cell in by_seed[seed].values())
+            yield number, {} if lost else whole
 
     def over_seeds(self, by_seed: Mapping[int, EvaluatedSet], runs: Mapping[int, Cells]) -> tuple[EvaluatedSet | None, Cells]:
         """Returns a set by the means over its seeds, None without a result, and its cells by the seeds that choose."""
@@ -169,12 +172,13 @@ class SetJudge:
         """Returns a set by the means over some of its seeds, with its objective over them, and these means."""
         cells = {name: over_seeds([runs[seed][name] for seed in seeds]) for name in runs[seeds[0]]}
         first, values = by_seed[seeds[0]], [by_seed[seed].objective for seed in seeds]
-        place = first.iteration, first.individual
-        solution = self.of_cells(first.parameter_set, place, cells, self.counted(runs))
+        place = first.parameter_set, first.iteration, first.individual
+        (solution,) = self.of_cells([place], [cells], [self.counted(runs) or [cells]])
         if solution is None:
             return None, cells
-        quantile, judgement = None if self.level is None else Aggregate("quantile", self.level), solution.judgement
-        objective = fmean(values) if quantile is None else quantile(values, [1 / len(values)] * len(values))
+        objective, judgement = fmean(values), solution.judgement
+        if self.level is not None:
+            objective = Aggregate("quantile", self.level)(np.array([values]), [1 / len(values)] * len(values)).item()
         if len(judgement.amounts) == 1:
             judgement = replace(judgement, amounts=(objective,))
         return replace(solution, objective=objective, judgement=judgement, seeds=tuple(seeds)), cells
@@ -216,18 +220,18 @@ class Ranking:
         """Takes answers in, in any order. A set with a predicted score takes no place in the ranking."""
         touched: set[int] = set()
         for answer in answers:
-            number = answer.parameter_set
-            place = (answer.iteration, answer.individual)
-            self._places[number] = min(self._places.get(number, place), place)
+            number, place = answer.parameter_set, (answer.iteration, answer.individual)
+            if place < self._places.setdefault(number, place):
+                self._places[number] = place
             cells = self._runs.setdefault(number, {}).setdefault(answer.seed, {})
-            if answer.scenario in self.scenarios and _counts_more(answer, cells.get(answer.scenario)):
+            known = cells.get(answer.scenario)
+            if answer.scenario in self.scenarios and (known is None or _worth(answer) > _worth(known)):
                 cells[answer.scenario] = answer
             touched.add(number)
         self._surest_front = self._best = self._levels = None
         self._is_assessed = False
-        for number in touched:
+        for number, by_seed in self._judge.by_seed(self._places, {number: self._runs[number] for number in touched}):
             runs = self._runs[number]
-            by_seed = self._judge.by_seed(number, self._places[number], runs)
             if by_seed and len(runs) > 1:
                 self._samples[number] = {seed: each.objective for seed, each in by_seed.items()}
                 self._varies |= len({each.rating for each in by_seed.values()}) > 1
@@ -330,13 +334,12 @@ class Ranking:
         """Returns what the seeds that choose say of each objective, and the ids of the sets; nothing while no set has several seeds."""
         if not self._samples:
             return [], []
-        numbers, last = sorted(self._solutions), max(max(self._runs[number]) for number in self._solutions)
+        runs = {number: self._runs[number] for number in sorted(self._solutions)}
+        numbers, last = list(runs), max(map(max, runs.values()))
         samples = np.full((len(self._goals.objectives), len(numbers), min(last, self._choosing)), np.nan)
-        for place, number in enumerate(numbers):
-            for seed, cells in self._runs[number].items():
-                solution = self._judge.of_cells(number, self._places[number], cells) if seed <= self._choosing else None
-                if solution is not None:
-                    samples[:, place, seed - 1] = solution.judgement.amounts
+        for place, (_, by_seed) in enumerate(self._judge.by_seed(self._places, runs)):
+            for seed in by_seed.keys() & range(1, self._choosing + 1):
+                samples[:, place, seed - 1] = by_seed[seed].judgement.amounts
         kept = np.isfinite(samples[0]).any(axis=1)
         known = [replicates.assess(goal.sign * each[kept]) for goal, each in zip(self._goals.objectives, samples, strict=True)]
         return np.array(numbers)[kept].tolist(), known
@@ -445,7 +448,7 @@ class Ranking:
 
     def reaches_front(self, cells: Mapping[str, CellScore]) -> bool:
         """Returns whether no set with scores of its own dominates one with these cells, nor has the same objectives."""
-        judgement = self._goals.judge(cells)
+        (judgement,) = self._goals.judge([cells])
         if judgement is None:
             return False
         known = self._sure_front()
@@ -517,20 +520,14 @@ def over_seeds(cells: Sequence[CellScore]) -> CellScore:
     keys = [key for key in known[0].values if all(key in cell.values for cell in known)]
     return replace(
         known[0],
-        score=fmean(cell.score for cell in known if cell.score is not None),
-        rating=fmean(cell.rating for cell in known if cell.rating is not None),
+        score=fmean([cell.score for cell in known if cell.score is not None]),
+        rating=fmean([cell.rating for cell in known if cell.rating is not None]),
         own=all(cell.own for cell in known),
-        values={key: fmean(cell.values[key] for cell in known) for key in keys},
+        values={key: fmean([cell.values[key] for cell in known]) for key in keys},
     )
 
 
-def _counts_more(new: CellScore, known: CellScore | None) -> bool:
-    """Returns whether an answer takes the place of another one for the same cell: a result counts more than none, an own one than a copy,
-    a copy than a prediction, an earlier one than a later one."""
-    if known is None:
-        return True
-
-    def worth(answer: CellScore) -> tuple[bool, bool, bool, int, int]:
-        return answer.score is not None, answer.own, not answer.predicted, -answer.iteration, -answer.individual
-
-    return worth(new) > worth(known)
+def _worth(answer: CellScore) -> tuple[bool, bool, bool, int, int]:
+    """Orders answers for one cell: a result counts more than none, an own one than a copy, a copy than a prediction, an earlier one than
+    a later one."""
+    return answer.score is not None, answer.own, not answer.predicted, -answer.iteration, -answer.individual

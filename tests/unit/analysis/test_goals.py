@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -51,14 +52,14 @@ def numbers(ranking: Ranking) -> list[tuple[int, int]]:
     ],
 )
 def test_values_of_scenarios_are_aggregated_with_their_weights(aggregate: Aggregate, expected: float) -> None:
-    assert aggregate([5.0, 1.0, 2.0], [0.25, 0.5, 0.25]) == expected
+    assert aggregate(np.array([[5.0, 1.0, 2.0]]), [0.25, 0.5, 0.25]) == [expected]
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=9), st.floats(0, 1))
 def test_a_quantile_is_one_of_the_values_and_grows_with_its_level(values: list[float], level: float) -> None:
     shares = [1 / len(values)] * len(values)
-    quantile = Aggregate("quantile", level)(values, shares)
-    assert min(values) <= quantile <= Aggregate("quantile", 1.0)(values, shares) == max(values)
+    quantile, most = (Aggregate("quantile", each)(np.array([values]), shares) for each in (level, 1.0))
+    assert min(values) <= quantile <= most == max(values)
     assert quantile in values
 
 
@@ -75,7 +76,7 @@ def test_values_of_runs_are_scores_measures_and_the_worth_of_failed_runs() -> No
 def test_constraints_of_one_name_are_told_apart() -> None:
     goals = Goals((COMFORTABLE,), (ENOUGH, replace(ENOUGH, sign=-1, limit=50.0), replace(ENOUGH, name="gap 2")))
     cells = {name: cell(1, name, 6.0, gap) for name, gap in (("S1", 4.0), ("S2", 60.0))}
-    judged = present(goals.judge(cells))
+    judged = present(next(goals.judge([cells])))
     assert goals.named_bounds(judged) == {"gap": 4.0, "gap 2": 4.0, "gap 2 2": 4.0}
     assert judged.violation == pytest.approx(2 * (5.0 - 4.0) / 5.0)
 

@@ -337,7 +337,7 @@ def test_a_rate_is_kept_broken_or_undecided(beyond: int, runs: int, least: float
         {"S1": CellScore(1, "S1", 1.0, 1.0, True, 0, 0, seed=seed, values={RATE.value.key: -float(seed <= beyond)})}
         for seed in range(1, runs + 1)
     ]
-    judged = present(Goals((), (RATE,)).judge(cells[0], cells))
+    judged = present(next(Goals((), (RATE,)).judge(cells[:1], [cells])))
     assert least <= judged.violation <= most
     assert judged.undecided == (0 < most <= UNDECIDED)
     assert judged.bounded == (beyond / runs, *rate_bounds(beyond, runs, 0.9))
@@ -348,7 +348,7 @@ def test_bounds_of_a_rate_have_names_of_their_own() -> None:
     cells = {"S1": CellScore(1, "S1", 1.0, 1.0, True, 0, 0, values={RATE.value.key: 1.0})}
     for bounds in permutations([replace(RATE, name="gap_lower", rate=None), RATE, RATE]):
         goals = Goals((), bounds)
-        assert len(goals.named_bounds(present(goals.judge(cells)))) == 7
+        assert len(goals.named_bounds(present(next(goals.judge([cells]))))) == 7
 
 
 def test_bounds_of_rates_are_exact() -> None:

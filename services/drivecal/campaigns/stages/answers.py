@@ -193,8 +193,7 @@ class PopulationAnswers(SearchAnswers):
         """Amounts, shape (n, m), and violations, shape (n,), of sets by their cells; NaN without a result."""
         amounts = np.full((len(sets), len(self._goals.objectives)), np.nan)
         violations = np.full(len(sets), np.nan)
-        for individual, cells in enumerate(sets):
-            judgement = self._goals.judge(cells)
+        for individual, judgement in enumerate(self._goals.judge(sets)):
             if judgement is not None:
                 amounts[individual] = judgement.amounts
                 violations[individual] = judgement.violation
