@@ -114,7 +114,7 @@ def advice(problem: CalibrationProblem, simulations: int, milliseconds: float) -
                 " times the simulations `optimizer: {kind: genetic}` may find as good a set in the same time"
             )
         ]
-    if not chosen.is_by_cell and milliseconds >= WORTHWHILE_MILLISECONDS and simulations <= MOST_MODELLED:
+    if chosen.has_populations and milliseconds >= WORTHWHILE_MILLISECONDS and simulations <= MOST_MODELLED:
         return [
             (
                 f"for {simulations:,} simulations of {milliseconds:.3g} ms, `optimizer: {{kind: surrogate}}` and a budget find better sets"

@@ -7,8 +7,10 @@ whose result is being stored at that moment: this saves work, and does not show 
 
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice, product
+from math import prod
 from typing import Any
 
 from sqlalchemy import Connection
@@ -16,7 +18,7 @@ from sqlalchemy import Connection
 from drivecal.analysis import comparison as analysis
 from drivecal.analysis.comparison import Conditions, Course
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.optimizer import BEGINNINGS
+from drivecal.campaigns.resolve.optimizer import BEGINNINGS, WITHOUT_POPULATIONS
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.resolve.workbench import BundleSource, installed_bundles
@@ -27,9 +29,8 @@ from drivecal.contracts.tables import Generation
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import digest
-from drivecal.optimizers.external import EXTERNAL, External
+from drivecal.optimizers.external import EXTERNAL
 from drivecal.plugins import registry
-from drivecal.plugins.search import SearchPlugin
 from drivecal.storage import campaigns, generations
 from drivecal.storage.campaigns import StoredCampaign
 
@@ -89,38 +90,33 @@ def runs_of(specification: ComparisonSpecification) -> list[CampaignSpecificatio
     runs = []
     for chosen, population, seed, reduced in _places(specification):
         several = f", {reduction_labels[reduced]}" if len(reductions) > 1 else ""
-        size = "" if _is_by_cell(optimizers[chosen].kind) else f", population {population}"
+        size = "" if population is None else f", population {population}"
         name = f"{specification.name[:90]}: {optimizer_labels[chosen][:60]}{size}, seed {seed}{several}"[:200]
         runs.append(_campaign(specification, name, optimizers[chosen], population, seed, reductions[reduced]))
     return runs
 
 
-def _places(specification: ComparisonSpecification) -> Iterator[tuple[int, int, int, int]]:
-    """Yields place of the optimizer, population, seed and place of the reduction of each campaign, in order."""
+def _places(specification: ComparisonSpecification) -> Iterator[tuple[int, int | None, int, int]]:
+    """Yields place of the optimizer, population, if it has any, seed and place of the reduction of each campaign, in order."""
     for place, optimizer in enumerate(specification.optimizers):
-        populations = specification.populations[:1] if _is_by_cell(optimizer.kind) else specification.populations
+        populations: Sequence[int | None] = specification.populations
+        with suppress(InvalidInputError):  # an unknown optimizer is refused later
+            if isinstance(registry.optimizer(optimizer.kind), WITHOUT_POPULATIONS):
+                populations = [None]
         for population, seed, reduction in product(populations, specification.seeds, range(len(specification.reductions))):
             yield place, population, seed, reduction
-
-
-def _is_by_cell(kind: str) -> bool:
-    """Returns whether an optimizer has no populations; False for an unknown one, which is refused later."""
-    try:
-        return isinstance(registry.optimizer(kind), SearchPlugin | External)
-    except InvalidInputError:
-        return False
 
 
 def _campaign(
     specification: ComparisonSpecification,
     name: str,
     optimizer: ComparedOptimizer,
-    population: int,
+    population: int | None,
     seed: int,
     reduction: ReductionSpecification,
 ) -> CampaignSpecification:
     common: dict[str, Any] = {"seed": seed}
-    if not _is_by_cell(optimizer.kind):
+    if population is not None:
         common |= {"population": population, "start": specification.start}
         common |= {"iterations": specification.iterations} if specification.budget is None else {}
     document = {
@@ -164,12 +160,7 @@ def resolve_comparison(specification: ComparisonSpecification, bundles: BundleSo
 
 
 def _check_lists(specification: ComparisonSpecification, diagnostics: Diagnostics) -> None:
-    count = (
-        len(specification.optimizers)
-        * len(specification.populations)
-        * len(specification.seeds)
-        * len(specification.reductions)
-    )
+    count = prod(len(getattr(specification, name)) for name in ("optimizers", "populations", "seeds", "reductions"))
     if count > LARGEST_RUNS:
         remedy = f"at most {LARGEST_RUNS:,}; give fewer optimizers, populations, seeds or reductions"
         diagnostics.add("", f"optimizers x populations x seeds x reductions are {count:,} campaigns", remedy)

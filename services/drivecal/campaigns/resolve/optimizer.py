@@ -33,6 +33,8 @@ BEGINNINGS = {"start_sets", "start_results"}
 """Settings of every search, which no plug-in sees."""
 UNLIMITED = 1_000_000
 """Cells that are expected at most of a search without a limit of simulations."""
+WITHOUT_POPULATIONS = SearchPlugin | External
+"""Optimizers that search by the cell, and another program that proposes the sets."""
 
 
 @dataclass(frozen=True)
@@ -46,21 +48,21 @@ class Optimization:
     """Largest number of iterations; None if the budget alone ends the search."""
 
     @property
-    def is_by_cell(self) -> bool:
-        """True if the plug-in searches by the cell, or another program proposes the sets; False if it proposes whole populations."""
-        return isinstance(self.plugin, SearchPlugin | External)
+    def has_populations(self) -> bool:
+        """True if the plug-in proposes whole populations."""
+        return not isinstance(self.plugin, WITHOUT_POPULATIONS)
 
     @property
     def by_population(self) -> OptimizerPlugin:
         """The plug-in if it proposes whole populations. Raises TypeError."""
-        if isinstance(self.plugin, SearchPlugin | External):
-            raise TypeError(f"{self.plugin.name} searches by the cell")
+        if isinstance(self.plugin, WITHOUT_POPULATIONS):
+            raise TypeError(f"{self.plugin.name} proposes no populations")
         return self.plugin
 
     @property
     def population(self) -> int:
-        """Sets in each iteration; 0 of a search by the cell."""
-        return 0 if self.is_by_cell else int(self._setting("population"))
+        """Sets in each iteration; 0 without populations."""
+        return int(self._setting("population")) if self.has_populations else 0
 
     @property
     def seed(self) -> int:
@@ -128,12 +130,8 @@ def choose_optimizer(specification: CampaignSpecification, scenarios: int, diagn
     budget = specification.budget
     if budget is None and isinstance(plugin, SearchPlugin):
         budget = BudgetSpecification(simulations=SIMULATIONS_OF_A_SCENARIO * max(1, scenarios))
-    ends_by_budget = budget is not None and wanted.iterations is None
-    iterations = (
-        None
-        if ends_by_budget or isinstance(plugin, SearchPlugin | External)
-        else int(settings.model_dump(include={"iterations"})["iterations"])
-    )
+    is_endless = isinstance(plugin, WITHOUT_POPULATIONS) or (budget is not None and wanted.iterations is None)
+    iterations = None if is_endless else int(settings.model_dump(include={"iterations"})["iterations"])
     return Optimization(plugin, settings, budget, iterations)
 
 

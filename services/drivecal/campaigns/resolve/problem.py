@@ -88,7 +88,7 @@ class CalibrationProblem:
         asks for so few at once that a lot of references would be simulated whole. A random simulator's cells have runs of their own."""
         chosen, reduction = self.optimization, self.specification.reduction
         mode, seed = reduction.mode, 0 if chosen is None else chosen.seed
-        if mode != "off" and (self.bench.is_random or chosen is None or chosen.is_by_cell):
+        if mode != "off" and (self.bench.is_random or chosen is None or not chosen.has_populations):
             mode = "influence" if reduction.uses_map and reduction.max_error >= 1.0 and not self.bench.is_random else "exact"
         return Policy(mode, reduction.audit, seed)
 
@@ -135,7 +135,7 @@ class CalibrationProblem:
         budget, is_random = None if self.optimization is None else self.optimization.budget, varies or self.bench.is_random
         if self.optimization is None or budget is None or budget.simulations is None or not is_random:
             return None if budget is None else budget.simulations
-        by_cell, most = self.optimization.is_by_cell, self.specification.replicates.most
+        by_cell, most = not self.optimization.has_populations, self.specification.replicates.most
         return budget.simulations - kept_back(budget.simulations, len(self.scenarios), most, self.rate_seeds, by_cell=by_cell)
 
     @property
@@ -247,7 +247,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     notes += more
     check_abilities(optimization, constraints, goals, diagnostics)
     notes += note_search(optimization, constraints)
-    population = None if optimization is None or optimization.is_by_cell else optimization.population
+    population = optimization.population if optimization is not None and optimization.has_populations else None
     within = replace(constraints, limits=goals.limits) if constraints is not None else None
     start_sets = resolvers.find_start_sets(specification, baseline, within, diagnostics, population, shapes)
     robust_sets = resolvers.find_robust_sets(specification, workbench.varied, constraints, diagnostics, shapes)

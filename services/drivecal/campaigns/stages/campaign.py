@@ -99,7 +99,7 @@ def _search(problem: CalibrationProblem) -> type[Stage] | None:
         return None
     if isinstance(problem.optimization.plugin, External):
         return OutsideSearch
-    return CellSearch if problem.optimization.is_by_cell else PopulationSearch
+    return PopulationSearch if problem.optimization.has_populations else CellSearch
 
 
 STAGES: tuple[tuple[type[Stage], Wanted], ...] = (

@@ -38,6 +38,7 @@ class PopulationSearch(ComputedSearch):
     """A search by a generational optimizer. A generation is requested in batches: one, unless predictions learn in between."""
 
     window = 1
+    has_populations = True
     kind_of_answers = PopulationAnswers
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:

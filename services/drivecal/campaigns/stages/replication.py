@@ -84,7 +84,7 @@ class Replication:
             fewest = replicates.fewest(len(self._problem.scenarios), most, shown)
             return max(fewest, int((requested - after) * replicates.KEPT / (1 - replicates.KEPT))) - after
         left = int(tracker.budget.left)
-        return left if not chosen.is_by_cell else min(left, chosen.budget.simulations - requested)
+        return left if chosen.has_populations else min(left, chosen.budget.simulations - requested)
 
 
 def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affordable: int) -> list[tuple[int, int]]:

@@ -46,6 +46,7 @@ class SearchStage(Stage):
 
     name = StageName.CALIBRATION
     uses_map = True
+    has_populations: ClassVar[bool] = False
     kind_of_answers: ClassVar[type[SearchAnswers]]
     _problem: CalibrationProblem
 
@@ -225,12 +226,12 @@ class SearchStage(Stage):
     def _progressed(self, cells: GenerationCounts, number: int, *, is_better: bool, is_new: bool) -> SearchState:
         """Returns the state after a round. It counts simulations since the last better set, and generations since the last new set.
 
-        A search by the cell counts requested cells, not simulated ones: what it asks for must not depend on stored results.
+        A search without populations counts requested cells, not simulated ones: what it asks for must not depend on stored results.
         """
-        search, budget, by_cell = self._search, self._optimization.budget, self._optimization.is_by_cell
-        simulated = search.simulated + (cells.requested if by_cell else cells.simulated + cells.failed)
+        search, budget = self._search, self._optimization.budget
+        simulated = search.simulated + (cells.simulated + cells.failed if self.has_populations else cells.requested)
         better_at = simulated if is_better else search.better_at
-        stale = 0 if is_new or budget is None or by_cell else search.stale + 1
+        stale = search.stale + 1 if self.has_populations and budget is not None and not is_new else 0
         stood_still = budget is not None and budget.stagnation is not None and simulated - better_at >= budget.stagnation
         at = number + 1 if (stood_still or stale >= STALE) and search.stood_still_at is None else search.stood_still_at
         return search.model_copy(update={"simulated": simulated, "better_at": better_at, "stood_still_at": at, "stale": stale})
