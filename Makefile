@@ -3,8 +3,10 @@
 .PHONY: help demo test test-slow test-faults test-compose test-packages check bench train page docs format lock audit sbom clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
-# Four processes for two cores, because tests also wait: for deadlines, and for processes that start and end. Long forms wait most: six.
+# Four processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
 WHOLE_FILES := $(BIN)/pytest --numprocesses 4 --dist loadfile --no-loadscope-reorder
+# Long forms wait more. Five of six may have a server, a browser or Ray beside them: measured singly, they add up to 7.5 GB.
+SLOW_PROCESSES = $(shell awk '/^MemAvailable/ {print ($$2 > 10000000 ? 6 : 4)}' /proc/meminfo 2>/dev/null || echo 4)
 # Containers often set it. Every process that a server or a test starts would compile all that it imports: half of a start's time.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -23,7 +25,7 @@ test: $(INSTALLED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and
 
 test-slow: $(INSTALLED) ## run the long forms, which `make test` leaves out: whole campaigns, more kills, further cases (minutes)
 	@$(BIN)/python -m tests.support.web
-	@$(WHOLE_FILES) --numprocesses 6 -m slow
+	@$(WHOLE_FILES) --numprocesses $(SLOW_PROCESSES) -m slow
 
 test-faults: $(INSTALLED) ## the long forms of all tests of `make test` and `make test-slow` but those in a browser: kill, stop and starve everything, every case, random examples (one to two hours)
 	@$(BIN)/python -m tests.support.web
