@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
@@ -18,9 +17,10 @@ from tests.support.faults.lives import Moment, and_ready_again, live
 FULL_SECONDS = 20.0
 
 
-@contextmanager
-def _small_disk(folder: Path) -> Iterator[Path]:
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of 64 MB in memory; only root may mount one."""
+    folder = tmp_path / "disk"
     folder.mkdir()
     mount = shutil.which("mount")
     if os.geteuid() != 0 or mount is None:
@@ -34,6 +34,13 @@ def _small_disk(folder: Path) -> Iterator[Path]:
         yield folder
     finally:
         subprocess.run(["umount", str(folder)], check=True)
+
+
+@pytest.fixture
+def server(disk: Path, tmp_path: Path) -> Iterator[Coordinator]:
+    """A server whose database lies on it."""
+    with coordinator(tmp_path / "server", f"sqlite:///{disk / 'drivecal.db'}") as running:
+        yield running
 
 
 def _fill(folder: Path) -> Path:
@@ -53,48 +60,38 @@ def _fill(folder: Path) -> Path:
 
 @pytest.mark.faults
 @pytest.mark.timeout(3600)
-def test_a_full_disk_stops_campaigns_only_as_long_as_it_is_full(tmp_path: Path, without_faults: dict[str, Found]) -> None:
-    with (
-        _small_disk(tmp_path / "disk") as disk,
-        coordinator(tmp_path / "server", f"sqlite:///{disk / 'drivecal.db'}") as server,
-    ):
+def test_a_full_disk_stops_campaigns_only_as_long_as_it_is_full(
+    disk: Path, server: Coordinator, without_faults: dict[str, Found]
+) -> None:
+    def disk_full(coordinator: Coordinator) -> None:
+        file = _fill(disk)
+        time.sleep(FULL_SECONDS)
+        state = coordinator.answers("/readyz")
+        assert state is not None, "the API did not live through it"
+        assert state.status_code == httpx.codes.SERVICE_UNAVAILABLE
+        print(f"         {state.json()['problems']}", flush=True)
+        file.unlink()
 
-        def disk_full(coordinator: Coordinator) -> None:
-            file = _fill(disk)
-            time.sleep(FULL_SECONDS)
-            state = coordinator.answers("/readyz")
-            assert state is not None, "the API did not live through it"
-            assert state.status_code == httpx.codes.SERVICE_UNAVAILABLE
-            print(f"         {state.json()['problems']}", flush=True)
-            file.unlink()
-
-        live(
-            server,
-            [(Moment(0.2, 0.0), and_ready_again(disk_full)), (Moment(0.6, 0.0), and_ready_again(disk_full))],
-            without_faults,
-        )
+    live(server, [(Moment(at, 0.0), and_ready_again(disk_full)) for at in (0.2, 0.6)], without_faults)
 
 
 @pytest.mark.faults
 @pytest.mark.timeout(3600)
-def test_a_read_only_disk_is_refused_at_the_start_and_costs_nothing(tmp_path: Path, without_faults: dict[str, Found]) -> None:
-    with (
-        _small_disk(tmp_path / "disk") as disk,
-        coordinator(tmp_path / "server", f"sqlite:///{disk / 'drivecal.db'}") as server,
-    ):
+def test_a_read_only_disk_is_refused_at_the_start_and_costs_nothing(
+    disk: Path, server: Coordinator, without_faults: dict[str, Found]
+) -> None:
+    def read_only(coordinator: Coordinator) -> None:
+        coordinator.terminate()
+        coordinator.close_database()
+        _remount(disk, "ro")
+        coordinator.start()
+        coordinator.until(lambda: not coordinator.running, "the end of a server that cannot write", READY_SECONDS)
+        assert "Read-only file system" in coordinator.told()
+        coordinator.wait_gone()
+        _remount(disk, "rw")
+        coordinator.start()
 
-        def read_only(coordinator: Coordinator) -> None:
-            coordinator.terminate()
-            coordinator.close_database()
-            _remount(disk, "ro")
-            coordinator.start()
-            coordinator.until(lambda: not coordinator.running, "the end of a server that cannot write", READY_SECONDS)
-            assert "Read-only file system" in coordinator.told()
-            coordinator.wait_gone()
-            _remount(disk, "rw")
-            coordinator.start()
-
-        live(server, [(Moment(0.4, 0.0), read_only)], without_faults)
+    live(server, [(Moment(0.4, 0.0), read_only)], without_faults)
 
 
 def _remount(folder: Path, mode: str) -> None:

@@ -12,7 +12,7 @@ from tests.support.faults.coordinator import coordinator
 from tests.support.faults.lives import wait_until_ended
 from tests.support.faults.workload import submit
 from tests.support.misbehaviour import FOLDER, misbehaving_setup, plug_in
-from tests.support.pooled import MemoryLeases
+from tests.support.pooled import MemoryLeases, drain
 from tests.support.values import present
 
 from drivecal.contracts.work import Batch, Cell
@@ -20,7 +20,7 @@ from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.ray.backend import RayBackend
 from drivecal.execution.scheduling.batching import BatchPolicy
-from drivecal.execution.scheduling.in_flight import LOSSES_TOGETHER, Completed, Work
+from drivecal.execution.scheduling.in_flight import LOSSES_TOGETHER, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.storage.engine.tables import evaluations
 
@@ -45,15 +45,6 @@ def healed(ray_backend: RayBackend) -> Iterator[RayBackend]:
         ray_backend.wait(0.5)
 
 
-def _drain(pool: WorkPool) -> list[Completed]:
-    completed: list[Completed] = []
-    for _ in range(400):
-        if not pool.held("test"):
-            return completed
-        completed += pool.poll(0.5)
-    raise AssertionError(f"{pool.held('test')} cells never came back; {pool.workers()}; {pool.trouble()}")
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_a_segfault_a_hang_and_exhausted_memory_in_a_batch_of_sixteen_cost_their_own_cells_only(
@@ -72,11 +63,11 @@ def test_a_segfault_a_hang_and_exhausted_memory_in_a_batch_of_sixteen_cost_their
     setup = misbehaving_setup(name="poisonous")
     begin = time.monotonic()
     pool.submit(Work(setup, [Cell(1, {"dose": 0.0})]), tag="test")  # tells what a cell costs, without which batches are of one
-    _drain(pool)
+    drain(pool)
     deadline = max(SHORTEST_DEADLINE_SECONDS, PATIENCE_FACTOR * (time.monotonic() - begin))
     monkeypatch.setattr(healed, "_limits", replace(healed._limits, deadline_seconds=deadline))
     pool.submit(Work(setup, [Cell(100 + dose, {"dose": float(dose)}) for dose in range(POISON.DOSES)]), tag="test")
-    completed = {item.result.id - 100: item for item in _drain(pool)}
+    completed = {item.result.id - 100: item for item in drain(pool)}
     assert max(len(batch) for batch in sent) == len(completed) == POISON.DOSES
     assert {dose: one.result.breakdown for dose, one in completed.items() if one.result.breakdown} == CAUSES
     times = {dose: sum(dose in batch for batch in sent) for dose in range(1, POISON.DOSES)}

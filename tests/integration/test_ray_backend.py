@@ -8,7 +8,7 @@ import psutil
 import pytest
 from tests.support.fake_backend import Behaviour
 from tests.support.misbehaviour import misbehaving_cells, misbehaving_setup
-from tests.support.pooled import MemoryLeases
+from tests.support.pooled import MemoryLeases, drain
 from tests.support.setups import changed
 
 from drivecal.contracts.work import Batch, Cell
@@ -24,15 +24,6 @@ def pool(ray_backend: RayBackend) -> Iterator[WorkPool]:
     yield pool
     pool.withdraw("test")
     drain(pool)
-
-
-def drain(pool: WorkPool) -> list[Completed]:
-    completed: list[Completed] = []
-    for _ in range(600):
-        if not pool.held("test"):
-            return completed
-        completed += pool.poll(0.5)
-    raise AssertionError(f"{pool.held('test')} cells never came back; {pool.workers()}; {pool.trouble()}")
 
 
 def test_two_workers_share_the_cells_and_agree(pool: WorkPool) -> None:

@@ -19,7 +19,7 @@ def cells(behaviours: Sequence[Behaviour], first: int = 1) -> list[Cell]:
     ]
 
 
-TAGS = ("a", "b", "c", "others", "campaign-7")
+TAGS = ("a", "b", "c", "test", "others", "campaign-7")
 """All that these tests use."""
 
 
@@ -29,7 +29,9 @@ def drain(pool: WorkPool, patience: int = 100_000) -> list[Completed]:
         if not any(pool.held(tag) for tag in TAGS):
             return completed
         completed += pool.poll(1.0)
-    raise AssertionError(f"cells never came back: { ({tag: pool.held(tag) for tag in TAGS}) }")
+    raise AssertionError(
+        f"cells never came back: { ({tag: pool.held(tag) for tag in TAGS}) }; {pool.workers()}; {pool.trouble()}"
+    )
 
 
 @dataclass

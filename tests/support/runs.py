@@ -45,6 +45,11 @@ WITH_ANALYSIS: dict[str, Any] = {
     "optimizer": {"kind": "genetic", "population": 40, "iterations": 5, "seed": 2},
     "reduction": {"mode": "influence", "audit": 0.1, "max_error": 1},
 }
+SHORT: dict[str, Any] = WITH_ANALYSIS | {
+    "sensitivity": {"intervals": 2, "samples": 3, "threshold": 0.02},
+    "optimizer": {"kind": "genetic", "population": 10, "iterations": 3, "seed": 2},
+}
+"""All stages in a few cells."""
 MOST_STEPS = 5_000
 
 

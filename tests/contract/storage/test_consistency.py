@@ -9,7 +9,7 @@ import pytest
 from sqlalchemy import Connection, text
 from tests.support.computed import ComputedBackend
 from tests.support.effort import tries
-from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, run, submit
+from tests.support.runs import SHORT, dispatcher, get, influenced, run, submit
 
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.errors import DatabaseError
@@ -18,12 +18,6 @@ from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance import backup
 from drivecal.storage.maintenance.consistency import TOLD, verify
-
-SMALL: dict[str, Any] = WITH_ANALYSIS | {
-    "sensitivity": {"intervals": 2, "samples": 3, "threshold": 0.02},
-    "optimizer": {"kind": "genetic", "population": 10, "iterations": 3, "seed": 2},
-}
-
 
 OFTEN = tries(25, 1)
 """Steps between two checks."""
@@ -70,7 +64,7 @@ def failing(scenario: str, cell: Cell) -> CellResult:
 
 @pytest.mark.faults
 def test_nothing_is_broken_at_any_moment_of_campaigns(database: Database) -> None:
-    listed = [submit(database, **SMALL), submit(database, **SMALL | {"weights": {"S1": 1}}), submit(database, **SMALL)]
+    listed = [submit(database, **SHORT), submit(database, **SHORT | {"weights": {"S1": 1}}), submit(database, **SHORT)]
     working = dispatcher(database, ComputedBackend(4, failing))
     steps = 0
     while not all(get(database, item).state.ended for item in listed):
@@ -85,7 +79,7 @@ def test_nothing_is_broken_at_any_moment_of_campaigns(database: Database) -> Non
         if steps == 40:
             working = dispatcher(database, ComputedBackend(5, failing))
     assert steps > 30
-    again = submit(database, stored_map=get(database, listed[0]).influence_map_id, **SMALL | {"weights": {"S2": 1}})
+    again = submit(database, stored_map=get(database, listed[0]).influence_map_id, **SHORT | {"weights": {"S2": 1}})
     while not get(database, again).state.ended:
         working.step()
         steps += 1
@@ -128,8 +122,8 @@ BROKEN: dict[str, tuple[str, str]] = {
 @pytest.fixture
 def filled(database: Database) -> Database:
     """A sound database with two campaigns: the first makes an analysis, the second takes its answers from the first."""
-    analysed = run(database, submit(database, **SMALL), ComputedBackend(1, influenced))
-    run(database, submit(database, stored_map=analysed.influence_map_id, **SMALL), ComputedBackend(2, influenced))
+    analysed = run(database, submit(database, **SHORT), ComputedBackend(1, influenced))
+    run(database, submit(database, stored_map=analysed.influence_map_id, **SHORT), ComputedBackend(2, influenced))
     return database
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from sqlalchemy import func, select
 from tests.support.computed import ComputedBackend
-from tests.support.runs import WITH_ANALYSIS, get, influenced, run, submit
+from tests.support.runs import SHORT, get, influenced, run, submit
 from tests.support.storage import EVALUATOR, campaign, new_evaluation, new_run, sample_set_ids, setup_id
 
 from drivecal.contracts.specification import CampaignChanges
@@ -23,14 +23,9 @@ from drivecal.storage.maintenance.deletion import delete_campaign
 from drivecal.storage.references import influence_maps, reference_keys
 from drivecal.storage.references import runs as runs_of
 
-SMALL: dict[str, Any] = WITH_ANALYSIS | {
-    "sensitivity": {"intervals": 2, "samples": 3, "threshold": 0.02},
-    "optimizer": {"kind": "genetic", "population": 10, "iterations": 3, "seed": 2},
-}
-
 
 def carried_out(database: Database, **changes: Any) -> StoredCampaign:
-    return run(database, submit(database, **SMALL | changes), ComputedBackend(answer=influenced))
+    return run(database, submit(database, **SHORT | changes), ComputedBackend(answer=influenced))
 
 
 def deleted(database: Database, stored: StoredCampaign) -> None:

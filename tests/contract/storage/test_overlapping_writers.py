@@ -10,7 +10,7 @@ from fastapi import Request
 from sqlalchemy import Connection, event, text
 from tests.support.comparisons import runs_of
 from tests.support.computed import ComputedBackend
-from tests.support.runs import WITH_ANALYSIS, influenced, run, submit
+from tests.support.runs import SHORT, influenced, run, submit
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
@@ -29,10 +29,6 @@ from drivecal.storage.maintenance import deletion
 LIMITS = Limits.of(load_settings())
 PATIENCE = 60
 """Seconds after which an overlap that never comes fails its test."""
-SMALL: dict[str, Any] = WITH_ANALYSIS | {
-    "sensitivity": {"intervals": 2, "samples": 3, "threshold": 0.02},
-    "optimizer": {"kind": "genetic", "population": 10, "iterations": 3, "seed": 2},
-}
 
 
 @pytest.fixture
@@ -73,17 +69,17 @@ def rerun(database: Database, first: StoredCampaign) -> StoredCampaign:
 
 
 def study(database: Database, first: StoredCampaign) -> StoredCampaign:
-    document = SMALL | {"sensitivity": None, "optimizer": None, "robustness": {"of": first.id, "solutions": 1}}
+    document = SHORT | {"sensitivity": None, "optimizer": None, "robustness": {"of": first.id, "solutions": 1}}
     return submission.submit(database, LIMITS, CampaignSpecification.model_validate(document), None)
 
 
 def use_of_map(database: Database, first: StoredCampaign) -> StoredCampaign:
-    document = SMALL | {"sensitivity": {"map": first.influence_map_id}}
+    document = SHORT | {"sensitivity": {"map": first.influence_map_id}}
     return submission.submit(database, LIMITS, CampaignSpecification.model_validate(document), None)
 
 
 def comparison_on_map(database: Database, first: StoredCampaign) -> StoredCampaign:
-    document = {name: SMALL[name] for name in ("catalogue", "parameters", "fixed")}
+    document = {name: SHORT[name] for name in ("catalogue", "parameters", "fixed")}
     document |= {"optimizers": [{"kind": "genetic"}], "populations": [6], "iterations": 2, "seeds": [1, 2, 3]}
     document |= {"reductions": ["influence"], "sensitivity": {"map": first.influence_map_id}}
     tag = submission.compare(database, LIMITS, ComparisonSpecification.model_validate(document), "key")
@@ -97,7 +93,7 @@ Use = Callable[[Database, StoredCampaign], StoredCampaign]
 @pytest.fixture
 def first(postgres: Database) -> StoredCampaign:
     """An ended campaign with a map of its own."""
-    return run(postgres, submit(postgres, **SMALL), ComputedBackend(answer=influenced))
+    return run(postgres, submit(postgres, **SHORT), ComputedBackend(answer=influenced))
 
 
 @pytest.mark.slow("study", "comparison_on_map")

@@ -42,12 +42,6 @@ if os.fork() == 0:
 """Leaves its process group and its parent, as a daemon does."""
 
 
-@pytest.fixture
-def mark(tmp_path: Path) -> str:
-    """A word that only this test's processes have in their commands."""
-    return f"mark-of-{'-'.join(tmp_path.parts[-3:])}"
-
-
 @pytest.mark.parametrize("body", ["os.abort()", "os.write(1, b'nonsense\\n')", "time.sleep(600)"])
 def test_grandchildren_end_with_a_failed_run(tmp_path: Path, mark: str, body: str) -> None:
     spawn = f"subprocess.Popen({SLEEPER.format(mark=mark)})"
@@ -305,22 +299,22 @@ def test_a_program_in_c_that_runs_out_of_memory_is_told_from_a_crash(tmp_path: P
         assert "bad_alloc" in lost(session, {"x": 1.0}, Breakdown.MEMORY)
 
 
-def test_a_child_cannot_dump_core_or_fill_the_disk_with_one_file(tmp_path: Path) -> None:
-    body = """
+LIMITS = """
 import resource
 core, size = (resource.getrlimit(limit)[0] for limit in (resource.RLIMIT_CORE, resource.RLIMIT_FSIZE))
 x = float(core == 0 < size < 1 << 40)
 """
-    with served(tmp_path, body) as session:
-        assert session.evaluate({"x": 0.0}).measures == {"y": 2.0}
-
-
-def test_a_child_leads_a_session_with_default_signals_and_no_foreign_descriptors(tmp_path: Path) -> None:
-    body = """
+"""A child cannot dump core or fill the disk with one file."""
+SURROUNDINGS = """
 handlers = [signal.getsignal(number) for number in (1, 15)]
 descriptors = sorted(os.listdir('/proc/self/fd'))  # the last is that of the folder itself
 x = float(os.getsid(0) == os.getpid() and handlers == [signal.SIG_DFL] * 2 and descriptors == ['0', '1', '2', '3'])
 """
+"""A child leads a session with default signals and no foreign descriptors."""
+
+
+@pytest.mark.parametrize("body", [LIMITS, SURROUNDINGS], ids=["limits", "surroundings"])
+def test_a_child_finds_itself_apart_and_limited(tmp_path: Path, body: str) -> None:
     with served(tmp_path, body) as session:
         assert session.evaluate({"x": 0.0}).measures == {"y": 2.0}
 

@@ -11,12 +11,6 @@ from drivecal.adapters.environment import GRANTED
 from drivecal.domain.evaluations import Breakdown
 
 
-@pytest.fixture
-def mark(tmp_path: Path) -> str:
-    """A word that only this test's processes have in their commands."""
-    return f"mark-of-{'-'.join(tmp_path.parts[-3:])}"
-
-
 def test_too_many_processes_end_the_run(tmp_path: Path, mark: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The bomb itself stops at 40, in case that it is not held back."""
     monkeypatch.setattr(children, "MOST_PROCESSES", 20)

@@ -59,15 +59,21 @@ def costs_of(planner: FrenetPlanner, observation: Observation) -> Floats:
     return exhaustive.costs_of(*considered(planner, observation), planner._weights).ravel()
 
 
-@pytest.mark.slow("0", "2")
-@pytest.mark.parametrize("seed", range(tries(3, 16)))
-def test_features_costs_and_decisions_are_those_of_the_reference(seed: int) -> None:
+def both(seed: int) -> tuple[np.random.Generator, Scenario, FrenetPlanner, ReferencePlanner]:
+    """The planner and the reference in a random scenario, with the same parameters."""
     random = np.random.default_rng(seed)
     scenario = random_scenario(random)
     planner, reference = FrenetPlanner(scenario), ReferencePlanner(scenario)
     parameters = random_parameters(random)
     planner.reset(parameters)
     reference.reset(parameters)
+    return random, scenario, planner, reference
+
+
+@pytest.mark.slow("0", "2")
+@pytest.mark.parametrize("seed", range(tries(3, 16)))
+def test_features_costs_and_decisions_are_those_of_the_reference(seed: int) -> None:
+    random, scenario, planner, reference = both(seed)
     for observation in random_drive(random, scenario, plans=3):
         assert_same(planner, reference, observation)
 
@@ -76,12 +82,7 @@ def test_features_costs_and_decisions_are_those_of_the_reference(seed: int) -> N
 def test_plans_that_come_to_their_end_are_judged_as_by_the_reference() -> None:
     went_on = set()
     for seed in range(3):
-        random = np.random.default_rng(seed)
-        scenario = random_scenario(random)
-        planner, reference = FrenetPlanner(scenario), ReferencePlanner(scenario)
-        parameters = random_parameters(random)
-        planner.reset(parameters)
-        reference.reset(parameters)
+        random, scenario, planner, reference = both(seed)
         observation = random_drive(random, scenario, plans=1)[0]
         for _ in range(5):
             assert_same(planner, reference, observation)
