@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -115,14 +116,18 @@ def test_a_token_is_revoked_without_a_restart(tmp_path: Path) -> None:
         assert api.http.get("/readyz").json()["problems"] == []
 
 
+def of_three(folder: Path, bobs: str) -> AbstractContextManager[RunningApi]:
+    """A server for alice, who may write, bob with this permission, and root."""
+    permissions = {"alice": "write", "bob": bobs, "root": "admin"}
+    (folder / "tokens").write_text("\n".join(f"{name} {may} {name}-0123456789abcdef" for name, may in permissions.items()))
+    return serving(f"sqlite:///{folder / 'drivecal.db'}", tokens_file=str(folder / "tokens"))
+
+
 def test_campaigns_are_steered_and_deleted_by_their_owner_and_by_an_admin(tmp_path: Path) -> None:
-    tokens = {name: f"{name}-0123456789abcdef" for name in ("alice", "bob", "root")}
-    lines = [f"alice write {tokens['alice']}", f"bob author {tokens['bob']}", f"root admin {tokens['root']}"]
-    (tmp_path / "tokens").write_text("\n".join(lines))
-    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tmp_path / "tokens")) as api:
+    with of_three(tmp_path, "author") as api:
 
         def ask(name: str, path: str, method: str = "POST", body: Any = None) -> httpx.Response:
-            headers = {**bearer(tokens[name]), **({"Idempotency-Key": "k1"} if body else {})}
+            headers = {**bearer(f"{name}-0123456789abcdef"), **({"Idempotency-Key": "k1"} if body else {})}
             return api.http.request(method, f"/api/v1/campaigns{path}", headers=headers, json=body)
 
         campaign = ask("bob", "", body=SMALL).json()
@@ -141,17 +146,14 @@ def test_campaigns_are_steered_and_deleted_by_their_owner_and_by_an_admin(tmp_pa
 
 
 def test_sets_of_an_outside_optimizer_are_taken_from_the_owner_and_an_admin(tmp_path: Path) -> None:
-    tokens = {name: f"{name}-0123456789abcdef" for name in ("alice", "bob", "root")}
-    lines = [f"alice write {tokens['alice']}", f"bob write {tokens['bob']}", f"root admin {tokens['root']}"]
-    (tmp_path / "tokens").write_text("\n".join(lines))
-    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tmp_path / "tokens")) as api:
+    with of_three(tmp_path, "write") as api:
 
         def ask(name: str, path: str, method: str = "POST", body: Any = None) -> int:
-            headers = bearer(tokens[name])
+            headers = bearer(f"{name}-0123456789abcdef")
             return api.http.request(method, f"/api/v1/campaigns/{own}{path}", headers=headers, json=body).status_code
 
         document = SMALL | {"optimizer": {"kind": "external"}}
-        own = api.http.post("/api/v1/campaigns", headers=bearer(tokens["bob"]), json=document).json()["id"]
+        own = api.http.post("/api/v1/campaigns", headers=bearer("bob-0123456789abcdef"), json=document).json()["id"]
         proposed = {"sets": [{"key": "a", "parameters": {f"P{number}": 0.5 for number in range(1, 12)}}]}
         asked = [("/sets", "POST", proposed), ("/sets/a", "DELETE", None), ("/finish", "POST", None)]
         assert [ask("alice", *each) for each in asked] == [403, 403, 403]

@@ -42,7 +42,7 @@ def test_a_campaign_waits_and_says_why_while_every_worker_has_another_version(da
     campaign = _submit(database)
     backend = FakeBackend(2, refusing={1: REASON, 2: REASON})
     dispatcher = _Beating(database, backend)
-    while not backend.replaced:  # however long the plan of the first batch takes beside other processes
+    while not backend.replaced:  # another process plans the first batch, for a while
         dispatcher.step()
     waiting = get(database, campaign)
     assert waiting.state is CampaignState.RUNNING

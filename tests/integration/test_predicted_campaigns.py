@@ -17,6 +17,7 @@ from tests.support.runs import (
     everything,
     get,
     influenced,
+    lots_of,
     post_map,
     rows_of,
     run,
@@ -43,7 +44,7 @@ from drivecal.domain.evaluations import Outcome, Purpose
 from drivecal.storage import evaluations, lots
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.lots import LotVerdict, StoredLot
+from drivecal.storage.lots import LotVerdict
 from drivecal.storage.maintenance.consistency import verify
 
 ITERATIONS = 4
@@ -65,11 +66,6 @@ def ask(database: Database, *, population: int = 160, seed: int = 3, **changes: 
         optimizer={"kind": "genetic", "population": population, "iterations": ITERATIONS, "seed": seed},
         reduction={"mode": "predicted", "confirm": 0} | changes,
     )
-
-
-def lots_of(database: Database, campaign: StoredCampaign) -> list[StoredLot]:
-    with database.read() as connection:
-        return lots.of_campaign(connection, campaign.sequence)
 
 
 @pytest.fixture(scope="module")

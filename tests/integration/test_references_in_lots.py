@@ -8,14 +8,13 @@ from typing import Any
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.runs import influenced, post_map, rows_of, run, submit
+from tests.support.runs import influenced, lots_of, post_map, rows_of, run, submit
 
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import lots
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.lots import LotVerdict, StoredLot
+from drivecal.storage.lots import LotVerdict
 from drivecal.storage.maintenance.consistency import verify
 from drivecal.storage.results import StoredEvaluation
 
@@ -52,11 +51,6 @@ def ask(database: Database, *, population: int = 100, step: float = 0.25, **chan
     )
 
 
-def lots_of(database: Database, campaign: StoredCampaign, kind: Outcome | None = Outcome.REUSED) -> list[StoredLot]:
-    with database.read() as connection:
-        return lots.of_campaign(connection, campaign.sequence, kind)
-
-
 @pytest.fixture(scope="module")
 def inspected(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Database, StoredCampaign]]:
     database = migrated(f"sqlite:///{tmp_path_factory.mktemp('inspected') / '1.db'}")
@@ -66,7 +60,7 @@ def inspected(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Databa
 
 def test_counts_of_lots_cells_and_campaign_agree(inspected: tuple[Database, StoredCampaign]) -> None:
     database, campaign = inspected
-    rows, stored = rows_of(database, campaign), lots_of(database, campaign)
+    rows, stored = rows_of(database, campaign), lots_of(database, campaign, Outcome.REUSED)
     outcomes = Counter(row.outcome for row in rows)
     assert campaign.cells.reused == outcomes[Outcome.REUSED] > 0
     released = {lot.id for lot in stored if lot.verdict is LotVerdict.RELEASED}
@@ -102,7 +96,7 @@ def test_a_sample_is_compared_with_its_references_and_its_lot_released_or_simula
     rows = rows_of(database, campaign)
     by_id = {row.id: row for row in rows}
     twins_of_all: list[tuple[StoredEvaluation, StoredEvaluation]] = []
-    for lot in lots_of(database, campaign):
+    for lot in lots_of(database, campaign, Outcome.REUSED):
         members = [row for row in rows if row.lot == lot.id]
         sample = [row for row in members if row.purpose == "audit"]
         assert (len(members), len(sample)) == (lot.size, lot.sample)
@@ -130,7 +124,7 @@ def test_a_sample_is_compared_with_its_references_and_its_lot_released_or_simula
 
 def test_without_a_limit_there_are_no_lots_and_audits_stay(database: Database) -> None:
     campaign = run(database, ask(database, max_error=1, audit=0.2), ComputedBackend(answer=nearly))
-    assert lots_of(database, campaign, None) == []
+    assert lots_of(database, campaign) == []
     assert campaign.cells.reused > campaign.cells.audited > 0
 
 

@@ -17,12 +17,14 @@ from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import StageName
+from drivecal.domain.evaluations import Outcome
 from drivecal.execution.backend import Backend
 from drivecal.execution.pool import Leases, WorkPool
-from drivecal.storage import campaigns, generations, results
+from drivecal.storage import campaigns, generations, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
+from drivecal.storage.lots import StoredLot
 from drivecal.storage.references import influence_maps
 from drivecal.storage.results import StoredEvaluation
 
@@ -183,6 +185,12 @@ def rows_of(database: Database, campaign: StoredCampaign) -> list[StoredEvaluati
     """All cells of a campaign."""
     with database.read() as connection:
         return list(results.stream(connection, campaign.sequence))
+
+
+def lots_of(database: Database, campaign: StoredCampaign, kind: Outcome | None = None) -> list[StoredLot]:
+    """The lots of a campaign, all or of a kind."""
+    with database.read() as connection:
+        return lots.of_campaign(connection, campaign.sequence, kind)
 
 
 def step_until(database: Database, campaign: StoredCampaign, iteration: int, working: Dispatcher) -> None:

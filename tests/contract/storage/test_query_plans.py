@@ -228,19 +228,9 @@ def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, sub
     with filled.transaction() as connection:
         sequence = campaign(connection).sequence
         donor = evaluations.own_answers(connection, 1, "S1", 1, KEYS[1:2], by_key=True)[KEYS[1]]
+        audit = {"donor": donor, "purpose": Purpose.AUDIT}
         cells = [
-            new_evaluation(
-                StageName.CALIBRATION,
-                0,
-                n,
-                "S1",
-                1,
-                1 + n,
-                Outcome.SIMULATED,
-                reference_key=KEYS[n],
-                donor=donor,
-                purpose=Purpose.AUDIT,
-            )
+            new_evaluation(StageName.CALIBRATION, 0, n, "S1", 1, 1 + n, Outcome.SIMULATED, reference_key=KEYS[n], **audit)
             for n in range(30)
         ]
         ids = evaluations.insert(connection, sequence, cells)

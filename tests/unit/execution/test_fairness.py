@@ -36,27 +36,18 @@ def test_campaigns_of_equal_priority_share_the_workers_time_and_not_their_batche
     assert batches["a"] > 5 * batches["b"]
 
 
-def test_a_newcomer_neither_makes_up_for_lost_time_nor_waits_until_others_had_theirs() -> None:
+@pytest.mark.parametrize("before", [0, 10])
+def test_a_campaign_that_asked_for_nothing_neither_makes_up_for_it_nor_waits_until_others_had_theirs(before: int) -> None:
     plant = Plant(2, {"S1": 0.05})
-    plant.add("old", "S1", cells(6000))
-    plant.run(until=100.0)
-    before = dict(plant.given)
-    plant.add("new", "S1", cells(1000, first=100_001))
-    plant.run(until=120.0)
-    assert plant.given["new"] == pytest.approx(20.0, abs=3 * TARGET)
-    assert plant.given["old"] - before["old"] == pytest.approx(20.0, abs=3 * TARGET)
-
-
-def test_a_campaign_that_asked_for_nothing_for_a_while_does_not_make_up_for_it() -> None:
-    plant = Plant(2, {"S1": 0.05})
-    plant.add("lazy", "S1", cells(10))
+    if before:
+        plant.add("lazy", "S1", cells(before))
     plant.add("busy", "S1", cells(6000, first=100_001))
     plant.run(until=100.0)
-    before = dict(plant.given)
+    given = dict(plant.given)
     plant.add("lazy", "S1", cells(1000, first=200_001))
     plant.run(until=120.0)
-    assert plant.given["lazy"] - before["lazy"] == pytest.approx(20.0, abs=3 * TARGET)
-    assert plant.given["busy"] - before["busy"] == pytest.approx(20.0, abs=3 * TARGET)
+    assert plant.given["lazy"] - given.get("lazy", 0.0) == pytest.approx(20.0, abs=3 * TARGET)
+    assert plant.given["busy"] - given["busy"] == pytest.approx(20.0, abs=3 * TARGET)
 
 
 def test_a_campaign_whose_cells_hang_pays_for_the_time_that_they_take() -> None:

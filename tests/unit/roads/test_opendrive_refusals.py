@@ -154,22 +154,12 @@ def test_a_junction_that_leads_to_a_junction_is_refused_with_both() -> None:
     parts = [
         road("1", link='<successor elementType="junction" elementId="A"/>'),
         road("2", LINE.replace('x="0"', 'x="300"'), link='<predecessor elementType="junction" elementId="B"/>'),
-        road(
-            "11",
-            LINE.replace('x="0"', 'x="100"'),
-            inner,
-            junction="A",
-            link=link.format("predecessor", "1", "end") + link.format("successor", "21", "start"),
-        ),
-        road(
-            "21",
-            LINE.replace('x="0"', 'x="200"'),
-            inner,
-            junction="B",
-            link=link.format("predecessor", "11", "end") + link.format("successor", "2", "start"),
-        ),
     ]
-    for junction, before, inside in (("A", "1", "11"), ("B", "11", "21")):
+    ways = (("A", "1", "11", "21", "100"), ("B", "11", "21", "2", "200"))
+    for junction, before, inside, after, x in ways:
+        links = link.format("predecessor", before, "end") + link.format("successor", after, "start")
+        parts.append(road(inside, LINE.replace('x="0"', f'x="{x}"'), inner, junction=junction, link=links))
+    for junction, before, inside, *_ in ways:
         way = f'<connection id="0" incomingRoad="{before}" connectingRoad="{inside}" contactPoint="start">'
         parts.append(f'<junction id="{junction}" name="">{way}<laneLink from="-1" to="-1"/></connection></junction>')
     problem = refused(document(*parts))

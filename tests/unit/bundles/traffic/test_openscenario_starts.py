@@ -138,12 +138,14 @@ def test_world_positions_are_those_before_the_network_was_moved(moved: tuple[flo
     assert place.offset == pytest.approx(0.0, abs=1e-6)
 
 
+LOCATIONS = b'<CatalogLocations><VehicleCatalog><Directory path="./catalogs"/></VehicleCatalog></CatalogLocations>'
+
+
 def test_a_vehicle_of_a_catalog_of_the_bundle_has_its_size() -> None:
     reference = '<CatalogReference catalogName="cars" entryName="long"/>'
-    locations = (
-        '<CatalogLocations><VehicleCatalog><Directory path="./catalogs"/></VehicleCatalog></CatalogLocations><RoadNetwork>'
+    content = scenario({"Ego": reference, "Other": vehicle()}, EGO + OTHER).replace(
+        b"<RoadNetwork>", LOCATIONS + b"<RoadNetwork>"
     )
-    content = scenario({"Ego": reference, "Other": vehicle()}, EGO + OTHER).replace(b"<RoadNetwork>", locations.encode())
     catalog = (
         f'<OpenSCENARIO><Catalog name="cars">{vehicle(9.5, category="van").replace("car", "long", 1)}</Catalog></OpenSCENARIO>'
     )
@@ -157,9 +159,6 @@ def test_a_vehicle_of_a_catalog_of_the_bundle_has_its_size() -> None:
 def test_a_reference_gives_parameters_of_a_catalog_s_entry_other_values() -> None:
     assigned = '<ParameterAssignment parameterRef="{}" value="{}"/>'
     reference = '<CatalogReference catalogName="cars" entryName="long"><ParameterAssignments>{}</ParameterAssignments></CatalogReference>'
-    locations = (
-        '<CatalogLocations><VehicleCatalog><Directory path="./catalogs"/></VehicleCatalog></CatalogLocations><RoadNetwork>'
-    )
     declared = (
         '<ParameterDeclarations><ParameterDeclaration name="length" parameterType="double" value="5"><ConstraintGroup>'
         '<ValueConstraint rule="lessThan" value="15"/></ConstraintGroup></ParameterDeclaration></ParameterDeclarations>'
@@ -171,7 +170,7 @@ def test_a_reference_gives_parameters_of_a_catalog_s_entry_other_values() -> Non
 
     def content(*values: str) -> bytes:
         ego = reference.format("".join(values))
-        return scenario({"Ego": ego, "Other": vehicle()}, EGO + OTHER).replace(b"<RoadNetwork>", locations.encode())
+        return scenario({"Ego": ego, "Other": vehicle()}, EGO + OTHER).replace(b"<RoadNetwork>", LOCATIONS + b"<RoadNetwork>")
 
     assert of_file(content(), files).scenario.ego.length == 5.0
     assert of_file(content(assigned.format("length", 12.5)), files).scenario.ego.length == 12.5
