@@ -5,8 +5,10 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import TypeVar
 from unittest.mock import patch
 
 import hypothesis
@@ -25,6 +27,8 @@ from drivecal.campaigns.resolve.problem import trial
 from drivecal.execution.processes.backend import ProcessBackend
 from drivecal.execution.ray.backend import RayBackend, RayOptions
 from drivecal.execution.supervised import WorkerLimits
+
+Started = TypeVar("Started", RayBackend, ProcessBackend)
 
 # Everyday examples are the same everywhere, so that a newcomer's first run is no lottery. No test asserts a time: a first example that
 # imports or compiles something may take as long as it likes.
@@ -147,26 +151,29 @@ def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.Tes
     return report
 
 
-@pytest.fixture(scope="session")
-def ray_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RayBackend]:
-    """A local Ray with two workers on which the plug-in of `tests.support` is installed: one per process is all Ray allows."""
-    with patch.dict(os.environ, HOME=str(tmp_path_factory.mktemp("home")), PYTHONPATH=str(FOLDER)):
-        backend = RayBackend(RayOptions(workers=2, deadline_seconds=10.0, archive=ARCHIVES.__getitem__), trial())
+@contextmanager
+def started(make: Callable[[], Started], home: Path) -> Iterator[Started]:
+    """A backend on which the plug-in of `tests.support` is installed, as soon as both its workers are there."""
+    with patch.dict(os.environ, HOME=str(home), PYTHONPATH=str(FOLDER)), closing(make()) as backend:
         while len(backend.slots()) < 2:
             backend.wait(1.0)
         yield backend
-        backend.close()
+
+
+@pytest.fixture(scope="session")
+def ray_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RayBackend]:
+    """A local Ray with two workers: one per process is all Ray allows."""
+    options = RayOptions(workers=2, deadline_seconds=10.0, archive=ARCHIVES.__getitem__)
+    with started(lambda: RayBackend(options, trial()), tmp_path_factory.mktemp("home")) as backend:
+        yield backend
 
 
 @pytest.fixture(scope="session")
 def processes_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ProcessBackend]:
-    """Two workers as processes of this machine on which the plug-in of `tests.support` is installed."""
-    with patch.dict(os.environ, HOME=str(tmp_path_factory.mktemp("home")), PYTHONPATH=str(FOLDER)):
-        backend = ProcessBackend(WorkerLimits(workers=2, deadline_seconds=10.0, archive=ARCHIVES.__getitem__), trial())
-        while len(backend.slots()) < 2:
-            backend.wait(1.0)
+    """Two workers as processes of this machine."""
+    limits = WorkerLimits(workers=2, deadline_seconds=10.0, archive=ARCHIVES.__getitem__)
+    with started(lambda: ProcessBackend(limits, trial()), tmp_path_factory.mktemp("home")) as backend:
         yield backend
-        backend.close()
 
 
 @pytest.fixture(scope="session")
