@@ -156,7 +156,8 @@ class SetStatistics:
         drawn = means + np.maximum(known.errors[listed], 1e-12 * np.maximum(1.0, np.abs(means))) * random.permuted(
             usual, axis=0
         )
-        drawn -= random.beta(failures + prior, counts + SHRINKAGE - prior, shape) * (means - lost)
+        if self.failing is not None:
+            drawn -= random.beta(failures + prior, counts + SHRINKAGE - prior, shape) * (means - lost)
         return np.bincount(sound[listed[drawn.argmax(axis=1)]], minlength=len(self.means)) / DRAWS
 
 
