@@ -11,7 +11,7 @@ from psycopg import sql
 from tests.support.databases import migrated
 from tests.support.postgres import create_database
 
-from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.database import PATIENT, Database, Patience
 from drivecal.storage.engine.tables import metadata
 
 Backend = Literal["sqlite", "postgresql"]
@@ -64,9 +64,23 @@ def url(backend: Backend, request: pytest.FixtureRequest, tmp_path: Path) -> str
     return str(request.getfixturevalue("clean_postgres"))
 
 
+@pytest.fixture(autouse=True)
+def closed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Closes the databases that a test opens: an open connection would fail whichever test runs when it is collected."""
+    opened: list[Database] = []
+    original = Database.open
+
+    def opens(url: str, patience: Patience = PATIENT) -> Database:
+        opened.append(original(url, patience))
+        return opened[-1]
+
+    monkeypatch.setattr(Database, "open", opens)
+    yield
+    for database in opened:
+        database.dispose()
+
+
 @pytest.fixture
-def database(url: str) -> Iterator[Database]:
+def database(url: str) -> Database:
     """A migrated database without rows."""
-    opened = Database.open(url)
-    yield opened
-    opened.dispose()
+    return Database.open(url)

@@ -67,7 +67,7 @@ def used_sqlite(migrated_sqlite: Path, tmp_path_factory: pytest.TempPathFactory)
 
 
 @pytest.fixture
-def used(backend: str, request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Database]:
+def used(backend: str, request: pytest.FixtureRequest, tmp_path: Path) -> Database:
     """A database with everything in it."""
     if backend == "sqlite":
         file = shutil.copy(request.getfixturevalue("used_sqlite"), tmp_path / "drivecal.db")
@@ -75,8 +75,7 @@ def used(backend: str, request: pytest.FixtureRequest, tmp_path: Path) -> Iterat
     else:
         database = Database.open(request.getfixturevalue("clean_postgres"))
         fill(database)
-    yield database
-    database.dispose()
+    return database
 
 
 def everything(database: Database) -> dict[str, Any]:
@@ -119,7 +118,6 @@ def test_what_is_restored_is_what_was_backed_up(
         [new] = connection.execute(text("SELECT max(id) FROM events")).scalars()
         campaign(connection)
     assert new > dict(before["sqlite_sequence"])["events"] > 3
-    target.dispose()
 
 
 @pytest.mark.slow("postgresql")
@@ -143,7 +141,6 @@ def test_a_campaign_that_ran_when_it_was_backed_up_ends_alike_in_the_restored_da
         result.append((ended.state, ended.cells, ended.best, [row[1:7] for row in rows], figures))
     assert result[0] == result[1]
     assert result[0][0] is CampaignState.SUCCEEDED
-    target.dispose()
 
 
 @pytest.mark.slow("sqlite")
@@ -200,7 +197,6 @@ def test_a_copy_that_lacks_rows_is_no_backup(used_sqlite: Path, tmp_path: Path) 
     database = Database.open(f"sqlite:///{used_sqlite}")
     with pytest.raises(DatabaseError, match="in events"):
         backup.write(database, tmp_path / "backup.db", lose)
-    database.dispose()
     assert not list(tmp_path.glob("*backup*"))
 
 
@@ -220,7 +216,6 @@ def test_a_database_is_never_backed_up_into_itself(empty_url: str, tmp_path: Pat
         with pytest.raises(DatabaseError):
             backup.restore(tmp_path / "drivecal.db", database, silent)
     database.check()
-    database.dispose()
 
 
 def test_an_empty_database_is_not_backed_up(empty_url: str, tmp_path: Path) -> None:
@@ -229,7 +224,6 @@ def test_an_empty_database_is_not_backed_up(empty_url: str, tmp_path: Path) -> N
         backup.write(database, tmp_path / "backup.db", silent)
     assert not (tmp_path / "backup.db").exists()
     assert not (tmp_path / "drivecal.db").exists(), "looking for it does not make it"
-    database.dispose()
 
 
 def test_a_database_without_one_of_its_tables_is_not_copied(empty_url: str, tmp_path: Path) -> None:
@@ -240,8 +234,6 @@ def test_a_database_without_one_of_its_tables_is_not_copied(empty_url: str, tmp_
         connection.execute(text("DROP TABLE leases"))
     with pytest.raises(DatabaseError, match="leases"), database.read() as source, target.transaction() as connection:
         copy_rows(source, connection, silent)
-    database.dispose()
-    target.dispose()
 
 
 @pytest.mark.slow("postgresql")
@@ -271,7 +263,6 @@ def test_empty_tables_of_another_program_beside_drivecals_outlive_a_restore(
         assert connection.scalar(text("SELECT count(*) FROM campaigns")) == 0
         connection.execute(text("DROP TABLE moz_places"))
     assert backup.restore(file, target, silent).rows["campaigns"] == 0
-    target.dispose()
 
 
 @pytest.mark.slow("postgresql")
@@ -286,7 +277,6 @@ def test_a_database_that_a_server_has_made_and_nobody_used_counts_as_empty(
         )
     written = backup.write(used, tmp_path / "backup.db", silent)
     assert backup.restore(tmp_path / "backup.db", target, silent) == written
-    target.dispose()
 
 
 @pytest.mark.parametrize("content", [b"This is no database." * 100, b"", b"\x00" * 4096])
@@ -299,7 +289,6 @@ def test_what_is_no_backup_is_not_restored(empty_url: str, tmp_path: Path, conte
     with pytest.raises(DatabaseError, match=re.escape(str(tmp_path / "missing"))):
         backup.restore(tmp_path / "missing", database, silent)
     assert file.read_bytes() == content
-    database.dispose()
 
 
 @pytest.mark.slow("postgresql")
@@ -319,7 +308,6 @@ def test_a_damaged_backup_is_not_restored(
         backup.restore(file, target, silent)
     with pytest.raises(DatabaseError):
         target.check()
-    target.dispose()
 
 
 def test_a_backup_of_a_newer_release_is_not_restored(
@@ -332,7 +320,6 @@ def test_a_backup_of_a_newer_release_is_not_restored(
     target = Database.open(target_url("sqlite"))
     with pytest.raises(DatabaseError, match=r"backup\.db.*9999"):
         backup.restore(file, target, silent)
-    target.dispose()
 
 
 @pytest.mark.slow
@@ -349,7 +336,6 @@ def test_a_killed_restore_leaves_the_database_empty(
     target = Database.open(url)
     assert backup.restore(file, target, silent) == written
     assert [verdict for verdict in verify(target) if verdict.problems] == []
-    target.dispose()
 
 
 def _restore_and_die(file: Path, url: str) -> None:

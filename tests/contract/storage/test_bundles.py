@@ -89,7 +89,6 @@ def copied_portions(database: Database, folder: Path, name: str) -> list[int]:
     target.upgrade()
     with database.read() as source, target.transaction() as connection:
         copy_rows(source, connection, lambda table, done, _: portions.append(done) if table == name else None)
-    target.dispose()
     return portions
 
 

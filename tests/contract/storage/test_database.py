@@ -39,7 +39,6 @@ def test_a_new_database_is_usable_after_its_upgrade_and_a_second_one_changes_not
     database.check()
     with database.read() as connection:
         assert campaigns.get(connection, stored.id) == stored
-    database.dispose()
 
 
 def test_a_transaction_that_raises_leaves_nothing_behind(database: Database) -> None:
@@ -128,7 +127,6 @@ def test_a_process_that_stands_still_in_the_queue_holds_up_no_other_for_long(
     with database.read() as connection:
         assert len(campaigns.active(connection)) == 2
     assert [str(queue) in record.getMessage() for record in caplog.records] == [True]
-    database.dispose()
 
 
 def _write_without_a_pause(url: str, seconds: float, begun: Event, ends: Event) -> None:

@@ -32,11 +32,9 @@ PATIENCE = 60
 
 
 @pytest.fixture
-def postgres(clean_postgres: str) -> Iterator[Database]:
+def postgres(clean_postgres: str) -> Database:
     """A migrated PostgreSQL database without rows."""
-    opened = Database.open(clean_postgres)
-    yield opened
-    opened.dispose()
+    return Database.open(clean_postgres)
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ unless asked. Its queries have as many values as one `IN` may hold.
 import json
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -56,7 +56,7 @@ def template(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 
 @pytest.fixture
-def filled(backend: str, template: Callable[[str], str], request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Database]:
+def filled(backend: str, template: Callable[[str], str], request: pytest.FixtureRequest, tmp_path: Path) -> Database:
     """Tables that are large enough for a planner to prefer an index, and statistics about them."""
     original = make_url(template(backend)).database
     assert original is not None
@@ -68,9 +68,7 @@ def filled(backend: str, template: Callable[[str], str], request: pytest.Fixture
         with psycopg.connect(request.getfixturevalue("postgres_server"), autocommit=True) as connection:
             names = map(sql.Identifier, (f"{original}_{tmp_path.name}", original))
             connection.execute(sql.SQL("CREATE DATABASE {} TEMPLATE {}").format(*names))
-    database = Database.open(url)
-    yield database
-    database.dispose()
+    return Database.open(url)
 
 
 def fill(database: Database) -> None:

@@ -203,4 +203,3 @@ def test_a_backup_of_an_old_revision_is_restored_and_upgraded(old: Database, tmp
     assert revision_of(target) == SECOND
     with target.read() as connection:
         assert len(stored(connection)["runs"]) == len(before["runs"])
-    target.dispose()
