@@ -1,7 +1,7 @@
 """Predicted answers in whole campaigns: each lot, sample and verdict is stored at once, also if dispatchers die meanwhile."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -89,27 +89,38 @@ def test_a_sample_is_compared_and_its_lot_released_or_simulated_whole(predicted:
         assert rest <= ({Outcome.PREDICTED} if lot.verdict is LotVerdict.RELEASED else {Outcome.SIMULATED, Outcome.FAILED})
 
 
-def test_lots_of_a_slice_that_the_budget_cuts_are_sampled_as_planned_and_no_slice_follows(database: Database) -> None:
-    """Lots of references and of predictions; the dispatcher dies after the cut."""
+def test_individuals_for_which_the_budget_does_not_suffice_wait_for_verdicts(tmp_path: Path) -> None:
+    """Lots of references and of predictions may save what they could cost, so the whole budget is used, also if dispatchers die."""
     ignored = {f"P{number}": {"influential": False} for number in range(2, 12)}
-    campaign = submit(
-        database,
-        stored_map=post_map(database, {"S1": ignored}),
-        parameters=SPACE,
-        catalogue=["S1", "S2"],
-        optimizer={"kind": "genetic", "population": 280, "seed": 3},
-        budget={"simulations": 250},
-        reduction={"mode": "both", "audit": 0.0, "max_error": 0.05, "confirm": 0},
-    )
-    working = dispatcher(database, ComputedBackend(answer=simple))
-    while (search := get(database, campaign).search) is None or search.ended_by is None:
-        working.step()
-    asked = len(rows_of(database, campaign))
-    ended = run(database, campaign, ComputedBackend(answer=simple))
-    assert (present(ended.search).ended_by, ended.iteration, ended.cells.requested) == ("budget", 0, asked)
-    released = {lot.kind for lot in lots_of(database, campaign) if lot.verdict is LotVerdict.RELEASED}
-    assert released == {Outcome.PREDICTED, Outcome.REUSED}
-    assert [check for check in verify(database) if check.problems] == []
+
+    def ended(name: str, lives: Iterable[int]) -> tuple[Any, ...]:
+        database = migrated(f"sqlite:///{tmp_path / name}")
+        campaign = submit(
+            database,
+            stored_map=post_map(database, {"S1": ignored}),
+            parameters=SPACE,
+            catalogue=["S1", "S2"],
+            optimizer={"kind": "genetic", "population": 160, "seed": 3},
+            budget={"simulations": 200},
+            reduction={"mode": "both", "audit": 0.0, "max_error": 0.05, "confirm": 0},
+        )
+        for steps in lives:
+            working = dispatcher(database, ComputedBackend(answer=simple))
+            while steps and get(database, campaign).ended_at is None:
+                working.step()
+                steps -= 1
+        end = run(database, campaign, ComputedBackend(answer=simple))
+        assert [check for check in verify(database) if check.problems] == []
+        released = {lot.kind for lot in lots_of(database, campaign) if lot.verdict is LotVerdict.RELEASED}
+        found = everything(database, campaign), released
+        database.dispose()
+        assert present(end.search).ended_by == "budget"
+        assert end.cells.runs - end.cells.lost in {199, 200}, "no further set fits"
+        return found
+
+    whole = ended("whole.db", [])
+    assert whole[1] == {Outcome.PREDICTED, Outcome.REUSED}
+    assert ended("killed.db", range(1, 8)) == whole
 
 
 def test_sizes_of_errors_are_those_in_the_samples_of_released_lots(predicted: tuple[Database, StoredCampaign]) -> None:

@@ -71,11 +71,11 @@ class PopulationSearch(ComputedSearch):
                 self._asked = {last.iteration: asked}
                 here = campaign.sequence, self.name, last.iteration
                 is_open = not last.finished and self._search.ended_by is None
-                self._batches = [
-                    each
-                    for each in self._split(last.iteration, asked)
-                    if is_open and not results.is_requested(connection, *here, each[0] if each else None)
-                ]
+                for batch in self._split(last.iteration, asked) if is_open else ():
+                    # Those that the budget left for later are the last of a batch.
+                    wanted = [each for each in batch if not results.is_requested(connection, *here, each)]
+                    if wanted or not results.is_requested(connection, *here):
+                        self._batches.append(wanted)
         if self._search.ended_by is None:
             self._compute(partial(self._restored, last, populations))
 
@@ -169,9 +169,9 @@ class PopulationSearch(ComputedSearch):
         return None if best is None else best.objective, reaches
 
     def _affordable(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
-        """Returns the first cells for which the budget suffices, without parts of individuals, and ends the search if these are not all. An
+        """Returns the first cells for which the budget suffices, without parts of individuals, and ends the search if there are none. An
         individual runs under all seeds of a round or none. Cells without a stored answer count, and reused cells that will enter
-        a lot: workers simulate rejected lots, too."""
+        a lot: workers simulate rejected lots, too. What lots save is known with their verdicts, so the other individuals wait for these."""
         del connection
         if asked.number >= self._next:
             return planned
@@ -182,6 +182,7 @@ class PopulationSearch(ComputedSearch):
         place, within = seeds.index(planned[0].seed) if planned else 0, list(planned)
         if place:
             within = [cell for cell in planned if cell.individual in self._kept]
+        wanted = {cell.individual for cell in within}
         room /= len(seeds) - place
         for number, cell in enumerate(within):
             room -= not cell.answered_at_once or enters_lot(cell, reduction.max_error)
@@ -189,7 +190,10 @@ class PopulationSearch(ComputedSearch):
                 within = [each for each in within[:number] if each.individual != cell.individual]
                 break
         self._kept = {cell.individual for cell in within}
-        if len(within) < len(planned):
+        later = sorted(wanted - self._kept)
+        if later and self._kept and not place:
+            self._batches.insert(0, later)
+        elif later:
             self._end_search("budget")
             self._batches.clear()
         return within
