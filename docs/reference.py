@@ -37,7 +37,10 @@ CAMPAIGN = (
     specification.CampaignSpecification,
     specification.ParameterSpecification,
     specification.VehicleSpecification,
+    specification.OptimizerSection,
     specification.OptimizerSpecification,
+    specification.BudgetSpecification,
+    specification.VariantSpecification,
     specification.ObjectiveSpecification,
     specification.ConstraintSpecification,
     specification.ReplicatesSpecification,
@@ -81,8 +84,10 @@ ROWS: Mapping[str, type[BaseModel]] = {
 ROWS_TEXT = """\
 # Tables
 
-Rows of a campaign's tables, as `drivecal export ID --table NAME`, `client.frame(ID, NAME)` and `GET /campaigns/ID/NAME` give them. In files
-each parameter and each scenario's score is a column of its own.
+Rows of a campaign's tables, as `drivecal export ID --table NAME`, `client.frame(ID, NAME)` and `GET /campaigns/ID/NAME` give them. In
+files, and in `where`, a parameter is a column of its name (`parameter_NAME` if another column has that name), a score `score_SCENARIO`, a
+bounded value `constraint_NAME`, an objective `objective_NAME`, with `--measures` a measure `measure_NAME`. Fronts also have
+`value_NAME@SCENARIO` and `answer_SCENARIO`.
 
 """
 SETTINGS_TEXT = """\

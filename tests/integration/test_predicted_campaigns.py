@@ -112,11 +112,11 @@ def test_individuals_for_which_the_budget_does_not_suffice_wait_for_verdicts(tmp
         end = run(database, campaign, ComputedBackend(answer=simple))
         assert [check for check in verify(database) if check.problems] == []
         released = {lot.kind for lot in lots_of(database, campaign) if lot.verdict is LotVerdict.RELEASED}
-        found = everything(database, campaign), released
+        rows = everything(database, campaign)
         database.dispose()
         assert present(end.search).ended_by == "budget"
         assert end.cells.runs - end.cells.lost in {199, 200}, "no further set fits"
-        return found
+        return rows, released
 
     whole = ended("whole.db", [])
     assert whole[1] == {Outcome.PREDICTED, Outcome.REUSED}

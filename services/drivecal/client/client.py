@@ -56,7 +56,7 @@ class Client(Transport):
     Every method raises UnavailableError if nothing answers, InvalidInputError if the server refuses the input, and NotAuthorisedError if
     the server does not know the `token` or requires one. NotFoundError and ConflictError are about the requested object.
 
-    If the server is busy or its database is away, the client asks again after the time that it names, for up to PATIENCE_SECONDS. It only
+    If the server is busy or its database is away, the client asks again after the time that it names, for up to 30 seconds. It only
     repeats calls that change nothing the second time.
     """
 

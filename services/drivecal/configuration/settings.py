@@ -107,7 +107,7 @@ class Settings(BaseSettings):
     """Format of the server's log: readable lines, or a JSON document per line."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     running_campaigns: Annotated[int, Field(ge=1, le=1000)] = 8
-    """Campaigns at a time; the others wait, the shortest with the highest priority. Single evaluations do not count."""
+    """Campaigns at a time. Of the others, a higher priority starts first, then the older one. Single evaluations do not count."""
 
     @field_validator("home", "tokens_file", "database_password_file")
     @classmethod

@@ -160,7 +160,7 @@ class BudgetSpecification(Model):
     """The end of a search: whatever is used up first."""
 
     simulations: Annotated[int, Field(ge=1, le=LARGEST_BUDGET)] | None = None
-    """Runs that the simulator starts for the search, retries, checks and repeats included."""
+    """Runs that the simulator starts for the search, retries, checks and repeats included; for `surrogate`, stored answers, too."""
     minutes: Annotated[float, Field(gt=0, le=1e6)] | None = None
     """Wall-clock time of the search, without the time while it is paused or no server runs."""
     stagnation: Annotated[int, Field(ge=1, le=LARGEST_BUDGET)] | None = None
@@ -196,7 +196,7 @@ class ReductionSpecification(Model):
     max_error: Annotated[float, Field(gt=0, le=1)] = 0.02
     """Largest expected number of wrong answers released, per answer by a reference in lots; 1 makes no lots."""
     certified: bool = True
-    """Accepted and without effect: see `contracts.campaign.CellCounts`."""
+    """Accepted and without effect."""
     confirm: Annotated[int, Field(ge=0, le=LARGEST_CONFIRM)] = 20
     """Most sets simulated after the search, until the best has no score of a reference and no set is believed to be better."""
     isolated: bool = False

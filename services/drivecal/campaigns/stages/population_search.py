@@ -72,7 +72,7 @@ class PopulationSearch(ComputedSearch):
                 here = campaign.sequence, self.name, last.iteration
                 is_open = not last.finished and self._search.ended_by is None
                 for batch in self._split(last.iteration, asked) if is_open else ():
-                    # Those that the budget left for later are the last of a batch.
+                    # A cut by the budget leaves the last of a batch for later.
                     wanted = [each for each in batch if not results.is_requested(connection, *here, each)]
                     if wanted or not results.is_requested(connection, *here):
                         self._batches.append(wanted)
