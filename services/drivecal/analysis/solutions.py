@@ -220,12 +220,14 @@ class Ranking:
         """Takes answers in, in any order. A set with a predicted score takes no place in the ranking."""
         touched: set[int] = set()
         for answer in answers:
+            if answer.scenario not in self.scenarios:
+                continue
             number, place = answer.parameter_set, (answer.iteration, answer.individual)
             if place < self._places.setdefault(number, place):
                 self._places[number] = place
             cells = self._runs.setdefault(number, {}).setdefault(answer.seed, {})
             known = cells.get(answer.scenario)
-            if answer.scenario in self.scenarios and (known is None or _worth(answer) > _worth(known)):
+            if known is None or _worth(answer) > _worth(known):
                 cells[answer.scenario] = answer
             touched.add(number)
         self._surest_front = self._best = self._levels = None
@@ -259,7 +261,7 @@ class Ranking:
             numbers = (each.parameter_set for each in known)
             self._levels = dict(zip(numbers, zip(violations, objectives, strict=True), strict=True))
         rating = -solution.sign * solution.choice.rating
-        runs = len(self._runs[solution.parameter_set])
+        runs = len(self.seeds(solution.parameter_set))
         return *self._levels[solution.parameter_set], -runs, rating, solution.iteration, solution.individual
 
     def uncertainty(self, best: EvaluatedSet) -> dict[str, Any]:
@@ -271,7 +273,7 @@ class Ranking:
     def failed_runs(self, parameter_set: int) -> tuple[int, int]:
         """Returns the number of a set's failed runs, and of its runs: only runs that report it, if there are any."""
         runs = self._runs[parameter_set]
-        used = [seed for seed in runs if seed > self._choosing] or list(runs)
+        used = [seed for seed in self.seeds(parameter_set) if seed > self._choosing] or list(runs)
         cells = [cell.failed for seed in used for cell in runs[seed].values()]
         return sum(cells), len(cells)
 
@@ -292,17 +294,18 @@ class Ranking:
         return noise
 
     def seeds(self, parameter_set: int) -> Collection[int]:
-        """Returns the seeds under which a set was run."""
-        return self._runs.get(parameter_set, {}).keys()
+        """Returns the seeds under which a set was run in all scenarios, with or without a result."""
+        return {seed for seed, cells in self._runs.get(parameter_set, {}).items() if cells.keys() >= self.scenarios}
 
     def to_show(self, parameter_set: int, *, ever: bool = False) -> int | None:
         """Returns under how many further seeds a set shows that it keeps all constraints, if no further run is beyond a limit: 0 if it has
         shown it by the seeds that choose. None if the seeds left to choose do not suffice, or, `ever`, a million, or if it breaks one."""
-        judgement, runs = self._solutions[parameter_set].choice.judgement, self._runs[parameter_set]
+        judgement, seeds_run = self._solutions[parameter_set].choice.judgement, self.seeds(parameter_set)
         if not judgement.undecided:
             return None if judgement.broken else 0
-        left = 1_000_000 if ever else sum(seed not in runs for seed in range(1, self._choosing + 1))
-        rates, counted = [bound for bound in self._goals.bounds if bound.rate is not None], self._judge.counted(runs)
+        left = 1_000_000 if ever else sum(seed not in seeds_run for seed in range(1, self._choosing + 1))
+        counted = self._judge.counted(self._runs[parameter_set])
+        rates = [bound for bound in self._goals.bounds if bound.rate is not None]
         shown = bisect_left(range(left + 1), True, key=lambda seeds: all(bound.is_shown(counted, seeds) for bound in rates))
         return shown if shown <= left else None
 

@@ -1,7 +1,7 @@
 """Which sets get further runs, and what is then known of the best one: small synthetic campaigns with fixed seeds."""
 
 from dataclasses import dataclass, replace
-from itertools import permutations
+from itertools import permutations, product
 from statistics import NormalDist
 
 import numpy as np
@@ -279,6 +279,15 @@ def test_sets_that_change_alike_get_more_runs_and_the_best_one_has_a_report(budg
     assert spent == budget
     assert ranking.best_first()[0].chosen_by is not None
     assert ranking.best_first()[0].bound is not None  # the noise is known
+
+
+def test_a_seed_is_tried_only_if_all_scenarios_of_the_ranking_ran() -> None:
+    """S3 belongs to another variant, and a search by the cell may run a further seed in some scenarios only."""
+    ranking, wanted = by_score({"S1": 1, "S2": 1}, wanted=ReplicatesSpecification()), ReplicatesSpecification()
+    for number, (scenario, last) in product((1, 2), {"S1": 6, "S2": 2, "S3": wanted.most}.items()):
+        scores = [(seed, 5.0 + (seed * number % 3) / 10) for seed in range(1, last + 1)]
+        ranking.add(CellScore(number, scenario, x, x, True, 0, number, seed=seed) for seed, x in scores)
+    assert set(next_runs(ranking, wanted, 8, 100)) >= {(1, 3), (2, 3)}
 
 
 def test_reports_with_equal_scores_have_an_interval() -> None:
