@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from statistics import stdev
 from typing import Annotated, Any, Self
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -158,12 +159,11 @@ def _half_width(cell: EvaluatedCell, before: EvaluatedCell) -> float:
     """Returns half the width of the interval of a difference from the baseline, without what a seed does to both; 0 for a single run."""
     pairs = zip(cell.scores, before.scores, strict=False)
     differences = [one - other for one, other in pairs if one is not None and other is not None]
-    if len(differences) < 2:
-        return 0.0
-    from drivecal.analysis.replicates import interval  # it imports numpy
-
-    lower, upper = interval(differences, None, 0.95)
-    return 0.0 if lower is None or upper is None else (upper - lower) / 2
+    for each in (cell, before):
+        if each.standard_error and each.lower is not None and each.upper is not None:
+            student = (each.upper - each.lower) / 2 / each.standard_error
+            return student * stdev(differences) / math.sqrt(len(differences))
+    return 0.0
 
 
 @app.command()
