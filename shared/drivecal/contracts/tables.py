@@ -325,7 +325,9 @@ class FrontRow(Answer):
     weights: Annotated[list[list[float]] | None, JSON_ONLY]
     alternatives: int
     replicates: int = 1
-    """Number of its first seeds, which choose: its values are means over these, even if further seeds report it."""
+    """Number of its seeds."""
+    seeds: list[int] = Field(default_factory=list)
+    """Seeds whose runs make its values, if it ran under several: of the first ones, which choose, even if further ones report it."""
     degree: int | None
     scores: Annotated[dict[str, Score], Spread("score_")]
     values: Annotated[dict[str, float], Spread("value_")] = Field(default_factory=dict)

@@ -227,6 +227,16 @@ def test_a_single_evaluation_stays_in_the_space(name: str, value: float | str) -
     assert {problem.field for problem in caught.value.problems} == {f"parameters.{name}"}
 
 
+def test_a_deterministic_simulator_runs_under_seeds_that_are_named_and_not_under_a_number_of_them() -> None:
+    """A campaign runs it under further seeds if its runs differ in spite of that, and such a set can be simulated again."""
+    values = {"trigger_ttc": 1.6, "deceleration": 7.0, "jerk": 30.0, "confirmations": 2.0, "warning": "sound"}
+    asked = EvaluationSpecification.model_validate({"problem": "python-function", "parameters": values, "seeds": [14, 13]})
+    assert resolve_evaluation(asked, lambda _: bundle()).seeds == (13, 14)
+    with pytest.raises(InvalidInputError) as caught:
+        resolve_evaluation(asked.model_copy(update={"seeds": 2}), lambda _: bundle())
+    assert {problem.field for problem in caught.value.problems} == {"seeds"}
+
+
 def test_the_problem_s_baseline_is_the_default() -> None:
     baseline = present(resolved().baseline)
     assert baseline.floats["warning"] == "sound"

@@ -318,7 +318,7 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
     given = specification.seeds
     seeds = tuple(range(1, given + 1) if isinstance(given, int) else sorted(set(given)))
     bench = bench.seeded(seeds[0])
-    if bench.bundle.manifest.simulator.deterministic and not bench.is_random and seeds != (1,):
+    if bench.bundle.manifest.simulator.deterministic and not bench.is_random and isinstance(given, int) and given > 1:
         raise InvalidInputError(Problem("seeds", "the simulator is deterministic: all seeds give one result", "leave it out"))
     notes = (*diagnostics.notes, *notes_off_grid(values, function))
     if bench.bundle.manifest.claims:

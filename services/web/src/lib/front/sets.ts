@@ -29,6 +29,7 @@ export function tableOf(rows: readonly FrontRow[], parameters: readonly { name: 
   add("wins", (row) => row.wins);
   add("alternatives", (row) => row.alternatives);
   add("replicates", (row) => row.replicates ?? 1);
+  add("seeds", (row) => row.seeds?.join(" ") || null);
   add("degree", (row) => row.degree);
   spread((key) => `score_${key}`, (row) => row.scores);
   spread((key) => `value_${key}`, (row) => row.values);

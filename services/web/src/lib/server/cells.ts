@@ -63,8 +63,7 @@ export function baselineSide({ id, baseline }: Pick<Campaign, "id" | "baseline">
 
 /** A set of a front or a ranking as a view compares it. */
 export function sideOf(campaign: string, set: FrontRow | PageSolution["items"][number]): SetSide {
-  const { rank, iteration, individual, parameters, scores } = set;
-  const seeds = "seeds" in set ? set.seeds : Array.from({ length: set.replicates > 1 ? set.replicates : 0 }, (_, place) => place + 1);
+  const { rank, iteration, individual, parameters, scores, seeds } = set;
   const answers = "answers" in set ? set.answers : Object.fromEntries(set.reused.map((scenario) => [scenario, "reused"]));
   const cell = async (scenario: string): Promise<number | null> => (iteration === null || individual === null ? null : cellAt(campaign, iteration, individual, scenario));
   return { title: `Set ${rank}`, column: `set ${rank}`, parameters, scores, answers, seeds, cell };

@@ -5,7 +5,7 @@ import { kindOf, madeOfText, pairOf, rangeOf, tableOf, withColumns } from "$lib/
 
 const row = (rank: number, more: Partial<FrontRow> = {}): FrontRow => ({
   rank, objectives: { f1: rank, f2: -rank }, uncertainty: {}, weighted: null, violation: 0, undecided: false, constraints: { y: 2 }, values: { "f2@plain": -rank }, knee: rank === 2, best_in: rank === 1 ? ["f1"] : [], wins: 0.2, weights: null,
-  alternatives: 1, replicates: 1, degree: null, scores: { plain: rank }, reused: [], answers: { plain: "simulated" }, parameters: { x: 0.5, rank: 3, mode: "eco" }, iteration: 0, individual: rank, ...more,
+  alternatives: 1, replicates: 1, seeds: [], degree: null, scores: { plain: rank }, reused: [], answers: { plain: "simulated" }, parameters: { x: 0.5, rank: 3, mode: "eco" }, iteration: 0, individual: rank, ...more,
 });
 const PARAMETERS = ["x", "parameter_rank", "mode"].map((column) => ({ name: column.replace("parameter_", ""), column }));
 const ROWS = [row(1), row(2), row(3)];
@@ -13,7 +13,7 @@ const ROWS = [row(1), row(2), row(3)];
 test("a front is a table with the columns of its files", () => {
   const sets = tableOf([row(1), row(2, { parameters: { x: 1, rank: 4, mode: "boost" }, iteration: 3 })], PARAMETERS, { made: ["of", null] });
   const table = withColumns(sets, { marks: ["best", null] });
-  expect(table.names).toEqual(["rank", "made", "objective_f1", "objective_f2", "violation", "undecided", "constraint_y", "knee", "best_in", "wins", "alternatives", "replicates", "degree", "score_plain", "value_f2@plain", "reused", "answer_plain", "x", "parameter_rank", "mode", "iteration", "individual", "marks"]);
+  expect(table.names).toEqual(["rank", "made", "objective_f1", "objective_f2", "violation", "undecided", "constraint_y", "knee", "best_in", "wins", "alternatives", "replicates", "seeds", "degree", "score_plain", "value_f2@plain", "reused", "answer_plain", "x", "parameter_rank", "mode", "iteration", "individual", "marks"]);
   expect(["mode", "parameter_rank", "iteration", "marks", "knee", "degree"].map((name) => cell(table, name, 1))).toEqual(["boost", 4, 3, null, "true", null]);
   expect(tableOf([], PARAMETERS).length).toBe(0);
 });
