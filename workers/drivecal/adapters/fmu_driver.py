@@ -18,7 +18,7 @@ from xml.etree import ElementTree as ET
 
 from drivecal.adapters.driver import Evaluate, UnusableError, described, serve
 from drivecal.bundles import units
-from drivecal.bundles.fmus.checks import section_problems, unit_problems, wanted_by
+from drivecal.bundles.fmus.checks import output_problems, section_problems, unit_problems, wanted_by
 from drivecal.bundles.fmus.description import INTEGERS, FmuDescription, FmuVariable, number
 from drivecal.domain.errors import Problem, UnavailableError
 
@@ -111,20 +111,9 @@ class Fmu:
                 similar = get_close_matches(name, self.variables, 3) or sorted(self.variables)[:5]
                 raise UnusableError(f"the FMU has no variable {name}, a {role}; it has e.g. {', '.join(similar)}")
 
-    def check_units(self, used: Iterable[tuple[str, str]], *, integrated: bool = False) -> None:
-        """Raises UnusableError naming the first variable that states another unit than the one it is used in.
-
-        `used`: names of variables and these units; `integrated`: these are units of integrals over time.
-        """
-        for name, unit in used:
-            spellings = self._described[name].spellings
-            suffix = ".s" if integrated else ""
-            if spellings and not any(units.same(f"{spelling}{suffix}", unit) for spelling in spellings):
-                integral = "the integral of " if integrated else ""
-                stated = f"{spellings[0]}{suffix}"
-                raise UnusableError(
-                    f"{integral}the variable {name} is in {stated} by its FMU, not in {unit}; convert it in the FMU"
-                )
+    def check_units(self, used: Iterable[tuple[str, str, str, bool]]) -> None:
+        """Raises UnusableError naming the first variable that is `used` in another unit than it states, see `output_problems`."""
+        _refuse_first(output_problems(self._description, used))
 
     def check_section(self, field: str, section: Mapping[str, Any], parameters: Mapping[str, str]) -> None:
         """Raises UnusableError if the FMU does not fit the section of a controller or vehicle, e.g. has an input that nothing gives.
@@ -299,12 +288,11 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     fmu.check_parameters(settings["parameters"])
     seed = settings["seed"]
     fmu.check([] if seed is None else [seed], "seed")
-    declared = settings["units"]
-    for name, (key, output) in measures.items():
-        if name in declared:
-            fmu.check_units([(output, declared[name])], integrated=key == "integral")
     recorded = [name for name in settings["series"] if name in fmu.variables]
-    fmu.check_units((name, declared[name]) for name in recorded if name in declared)
+    outputs = {f"measures.{name}": (name, output, key == "integral") for name, (key, output) in measures.items()}
+    outputs |= {f"series.{name}": (name, name, False) for name in recorded}
+    declared = settings["units"]
+    fmu.check_units((place, output, declared.get(name, "1"), whole) for place, (name, output, whole) in outputs.items())
     reader = fmu.reader(dict.fromkeys([*(output for _, output in measures.values()), *recorded]))
     steps = max(1, math.ceil(duration / step - 1e-9))
 

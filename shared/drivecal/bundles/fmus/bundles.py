@@ -37,8 +37,19 @@ def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str
                 for key, value in given.items()
             ]
             problems += islice(checks.value_problems(description, data), MOST_PROBLEMS)
-            measured = [text.partition("(")[2].rpartition(")")[0].strip() for text in section.measures.values()]
-            used = {*measured, *manifest.series, section.seed or "", *(key for _, key, _ in data)}
+            measured = [(name, *text.partition("(")[::2]) for name, text in section.measures.items()]
+            outputs = [
+                (
+                    f"measures.{name}",
+                    rest.rpartition(")")[0].strip(),
+                    manifest.measures.get(name, "1"),
+                    kind.strip() == "integral",
+                )
+                for name, kind, rest in measured
+            ]
+            outputs += [(f"series.{name}", name, unit, False) for name, unit in manifest.series.items()]
+            problems += checks.output_problems(description, outputs)
+            used = {*(output for _, output, *_ in outputs), section.seed or "", *(key for _, key, _ in data)}
         else:
             problems += islice(checks.section_problems(field, section.model_dump(), description, parameters), MOST_PROBLEMS)
             notes += islice(checks.input_notes(field, section.model_dump(), description), MOST_PROBLEMS)

@@ -51,6 +51,20 @@ def unit_problems(description: FmuDescription, parameters: Mapping[str, str]) ->
             )
 
 
+def output_problems(description: FmuDescription, used: Iterable[tuple[str, str, str, bool]]) -> Iterator[Problem]:
+    """Yields variables that are used in another unit than they state.
+
+    `used`: the field of each, its name, the unit, and whether this is the unit of its integral over time.
+    """
+    variables = {variable.name: variable for variable in description.variables}
+    for field, name, unit, is_integral in used:
+        suffix, whose = (".s", "the integral of ") if is_integral else ("", "")
+        stated = [f"{spelling}{suffix}" for spelling in variables[name].spellings] if name in variables else []
+        if stated and unit.strip() not in units.WITHOUT and not any(units.same(each, unit) for each in stated):
+            message = f"{whose}the variable {name} is in {shown(stated[0])} by its FMU, not in {shown(unit)}"
+            yield Problem(field, message, "give this unit, or convert in the FMU")
+
+
 def value_problems(description: FmuDescription, values: Iterable[tuple[str, str, object]]) -> Iterator[Problem]:
     """Yields values that do not fit the types of the FMU's variables: integers of any other size would wrap.
 

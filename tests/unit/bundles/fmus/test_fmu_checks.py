@@ -227,6 +227,16 @@ def test_parameters_have_the_units_of_their_variables(description: str) -> None:
 
 
 @both
+def test_measures_and_series_have_the_units_of_their_outputs(description: str) -> None:
+    simulator = SYSTEM | {"measures": {"energy_kwh": "last(y)", "speed": "max(v_min)", "way": "integral( v_min )"}}
+    given = PROBLEM | {"simulator": simulator, "series": {"v_min": "m/s"}}
+    for units in ({"speed": "m/s", "way": "m"}, {"speed": "1", "way": "1"}):
+        assert notes(given | {"measures": PROBLEM["measures"] | units}, description) == ()
+    wrong = given | {"measures": PROBLEM["measures"] | {"speed": "km/h", "way": "m/s"}, "series": {"v_min": "km/h"}}
+    assert faults(wrong, description).keys() == {"measures.speed", "measures.way", "series.v_min"}
+
+
+@both
 def test_a_parameter_without_a_unit_is_noted_with_that_of_the_fmu(description: str) -> None:
     noted = notes(problem({"v_set": "1", "T": "s", "k": "1"}), description)
     assert len(noted) == 1
