@@ -20,6 +20,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from drivecal.contracts.specification import SensitivitySpecification
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Indices, ParameterSpace
@@ -45,7 +46,7 @@ from drivecal.sensitivity.scenario import (
     most_confirmations,
     tells_nothing,
 )
-from drivecal.sensitivity.thresholds import SensitivitySettings, Threshold, is_surely_influential, verdict
+from drivecal.sensitivity.thresholds import Threshold, is_surely_influential, verdict
 
 PARTS = 2
 """Equal parts of an interval's samples, each followed by a check. More parts save little more and make rounds smaller (decision 026)."""
@@ -167,7 +168,7 @@ class SensitivityAnalysis:
         self,
         space: ParameterSpace,
         scenarios: Sequence[str],
-        settings: SensitivitySettings,
+        settings: SensitivitySpecification,
         scale: Scale = COMFORT,
         constraints: Constraints | None = None,
     ) -> None:

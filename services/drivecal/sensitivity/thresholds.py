@@ -1,4 +1,4 @@
-"""Settings of an analysis, and thresholds from which a parameter counts: on s_rel, on |mu| and sigma, or derived (`auto`).
+"""Thresholds from which a parameter counts: on s_rel, on |mu| and sigma, or derived (`auto`).
 
 `auto` starts from the effect of a score with steps on s_rel. Take a tolerance of one step and a range of r steps. A change by the tolerance
 between two runs is then an effect of 1/(r d) for a step d of the parameter, even if the rating behind it hardly moved. s_rel is about the
@@ -26,12 +26,12 @@ misses: at a rate of 10 %, a parameter counts as non-influential with a probabil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from math import isfinite, sqrt
+from math import sqrt
 from typing import Any, Literal
 
 import numpy as np
 
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.contracts.specification import SeparateThresholds
 from drivecal.domain.rounding import SHARE
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.sensitivity.designs import Floats
@@ -46,15 +46,7 @@ ROUNDING = 1 + 1e-9
 """Least ratio of sums of squares to proved bounds: their own rounding errors are far smaller."""
 
 
-@dataclass(frozen=True, slots=True)
-class MuSigmaThresholds:
-    """A parameter is influential if |mu| >= `mu` or sigma >= `sigma` (Section IV-E)."""
-
-    mu: float
-    sigma: float
-
-
-Threshold = float | MuSigmaThresholds | Literal["auto"]
+Threshold = float | SeparateThresholds | Literal["auto"]
 """A number is a threshold on s_rel."""
 
 
@@ -108,7 +100,7 @@ class Verdict:
     """
 
     measures: EffectStatistics
-    threshold: float | MuSigmaThresholds | None
+    threshold: float | SeparateThresholds | None
     influential: bool
 
 
@@ -119,7 +111,7 @@ def verdict(statistics: EffectStatistics, steps: Floats, threshold: Threshold, s
     """
     if statistics.n_effects < 2:
         return Verdict(statistics, None, influential=True)
-    if isinstance(threshold, MuSigmaThresholds):
+    if isinstance(threshold, SeparateThresholds):
         return Verdict(statistics, threshold, abs(statistics.mu) >= threshold.mu or statistics.sigma >= threshold.sigma)
     limit = automatic(steps, scale) if threshold == "auto" else float(threshold)
     return Verdict(statistics, limit, statistics.s_rel >= limit)
@@ -143,7 +135,7 @@ def is_surely_influential(
         return False
     most = known.size + missing.size
     squares = float(np.sum(known**2)) / ROUNDING
-    if isinstance(threshold, MuSigmaThresholds):
+    if isinstance(threshold, SeparateThresholds):
         deviations = float(np.sum((known - known.mean()) ** 2)) / ROUNDING
         return bool(deviations >= (most - 1) * threshold.sigma**2)
     if threshold != "auto":
@@ -156,46 +148,6 @@ def is_surely_influential(
     return bool(np.all((1 - 1 / n) * squares >= limits))
 
 
-@dataclass(frozen=True, slots=True)
-class SensitivitySettings:
-    """Settings of an analysis: the `design` of the intervals, n_Int `intervals` per parameter, r `samples` (effects) per analysis, the
-    `threshold`, and the `seed` of all points. If `sequential`, the design `lines` makes only the runs that its bounds need. The design
-    `paper` always makes all runs of Equation 3.
-
-    Raises InvalidInputError naming every setting that cannot be used, under `sensitivity`.
-    """
-
-    design: Literal["lines", "paper"]
-    intervals: int
-    samples: int
-    threshold: Threshold
-    seed: int
-    sequential: bool = True
-
-    def __post_init__(self) -> None:
-        problems: list[Problem] = []
-        if self.design not in {"lines", "paper"}:
-            problems.append(_problem("design", f"there is no design {self.design!r}", "give lines or paper"))
-        if self.intervals < 1:
-            problems.append(_problem("intervals", f"{self.intervals} is too small", "give at least 1"))
-        if self.samples < 2:
-            problems.append(
-                _problem("samples", f"{self.samples} is too small: a standard deviation takes two", "give at least 2")
-            )
-        if self.seed < 0:
-            problems.append(_problem("seed", f"{self.seed} is negative", "give at least 0"))
-        if isinstance(self.threshold, MuSigmaThresholds):
-            limits = {"threshold.mu": self.threshold.mu, "threshold.sigma": self.threshold.sigma}
-        else:
-            limits = {} if self.threshold == "auto" else {"threshold": self.threshold}
-        for name, limit in limits.items():
-            if not isfinite(limit) or limit <= 0:
-                remedy = "give a number above 0" + (" or auto" if name == "threshold" else "")
-                problems.append(_problem(name, f"{limit} is not a usable threshold", remedy))
-        if problems:
-            raise InvalidInputError(*problems)
-
-
 def caveats(stored: Mapping[str, Any]) -> list[str]:
     """Returns what a map cannot show because of the settings that are stored with it, for readers: a line each, none for most settings."""
     lines = [tolerance_text(stored["samples"])] if stored["threshold"] == "auto" else []
@@ -204,7 +156,3 @@ def caveats(stored: Mapping[str, Any]) -> list[str]:
             "sequential analysis: intervals between influential ones took no runs, so a larger s_rel may be hidden there"
         )
     return lines
-
-
-def _problem(name: str, message: str, remedy: str) -> Problem:
-    return Problem(f"sensitivity.{name}", message, remedy)

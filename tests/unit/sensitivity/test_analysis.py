@@ -1,7 +1,6 @@
 """The analysis as a whole: phases, replay, what is given back, what stays unknown, and what is refused."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from decimal import Decimal
 from math import isnan
 from typing import Any, Literal
@@ -14,15 +13,15 @@ from tests.support.effort import examples
 from tests.support.values import faults_of, present
 from tests.unit.sensitivity.synthetic import Score, drive, influence_map, space_of, staircase
 
+from drivecal.contracts.specification import SensitivitySpecification, SeparateThresholds
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.influence import EVERYWHERE, Influence
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.designs import Floats
-from drivecal.sensitivity.thresholds import MuSigmaThresholds, SensitivitySettings
 
 SPACE = space_of(41, 101, 61)
-SETTINGS = SensitivitySettings("lines", 8, 12, "auto", 5, sequential=False)
+SETTINGS = SensitivitySpecification(design="lines", intervals=8, samples=12, threshold="auto", seed=5, sequential=False)
 SCORES: dict[str, Score] = {"S1": staircase(SPACE, {0: (0.4, 0.9)}), "S2": staircase(SPACE, {1: (0, 0.5), 2: (0.25, 0.7)})}
 
 both = pytest.mark.parametrize("design", ["lines", "paper"])
@@ -32,7 +31,7 @@ def constant(value: float) -> Score:
     return lambda points: np.full(len(points), value)
 
 
-def finished(scores: Mapping[str, Score], chosen: SensitivitySettings = SETTINGS, space: ParameterSpace = SPACE) -> Any:
+def finished(scores: Mapping[str, Score], chosen: SensitivitySpecification = SETTINGS, space: ParameterSpace = SPACE) -> Any:
     analysis = SensitivityAnalysis(space, list(scores), chosen)
     drive(analysis, scores)
     return analysis.result()
@@ -40,7 +39,7 @@ def finished(scores: Mapping[str, Score], chosen: SensitivitySettings = SETTINGS
 
 @both
 def test_what_is_announced_is_exact_for_the_intervals_and_never_too_little(design: Literal["lines", "paper"]) -> None:
-    analysis = SensitivityAnalysis(SPACE, list(SCORES), replace(SETTINGS, design=design))
+    analysis = SensitivityAnalysis(SPACE, list(SCORES), SETTINGS.model_copy(update={"design": design}))
     announced = analysis.expected_runs()
     assert announced["intervals"] == {"lines": 12 * (1 + 3 * 15), "paper": 3 * 8 * 12 * 4}[design]
     told = drive(analysis, SCORES)
@@ -53,7 +52,7 @@ def test_what_is_announced_is_exact_for_the_intervals_and_never_too_little(desig
 
 @both
 def test_a_replayed_analysis_goes_on_as_the_first_would(design: Literal["lines", "paper"]) -> None:
-    chosen = replace(SETTINGS, design=design)
+    chosen = SETTINGS.model_copy(update={"design": design})
     first = SensitivityAnalysis(SPACE, list(SCORES), chosen)
     told: list[dict[str, Floats]] = []
     while (phase := first.ask()) is not None:
@@ -132,9 +131,9 @@ def test_intervals_of_which_too_few_runs_worked_are_not_cut() -> None:
     assert [interval.influential for interval in result["P2"].intervals] == [False] * 4 + [True] * 4
 
 
-@pytest.mark.parametrize("threshold", [0.02, "auto", MuSigmaThresholds(0.01, 0.02)])
+@pytest.mark.parametrize("threshold", [0.02, "auto", SeparateThresholds(mu=0.01, sigma=0.02)])
 def test_every_kind_of_threshold_finds_the_same_clear_regions(threshold: Any) -> None:
-    result = finished(SCORES, replace(SETTINGS, threshold=threshold))
+    result = finished(SCORES, SETTINGS.model_copy(update={"threshold": threshold}))
     for scenario, one in finished(SCORES).items():
         for name, parameter in one.parameters.items():
             assert result[scenario].parameters[name].influence == parameter.influence
@@ -173,11 +172,11 @@ def test_answers_that_do_not_fit_are_refused() -> None:
 
 
 def test_intervals_finer_than_the_grid_are_refused_with_the_most_that_fit() -> None:
-    refused = faults_of(SensitivityAnalysis, space_of(101, 7, 5), ["S1"], replace(SETTINGS, intervals=8))
+    refused = faults_of(SensitivityAnalysis, space_of(101, 7, 5), ["S1"], SETTINGS.model_copy(update={"intervals": 8}))
     assert [problem.field for problem in refused] == ["sensitivity.intervals"] * 2
     assert [name in problem.message for name, problem in zip(("P2", "P3"), refused, strict=True)] == [True, True]
     assert all("4" in problem.remedy for problem in refused), "the most that fit"
-    SensitivityAnalysis(space_of(101, 7, 5), ["S1"], replace(SETTINGS, intervals=4))
+    SensitivityAnalysis(space_of(101, 7, 5), ["S1"], SETTINGS.model_copy(update={"intervals": 4}))
 
 
 def test_where_every_parameter_is_fixed_there_is_nothing_to_analyse() -> None:
@@ -204,7 +203,11 @@ def test_whatever_the_scores_are_the_analysis_ends_within_what_was_announced(
         return np.where(generator.random(len(points)) < 0.1, np.nan, scores)
 
     space = space_of(*sizes)
-    analysis = SensitivityAnalysis(space, ["S1", "S2"], SensitivitySettings(design, intervals, 3, "auto", seed))
+    analysis = SensitivityAnalysis(
+        space,
+        ["S1", "S2"],
+        SensitivitySpecification(design=design, intervals=intervals, samples=3, threshold="auto", seed=seed),
+    )
     announced = analysis.expected_runs()
     told = drive(analysis, {"S1": noise, "S2": noise})
     for scenario in ("S1", "S2"):

@@ -12,12 +12,12 @@ from tests.support.effort import examples
 from tests.unit.sensitivity.synthetic import drive
 
 from drivecal.bundles.expressions import Constraint
+from drivecal.contracts.specification import SensitivitySpecification
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.designs import COLUMNS, Floats, SobolRows, lines_design, radial_design
-from drivecal.sensitivity.thresholds import SensitivitySettings
 
 SPACE = ParameterSpace(
     (
@@ -27,7 +27,7 @@ SPACE = ParameterSpace(
         Parameter.choice("tyre", ["a", "b", "c", "d", "e"]),
     )
 )
-SETTINGS = SensitivitySettings("lines", 8, 16, "auto", 5)
+SETTINGS = SensitivitySpecification(design="lines", intervals=8, samples=16, threshold="auto", seed=5)
 LAST = SPACE.n_values - 1
 
 designs = pytest.mark.parametrize("design", ["lines", "paper"])
@@ -41,7 +41,11 @@ def score(points: Indices) -> Floats:
 
 
 def analysed(design: Literal["lines", "paper"], *, sequential: bool) -> SensitivityAnalysis:
-    return SensitivityAnalysis(SPACE, ["S1"], SensitivitySettings(design, 8, 16, "auto", 5, sequential))
+    return SensitivityAnalysis(
+        SPACE,
+        ["S1"],
+        SensitivitySpecification(design=design, intervals=8, samples=16, threshold="auto", seed=5, sequential=sequential),
+    )
 
 
 @designs
@@ -94,7 +98,7 @@ def test_every_change_of_a_choice_is_a_step_of_the_whole_range(seed: int) -> Non
 @sequentially
 def test_points_that_break_constraints_are_never_asked(design: Literal["lines", "paper"], sequential: bool) -> None:
     constraints = Constraints(SPACE, {"slow or high": lambda values: (values["speed"] <= 800) | (values["gears"] > 2)})
-    chosen = SensitivitySettings(design, 8, 24, "auto", 5, sequential)
+    chosen = SensitivitySpecification(design=design, intervals=8, samples=24, threshold="auto", seed=5, sequential=sequential)
     analysis = SensitivityAnalysis(SPACE, ["S1", "S2"], chosen, constraints=constraints)
 
     def kept(points: Indices) -> Floats:
@@ -114,7 +118,7 @@ def test_each_coefficient_of_a_curve_with_a_form_gets_steps_within_what_is_annou
     form = [f"{b} <= {a}" for a, b in pairwise(names)]
     form += [f"{a} - 2*{b} + {c} >= 0" for a, b, c in zip(names, names[1:], names[2:], strict=False)]
     constraints = Constraints(space, {text: Constraint(text, dict.fromkeys(names, ())) for text in form})
-    chosen = SensitivitySettings("lines", 4, 8, "auto", 5, sequential=False)
+    chosen = SensitivitySpecification(design="lines", intervals=4, samples=8, threshold="auto", seed=5, sequential=False)
     analysis = SensitivityAnalysis(space, ["S1"], chosen, constraints=constraints)
     announced = analysis.expected_runs().items()
     told = drive(analysis, {"S1": lambda points: 1 + 6 * (points / (space.n_values - 1))[:, [1, 8]].mean(axis=1)})

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from tests.unit.sensitivity.synthetic import Box, drive, influence_map, space_of, staircase
 
+from drivecal.contracts.specification import SensitivitySpecification
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import ParameterSpace
 from drivecal.sensitivity.analysis import SensitivityAnalysis
-from drivecal.sensitivity.thresholds import SensitivitySettings, Threshold
+from drivecal.sensitivity.thresholds import Threshold
 
 SPACE = space_of(59, 201, 201, 2001, 1501, 101, 201, 2001, 101, 201, 201)
 """Grids as in Table 6."""
@@ -49,7 +50,11 @@ def misses(found: dict[str, dict[str, Influence]], space: ParameterSpace) -> lis
 def test_boxes_of_eleven_parameters_in_three_scenarios_are_found(
     design: Literal["lines", "paper"], threshold: Threshold, seed: int
 ) -> None:
-    analysis = SensitivityAnalysis(SPACE, list(BOXES), SensitivitySettings(design, INTERVALS, 20, threshold, seed))
+    analysis = SensitivityAnalysis(
+        SPACE,
+        list(BOXES),
+        SensitivitySpecification(design=design, intervals=INTERVALS, samples=20, threshold=threshold, seed=seed),
+    )
     drive(analysis, {scenario: staircase(SPACE, box) for scenario, box in BOXES.items()})
     result = influence_map(analysis)
     assert misses({scenario: dict(listed) for scenario, listed in result.items()}, SPACE) == []

@@ -7,18 +7,21 @@ import pytest
 from tests.support.scales import COST
 from tests.unit.sensitivity.synthetic import Score, drive, space_of
 
+from drivecal.contracts.specification import SensitivitySpecification
 from drivecal.domain.parameters import Indices
 from drivecal.domain.scales import Scale
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.designs import Floats
 from drivecal.sensitivity.scenario import ScenarioInfluence, tells_nothing
-from drivecal.sensitivity.thresholds import SensitivitySettings, Threshold, automatic
+from drivecal.sensitivity.thresholds import Threshold, automatic
 
 SPACE = space_of(101, 101, 101)
 
 
-def settings(threshold: Threshold, *, sequential: bool = True) -> SensitivitySettings:
-    return SensitivitySettings("lines", 10, 20, threshold, 3, sequential=sequential)
+def settings(threshold: Threshold, *, sequential: bool = True) -> SensitivitySpecification:
+    return SensitivitySpecification(
+        design="lines", intervals=10, samples=20, threshold=threshold, seed=3, sequential=sequential
+    )
 
 
 def analysed(score: Score, threshold: Threshold, scale: Scale, *, sequential: bool = True) -> ScenarioInfluence:

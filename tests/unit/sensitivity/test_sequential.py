@@ -1,6 +1,5 @@
 """Intervals from both ends inwards: the same bounds as all runs of the design give, from fewer of them."""
 
-from dataclasses import replace
 from math import isnan
 from typing import Any
 
@@ -11,19 +10,27 @@ from hypothesis import strategies as st
 from tests.support.effort import examples
 from tests.unit.sensitivity.synthetic import Box, Score, drive, influence_map, space_of, staircase
 
+from drivecal.contracts.specification import SensitivitySpecification, SeparateThresholds
 from drivecal.domain.influence import EVERYWHERE
 from drivecal.domain.parameters import Indices
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.designs import Floats
 from drivecal.sensitivity.effects import measures
-from drivecal.sensitivity.thresholds import MuSigmaThresholds, SensitivitySettings, Threshold, is_surely_influential, verdict
+from drivecal.sensitivity.thresholds import Threshold, is_surely_influential, verdict
 
 SPACE = space_of(41, 101, 61)
 BOXES: dict[str, Box] = {"S1": {0: (0.4, 0.9)}, "S2": {1: (0, 0.5), 2: (0.25, 0.7)}}
 SCORES: dict[str, Score] = {scenario: staircase(SPACE, box) for scenario, box in BOXES.items()}
-SETTINGS = SensitivitySettings("lines", 8, 12, "auto", 5)
-ALL_RUNS = replace(SETTINGS, sequential=False)
-THRESHOLDS: tuple[Threshold, ...] = ("auto", 0.02, 0.4, 2.0, MuSigmaThresholds(0.1, 0.5), MuSigmaThresholds(0.5, 0.1))
+SETTINGS = SensitivitySpecification(design="lines", intervals=8, samples=12, threshold="auto", seed=5)
+ALL_RUNS = SETTINGS.model_copy(update={"sequential": False})
+THRESHOLDS: tuple[Threshold, ...] = (
+    "auto",
+    0.02,
+    0.4,
+    2.0,
+    SeparateThresholds(mu=0.1, sigma=0.5),
+    SeparateThresholds(mu=0.5, sigma=0.1),
+)
 
 
 class Recorded:
@@ -70,12 +77,22 @@ def test_the_bounds_are_those_of_the_whole_design(
         for starts in generator.random((2, len(sizes))).tolist()
     ]
     scores = {f"S{number}": Recorded(rough(space, box, seed, changed, failing)) for number, box in enumerate(boxes)}
-    every = SensitivityAnalysis(space, list(scores), SensitivitySettings("lines", intervals, samples, threshold, seed, False))
+    every = SensitivityAnalysis(
+        space,
+        list(scores),
+        SensitivitySpecification(
+            design="lines", intervals=intervals, samples=samples, threshold=threshold, seed=seed, sequential=False
+        ),
+    )
     drive(every, scores)
     of_all = {scenario: set(score.asked) for scenario, score in scores.items()}
     for score in scores.values():
         score.asked.clear()
-    some = SensitivityAnalysis(space, list(scores), SensitivitySettings("lines", intervals, samples, threshold, seed))
+    some = SensitivityAnalysis(
+        space,
+        list(scores),
+        SensitivitySpecification(design="lines", intervals=intervals, samples=samples, threshold=threshold, seed=seed),
+    )
     drive(some, scores)
     assert influence_map(some) == influence_map(every)
     for scenario, score in scores.items():
@@ -87,7 +104,9 @@ def test_the_bounds_are_those_of_the_whole_design(
             assert repr(parameter.overall) == repr(full.parameters[name].overall)  # NaN differs from itself
 
 
-def finished(chosen: SensitivitySettings, scores: dict[str, Score] = SCORES) -> tuple[Any, list[tuple[str, dict[str, int]]]]:
+def finished(
+    chosen: SensitivitySpecification, scores: dict[str, Score] = SCORES
+) -> tuple[Any, list[tuple[str, dict[str, int]]]]:
     analysis = SensitivityAnalysis(SPACE, list(scores), chosen)
     told = drive(analysis, scores)
     return analysis.result(), told
@@ -100,13 +119,13 @@ def runs_of(told: list[tuple[str, dict[str, int]]], phase: str) -> int:
 @pytest.mark.parametrize("threshold", THRESHOLDS[:3])
 def test_it_takes_fewer_runs_than_announced_and_none_twice(threshold: Threshold) -> None:
     scores = {scenario: Recorded(score) for scenario, score in SCORES.items()}
-    analysis = SensitivityAnalysis(SPACE, list(scores), replace(SETTINGS, threshold=threshold))
+    analysis = SensitivityAnalysis(SPACE, list(scores), SETTINGS.model_copy(update={"threshold": threshold}))
     while (phase := analysis.ask()) is not None and phase.name == "intervals":
         analysis.tell({scenario: scores[scenario](points) for scenario, points in phase.points.items()})
     announced = 2 * analysis.expected_runs()["intervals"]
     made = [(scenario, *point) for scenario, score in scores.items() for point in score.asked]
     assert len(made) < 0.85 * announced
-    whole = SensitivityAnalysis(SPACE, list(scores), replace(ALL_RUNS, threshold=threshold)).ask()
+    whole = SensitivityAnalysis(SPACE, list(scores), ALL_RUNS.model_copy(update={"threshold": threshold})).ask()
     assert whole is not None
     for scenario, score in scores.items():
         rows, counts = np.unique(whole.points[scenario], axis=0, return_counts=True)

@@ -1,19 +1,15 @@
 """Thresholds of influence on s_rel, or on mu and sigma, and the tolerance of `auto`."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from tests.support.values import faults_of
 
+from drivecal.contracts.specification import SeparateThresholds
 from drivecal.sensitivity.designs import Floats
 from drivecal.sensitivity.effects import measures
 from drivecal.sensitivity.thresholds import (
-    MuSigmaThresholds,
-    SensitivitySettings,
     Threshold,
     automatic,
     caveats,
@@ -46,18 +42,18 @@ def test_a_number_is_a_threshold_on_the_relative_sensitivity_and_reaching_it_cou
     [([0.2, 0.2], True), ([-0.2, -0.2], True), ([0.5, -0.5], True), ([0.09, 0.09], False), ([0.2, -0.2], False)],
 )
 def test_separate_thresholds_look_at_the_magnitude_of_mu_and_at_sigma(effects: list[float], influential: bool) -> None:
-    assert is_influential(np.array(effects), 0.1, MuSigmaThresholds(mu=0.1, sigma=0.4)) == influential
+    assert is_influential(np.array(effects), 0.1, SeparateThresholds(mu=0.1, sigma=0.4)) == influential
 
 
 def test_the_threshold_that_was_applied_is_reported() -> None:
-    apart = MuSigmaThresholds(0.1, 0.2)
+    apart = SeparateThresholds(mu=0.1, sigma=0.2)
     steps, result = np.full(3, 0.5), measures(np.array([0.1, 0.2, 0.3]))
     assert verdict(result, steps, apart).threshold == apart
     assert verdict(result, steps, 0.02).threshold == 0.02
     assert verdict(result, steps, "auto").threshold == automatic(steps)
 
 
-@pytest.mark.parametrize("threshold", ["auto", 0.02, MuSigmaThresholds(0.1, 0.1)])
+@pytest.mark.parametrize("threshold", ["auto", 0.02, SeparateThresholds(mu=0.1, sigma=0.1)])
 def test_where_nothing_is_known_influence_is_assumed(threshold: Threshold) -> None:
     result = verdict(measures(np.array([np.nan, 0.0])), np.array([0.1]), threshold)
     assert result.influential
@@ -112,31 +108,3 @@ def test_the_automatic_threshold_scales_with_the_box_and_does_not_know_the_direc
 ) -> None:
     assert automatic(width * steps) == pytest.approx(automatic(steps) / width)
     assert automatic(-steps) == automatic(steps)
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "reported"),
-    [
-        ("intervals", 0, "intervals"), ("samples", 1, "samples"), ("samples", -3, "samples"), ("seed", -1, "seed"),
-        ("design", "star", "design"),
-        ("threshold", 0.0, "threshold"), ("threshold", -0.1, "threshold"), ("threshold", float("nan"), "threshold"),
-        ("threshold", float("inf"), "threshold"), ("threshold", MuSigmaThresholds(0, 0.1), "threshold.mu"),
-        ("threshold", MuSigmaThresholds(0.1, float("nan")), "threshold.sigma"),
-    ],
-)  # fmt: skip
-def test_settings_that_cannot_be_used_are_refused_by_name(field: str, value: object, reported: str) -> None:
-    given_settings: dict[str, Any] = {
-        "design": "lines",
-        "intervals": 10,
-        "samples": 20,
-        "threshold": "auto",
-        "seed": 1,
-        field: value,
-    }
-    (problem,) = faults_of(SensitivitySettings, **given_settings)
-    assert problem.field == f"sensitivity.{reported}"
-    assert problem.remedy
-
-
-def test_everything_that_is_wrong_is_named_at_once() -> None:
-    assert len(faults_of(SensitivitySettings, "lines", 0, 1, MuSigmaThresholds(-1, -1), -1)) == 5

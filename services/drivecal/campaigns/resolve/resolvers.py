@@ -6,7 +6,7 @@ from drivecal.bundles.highway import Scenario
 from drivecal.bundles.shapes import Shapes
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Function, given_set
-from drivecal.contracts.specification import CampaignSpecification, Given, SensitivitySpecification, SeparateThresholds
+from drivecal.contracts.specification import CampaignSpecification, Given, SensitivitySpecification
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scales import COMFORT, Scale
@@ -14,7 +14,6 @@ from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins import registry
 from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
-from drivecal.sensitivity.thresholds import SensitivitySettings
 
 MOST_WRONG_SETS = 200
 """Problems after which further start sets are not checked."""
@@ -171,8 +170,4 @@ def plan_analysis(
     wanted: SensitivitySpecification, constraints: Constraints, scenarios: Sequence[str], scale: Scale = COMFORT
 ) -> SensitivityAnalysis:
     """Plans a new sensitivity analysis. Raises InvalidInputError if the space does not allow it."""
-    threshold: thresholds.Threshold | SeparateThresholds = wanted.threshold
-    if isinstance(threshold, SeparateThresholds):
-        threshold = thresholds.MuSigmaThresholds(threshold.mu, threshold.sigma)
-    settings = SensitivitySettings(**wanted.model_dump(exclude={"threshold"}), threshold=threshold)
-    return SensitivityAnalysis(constraints.space, scenarios, settings, scale, constraints)
+    return SensitivityAnalysis(constraints.space, scenarios, wanted, scale, constraints)
