@@ -14,7 +14,7 @@ from drivecal.bundles.units import same
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.workbench import bench_of, stored_bundles
-from drivecal.campaigns.results.stored import StoredSimulation, given_sets, stored_simulations
+from drivecal.campaigns.results.stored import given_sets, stored_simulations
 from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedResults, ImportedRow, Source
 from drivecal.contracts.outside.results import MOST_CELLS, ResultLookup, StoredCell, StoredCells
 from drivecal.contracts.specification import ProblemSpecification
@@ -44,8 +44,7 @@ def look_up(wanted: ResultLookup, database: DatabaseDependency) -> StoredCells:
         raise InvalidInputError(Problem("sets", message, f"give at most {MOST_CELLS:,}"))
     sets = given_sets(bench, wanted.sets, "sets[{}]", Diagnostics())
     with database.read() as connection:
-        simulations = stored_simulations(connection, bench, sets)
-    return StoredCells(requested=requested, items=[StoredCell.of(each, set=each.place) for each in simulations])
+        return StoredCells(requested=requested, items=stored_simulations(connection, bench, sets))
 
 
 @router.post("", status_code=201)
@@ -124,7 +123,7 @@ def _check(given: ImportedResults, bench: Bench) -> None:
     diagnostics.raise_if_any()
 
 
-_Simulated = tuple[Bench, Mapping[tuple[int, str], StoredSimulation]]
+_Simulated = tuple[Bench, Mapping[tuple[int, str], StoredCell]]
 """A bench, and the stored simulations that it rated, by place of the imported set and scenario."""
 
 
@@ -144,7 +143,7 @@ def _simulated(database: Database, problem: str, rows: Sequence[ImportedValues],
     with database.read() as connection:  # results that depend on what workers report are not found: a look-up asks no worker
         simulations = stored_simulations(connection, bench, sets) if bench.to_probe is None else []
     form = bench.bundle.manifest.form  # a set of other curves has no simulation
-    return bench, {(each.place, each.scenario): each for each in simulations if rows[each.place].form == form}
+    return bench, {(each.set, each.scenario): each for each in simulations if rows[each.set].form == form}
 
 
 def _items(place: int, row: ImportedValues, first: _Simulated, scores: Mapping[str, _Simulated]) -> Iterator[ImportedRow]:
