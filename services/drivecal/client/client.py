@@ -4,7 +4,7 @@ import json
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import httpx
 from pydantic import ValidationError
 
-from drivecal.client.documents import Document, completed, ids_on, is_abbreviated, plain, weights_text, with_full_ids
+from drivecal.client.documents import Document, completed, is_abbreviated, plain, weights_text, with_full_ids
 from drivecal.client.following import READ_SECONDS, EventParser, Following, Sent, ServerSentEvent, Told, displayed
 from drivecal.client.frames import DownloadedTable, RankedSets, Rows
 from drivecal.client.imported import in_pieces
 from drivecal.client.outside import AskTell
 from drivecal.client.report import report_of
-from drivecal.client.transport import Answer, Transport, harmless, named, path_of, raise_for, unreachable
+from drivecal.client.transport import KINDS, Answer, Transport, harmless, named, path_of, raise_for, unreachable
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
 from drivecal.contracts.comparison import Comparison, ExpectedComparison
@@ -87,18 +87,19 @@ class Client(Transport):
 
         Raises NotFoundError if several begin so. Every method completes abbreviations of at least four characters by itself.
         """
-        return self._completed("campaign", identifier, lambda: ids_on(self.campaigns))
+        return self._completed("campaigns", identifier)
 
     def full_map_id(self, identifier: str) -> str:
         """Returns the id of an influence map, like `full_id`."""
-        return self._completed("influence map", identifier, lambda: ids_on(self.influence_maps))
+        return self._completed("influence-maps", identifier)
 
-    def _completed(self, kind: str, identifier: str, ids: Callable[[], Iterable[str]]) -> str:
-        known = self._full_ids.get((kind, identifier))
+    def _completed(self, collection: str, identifier: str) -> str:
+        known = self._full_ids.get((collection, identifier))
         if known is None:
-            known = completed(kind, identifier, ids)
+            ids = (item["id"] for item in self._listed((collection,), limit=200))
+            known = completed(KINDS[collection], identifier, ids)
             if known != identifier:
-                self._full_ids[kind, identifier] = known
+                self._full_ids[collection, identifier] = known
         return known
 
     def _full_place(self, place: Sequence[str]) -> Sequence[str]:
@@ -308,7 +309,7 @@ class Client(Transport):
         """Yields the items of all pages of a list."""
         cursor: str | None = None
         while True:
-            response = self._request("GET", place, query={**query, "limit": 1000, "cursor": cursor})
+            response = self._request("GET", place, query={"limit": 1000, **query, "cursor": cursor})
             raise_for(response, *named(place))
             page = json.loads(harmless(response.content))
             yield from page["items"]

@@ -1,7 +1,7 @@
 """Bodies of calls: documents of users, with the full ids of what they name."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import islice
 from os import PathLike
 from typing import Any
@@ -9,8 +9,6 @@ from typing import Any
 from pydantic import BaseModel
 
 from drivecal.configuration.documents import read_document
-from drivecal.contracts.campaign import CampaignPage
-from drivecal.contracts.inventory import InfluenceMapPage
 from drivecal.domain.errors import NotFoundError
 
 Document = Mapping[str, Any] | BaseModel | str | PathLike[str]
@@ -31,8 +29,6 @@ def weights_text(weights: Mapping[str, float] | str | None) -> str | None:
     return weights
 
 
-AT_A_TIME = 200
-"""Campaigns or maps in a request for ids."""
 _ABBREVIATION = re.compile(r"[0-9a-f]{4,31}")
 _TOO_SHORT = re.compile(r"[0-9a-f]{1,3}")
 
@@ -44,7 +40,7 @@ def is_abbreviated(identifier: str) -> bool:
     return _ABBREVIATION.fullmatch(identifier) is not None
 
 
-def completed(kind: str, identifier: str, ids: Callable[[], Iterable[str]]) -> str:
+def completed(kind: str, identifier: str, ids: Iterable[str]) -> str:
     """Returns the only one of the `ids` that begins with `identifier`, or an unknown `identifier` itself.
 
     Raises NotFoundError if several begin so, or if it is too short to be meant.
@@ -53,7 +49,7 @@ def completed(kind: str, identifier: str, ids: Callable[[], Iterable[str]]) -> s
         raise NotFoundError(f"single {kind}", identifier, "give at least four characters of its id")
     if not is_abbreviated(identifier):
         return identifier
-    matching = list(islice((full for full in ids() if full.startswith(identifier)), 2))
+    matching = list(islice((full for full in ids if full.startswith(identifier)), 2))
     if len(matching) > 1:
         raise NotFoundError(f"single {kind}", identifier, "several ids begin so; give more characters")
     return matching[0] if matching else identifier
@@ -80,12 +76,3 @@ def _with_full_set(goal: Mapping[str, Any], campaign: Complete) -> dict[str, Any
     """Returns a goal with the full id of the campaign whose set, `ID` or `ID#2`, it compares with."""
     sets = {name: goal[name] for name in ("changes", "distance") if isinstance(goal.get(name), str)}
     return {**goal, **{name: re.sub("^[^#]*", lambda begin: campaign(begin[0]), given) for name, given in sets.items()}}
-
-
-def ids_on(pages: Callable[..., CampaignPage | InfluenceMapPage]) -> Iterator[str]:
-    """Yields the ids on all pages, newest first."""
-    page = pages(limit=AT_A_TIME)
-    yield from (item.id for item in page.items)
-    while page.next_cursor is not None:
-        page = pages(limit=AT_A_TIME, cursor=page.next_cursor)
-        yield from (item.id for item in page.items)
