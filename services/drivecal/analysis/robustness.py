@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from drivecal.contracts.specification import RobustnessSpecification
 from drivecal.domain.rounding import grains
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins.ports import Floats
@@ -17,23 +18,6 @@ from drivecal.plugins.ports import Floats
 Condition = Literal["max", "mean"]
 SIGNIFICANT = 12
 """Digits of a drawn value: enough for any vehicle, few enough to be read and typed again."""
-
-
-@dataclass(frozen=True, slots=True)
-class RobustnessSettings:
-    """The study of Section IV-D: boxes of half width k `delta`, k = 1 .. `steps`, `samples` vehicles each.
-
-    `condition`: `max` |dF_j| <= eta in the score's unit for every vehicle and scenario j (the paper's study); `mean` is Section II-C's
-    relative one, < eta in the mean over the vehicles, with max(|F_j|, `least`) below the line (`least`: 1 point).
-    """
-
-    delta: float = 0.01
-    steps: int = 10
-    samples: int = 30
-    eta: float = 1.0
-    condition: Condition = "max"
-    seed: int = 1
-    least: float = 1.0
 
 
 def directions(count: int, samples: int, seed: int, box: int) -> Floats:
@@ -64,14 +48,15 @@ def vehicles(
 
 def deviation(nominal: Floats, scores: Floats, condition: Condition, least: float = 1.0) -> Floats:
     """Returns what the condition compares with eta, shape (n_s,), for scores `nominal` in the nominal vehicle, shape (n_s,), or under the
-    seed of each other vehicle, shape (samples, n_s), and `scores`, shape (samples, n_s), in the others. NaN if one has no result."""
+    seed of each other vehicle, shape (samples, n_s), and `scores`, shape (samples, n_s), in the others: the largest change, or the mean
+    one relative to the nominal score, which counts as at least `least`. NaN if one has no result."""
     away = np.abs(scores - nominal)
     if condition != "max":
         away = away / np.maximum(np.abs(nominal), least)
     return np.asarray(away.mean(axis=0) if condition == "mean" else away.max(axis=0), dtype=np.float64)
 
 
-def holds(deviations: Floats, nominal: Floats, settings: RobustnessSettings) -> bool:
+def holds(deviations: Floats, nominal: Floats, settings: RobustnessSpecification) -> bool:
     """Returns whether the condition holds in every scenario; false if a vehicle has no result. The rounding errors of the `deviations`
     follow from the size of the scores in the nominal vehicle, `nominal`."""
     room = grains(np.atleast_2d(nominal), settings.eta).max(axis=0)
@@ -132,7 +117,7 @@ class Robustness:
     trials: tuple[Trial, ...]
 
 
-def failing_at_most(known: Robustness, settings: RobustnessSettings, compared: int) -> float | None:
+def failing_at_most(known: Robustness, settings: RobustnessSpecification, compared: int) -> float | None:
     """Returns the share of vehicles in the widest box that holds which may break the condition (95 %), whichever of `compared` sets is
     chosen. None if no box holds, or if the condition is one of means."""
     return undetected_share(settings.samples, compared) if known.radius > 0 and settings.condition == "max" else None
@@ -149,11 +134,13 @@ class RobustnessStudy:
         nominal_scores: Floats,
         parameters: Sequence[VehicleParameter],
         nominal: Mapping[str, float],
-        settings: RobustnessSettings,
+        settings: RobustnessSpecification,
+        least: float = 1.0,
     ) -> None:
-        """`nominal_scores` has the solutions' scores in the nominal vehicle, shape (n_solutions, n_s), or by seed as in `deviation`."""
+        """`nominal_scores`: scores in the nominal vehicle, shape (n_solutions, n_s), or by seed. `least`: see `deviation`."""
         self._scores = nominal_scores
         self._parameters, self._nominal, self._settings = parameters, nominal, settings
+        self._least = least
         self._trials: list[list[Trial]] = [[] for _ in nominal_scores]
         self._asked: Box | None = None
         self._boxes = 0
@@ -175,7 +162,7 @@ class RobustnessStudy:
         if self._asked is None:
             raise RuntimeError("ask first")
         for solution, radius in self._asked.radius.items():
-            away = deviation(self._scores[solution], scores[solution], self._settings.condition, self._settings.least)
+            away = deviation(self._scores[solution], scores[solution], self._settings.condition, self._least)
             trial = Trial(self._asked.number, radius, tuple(away.tolist()), holds(away, self._scores[solution], self._settings))
             self._trials[solution].append(trial)
         self._boxes, self._asked = self._asked.number, None

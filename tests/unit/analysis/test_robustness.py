@@ -10,7 +10,6 @@ from tests.support.effort import examples
 
 from drivecal.analysis.robustness import (
     Robustness,
-    RobustnessSettings,
     RobustnessStudy,
     deviation,
     directions,
@@ -19,6 +18,7 @@ from drivecal.analysis.robustness import (
     undetected_share,
     vehicles,
 )
+from drivecal.contracts.specification import RobustnessSpecification
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins.ports import Floats
 
@@ -56,14 +56,14 @@ def test_boxes_and_seeds_have_directions_of_their_own_which_repeat() -> None:
     ],
 )  # fmt: skip
 def test_the_conditions_compare_what_the_paper_says(condition: Any, eta: float, expected: bool) -> None:
-    chosen = RobustnessSettings(condition=condition, eta=eta)
+    chosen = RobustnessSpecification(condition=condition, eta=eta)
     scores = np.array([[5.0, 2.0], [5.0, 4.0]])
     assert holds(deviation(np.array([5.0, 4.0]), scores, chosen.condition), np.array([5.0, 4.0]), chosen) is expected
 
 
 def test_one_point_is_still_robust_and_a_relative_bound_is_strict() -> None:
-    assert holds(np.array([1.0]), np.array([6.0]), RobustnessSettings())
-    assert not holds(np.array([0.2]), np.array([6.0]), RobustnessSettings(condition="mean", eta=0.2))
+    assert holds(np.array([1.0]), np.array([6.0]), RobustnessSpecification())
+    assert not holds(np.array([0.2]), np.array([6.0]), RobustnessSpecification(condition="mean", eta=0.2))
 
 
 def test_a_score_of_zero_divides_by_one() -> None:
@@ -72,12 +72,12 @@ def test_a_score_of_zero_divides_by_one() -> None:
 
 @pytest.mark.parametrize("condition", ["max", "mean"])
 def test_a_vehicle_without_a_result_cannot_be_vouched_for(condition: Any) -> None:
-    chosen = RobustnessSettings(condition=condition, eta=100.0)
+    chosen = RobustnessSpecification(condition=condition, eta=100.0)
     away = deviation(np.array([5.0, 4.0]), np.array([[5.0, 4.0], [5.0, np.nan]]), chosen.condition)
     assert not holds(away, np.array([5.0, 4.0]), chosen)
 
 
-def run(limits: list[float], chosen: RobustnessSettings) -> tuple[RobustnessStudy, int]:
+def run(limits: list[float], chosen: RobustnessSpecification) -> tuple[RobustnessStudy, int]:
     """Solutions that keep their score up to a half width of their own, and lose two points beyond."""
     nominal = np.full((len(limits), 2), 6.0)
     study = RobustnessStudy(nominal, TABLE_8, NOMINAL, chosen)
@@ -95,7 +95,7 @@ def run(limits: list[float], chosen: RobustnessSettings) -> tuple[RobustnessStud
 
 
 def test_the_degree_is_the_largest_multiple_up_to_which_the_condition_holds() -> None:
-    study, driven = run([0.005, 0.035, 0.0999, 5.0], RobustnessSettings(samples=4))
+    study, driven = run([0.005, 0.035, 0.0999, 5.0], RobustnessSpecification(samples=4))
     result = study.result()
     assert [item.degree for item in result] == [0, 3, 9, 10]
     assert [entry.at_least for entry in result] == [False, False, False, True]
@@ -104,7 +104,7 @@ def test_the_degree_is_the_largest_multiple_up_to_which_the_condition_holds() ->
 
 
 def test_a_study_that_is_told_the_same_goes_on_as_the_first() -> None:
-    chosen = RobustnessSettings(samples=3)
+    chosen = RobustnessSpecification(samples=3)
     nominal = np.array([[6.0, 5.0], [4.0, 4.0]])
     first, boxes = RobustnessStudy(nominal, TABLE_8, NOMINAL, chosen), []
     while (box := first.ask()) is not None:
@@ -120,12 +120,12 @@ def test_a_study_that_is_told_the_same_goes_on_as_the_first() -> None:
 
 
 def test_nothing_to_examine_is_no_study() -> None:
-    assert RobustnessStudy(np.zeros((0, 6)), TABLE_8, NOMINAL, RobustnessSettings()).ask() is None
+    assert RobustnessStudy(np.zeros((0, 6)), TABLE_8, NOMINAL, RobustnessSpecification()).ask() is None
 
 
 def test_telling_before_asking_is_refused() -> None:
     with pytest.raises(RuntimeError, match="ask first"):
-        RobustnessStudy(np.zeros((1, 6)), TABLE_8, NOMINAL, RobustnessSettings()).tell({})
+        RobustnessStudy(np.zeros((1, 6)), TABLE_8, NOMINAL, RobustnessSpecification()).tell({})
 
 
 def test_vehicles_that_hold_leave_the_share_open_that_they_would_miss_once_in_twenty() -> None:
@@ -134,6 +134,6 @@ def test_vehicles_that_hold_leave_the_share_open_that_they_would_miss_once_in_tw
         assert (1 - undetected_share(samples)) ** samples == pytest.approx(0.05)
     assert undetected_share(30, 20) == pytest.approx(0.181, abs=1e-3), "the recommended one of 20 sets"
     held, broken = Robustness(2, False, 0.02, ()), Robustness(0, False, 0.0, ())
-    assert failing_at_most(held, RobustnessSettings(), 20) == undetected_share(30, 20)
-    assert failing_at_most(broken, RobustnessSettings(), 20) is None
-    assert failing_at_most(held, RobustnessSettings(condition="mean"), 20) is None
+    assert failing_at_most(held, RobustnessSpecification(), 20) == undetected_share(30, 20)
+    assert failing_at_most(broken, RobustnessSpecification(), 20) is None
+    assert failing_at_most(held, RobustnessSpecification(condition="mean"), 20) is None

@@ -15,8 +15,9 @@ from drivecal.analysis.convergence import changes, converged_at, improved_last, 
 from drivecal.analysis.front import knee, winning_weights
 from drivecal.analysis.goals import Aggregate, Bound, CellValue, Goals, Objective
 from drivecal.analysis.importance import importances
-from drivecal.analysis.robustness import RobustnessSettings, deviation, holds
+from drivecal.analysis.robustness import deviation, holds
 from drivecal.analysis.solutions import Ranking
+from drivecal.contracts.specification import RobustnessSpecification
 from drivecal.contracts.tables import Generation
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.scales import Direction, Scale
@@ -103,7 +104,7 @@ def test_courses_populations_and_conditions_do_not_depend_on_the_unit(values: li
     assert stood_still(points[0], courses[0][-1]) == stood_still(points[1], courses[1][-1])
     shares = [(usual, 1.0), (other, size[0])]
     kept = [
-        holds(deviation(each[:1], each[:, np.newaxis], "max"), each[:1], RobustnessSettings(eta=0.1 * unit))
+        holds(deviation(each[:1], each[:, np.newaxis], "max"), each[:1], RobustnessSpecification(eta=0.1 * unit))
         for each, unit in shares
     ]
     assert kept[0] == kept[1]

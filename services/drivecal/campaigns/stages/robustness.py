@@ -8,7 +8,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis.optima import one_per_region_first, regions
-from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy, failing_at_most, key_of
+from drivecal.analysis.robustness import Robustness, RobustnessStudy, failing_at_most, key_of
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.bench import Bench
@@ -84,8 +84,7 @@ class RobustnessStage(StudyStage):
         wanted = problem.specification.robustness
         if wanted is None:
             raise ValueError("the campaign has no robustness stage")
-        given = wanted.model_dump(exclude={"solutions", "sets", "of"})
-        self._wanted, self._settings = wanted, RobustnessSettings(**given, least=problem.bench.scale.tolerance)
+        self._wanted = wanted
         self._examined = self._requested() or self._choose()
         self._seeds = list(dict.fromkeys(map(problem.bench.seed_of, range(wanted.samples))))
         self._benches = SeededBenches(problem.bench)
@@ -145,7 +144,7 @@ class RobustnessStage(StudyStage):
 
     @property
     def _at_most(self) -> int:
-        settings = self._settings
+        settings = self._wanted
         return len(self._examined) * len(self._problem.scenarios) * (len(self._seeds) + settings.steps * settings.samples)
 
     def _ask(self) -> Round | None:
@@ -161,7 +160,7 @@ class RobustnessStage(StudyStage):
         box = self._study.ask()
         if box is None:
             return None
-        samples = self._settings.samples
+        samples = self._wanted.samples
         asked: list[tuple[Bench, list[RequestedCell]]] = []
         by_vehicle: dict[tuple[int, tuple[tuple[str, float], ...]], list[RequestedCell]] = {}
         for solution, vehicles in box.vehicles.items():
@@ -185,12 +184,12 @@ class RobustnessStage(StudyStage):
             numbers = {answer.individual: answer.parameter_set for answer in answers}
             self._nominal = [self._nominal_ranking.get(numbers[place]) for place in range(len(self._examined))]
             bench = self._problem.bench
-            self._study = RobustnessStudy(self._scores, bench.varied, bench.values, self._settings)
+            self._study = RobustnessStudy(self._scores, bench.varied, bench.values, self._wanted, bench.scale.tolerance)
             return
         box = None if self._study is None else self._study.ask()
         if self._study is None or box is None:
             raise RuntimeError(f"round {number} was not asked for")
-        samples = self._settings.samples
+        samples = self._wanted.samples
         scores = {solution: np.full((samples, len(columns)), np.nan) for solution in box.radius}
         for answer in answers:
             solution, sample = divmod(answer.individual, samples)
@@ -271,7 +270,7 @@ class RobustnessStage(StudyStage):
             "degree": known.degree,
             "at_least": known.at_least,
             "radius": known.radius,
-            "failing_at_most": failing_at_most(known, self._settings, len(self._examined)),
+            "failing_at_most": failing_at_most(known, self._wanted, len(self._examined)),
             "recommended": is_recommended,
             "reason": recommended[1] if recommended is not None and is_recommended else None,
             "trials": [
