@@ -306,7 +306,7 @@ def begun(database: Database) -> StoredCampaign:
 def told(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
     """The answers of the outside optimizer; their order may differ."""
     with database.read() as connection:
-        rows = outside_sets.answers(connection, campaign.sequence, 0, 1_000)
+        rows = outside_sets.answers(connection, campaign, 0, 1_000)
     after = get(database, campaign)
     numbers = [row.number for row in rows]
     assert len(set(numbers)) == len(numbers)

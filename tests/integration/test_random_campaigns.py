@@ -145,7 +145,7 @@ def test_an_outside_optimizer_gets_its_replicates_with_their_seeds(database: Dat
         outside_sets.finish(connection, campaign)
     finish(database, campaign, dispatcher(database, ComputedBackend(0, driven=noisy)))
     with database.read() as connection:
-        answers = outside_sets.answers(connection, campaign.sequence, 0, 100)
+        answers = outside_sets.answers(connection, campaign, 0, 100)
     expected = [("a", scenario, seed) for scenario in ("city", "road") for seed in (1, 2, 3)] + [("b", "city", 1)]
     assert sorted((answer.key, answer.scenario, answer.seed) for answer in answers) == expected
     assert len({answer.score for answer in answers}) == 7

@@ -21,8 +21,7 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
 from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.contracts.campaign import Campaign
-from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet, CellAnswered, ProposedSets
-from drivecal.domain.evaluations import Outcome
+from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet, ProposedSets
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 from drivecal.storage.outside import sets as outside_sets
@@ -99,10 +98,7 @@ async def answers(
 def _answers(database: Database, campaign_id: str, after: int, limit: int) -> AnswerPage:
     with database.read() as connection:
         campaign = campaigns.get(connection, campaign_id)
-        rows = outside_sets.answers(connection, campaign.sequence, after, limit)
-    copied = campaign.spec["reduction"]["max_error"]
-    shares = {Outcome.FAILED: None, Outcome.REUSED: copied}
-    items = [CellAnswered.of(row, parameters=row.parameters.floats, wrong_at_most=shares.get(row.outcome, 0.0)) for row in rows]
+        items = outside_sets.answers(connection, campaign, after, limit)
     ended_by = None if campaign.search is None else campaign.search.ended_by
     is_over = campaign.state.ended or (ended_by is not None and campaign.cells.pending == 0)
     last = items[-1].number if items else after

@@ -1,11 +1,12 @@
 """Parameter sets that outside optimizers propose to campaigns, and the answers of their cells by arrival."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, bindparam, func, select, update
+from sqlalchemy import ColumnElement, Connection, bindparam, func, select, update
 
+from drivecal.contracts.outside.sets import CellAnswered
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.domain.evaluations import Outcome
@@ -14,7 +15,6 @@ from drivecal.storage import campaigns
 from drivecal.storage import evaluations as stored_evaluations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.bulk import execute_rows, rows_among
-from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import campaigns as campaigns_table
 from drivecal.storage.engine.tables import evaluations, outside_sets, parameter_sets, runs
 from drivecal.storage.engine.types import now
@@ -39,26 +39,6 @@ class OutsideSet:
     scenarios: list[str] | None = None
     replicates: int = 1
     number: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class OutsideAnswer:
-    """An answered cell. `number` counts the answers of the campaign by arrival, from 1; `set` is the number of its set."""
-
-    number: int
-    set: int
-    key: str
-    parameters: ParameterSet
-    scenario: str
-    seed: int
-    evaluation: int
-    outcome: Outcome
-    score: float | None
-    rating: float | None
-    reference: int | None
-    failure: str | None
-    detail: str | None
-    metrics: dict[str, float | None] | None
 
 
 def external_campaign(connection: Connection, campaign_id: str) -> StoredCampaign:
@@ -191,7 +171,7 @@ def number_answers(connection: Connection, campaign_sequence: int, iteration: in
         stored_evaluations.store(connection, "answered", {number: place for place, number in enumerate(ids, last + 1)})
 
 
-def answers(connection: Connection, campaign_sequence: int, after: int, limit: int) -> list[OutsideAnswer]:
+def answers(connection: Connection, campaign: StoredCampaign, after: int, limit: int) -> list[CellAnswered]:
     """Returns the answers of a campaign after a number, by arrival, at most `limit`."""
     cell, proposed = evaluations.c, outside_sets.c
     own = (
@@ -217,19 +197,18 @@ def answers(connection: Connection, campaign_sequence: int, after: int, limit: i
             .join(parameter_sets, parameter_sets.c.id == cell.parameter_set_id)
             .outerjoin(runs, runs.c.id == cell.run_id)
         )
-        .where(cell.campaign_sequence == campaign_sequence, cell.answered > after, cell.answered.is_not(None))
+        .where(cell.campaign_sequence == campaign.sequence, cell.answered > after, cell.answered.is_not(None))
         .order_by(cell.answered)
         .limit(limit)
     )
     read = metrics.reader(connection)
-    return [_answer(row, read) for row in connection.execute(query)]
-
-
-def _answer(row: Row[Any], read: Callable[[metrics.Stored], metrics.Metrics]) -> OutsideAnswer:
-    return record(
-        OutsideAnswer,
-        row,
-        parameters=ParameterSet.from_json(row.parameters),
-        outcome=Outcome(row.outcome),
-        metrics=row.own if row.own is not None or row.metrics is None else dict(read(row.metrics)),
-    )
+    wrong = {Outcome.FAILED: None, Outcome.REUSED: campaign.spec["reduction"]["max_error"]}
+    return [
+        CellAnswered.of(
+            row,
+            parameters=ParameterSet.from_json(row.parameters).floats,
+            metrics=row.own if row.own is not None or row.metrics is None else dict(read(row.metrics)),
+            wrong_at_most=wrong.get(row.outcome, 0.0),
+        )
+        for row in connection.execute(query)
+    ]
