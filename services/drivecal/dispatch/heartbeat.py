@@ -14,11 +14,11 @@ from typing import Any, Self
 
 from sqlalchemy import Connection
 
+from drivecal.contracts.inventory import ResourceAnswer
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.execution.backend import WorkerInfo
 from drivecal.execution.measures import MEASURES
-from drivecal.execution.scheduling.resources import ResourceUse
 from drivecal.storage import campaigns, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -75,7 +75,7 @@ class Waits:
     """Reasons why campaigns wait, by number, and the use of resources."""
 
     campaigns: Mapping[int, str] = field(default_factory=dict)
-    resources: Sequence[ResourceUse] = ()
+    resources: Sequence[ResourceAnswer] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +145,7 @@ class Heartbeat:
         detail: dict[str, Any] = {
             "workers": [asdict(worker) for worker in report.workers],
             "degraded": report.trouble,
-            "resources": [asdict(use) for use in report.waits.resources],
+            "resources": [use.model_dump() for use in report.waits.resources],
             "measures": MEASURES.snapshot(),
         }
         if self._clock() - report.heard > STUCK_AFTER_SECONDS:

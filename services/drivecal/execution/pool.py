@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
+from drivecal.contracts.inventory import ResourceAnswer
 from drivecal.contracts.work import SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.backend import DEADLINE_FACTOR, DEADLINE_SECONDS, Backend, Finished, Lost, WorkerInfo
@@ -13,7 +14,7 @@ from drivecal.execution.observing import Observer, breakdowns
 from drivecal.execution.probing import Questions
 from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Completed, Dispatch, RunBudget, Work
-from drivecal.execution.scheduling.resources import Resources, ResourceUse
+from drivecal.execution.scheduling.resources import Resources
 from drivecal.execution.scheduling.scheduler import Scheduler
 from drivecal.storage import leases
 from drivecal.storage.engine.database import Database
@@ -93,7 +94,7 @@ class WorkPool:
         """Returns why cells of the campaign `tag` wait for something else than their turn, or None. `wholly`: and none is at a worker."""
         return self._scheduler.waits(tag, wholly=wholly)
 
-    def resources(self) -> list[ResourceUse]:
+    def resources(self) -> list[ResourceAnswer]:
         """Returns the use of each resource."""
         return self._scheduler.resources()
 

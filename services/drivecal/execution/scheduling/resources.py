@@ -9,22 +9,13 @@ from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
+from drivecal.contracts.inventory import ResourceAnswer
 from drivecal.contracts.work import SetupKey, SetupRequest
 
 KEPT_SECONDS = 3.0
 """Time without a run after which a program is closed that holds resources."""
 FIRST_PAUSE, LONGEST_PAUSE = 1.0, 16.0
 """Pause (s) after a simulator was busy; it doubles up to the longest."""
-
-
-@dataclass(frozen=True, slots=True)
-class ResourceUse:
-    """A resource: how many exist, and how many of these are held. `settling`: held by runs of lost workers, which may go on."""
-
-    name: str
-    total: int
-    held: int
-    settling: int
 
 
 @dataclass(slots=True)
@@ -160,12 +151,15 @@ class Resources:
         reasons = [pause.reason for place, pause in self._pauses.items() if place[1] == setup.session_key]
         return f"the simulator is busy: {reasons[-1]}" if reasons else None
 
-    def use(self) -> list[ResourceUse]:
+    def use(self) -> list[ResourceAnswer]:
         """Returns the use of each resource."""
         taken, settling = self._taken(), Counter[str]()
         for _, counts in self._settling:
             settling.update(counts)
-        return [ResourceUse(name, total, taken[name], settling[name]) for name, total in self.total.items()]
+        return [
+            ResourceAnswer(name=name, total=total, held=taken[name], settling=settling[name])
+            for name, total in self.total.items()
+        ]
 
     def _taken(self) -> Counter[str]:
         taken = Counter[str]()

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from drivecal.cluster import tracing
+from drivecal.contracts.inventory import ResourceAnswer
 from drivecal.contracts.work import Batch, BatchResult, CellResult, SetupKey, SetupRequest
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.affinity import SetupAffinity
@@ -34,7 +35,7 @@ from drivecal.execution.scheduling.in_flight import (
 from drivecal.execution.scheduling.queue import ClaimGroup, FairQueue, Line
 from drivecal.execution.scheduling.refusals import Refusals
 from drivecal.execution.scheduling.reservation import Reservation
-from drivecal.execution.scheduling.resources import Resources, ResourceUse
+from drivecal.execution.scheduling.resources import Resources
 from drivecal.execution.scheduling.worker_health import WorkerHealth
 from drivecal.plugins.simulators import END_SECONDS
 
@@ -337,7 +338,7 @@ class Scheduler:
         is_kept = first is not None and own is not None and first.priority > own.priority
         return first.priority if first and is_kept and all(sent.line.tag != tag for sent in self._sent.values()) else None
 
-    def resources(self) -> list[ResourceUse]:
+    def resources(self) -> list[ResourceAnswer]:
         """Returns the use of each resource."""
         return self._resources.use()
 
