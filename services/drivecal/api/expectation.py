@@ -25,7 +25,7 @@ from drivecal.contracts.campaign import STUDIES, ExpectedRuns
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
 from drivecal.contracts.outside.sets import ProposedSet
 from drivecal.contracts.specification import CampaignSpecification, GoalSpecification, MapReference, Values
-from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, TooLargeError
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, TooLargeError, restated
 from drivecal.storage import campaigns, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -138,10 +138,8 @@ def resolved(database: Database, specification: CampaignSpecification, *, again:
         sets = _imported_sets(database, problem, wanted.start_results, again=again)
         begin = [*wanted.start_sets, *(each for each in sets if each not in wanted.start_sets)]
         begun = wanted.model_copy(update={"start_sets": begin})
-        try:
+        with restated(lambda each: replace(each, field="optimizer.start_results")):
             return resolve(specification.model_copy(update={"optimizer": begun}), bundles)
-        except InvalidInputError as error:
-            raise InvalidInputError(*(replace(each, field="optimizer.start_results") for each in error.problems)) from error
     except InvalidInputError as error:
         own = error.problems
     diagnostics = Diagnostics()
@@ -184,11 +182,9 @@ def _imported_sets(database: Database, problem: CalibrationProblem, source: str,
         raise InvalidInputError(Problem(field, "its sets belong to other curves or maps than the problem has now", remedy))
     given = dict.fromkeys(row.parameters for row in rows)
     sets = [ProposedSet(key=str(number), parameters=dict(each.floats)) for number, each in enumerate(given)]
-    try:
+    remedy = "name the sets that fit in `start_sets`, or change the bounds"
+    with restated(lambda fault: Problem(field, str(fault), remedy)):
         points = problem.space.parameter_sets(indices_of(problem, sets, Diagnostics()))
-    except InvalidInputError as error:
-        remedy = "name the sets that fit in `start_sets`, or change the bounds"
-        raise InvalidInputError(*(Problem(field, str(fault), remedy) for fault in error.problems)) from error
     return [dict(each.floats) for each in points]
 
 

@@ -18,7 +18,7 @@ import yaml
 
 from drivecal.contracts import strict_json
 from drivecal.contracts.strict_json import shown
-from drivecal.domain.errors import InvalidInputError, Problem, file_faults
+from drivecal.domain.errors import InvalidInputError, Problem, file_faults, restated
 
 LARGEST_FILE = 1_048_576
 """Bytes, as the server accepts them."""
@@ -33,11 +33,8 @@ def read_document(file: str) -> dict[str, Any]:
 def opened_document(file: str) -> Iterator[dict[str, Any]]:
     """Yields the object in `file`, as `read_document` returns it. Faults that the server, for example, finds in it get file and line."""
     document, name, lines = _located_document(file)
-    try:
+    with restated(lambda problem: replace(problem, field=located(problem.field, lines, name))):
         yield document
-    except InvalidInputError as error:
-        problems = [replace(problem, field=located(problem.field, lines, name)) for problem in error.problems]
-        raise InvalidInputError(*problems) from error
 
 
 def located(field: str, lines: Mapping[str, int], name: str) -> str:
@@ -53,7 +50,7 @@ def _located_document(file: str) -> tuple[dict[str, Any], str, Mapping[str, int]
     """Returns the object in `file`, the file's name, and the lines of its fields."""
     content, name = _content(file)
     lines: Mapping[str, int] = {}
-    try:
+    with restated(lambda problem: replace(problem, field=": ".join(filter(None, (name, problem.field))))):
         if name.endswith(".json") or (file == "-" and content.lstrip()[:1] in {b"{", b"["}):
             document = strict_json.loads(content)
             with suppress(InvalidInputError):  # JSON that is no YAML has no lines
@@ -61,9 +58,6 @@ def _located_document(file: str) -> tuple[dict[str, Any], str, Mapping[str, int]
         else:
             document, lines = located_yaml(content)
         strict_json.check_plain(document)
-    except InvalidInputError as error:
-        placed = (replace(problem, field=": ".join(filter(None, (name, problem.field)))) for problem in error.problems)
-        raise InvalidInputError(*placed) from error
     if not isinstance(document, dict):
         raise InvalidInputError(Problem(name, f"it holds {shown(document)}, not an object", "write `field: value` lines"))
     return document, name, lines

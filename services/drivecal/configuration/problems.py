@@ -16,7 +16,7 @@ from drivecal.configuration.documents import LARGEST_FILE, located, located_yaml
 from drivecal.configuration.pushing import HEADER, read_secret, sign
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.strict_json import shown
-from drivecal.domain.errors import InvalidInputError, Problem, file_faults
+from drivecal.domain.errors import InvalidInputError, Problem, file_faults, restated
 
 _Checked = TypeVar("_Checked")
 
@@ -43,18 +43,10 @@ def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[s
         return manifest, archive, fmu_notes
     from drivecal.bundles.highway_roads import conversions  # with scipy, for this kind only
 
-    try:
-        networks, notes = conversions(manifest, files)
-    except InvalidInputError as error:
-        _, lines = located_yaml(manifest_text(files))
-        raise InvalidInputError(
-            *(replace(problem, field=located(problem.field, lines, MANIFEST)) for problem in error.problems)
-        ) from error
+    networks, notes = _read(manifest_text(files), lambda _: conversions(manifest, files))
     archive = with_files(archive, networks) if networks else archive
-    try:
+    with restated(lambda problem: _with_notes(problem, notes)):
         manifest, road_notes = _read_archived(files_of(archive))
-    except InvalidInputError as error:
-        raise InvalidInputError(*(_with_notes(problem, notes) for problem in error.problems)) from error
     return manifest, archive, (*fmu_notes, *notes, *road_notes)
 
 
@@ -105,12 +97,9 @@ def _read(content: bytes, check: Callable[[Any], _Checked]) -> _Checked:
     if len(content) > LARGEST_FILE:
         raise InvalidInputError(Problem(MANIFEST, f"it is larger than {LARGEST_FILE:,} bytes", "move data into other files"))
     lines: Mapping[str, int] = {}
-    try:
+    with restated(lambda problem: replace(problem, field=located(problem.field, lines, MANIFEST))):
         document, lines = located_yaml(content)
         return check(document)
-    except InvalidInputError as error:
-        problems = [replace(problem, field=located(problem.field, lines, MANIFEST)) for problem in error.problems]
-    raise InvalidInputError(*problems)
 
 
 Pushed = bytes | str | PathLike[str]

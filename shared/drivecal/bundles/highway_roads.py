@@ -28,7 +28,7 @@ from drivecal.bundles.traffic.entities import Files
 from drivecal.bundles.traffic.places import Map
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, Problem, restated
 from drivecal.roads.carriageway import carriageway
 from drivecal.roads.conversion import converted
 from drivecal.roads.corridor import Corridor, corridor
@@ -239,12 +239,8 @@ class _Roads:
         source = self._files.get(name)
         if name != network_file(name) and (source is None or source_of(file.content) != _digest(source)):
             raise InvalidInputError(replace(_stale("", name), field="network"))
-        try:
+        with restated(lambda problem: replace(problem, field="network", message=_message(problem))):
             return map_of(self.files.read, name)
-        except InvalidInputError as error:
-            raise InvalidInputError(
-                *(replace(problem, field="network", message=_message(problem)) for problem in error.problems)
-            ) from error
 
 
 def _problems(roads: _Roads, field: str, scenario: HighwayScenario) -> Iterator[Problem]:

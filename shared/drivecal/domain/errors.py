@@ -5,7 +5,7 @@ they survive pickling between processes.
 """
 
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -122,6 +122,15 @@ class ReplayError(DrivecalError):
             f"the search cannot be resumed: for iteration {self.iteration}, {self.installed} proposes another population than {before};"
             " submit the campaign again: stored results answer the cells that were simulated"
         )
+
+
+@contextmanager
+def restated(change: Callable[[Problem], Problem]) -> Iterator[None]:
+    """Changes the problems of an InvalidInputError that leaves the block, e.g. to fields that the user knows."""
+    try:
+        yield
+    except InvalidInputError as error:
+        raise InvalidInputError(*map(change, error.problems)) from error
 
 
 @contextmanager

@@ -6,18 +6,19 @@ OpenSCENARIO files become entries of YAML; what a route file says is checked, an
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drivecal.bundles.highway import Declared, Described, HighwayScenario, OpenScenario, TaskScenario
 from drivecal.bundles.highway_checks import declared_scenario
-from drivecal.bundles.traffic.elements import refusal
+from drivecal.bundles.traffic.elements import in_file
 from drivecal.bundles.traffic.entities import Files
 from drivecal.bundles.traffic.openscenario import ScenarioFile, VehicleNames
 from drivecal.bundles.traffic.places import Map
 from drivecal.bundles.traffic.route_files import RouteTraffic, read_routes
 from drivecal.contracts.input_errors import validated
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, Problem, restated
 from drivecal.roads.corridor import corridor
 from drivecal.roads.network import FIELD, network_file, read_network
 from drivecal.roads.opendrive import read_opendrive
@@ -70,11 +71,9 @@ def described(scenario: Declared, files: Files, maps: Maps, step: float) -> Desc
     if complete.routes is None:
         return description
     network = maps(complete.network).network
-    try:
+    with restated(partial(in_file, place="routes")):
         content = files.read(complete.routes)
         routes = read_routes(content, complete.routes, network, complete, complete.duration)
-    except InvalidInputError as error:
-        raise refusal(error, "routes") from error
     return replace(description, notes=description.notes + routes.notes, routes=routes)
 
 
@@ -102,10 +101,8 @@ def _complete(scenario: OpenScenario, files: Files, maps: Maps, step: float) -> 
         message = f"{element.file}: {place.message.removesuffix(': ')}"
         origins[f"traffic[{len(section)}]"] = Problem("openscenario", message)
         section.append({key: value for key, value in entry.document.items() if value is not None})
-    try:
+    with restated(lambda problem: _with_origin(problem, origins)):
         complete = validated(HighwayScenario, document)
-    except InvalidInputError as error:
-        raise InvalidInputError(*(_with_origin(problem, origins) for problem in error.problems)) from error
     return Description(complete, file.notes, origins)
 
 
@@ -140,4 +137,4 @@ def _located(error: InvalidInputError, scenario: OpenScenario) -> InvalidInputEr
     own = {"ego", FIELD} | {f"parameters.{name}" for name in scenario.parameters}
     inner = [problem for problem in error.problems if problem.field not in own]
     kept = [problem for problem in error.problems if problem.field in own]
-    return InvalidInputError(*kept, *refusal(InvalidInputError(*inner), "openscenario").problems)
+    return InvalidInputError(*kept, *(in_file(problem, "openscenario") for problem in inner))

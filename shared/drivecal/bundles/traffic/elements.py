@@ -190,11 +190,9 @@ def finite(text: str) -> float | None:
     return value if math.isfinite(value) and "_" not in text else None
 
 
-def refusal(error: InvalidInputError, place: str) -> InvalidInputError:
-    """Returns an error whose problems have the field `place`, and say in their message where in the file they are."""
-    return InvalidInputError(
-        *(replace(problem, field=place, message=f"{problem.field}: {problem.message}") for problem in error.problems)
-    )
+def in_file(problem: Problem, place: str) -> Problem:
+    """Returns a problem with the field `place`, whose message says where in the file it is."""
+    return replace(problem, field=place, message=f"{problem.field}: {problem.message}")
 
 
 _NAME = re.compile(r"\$([A-Za-z_][A-Za-z0-9_.]*)")

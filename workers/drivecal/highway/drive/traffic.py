@@ -17,7 +17,7 @@ import numpy as np
 
 from drivecal.bundles.highway import Ego, HighwayScenario, Placed
 from drivecal.bundles.traffic.route_files import RouteTraffic
-from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem
+from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem, restated
 from drivecal.domain.roads import Floats
 from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
@@ -404,21 +404,17 @@ class Traffic:
 
 def _centre(road: HighwayRoad, placed: Placed, field: str) -> tuple[float, float]:
     """Returns s and d of a vehicle's centre. Raises InvalidInputError."""
-    try:
+    with restated(lambda problem: replace(problem, field=f"{field}.{problem.field}")):
         if placed.edge is not None:
             return road.corridor.position(placed.edge, placed.lane, placed.s)
         return placed.s, road.centre(placed.s, placed.lane)[1]
-    except InvalidInputError as error:
-        raise _prefixed(error, field) from error
 
 
 def _front(road: HighwayRoad, placed: Placed, length: float, field: str) -> tuple[str, float]:
     """Returns lane and position along it of a vehicle's front. Raises InvalidInputError."""
     if placed.edge is None:
-        try:
+        with restated(lambda problem: replace(problem, field=f"{field}.{problem.field}")):
             piece, d = road.centre(placed.s, placed.lane)
-        except InvalidInputError as error:
-            raise _prefixed(error, field) from error
         edge, lane, position = road.front(piece, placed.s, d, length)
     else:
         edge, lane, position = road.sumo.ahead(placed.edge, placed.lane, placed.s + 0.5 * length)
@@ -431,7 +427,3 @@ def _front(road: HighwayRoad, placed: Placed, length: float, field: str) -> tupl
             Problem(f"{field}.s", message, f"give at most {placed.s - beyond:.2f}, or a place behind the junction")
         )
     return name, min(position, end)
-
-
-def _prefixed(error: InvalidInputError, field: str) -> InvalidInputError:
-    return InvalidInputError(*(replace(problem, field=f"{field}.{problem.field}") for problem in error.problems))
