@@ -5,12 +5,12 @@ requested again. The optimizer is told the replacement's result.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from drivecal.contracts.campaign import Repaired
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Indices
 from drivecal.plugins.ports import Floats, Optimizer, Proposal
@@ -61,22 +61,6 @@ def fitting(saved: Individuals, own: npt.NDArray[Any]) -> Individuals:
     return saved
 
 
-@dataclass(frozen=True, slots=True)
-class RepairCount:
-    """Number of different infeasible proposals, and of the new sets that they became."""
-
-    proposed: int = 0
-    distinct: int = 0
-
-    def __add__(self, other: "RepairCount") -> "RepairCount":
-        return RepairCount(self.proposed + other.proposed, self.distinct + other.distinct)
-
-    @property
-    def collapses(self) -> bool:
-        """True if fewer than a tenth of the proposals lead to new sets."""
-        return 10 * self.distinct < self.proposed
-
-
 class RepairingOptimizer:
     """An optimizer whose proposals are repaired. Its state is the optimizer's own."""
 
@@ -85,7 +69,7 @@ class RepairingOptimizer:
         self._repair = repair
         self.known: set[tuple[int, ...]] = set()
         """Sets that were asked for before."""
-        self.repaired = RepairCount()
+        self.repaired = Repaired()
         """Counts of the last population."""
         self.again: list[int] = []
         """Individuals of the last population that repair made equal to an earlier set, or to one before them."""
@@ -102,7 +86,8 @@ class RepairingOptimizer:
             if sets[place] in self.known:
                 self.again.append(place)
             self.known.add(sets[place])
-        self.repaired = RepairCount(len(np.unique(proposal.population[broken], axis=0)), len(self.known) - before)
+        proposed = len(np.unique(proposal.population[broken], axis=0))
+        self.repaired = Repaired(proposed=proposed, distinct=len(self.known) - before)
         return Proposal(population, proposal.changed)
 
     def tell(self, objectives: Floats, tie_breakers: Floats) -> None:

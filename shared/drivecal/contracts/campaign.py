@@ -244,6 +244,14 @@ class Repaired(Answer):
     proposed: int = 0
     distinct: int = 0
 
+    def __add__(self, other: "Repaired") -> "Repaired":
+        return Repaired(proposed=self.proposed + other.proposed, distinct=self.distinct + other.distinct)
+
+    @property
+    def collapses(self) -> bool:
+        """True if fewer than a tenth of the proposals lead to new sets."""
+        return 10 * self.distinct < self.proposed
+
 
 class SearchState(Answer):
     """The stored state of a campaign's search; its rounds are rows of their own."""

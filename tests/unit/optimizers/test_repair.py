@@ -8,10 +8,11 @@ import pytest
 
 from drivecal.bundles.expressions import Constraint
 from drivecal.campaigns.resolve.optimizer import Optimization
+from drivecal.contracts.campaign import Repaired
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
-from drivecal.optimizers.repair import RepairCount, RepairingOptimizer
+from drivecal.optimizers.repair import RepairingOptimizer
 from drivecal.plugins.ports import Floats, OptimizerPlugin, Proposal
 
 CURVE = [f"k{number}" for number in range(8)]
@@ -42,14 +43,14 @@ def test_replaced_proposals_and_new_sets_are_counted() -> None:
     optimizer.known.add((8, 8))
     assert optimizer.ask().population.tolist() == repaired.tolist()
     first = optimizer.repaired
-    assert first == RepairCount(proposed=4, distinct=2)
-    assert first + first == RepairCount(8, 4)
+    assert first == Repaired(proposed=4, distinct=2)
+    assert first + first == Repaired(proposed=8, distinct=4)
     assert optimizer.again == [1, 3, 4]
 
 
 @pytest.mark.parametrize(("proposed", "distinct", "collapses"), [(0, 0, False), (10, 1, False), (11, 1, True), (5, 0, True)])
 def test_fewer_than_a_tenth_of_new_sets_is_a_collapse(proposed: int, distinct: int, *, collapses: bool) -> None:
-    assert RepairCount(proposed, distinct).collapses is collapses
+    assert Repaired(proposed=proposed, distinct=distinct).collapses is collapses
 
 
 @pytest.mark.parametrize("plugin", [GENETIC, RANDOM, SWARM], ids=lambda plugin: plugin.name)

@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.contracts.campaign import Repaired
 from drivecal.domain.parameters import Indices
-from drivecal.optimizers.repair import RepairCount, RepairingOptimizer, checked_proposal
+from drivecal.optimizers.repair import RepairingOptimizer, checked_proposal
 from drivecal.plugins.ports import Optimizer
 from drivecal.plugins.search import AskedCell, Search
 
@@ -46,7 +47,7 @@ class AskedRound:
     """Individual, place of the scenario and seed, in the order of asking, with rising seeds."""
     state: dict[str, Any]
     """State of the search, JSON-ready."""
-    repaired: RepairCount | None = None
+    repaired: Repaired | None = None
 
     @property
     def unchanged(self) -> int:
@@ -128,7 +129,7 @@ def population_round(
     population: Indices,
     changed: npt.NDArray[np.bool_],
     state: dict[str, Any],
-    repaired: RepairCount | None = None,
+    repaired: Repaired | None = None,
 ) -> AskedRound:
     """Returns the round of a population."""
     seeds, individuals, places = problem.least_replicates, np.flatnonzero(changed).tolist(), range(len(problem.scenarios))

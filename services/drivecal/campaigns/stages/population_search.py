@@ -19,10 +19,9 @@ from drivecal.campaigns.stages.answers import PopulationAnswers
 from drivecal.campaigns.stages.asking import AskedRound, PopulationAsker, population_round
 from drivecal.campaigns.stages.search import ComputedSearch
 from drivecal.campaigns.stages.stage import Round, Wait
-from drivecal.contracts.campaign import Released, Repaired
+from drivecal.contracts.campaign import Released
 from drivecal.domain.evaluations import RequestedCell
 from drivecal.domain.events import EventKind
-from drivecal.optimizers.repair import RepairCount
 from drivecal.storage import events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -114,9 +113,7 @@ class PopulationSearch(ComputedSearch):
         if asked is None:
             return self._after_search()
         if asked.repaired is not None:
-            total = RepairCount(self._search.repaired.proposed, self._search.repaired.distinct) + asked.repaired
-            repaired = Repaired(proposed=total.proposed, distinct=total.distinct)
-            self._search = self._search.model_copy(update={"repaired": repaired})
+            self._search = self._search.model_copy(update={"repaired": self._search.repaired + asked.repaired})
         self._batches = self._split(self._next - 1, asked)
         return replace(self._next_batch(), carried_over=asked.unchanged * len(self._problem.scenarios))
 

@@ -29,7 +29,6 @@ from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import Purpose, RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.optimizers.repair import RepairCount
 from drivecal.reduction.assignment import Policy
 from drivecal.storage import evaluations, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
@@ -250,7 +249,7 @@ class SearchStage(Stage):
                 self._repeatable_no_more = True
         notes += self._score_notes()
         repaired = self._search.repaired
-        if RepairCount(repaired.proposed, repaired.distinct).collapses:
+        if repaired.collapses:
             notes.append(
                 f"{repaired.proposed:,} proposals broke constraints and became {repaired.distinct:,} new sets: the search hardly moves;"
                 " choose another optimizer, or loosen the constraints"
