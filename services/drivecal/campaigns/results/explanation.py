@@ -16,7 +16,6 @@ from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import INSPECTED, Outcome, Purpose
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import billionths
-from drivecal.domain.scales import Scale
 from drivecal.reduction.explanation import CellComparison, Nearest, ParameterDifference, sentence
 from drivecal.storage import campaigns, lots, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -54,7 +53,7 @@ class _Case:
         parameters = parameter_sets.load(self.connection, [own])[own]
         ranges = {
             parameter.name: billionths(parameter.upper) - billionths(parameter.lower)
-            for parameter in self._pinned.space.parameters
+            for parameter in self.pinned.space.parameters
         }
         return CellComparison(
             self.influence_map,
@@ -73,17 +72,7 @@ class _Case:
         return prediction_of(self.connection, self.cell)
 
     @cached_property
-    def evaluator(self) -> str:
-        """Name and version of the campaign's evaluator."""
-        return self._pinned.evaluator
-
-    @property
-    def scale(self) -> Scale:
-        """Scale of the campaign's scores."""
-        return self._pinned.scale
-
-    @cached_property
-    def _pinned(self) -> ResolvedSpec:
+    def pinned(self) -> ResolvedSpec:
         return resolved_spec(self.campaign)
 
 
@@ -130,7 +119,7 @@ def _nearest(case: _Case) -> tuple[Nearest | None, int]:
     stored = 0
     place = (cell.stage, cell.iteration, cell.individual)
     sources = (
-        candidates.stored_sets(case.connection, cell.setup_id, case.evaluator, watermark, names),
+        candidates.stored_sets(case.connection, cell.setup_id, case.pinned.evaluator, watermark, names),
         candidates.own_sets(case.connection, cell.campaign_sequence, cell.scenario, place, names),
     )
     for rank, source in enumerate(sources):
@@ -155,7 +144,7 @@ def _reference(case: _Case, evaluation_id: int | None) -> tuple[Reference | None
     claimed = sorted(by_name.keys() ^ set(case.cell.parameters.names))
     score = donor.score
     if donor.run_id is not None and donor.campaign_sequence != case.campaign.sequence:
-        score = runs.scores(connection=case.connection, run_ids=[donor.run_id], evaluator=case.evaluator).get(
+        score = runs.scores(connection=case.connection, run_ids=[donor.run_id], evaluator=case.pinned.evaluator).get(
             donor.run_id, score
         )
     owner = campaigns.by_sequence(case.connection, donor.campaign_sequence)
@@ -186,7 +175,7 @@ def _check(case: _Case, reference: Reference | None, prediction: Prediction | No
     if own is None or expected is None:
         return Check(expected=expected, agrees=None, wrong=None)
     change = abs(own - expected)
-    return Check(expected=expected, agrees=change <= case.scale.rounding, wrong=case.scale.is_wrong(change))
+    return Check(expected=expected, agrees=change <= case.pinned.scale.rounding, wrong=case.pinned.scale.is_wrong(change))
 
 
 def _explanation(

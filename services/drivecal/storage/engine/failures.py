@@ -36,13 +36,8 @@ def translated(database: str) -> Iterator[None]:
         yield
     except PoolTimeoutError as error:
         raise UnavailableError(f"all connections to {database} are in use; try again later") from error
-    except DBAPIError as error:
-        known = _translate(error.orig, database)
-        if known is None:
-            raise
-        raise known from error
-    except (sqlite3.Error, psycopg.Error) as error:  # where a driver was used directly
-        known = _translate(error, database)
+    except (DBAPIError, sqlite3.Error, psycopg.Error) as error:  # the latter where a driver was used directly
+        known = _translate(error.orig if isinstance(error, DBAPIError) else error, database)
         if known is None:
             raise
         raise known from error
