@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from drivecal.cli.application import ExitCode, JsonOption, app, say
-from drivecal.cli.views.output import print_columns, print_json
+from drivecal.cli.views.output import print_answer, print_columns, print_json
 from drivecal.configuration.settings import load_settings
 from drivecal.domain.errors import DatabaseError
 
@@ -46,10 +46,7 @@ def upgrade(database_url: DatabaseOption = None, as_json: JsonOption = False) ->
                 opened.upgrade()
             opened.check()
         name = opened.name
-    if as_json:
-        print_json({"database": name, "current": True})
-    else:
-        typer.echo(f"{name} is current")
+    print_answer({"database": name, "current": True}, as_json, lambda _: typer.echo(f"{name} is current"))
 
 
 @database.command()
@@ -76,10 +73,8 @@ def backup(
     with _opened(database_url) as (_, opened):
         copied = write(opened, file, _Telling())
         report = _copied(file, opened, copied, started)
-    if as_json:
-        print_json({**report, "bytes": file.stat().st_size})
-    else:
-        typer.echo(f"{file} holds {_rows(copied)} of {report['database']}, revision {copied.revision}")
+    text = f"{file} holds {_rows(copied)} of {report['database']}, revision {copied.revision}"
+    print_answer({**report, "bytes": file.stat().st_size}, as_json, lambda _: typer.echo(text))
 
 
 @database.command()

@@ -17,7 +17,7 @@ from typing import Any
 import typer
 
 from drivecal.cli.application import ExitCode, JsonOption, app, say
-from drivecal.cli.views.output import duration, print_blocks, print_cells, print_columns, print_json, print_solutions, saved
+from drivecal.cli.views.output import duration, print_answer, print_blocks, print_cells, print_columns, print_solutions, saved
 from drivecal.cli.views.progress import show_until_ended
 from drivecal.cli.views.sections import trust_blocks
 from drivecal.client.client import Client
@@ -190,10 +190,7 @@ def demo(as_json: JsonOption = False) -> None:
     except KeyboardInterrupt as error:
         say("interrupted; the coordinator has been stopped")
         raise typer.Exit(ExitCode.INTERRUPTED) from error
-    if as_json:
-        print_json(summary)
-    else:
-        _print_end(campaign, folder, time.monotonic() - started)
+    print_answer(summary, as_json, lambda _: _print_end(campaign, folder, time.monotonic() - started))
 
 
 def _first(client: Client, as_json: bool) -> Campaign:

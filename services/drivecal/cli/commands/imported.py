@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, say
-from drivecal.cli.views.output import parameters_text, print_columns, print_json
+from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_json
 
 results = typer.Typer(
     no_args_is_help=True, help="Results of vehicles, test benches and other tools, compared with simulations."
@@ -36,10 +36,8 @@ def import_(
         rows, units = read_results(Path(file), known)
         warnings.showwarning = lambda message, *_: say(f"note: {message}")
         stored = client.import_results(rows, problem=known.name, source=source, date=date, units=units)
-    if as_json:
-        print_json({"stored": stored, "known": len(rows) - stored})
-    else:
-        say(f"{stored:,} of {len(rows):,} cells are new; compare them: drivecal results list {known.name}")
+    text = f"{stored:,} of {len(rows):,} cells are new; compare them: drivecal results list {known.name}"
+    print_answer({"stored": stored, "known": len(rows) - stored}, as_json, lambda _: say(text))
 
 
 @results.command(name="list")
@@ -75,7 +73,4 @@ def delete(
     """Delete the results of a source."""
     with connect(url) as client:
         deleted = client.delete_imported(problem, source)
-    if as_json:
-        print_json({"deleted": deleted})
-    else:
-        say(f"{deleted:,} cells are deleted")
+    print_answer({"deleted": deleted}, as_json, lambda _: say(f"{deleted:,} cells are deleted"))

@@ -105,10 +105,7 @@ def check(
         report["warnings"] += [*doubtful_ranges(manifest, checked), *cut_scores(manifest, checked)]
         report["warnings"] += [*_doubts_elsewhere(manifest, checked), *undeclared(manifest, checked)]
     report["scenarios"] = [asdict(result) | {"opened": sorted(result.opened)} for result in checked]
-    if as_json:
-        print_json(report)
-    else:
-        _print_check(report, checked)
+    print_answer(report, as_json, lambda report: _print_check(report, checked))
     broken = [result for result in checked if result.error or (manifest.simulator.deterministic and not result.repeats)]
     if broken:
         raise typer.Exit(ExitCode.FAILED)
@@ -299,10 +296,8 @@ def parameters(
     offered = [*known, *axis_points(known)] if with_axes else [each for each in known if each.kind != "COM_AXIS"]
     chosen = chosen_by(offered, match or [])
     sections = sections_of(chosen, {label: name for name, label in labels.items()}, span)
-    if as_json:
-        print_json({"parameters": sections.parameters, "baseline": sections.baseline})
-    else:
-        typer.echo("\n".join(_yaml(sections)))
+    document = {"parameters": sections.parameters, "baseline": sections.baseline}
+    print_answer(document, as_json, lambda _: typer.echo("\n".join(_yaml(sections))))
     for noted in (each for each in chosen if each.note):
         say(f"{noted.name}: {noted.note}")
     for source, content in contents:

@@ -266,7 +266,5 @@ def report(
         for name, content in files.items():
             (output / name).write_bytes(content)
     written = [str(output / name) for name in files]
-    if as_json:
-        print_json({"campaign": campaign.id, "page": written[-1], "files": written})
-    else:
-        typer.echo(f"{written[-1]}: the report, with {len(written) - 1} files beside it")
+    text = f"{written[-1]}: the report, with {len(written) - 1} files beside it"
+    print_answer({"campaign": campaign.id, "page": written[-1], "files": written}, as_json, lambda _: typer.echo(text))

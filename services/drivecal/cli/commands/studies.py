@@ -9,7 +9,7 @@ import typer
 
 from drivecal.analysis.robustness import vehicles_text
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, say
-from drivecal.cli.views.output import parameters_text, print_blocks, print_columns, print_json
+from drivecal.cli.views.output import parameters_text, print_answer, print_blocks, print_columns
 from drivecal.cli.views.progress import follow
 from drivecal.cli.views.sections import fixed, objective_number, validation_tables
 from drivecal.client.client import Client
@@ -119,10 +119,7 @@ def validate(
             stages = {"sensitivity": None if predicted else _map_of(campaign), "validation": dict(wanted.settings)}
             maker = make(client, campaign, "validation", stages)
         rows = client.validation(maker.id)
-    if as_json:
-        print_json(rows)
-    else:
-        print_validation(rows, campaign.scale)
+    print_answer(rows, as_json, lambda rows: print_validation(rows, campaign.scale))
 
 
 def _map_of(campaign: Campaign) -> dict[str, str]:
@@ -173,10 +170,7 @@ def robustness(
             maker = _in_another_vehicle(client, campaign, maker, vehicle, again=again)
         rows = client.robustness(maker.id)
         shapes = {} if as_json else client.setup(maker.id).shapes
-    if as_json:
-        print_json(rows)
-    else:
-        print_robustness(rows, maker.spec["robustness"], shapes)
+    print_answer(rows, as_json, lambda rows: print_robustness(rows, maker.spec["robustness"], shapes))
 
 
 def _source(campaign: Campaign) -> str:

@@ -37,7 +37,7 @@ from drivecal.domain.events import ASKED
 from drivecal.domain.scales import objective_text, score_text
 
 Shapes = Mapping[str, ShapeAnswer]
-Shown = TypeVar("Shown", bound=BaseModel)
+Shown = TypeVar("Shown")
 
 
 def print_json(answer: object) -> None:
