@@ -23,7 +23,7 @@ from drivecal.bundles.highway import (
 )
 from drivecal.bundles.highway_checks import scenario_of, scenario_problems
 from drivecal.bundles.manifest import Manifest
-from drivecal.bundles.traffic.description import Description, described, map_of, network_of
+from drivecal.bundles.traffic.description import Description, described, map_of, network_of, with_origin
 from drivecal.bundles.traffic.entities import Files
 from drivecal.bundles.traffic.places import Map
 from drivecal.contracts.input_errors import nearest
@@ -163,7 +163,7 @@ def _again(description: Description, field: str, manifest: Manifest) -> Iterator
 def _located(description: Description, field: str, problems: Iterator[Problem]) -> Iterator[Problem]:
     """Yields problems with the fields of files for what files describe."""
     for problem in problems:
-        place = description.located(replace(problem, field=problem.field.removeprefix(f"{field}.")))
+        place = with_origin(replace(problem, field=problem.field.removeprefix(f"{field}.")), description.origins)
         yield replace(place, field=f"{field}.{place.field}")
 
 

@@ -44,10 +44,6 @@ class Description:
     origins: Mapping[str, Problem] = field(default_factory=dict)
     routes: RouteTraffic | None = None
 
-    def located(self, problem: Problem) -> Problem:
-        """Returns a problem of an entry of a file with the file's field, and line and element in the message."""
-        return _with_origin(problem, self.origins)
-
 
 def network_of(scenario: Described, files: Files) -> str:
     """Returns the path of a scenario's network in the bundle. Raises InvalidInputError with the field `openscenario`."""
@@ -101,7 +97,7 @@ def _complete(scenario: OpenScenario, files: Files, maps: Maps, step: float) -> 
         message = f"{element.file}: {place.message.removesuffix(': ')}"
         origins[f"traffic[{len(section)}]"] = Problem("openscenario", message)
         section.append({key: value for key, value in entry.document.items() if value is not None})
-    with restated(lambda problem: _with_origin(problem, origins)):
+    with restated(lambda problem: with_origin(problem, origins)):
         complete = validated(HighwayScenario, document)
     return Description(complete, file.notes, origins)
 
@@ -122,7 +118,8 @@ def map_of(read: Callable[[str], bytes], name: str) -> Map:
     return Map(network, (lambda: read_opendrive(read(name), name)) if name != network_file(name) else None)
 
 
-def _with_origin(problem: Problem, origins: Mapping[str, Problem]) -> Problem:
+def with_origin(problem: Problem, origins: Mapping[str, Problem]) -> Problem:
+    """Returns a problem of an entry of a file with the file's field, and line and element in the message."""
     entry = _ENTRY.match(problem.field)
     origin = origins.get(entry[0]) if entry is not None else None
     if origin is None:

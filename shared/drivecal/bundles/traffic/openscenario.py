@@ -220,7 +220,7 @@ class ScenarioFile:
                     starts[name] = _Start(NOWHERE, 0.0, path, entities[name].centre)
                     continue
                 if position.every(*FREE):
-                    places[name] = roads.at(pose.x, pose.y, pose.heading, drive, position)
+                    places[name] = roads.ground.place(pose.x, pose.y, pose.heading, drive, position)
                 else:
                     places[name] = roads.place(position, places, drive)
                     if name == ego and is_turned(pose, reader.pose_of(places[name]).heading):

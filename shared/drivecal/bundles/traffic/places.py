@@ -271,7 +271,7 @@ class Map:
         """`source`: reads the OpenDRIVE file."""
         self.network, self._source = network, source
         roads = [lane for edge in network.edges.values() if edge.function == "" for lane in edge.lanes]
-        self._ground = Ground(network)
+        self.ground = Ground(network)
         self._by_origin: dict[str, list[Lane]] = {}
         for lane in roads:
             for origin in (lane.origin or "").split():
@@ -291,7 +291,7 @@ class Map:
             x, y = (kind.number(key, -1e8, 1e8) for key in ("x", "y"))
             heading = kind.number("h", -10.0, 10.0) if "h" in kind.values else None
             moved = (0.0, 0.0) if self._source is not None else self.network.offset
-            return self._ground.place(x + moved[0], y + moved[1], heading, route, kind)
+            return self.ground.place(x + moved[0], y + moved[1], heading, route, kind)
         if kind.element == "LanePosition":
             road = self._road(kind)
             lane, s = kind.integer("laneId", -64, 64), kind.number("s", 0.0, LARGEST)
@@ -308,10 +308,6 @@ class Map:
             return self._on_road(self._road(kind, there.road), there.s + ds, there.t + kind.number("dt", -100.0, 100.0), kind)
         offset = kind.number("offset", -MOST_ASIDE, MOST_ASIDE, 0.0)
         return self._beside(there, kind.integer("dLane", -30, 30), ds, offset, kind)
-
-    def at(self, x: float, y: float, heading: float, route: Sequence[str], element: Element) -> FilePlace:
-        """Returns the place on a lane at coordinates of the network. Raises InvalidInputError."""
-        return self._ground.place(x, y, heading, route, element)
 
     def lane_index(self, edge: str, road_lane: int) -> int | None:
         """Returns the index of the lane of an edge that was made of a lane of its road, None if there is none."""

@@ -114,7 +114,8 @@ class Storyboard:
             if element.element == "Maneuver":
                 declare(element, {})
         whole = [
-            self._ways.reader.entry(element, "Maneuver") if element.element != "Maneuver" else element for element in listed
+            self._ways.reader.catalogs.entry(element, "Maneuver") if element.element != "Maneuver" else element
+            for element in listed
         ]
         for maneuver in (self._parts.new("maneuver", element, group) for element in whole):
             for event in (self._parts.new("event", event, maneuver) for event in maneuver.element.every("Event")):

@@ -64,18 +64,14 @@ class WayReader:
     """Reads ways and free positions of a file."""
 
     def __init__(self, roads: Map, catalogs: Catalogs) -> None:
-        self._roads, self._catalogs = roads, catalogs
-
-    def entry(self, reference: Element, tag: str) -> Element:
-        """Returns the entry of a catalog. Raises InvalidInputError."""
-        return self._catalogs.entry(reference, tag)
+        self._roads, self.catalogs = roads, catalogs
 
     def resolved(self, reference: Element, tag: str) -> Element:
         """Returns the <Trajectory>, <Route> or <Maneuver> in an element, or in a catalog that it names. Raises InvalidInputError."""
         child = reference.only(tag, f"{tag}Ref", "CatalogReference")
         if child.element == f"{tag}Ref":
             return self.resolved(child, tag)
-        return child if child.element == tag else self._catalogs.entry(child, tag)
+        return child if child.element == tag else self.catalogs.entry(child, tag)
 
     def trajectory(
         self, reference: Element, places: Mapping[str, FilePlace], poses: Mapping[str, Pose], depth: int = 0
