@@ -443,25 +443,18 @@ class _Reader:
         if self.lane is not None:
             self.lane.limits.append((attributes.number("sOffset", 0.0, LONGEST), _speed(attributes)))
 
-    def on_link_successor(self, attributes: Attributes) -> None:
-        """Takes the lane or the road that follows."""
-        if self.lane is not None:
+    def _on_link(self, attributes: Attributes) -> None:
+        if self.lane is None:
+            _check_name(attributes, "elementId")
+            if attributes.text("elementType") == "road" and self.road is not None:
+                self.named.append((attributes, "elementId"))
+                self.road.linked.append(attributes.text("elementId"))
+        elif attributes.element.lower() == "successor":
             self.lane.successor = attributes.integer("id", -64, 64)
         else:
-            self._on_linked(attributes)
-
-    def on_link_predecessor(self, attributes: Attributes) -> None:
-        """Takes the lane or the road before."""
-        if self.lane is not None:
             self.lane.predecessor = attributes.integer("id", -64, 64)
-        else:
-            self._on_linked(attributes)
 
-    def _on_linked(self, attributes: Attributes) -> None:
-        _check_name(attributes, "elementId")
-        if attributes.text("elementType") == "road" and self.road is not None:
-            self.named.append((attributes, "elementId"))
-            self.road.linked.append(attributes.text("elementId"))
+    on_link_successor = on_link_predecessor = _on_link
 
     def on_opendrive_junction(self, attributes: Attributes) -> None:
         """Checks a junction, which netconvert reads."""

@@ -106,7 +106,8 @@ class _Placement:
             is_driven = piece.road.sections[piece.section].lanes[piece.lane].kind in DRIVEN
             self._limit(lane, limits, float(lengths(points)[-1]), f"road {piece.road.id}" if is_driven else None)
             if not is_driven:
-                _close(lane)
+                lane.attrib.pop("disallow", None)
+                lane.set("allow", CLOSED)
         for connection in self.connections:
             if not connection.get("from", "").startswith(":"):
                 self._connect(connection)
@@ -117,17 +118,16 @@ class _Placement:
         road, index = _origin(lane, self.file)
         if road is None:
             return None
-        shape = _shape(lane)
+        shape = np.array([point.split(",")[:2] for point in lane.get("shape", "").split()], np.float64)
         begin, end = (float(s) for s in _stations(road, shape[[0, -1]]))
         section = road.section_at(0.5 * (begin + end))
         return Piece(road, section, index, begin, end) if index in road.sections[section].lanes else None
 
     def _leave(self, lane: Element, place: str, cause: str) -> None:
         """Marks a lane that stays where netconvert has put it, so that no route may use it."""
-        origin = next((param.get("value", "") for param in lane.iter("param") if param.get("key") == ORIGIN), "")
-        cause = f"{cause} (netconvert names {origin or 'no road'})"
-        SubElement(lane, "param", key=UNPLACED, value=cause)
-        self.notes.add(f"{place}, from {origin or 'no road'}", "not at its place in the file; a route over it is refused")
+        named = _named(lane) or "no road"
+        SubElement(lane, "param", key=UNPLACED, value=f"{cause} (netconvert names {named})")
+        self.notes.add(f"{place}, from {named}", "not at its place in the file; a route over it is refused")
 
     def _limit(self, lane: Element, limits: Limits, length: float, place: str | None) -> None:
         """Writes the file's limits. Notes on them name the `place`."""
@@ -199,16 +199,15 @@ class _Placement:
             SubElement(lane, "param", key=WIDTHS, value=text)
 
 
+def _named(lane: Element) -> str:
+    return next((param.get("value", "") for param in lane.iter("param") if param.get("key") == ORIGIN), "")
+
+
 def _origin(lane: Element, file: RoadFile) -> tuple[FileRoad | None, int]:
     """Returns the road and the lane of the file that a lane was made from."""
-    value = next((param.get("value", "") for param in lane.iter("param") if param.get("key") == ORIGIN), "")
-    road, _, index = value.rpartition("_")
+    road, _, index = _named(lane).rpartition("_")
     is_number = index.removeprefix("-").isdigit()
     return (file.roads.get(road), int(index)) if is_number else (None, 0)
-
-
-def _shape(lane: Element) -> Floats:
-    return np.array([point.split(",")[:2] for point in lane.get("shape", "").split()], np.float64)
 
 
 def _stations(road: FileRoad, points: Floats) -> Floats:
@@ -275,11 +274,6 @@ def _part(limits: Limits, first: float, last: float) -> Limits:
     """Returns the limits between two places (m) along the way, from the first of them."""
     here = [limit for at, limit in limits if at <= first + SHORTEST][-1]
     return [(0.0, here), *((at - first, limit) for at, limit in limits if first + SHORTEST < at < last - SHORTEST)]
-
-
-def _close(lane: Element) -> None:
-    lane.attrib.pop("disallow", None)
-    lane.set("allow", CLOSED)
 
 
 def _simplified(points: Floats) -> Floats:

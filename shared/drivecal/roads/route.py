@@ -277,7 +277,7 @@ def _chains(edges: Sequence[Edge], chosen: Sequence[Sequence[Way]]) -> tuple[Cha
                 here[lane.index] = open_[way.begin.index]
                 chains[here[lane.index]][1].append(lane)
                 chains[here[lane.index]][2].append(way.inside)
-        for right, left in _neighbours(here):
+        for right, left in pairwise(here[lane] for lane in sorted(here)):
             order.add(left, right)
         order.add(next(iter(here.values())))
         open_ = here
@@ -286,10 +286,6 @@ def _chains(edges: Sequence[Edge], chosen: Sequence[Sequence[Way]]) -> tuple[Cha
     except CycleError:  # impossible for ways that do not cross
         ordered = list(range(len(chains)))
     return tuple(Chain(first, tuple(lanes), tuple(inside)) for first, lanes, inside in (chains[index] for index in ordered))
-
-
-def _neighbours(here: dict[int, int]) -> Iterator[tuple[int, int]]:
-    return pairwise(here[lane] for lane in sorted(here))
 
 
 TOLERANCE = 0.09
