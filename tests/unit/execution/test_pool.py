@@ -3,16 +3,13 @@
 from collections import Counter
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from tests.support.effort import examples
 from tests.support.fake_backend import Behaviour, FakeBackend
 from tests.support.pooled import MemoryLeases, cells, drain
 from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import Cell
 from drivecal.execution.pool import WorkPool
-from drivecal.execution.scheduling.in_flight import Completed, Work
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 
 
@@ -75,66 +72,9 @@ def test_a_cell_cannot_be_in_flight_twice() -> None:
     assert len(drain(pool)) == 3
 
 
-_step = st.one_of(
-    st.tuples(
-        st.just("submit"),
-        st.lists(st.sampled_from(Behaviour), min_size=1, max_size=80),
-        st.sampled_from(["S1", "S2", "S3"]),
-        st.sampled_from(["a", "b"]),
-        st.integers(0, 1),
-    ),
-    st.tuples(st.just("poll"), st.floats(0.0, 3.0)),
-    st.tuples(st.just("kill"), st.integers(0, 7)),
-    st.tuples(st.just("repeat"), st.integers(1, 60)),
-    st.tuples(st.just("withdraw"), st.sampled_from(["a", "b"])),
-    st.tuples(st.just("spoil"), st.integers(1, 5)),
-    st.tuples(st.just("refuse"), st.integers(1, 5)),
-)
-
-
-@given(st.integers(1, 5), st.lists(_step, max_size=30))
-@settings(max_examples=examples(120), deadline=None)
-def test_every_cell_comes_back_exactly_once_whatever_happens(workers: int, steps: list[tuple[object, ...]]) -> None:
-    backend = FakeBackend(workers, {"S1": 0.007, "S2": 0.5})
-    pool = WorkPool(backend, MemoryLeases(), clock=lambda: backend.now)
-    submitted: dict[int, Behaviour] = {}
-    tags: dict[int, str] = {}
-    completed: list[Completed] = []
-    kills, withdrawn = 0, set()
-    for step in steps:
-        match step:
-            case ("submit", list(behaviours), str(scenario), str(tag), int(priority)):
-                new = cells(behaviours, first=len(submitted) + 1)
-                submitted |= {cell.id: behaviour for cell, behaviour in zip(new, behaviours, strict=True)}
-                tags |= {cell.id: tag for cell in new}
-                pool.submit(Work(setup(scenario), new), tag=tag, priority=priority)
-            case ("poll", float(timeout)):
-                completed += pool.poll(timeout)
-            case ("kill", int(index)):
-                backend.kill(index)
-                kills += 1
-            case ("repeat", int(batch_id)):
-                backend.repeat(batch_id)
-            case ("withdraw", str(tag)):
-                held = pool.held(tag)
-                running = pool.withdraw(tag)
-                assert pool.held(tag) == running <= held
-                withdrawn |= {cell for cell, its in tags.items() if its == tag}
-            case ("spoil", int(place)):
-                backend.bad.add(place)
-            case ("refuse", int(place)):
-                backend.refusing[place] = "it has another version"
-    if len(backend.refusing.keys() & set(range(1, workers + 1))) == workers:
-        backend.refusing.clear()
-    completed += drain(pool)
-    ids = [entry.result.id for entry in completed]
-    assert len(set(ids)) == len(ids), "a cell came back twice"
-    assert set(submitted) - set(ids) <= withdrawn, "a cell was lost"
-    assert max(backend.attempts.values(), default=0) <= ATTEMPTS + kills
-    causes = {None: Behaviour.WELL, "crash": Behaviour.CRASH, "hang": Behaviour.HANG}
-    causes |= {"error": Behaviour.ERROR, "memory": Behaviour.MEMORY}
-    for entry in completed:
-        if kills == 0 and not backend.bad:
-            assert causes[entry.result.breakdown] is submitted[entry.result.id]
-        elif submitted[entry.result.id] is not Behaviour.WELL:
-            assert entry.result.breakdown is not None
+def test_a_batch_that_comes_back_again_changes_nothing() -> None:
+    pool = WorkPool(backend := FakeBackend(), MemoryLeases())
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 3)), tag="a")
+    assert len(drain(pool)) == 3
+    backend.repeat(0)
+    assert pool.poll(0.0) == []
