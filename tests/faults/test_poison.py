@@ -11,7 +11,8 @@ from sqlalchemy import select
 from tests.support.faults.coordinator import coordinator
 from tests.support.faults.lives import wait_until_ended
 from tests.support.faults.workload import submit
-from tests.support.misbehaviour import FOLDER, misbehaving_setup, plug_in
+from tests.support.misbehaviour import FOLDER, misbehaving_setup
+from tests.support.plugins.misbehaving import POISONOUS as POISON
 from tests.support.pooled import MemoryLeases, drain
 from tests.support.values import present
 
@@ -24,7 +25,6 @@ from drivecal.execution.scheduling.in_flight import LOSSES_TOGETHER, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.storage.engine.tables import evaluations
 
-POISON = plug_in("poisonous")
 CAUSES = {POISON.SEGFAULT: Breakdown.CRASH, POISON.HANG: Breakdown.HANG, POISON.MEMORY: Breakdown.MEMORY}
 LOSSES = 5  # each takes the start of a worker; `test_resources.py` shows the ten
 RUNS = {POISON.SEGFAULT: LOSSES, POISON.HANG: ATTEMPTS, POISON.MEMORY: ATTEMPTS}
@@ -60,7 +60,7 @@ def test_a_segfault_a_hang_and_exhausted_memory_in_a_batch_of_sixteen_cost_their
     monkeypatch.setattr(healed, "submit", noting)
     monkeypatch.setattr("drivecal.execution.scheduling.scheduler.MOST_LOSSES", LOSSES)
     pool = WorkPool(healed, MemoryLeases(), policy=ALL_AT_ONCE)
-    setup = misbehaving_setup(name="poisonous")
+    setup = misbehaving_setup(function=POISON)
     begin = time.monotonic()
     pool.submit(Work(setup, [Cell(1, {"dose": 0.0})]), tag="test")  # tells what a cell costs, without which batches are of one
     drain(pool)

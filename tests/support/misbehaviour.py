@@ -1,30 +1,23 @@
 """Setup and cells for the driving functions in `plugins`, as a coordinator that has them installed would send them."""
 
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 from tests.support.fake_backend import Behaviour
+from tests.support.plugins.misbehaving import MISBEHAVING
 from tests.support.setups import driven
-from tests.support.tree import loaded
 
 from drivecal.bundles.installed import installed_problems
 from drivecal.contracts.work import Cell, SetupRequest
+from drivecal.plugins.ports import DrivingFunction
 
 FOLDER = Path(__file__).parent / "plugins"
 ARCHIVES = {problem.digest: problem.archive for problem in installed_problems().values()}
 """Problem bundles that the real backends of the tests know, by digest."""
 
 
-@cache
-def plug_in(name: str) -> Any:
-    """The module of one of them."""
-    return loaded(name, FOLDER / f"{name}.py")
-
-
-def misbehaving_setup(scenario: str = "S1", evaluator: str = "reference", name: str = "misbehaving") -> SetupRequest:
-    return driven(scenario, evaluator=evaluator, function=getattr(plug_in(name), name.upper()))
+def misbehaving_setup(scenario: str = "S1", function: DrivingFunction = MISBEHAVING) -> SetupRequest:
+    return driven(scenario, function=function)
 
 
 def misbehaving_cells(behaviours: Sequence[Behaviour], first: int = 1) -> tuple[Cell, ...]:
