@@ -1,58 +1,37 @@
 """Results of campaigns without faults: this process simulates one cell after the other, without a server, Ray or workers."""
 
 import time
-from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tests.support.computed import ComputedBackend
 from tests.support.faults.findings import Found, assert_sound, found
 from tests.support.faults.workload import submit
 from tests.support.runs import dispatcher
 from tests.support.server import serving
 
-from drivecal.contracts.work import Batch
-from drivecal.execution.backend import Finished, Lost, Slot, WorkerInfo
+from drivecal.execution.backend import Finished, Lost
 from drivecal.runtime.worker import Worker
 from drivecal.storage import campaigns
 
 PATIENCE_SECONDS = 900.0
-NAME = "here"
 
 
-@dataclass
-class InThisProcess:
+class InThisProcess(ComputedBackend):
     """The `Backend` that has no other process: a batch is simulated when its answer is asked for."""
 
-    worker: Worker = field(default_factory=lambda: Worker(NAME))
-    sent: deque[tuple[int, Batch]] = field(default_factory=deque)
-
-    def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
-        del worker, expected_seconds, alone
-        self.sent.append((batch_id, batch))
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._worker = Worker(self._name)
 
     def wait(self, timeout: float) -> list[Finished | Lost]:
         del timeout
-        if not self.sent:
-            return []
-        number, batch = self.sent.popleft()
-        return [Finished(number, self.worker.run(batch))]
-
-    def slots(self) -> list[Slot]:
-        return [] if self.sent else [Slot(NAME, idle=True)]
-
-    def workers(self) -> list[WorkerInfo]:
-        return [WorkerInfo(NAME, "here", None, "idle", 0)]
+        first, self._outstanding = self._outstanding[:1], self._outstanding[1:]
+        return [Finished(number, self._worker.run(batch)) for number, batch in first]
 
     def replace(self, worker: str, fault: str | None) -> None:
         raise AssertionError(f"{worker} is to be replaced: {fault}")
-
-    def trouble(self) -> str | None:
-        return None
-
-    def close(self) -> None:
-        self.sent.clear()
 
 
 def undisturbed(folder: Path) -> dict[str, Found]:
