@@ -27,6 +27,7 @@ from drivecal.campaigns.resolve.problem import trial
 from drivecal.execution.processes.backend import ProcessBackend
 from drivecal.execution.ray.backend import RayBackend, RayOptions
 from drivecal.execution.supervised import WorkerLimits
+from drivecal.storage.engine.database import PATIENT, Database, Patience
 
 Started = TypeVar("Started", RayBackend, ProcessBackend)
 
@@ -174,6 +175,22 @@ def processes_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Proc
     limits = WorkerLimits(workers=2, deadline_seconds=10.0, archive=ARCHIVES.__getitem__)
     with started(lambda: ProcessBackend(limits, trial()), tmp_path_factory.mktemp("home")) as backend:
         yield backend
+
+
+@pytest.fixture(autouse=True)
+def closed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Closes the databases that a test opens: an open connection would fail whichever test runs when it is collected."""
+    opened: list[Database] = []
+    original = Database.open
+
+    def opens(url: str, patience: Patience = PATIENT) -> Database:
+        opened.append(original(url, patience))
+        return opened[-1]
+
+    monkeypatch.setattr(Database, "open", opens)
+    yield
+    for database in opened:
+        database.dispose()
 
 
 @pytest.fixture(scope="session")

@@ -12,11 +12,9 @@ from drivecal.storage.engine.database import Database
 
 
 @pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
+def database(tmp_path: Path) -> Database:
     """A new SQLite database."""
-    opened = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
-    yield opened
-    opened.dispose()
+    return migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
 
 
 @pytest.fixture(scope="module")

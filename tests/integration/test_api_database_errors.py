@@ -119,7 +119,6 @@ def test_a_full_disk_under_sqlite_is_unavailable_until_there_is_room(tmp_path: P
     assert count(database) == 2
     with database.read() as connection:
         assert connection.scalar(text("PRAGMA integrity_check")) == "ok"
-    database.dispose()
 
 
 def test_a_database_that_is_gone_is_said_to_be_unavailable(tmp_path: Path) -> None:

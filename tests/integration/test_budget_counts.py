@@ -6,13 +6,11 @@ import random
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import pytest
 from tests.support.cell_search import CellSearchPlugin
 from tests.support.computed import ComputedBackend, computed
-from tests.support.databases import migrated
 from tests.support.runs import dispatcher, get, run, submit
 
 from drivecal.api.responses import campaign_answer
@@ -22,6 +20,7 @@ from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import Finished, Lost
 from drivecal.plugins import registry
 from drivecal.storage import evaluations
+from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import check_counters
 
 
@@ -93,12 +92,11 @@ def breaking(cell: Cell, scenario: str, draws: random.Random) -> CellResult:
 @pytest.mark.faults(*map(str, range(10, 50)))
 @pytest.mark.parametrize("seed", range(50))
 def test_runs_are_what_simulators_count_and_keep_to_the_budget(
-    tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
+    database: Database, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     draws, known = random.Random(seed), registry.optimizer
     monkeypatch.setattr(registry, "optimizer", lambda name: CellSearchPlugin() if name == "cell_search" else known(name))
     monkeypatch.setattr(Bench, "repeated_share", 0.1)
-    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
     optimizer: dict[str, Any] = draws.choice([{"kind": "cell_search"}, {"kind": "genetic", "population": 12}])
     budget = draws.randint(30, 90)
     spec: dict[str, Any] = {"catalogue": ["S1", "S2", "S3"], "reduction": {"mode": "exact"}, "optimizer": optimizer}
@@ -120,11 +118,9 @@ def test_runs_are_what_simulators_count_and_keep_to_the_budget(
     assert sum(runs.values()) == ended.cells.runs == backend.started + backend.unknown
     assert runs["repeat"] > 0
     assert budget * 0.5 < campaign_answer(ended, ended.created_at, None).spent.simulations <= budget, ended.error
-    database.dispose()
 
 
-def test_a_search_of_an_exhausted_space_ends_before_its_budget(tmp_path: Path) -> None:
-    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
+def test_a_search_of_an_exhausted_space_ends_before_its_budget(database: Database) -> None:
     space = [{"name": "P1", "lower": 0, "upper": 1, "step": 0.1}]
     optimizer = {"kind": "genetic", "population": 8}
     fixed = {f"P{number}": 0.5 for number in range(2, 12)}
@@ -132,4 +128,3 @@ def test_a_search_of_an_exhausted_space_ends_before_its_budget(tmp_path: Path) -
     ended = run(database, submit(database, budget={"simulations": 100}, **spec))
     assert ended.search is not None
     assert (ended.search.ended_by, ended.cells.runs <= 11) == ("stagnation", True)
-    database.dispose()

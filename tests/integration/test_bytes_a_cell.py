@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from math import sin
-from pathlib import Path
 from typing import Any
 
 from sqlalchemy import text
 from tests.support.computed import ComputedBackend, computed
-from tests.support.databases import migrated
 from tests.support.runs import EXPERT_SPACE, post_map, run, submit
 
 from drivecal.campaigns.resolve.maps import stored_map
@@ -61,8 +59,7 @@ def counted(database: Database) -> tuple[int, int, int]:
     return (used - free) * page, cells, simulated
 
 
-def test_a_cell_with_its_run_takes_no_more_bytes_than_promised(tmp_path: Path) -> None:
-    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
+def test_a_cell_with_its_run_takes_no_more_bytes_than_promised(database: Database) -> None:
     regions = {"P2": {"influential": True, "lower": 0.5, "upper": 0.5}, "P9": {"influential": False}}
     stored = post_map(database, dict.fromkeys(SCENARIOS, regions))
     empty, *_ = counted(database)
@@ -72,7 +69,6 @@ def test_a_cell_with_its_run_takes_no_more_bytes_than_promised(tmp_path: Path) -
     run(database, campaign, ComputedBackend(answer=measured))
     index_references(database)
     full, cells, simulated = counted(database)
-    database.dispose()
     assert cells > 2_000
     assert simulated > 0.95 * cells
     assert (full - empty) / cells <= MOST_BYTES

@@ -86,7 +86,6 @@ def test_a_repaired_set_that_was_asked_before_is_no_requested_cell(tmp_path: Pat
         killed_between_rounds(database, campaign, range(1, deaths + 1))
         outcomes.append(everything(database, campaign))
         cells, search = get(database, campaign).cells, get(database, campaign).search
-        database.dispose()
         assert present(search).repaired.proposed > 5
         assert (cells.simulated, cells.proposed) == (6 * 3, 12 * 5 * 3)
         assert cells.requested == (12 + present(search).repaired.distinct) * 3, "only the first population is requested whole"
@@ -103,7 +102,6 @@ def test_a_search_resumes_between_a_closed_round_and_the_next_one(tmp_path: Path
         campaign = submit(database, optimizer=optimizer, budget={"simulations": 60}, **WITH_SIX)
         killed_between_rounds(database, campaign, range(1, deaths + 1))
         result.append((everything(database, campaign)[0], get(database, campaign).cells))
-        database.dispose()
     (whole, undisturbed), (cells, killed) = result
     assert cells == whole
     assert (undisturbed.runs, undisturbed.lost) == (undisturbed.requested, 0)

@@ -47,6 +47,5 @@ def test_hiccups_change_no_result_and_simulate_nothing_twice(tmp_path: Path, see
         assert any(failures) == (share > 0)
         ended.append(everything(database, campaign))
         sent.append(Counter(backend.sent))
-        database.dispose()
     assert ended[0] == ended[1]
     assert sent[0] == sent[1]

@@ -98,7 +98,6 @@ def test_pause_stops_the_work_and_resume_goes_on_to_the_same_result(tmp_path: Pa
         while not _get(database, campaign).state.ended:
             working.step()
         result.append(everything(database, campaign))
-        database.dispose()
     assert result[0] == result[1]
 
 

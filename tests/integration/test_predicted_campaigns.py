@@ -276,7 +276,6 @@ def test_a_set_that_was_dismissed_on_a_prediction_gets_a_last_look(tmp_path: Pat
             if deaths and now.search is not None and now.search.last_look:
                 deaths, working = deaths - 1, dispatcher(database, ComputedBackend(answer=slowly))
         own = [row.parameter_set_id for row in rows_of(database, campaign) if row.outcome is Outcome.SIMULATED]
-        database.dispose()
         return now, {number for number, count in Counter(own).items() if count == 2}
 
     monkeypatch.setattr(LotPlanner, "worth_a_look", look)

@@ -2,8 +2,9 @@
 
 import random
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import pytest
@@ -47,20 +48,9 @@ BOLD_MAP = {
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
-def databases(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Callable[[], Database]]:
+def databases(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[], Database]:
     """Makes new databases of a kind."""
-    opened: list[Database] = []
-
-    def make() -> Database:
-        folder = tmp_path / str(len(opened))
-        folder.mkdir()
-        database = migrated(new_database(request, request.param, folder))
-        opened.append(database)
-        return database
-
-    yield make
-    for database in opened:
-        database.dispose()
+    return lambda: migrated(new_database(request, request.param, Path(mkdtemp(dir=tmp_path))))
 
 
 class Fate:
@@ -350,7 +340,6 @@ def test_identical_cells_of_parallel_campaigns_are_simulated_once_and_counted_on
             row = evaluations_table.c
             shared = select(func.count()).where(row.outcome == "simulated", row.worker.is_(None), row.milliseconds.is_(None))
             assert connection.scalar(shared) == sum(element.cells.simulated for element in ended) - len(backend.sent)
-        database.dispose()
 
 
 def test_without_reduction_every_campaign_simulates_its_own_cells(database: Database) -> None:

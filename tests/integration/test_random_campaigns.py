@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from itertools import product
 from pathlib import Path
@@ -66,10 +66,8 @@ def opened(path: Path, **changes: Any) -> Database:
 
 
 @pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    database = opened(tmp_path / "drivecal.db")
-    yield database
-    database.dispose()
+def database(tmp_path: Path) -> Database:
+    return opened(tmp_path / "drivecal.db")
 
 
 def carried_out(
@@ -163,7 +161,6 @@ def test_a_study_of_another_campaign_chooses_by_the_seeds_that_chose_there(tmp_p
     study = carried_out(database, driven=alike, robustness=robust, **own)
     with database.read() as connection:
         document = studies.get(connection, study.sequence, StageName.ROBUSTNESS)
-    database.dispose()
     assert [row["parameters"] for row in present(document)["items"]] == [present(searched.best).parameters]
 
 
@@ -189,7 +186,6 @@ def test_the_runs_that_a_study_compares_have_one_seed_and_others_have_others(tmp
         robustness, validation = (
             studies.get(connection, ended.sequence, stage) for stage in (StageName.ROBUSTNESS, StageName.VALIDATION)
         )
-    database.dispose()
     assert {name: each["influential"] for name, each in influence["city"].items()} == {"x": True, "z": False}
     for stage, seeds in ((StageName.SENSITIVITY, 4), (StageName.ROBUSTNESS, 3), (StageName.VALIDATION, 3)):
         assert {row.seed for row in rows if row.stage is stage} == set(range(1, seeds + 1))
@@ -304,7 +300,6 @@ def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: 
         return CellResult(cell.id, None, None, {"y": y}, None, 7.0, repeats=False if cell.check else None)
 
     ended = carried_out(database, driven=unsaid, budget={"simulations": 64})
-    database.dispose()
     assert ended.cells.unrepeatable > 0
     assert present(ended.best).lower is not None
     assert sum("samples" in note for note in ended.notes) == 1
@@ -341,5 +336,4 @@ def test_kills_workers_and_the_order_of_answers_change_nothing(
         assert left == [0]
         seeds = [(row.iteration, row.individual, row.scenario, row.seed) for row in rows_of(database, campaign)]
         results.append((seeds, everything(database, campaign)))
-        database.dispose()
     assert results[0] == results[1]

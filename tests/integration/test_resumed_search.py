@@ -75,8 +75,6 @@ def test_others_can_write_while_a_search_is_restored(tmp_path: Path, monkeypatch
     assert created > 0
     assert finish(database, campaign, dispatcher(database)).state is CampaignState.SUCCEEDED
     assert len(writes) > created
-    for opened in (database, other):
-        opened.dispose()
 
 
 def test_a_dispatcher_that_lost_its_leadership_during_a_restore_writes_nothing(

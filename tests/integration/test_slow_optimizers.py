@@ -99,4 +99,3 @@ def test_a_campaign_that_stops_while_its_optimizer_computes_ends_as_if_nothing_h
     other = migrated(f"sqlite:///{tmp_path / 'undisturbed.db'}")
     undisturbed = run(other, submit(other, optimizer=SLOW), ComputedBackend())
     assert everything(database, ended) == everything(other, undisturbed)
-    other.dispose()

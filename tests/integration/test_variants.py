@@ -73,5 +73,4 @@ def test_variants_depend_on_no_worker_and_no_kill_and_use_the_budget_exactly(tmp
         ended = carried_out(database, workers, deaths, **SURROGATE)
         outcomes.append(everything(database, ended))
         assert ended.cells.requested == 47
-        database.dispose()
     assert outcomes[0] == outcomes[1]

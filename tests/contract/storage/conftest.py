@@ -1,7 +1,6 @@
 """One behaviour suite for both backends: every test that asks for `database` or `empty_url` runs on SQLite and on PostgreSQL."""
 
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
@@ -11,7 +10,7 @@ from psycopg import sql
 from tests.support.databases import migrated
 from tests.support.postgres import create_database
 
-from drivecal.storage.engine.database import PATIENT, Database, Patience
+from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import metadata
 
 Backend = Literal["sqlite", "postgresql"]
@@ -62,22 +61,6 @@ def url(backend: Backend, request: pytest.FixtureRequest, tmp_path: Path) -> str
         shutil.copy(request.getfixturevalue("migrated_sqlite"), tmp_path / "drivecal.db")
         return f"sqlite:///{tmp_path / 'drivecal.db'}"
     return str(request.getfixturevalue("clean_postgres"))
-
-
-@pytest.fixture(autouse=True)
-def closed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Closes the databases that a test opens: an open connection would fail whichever test runs when it is collected."""
-    opened: list[Database] = []
-    original = Database.open
-
-    def opens(url: str, patience: Patience = PATIENT) -> Database:
-        opened.append(original(url, patience))
-        return opened[-1]
-
-    monkeypatch.setattr(Database, "open", opens)
-    yield
-    for database in opened:
-        database.dispose()
 
 
 @pytest.fixture

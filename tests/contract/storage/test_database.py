@@ -88,7 +88,6 @@ def test_fifty_requests_get_their_turns_beside_a_process_that_writes_without_a_p
     finally:
         ends.set()
         writer.join()
-        prompt.dispose()
     with database.read() as connection:
         assert len(campaigns.active(connection)) == 50
 
@@ -110,7 +109,6 @@ def test_processes_with_many_writers_keep_none_from_writing(tmp_path: Path) -> N
     for database in databases:
         assert database._turns is not None
         assert database._turns._locked is None, "the queue is left"
-        database.dispose()
 
 
 def test_a_process_that_stands_still_in_the_queue_holds_up_no_other_for_long(
@@ -201,7 +199,6 @@ def test_a_new_database_belongs_to_its_user_alone_whatever_the_umask(tmp_path: P
             modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in (file.parent, *file.parent.iterdir())}
     finally:
         os.umask(before)
-        database.dispose()
     assert modes.pop("home") == 0o700
     assert modes == dict.fromkeys(("drivecal.db", "drivecal.db-wal", "drivecal.db-shm", "drivecal.db.queue"), 0o600)
 
@@ -277,7 +274,6 @@ def test_sqlite_waits_for_the_disk_at_every_commit(migrated_sqlite: Path) -> Non
                 connection.exec_driver_sql(f"PRAGMA {name}").scalar()
                 for name in ("journal_mode", "synchronous", "foreign_keys")
             ]
-        database.dispose()
     finally:
         event.listen(Pool, "checkout", leave_it_to_the_system)
     assert values == ["wal", 2, 1]

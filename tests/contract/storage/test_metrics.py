@@ -37,7 +37,6 @@ def test_every_bit_comes_back(tmp_path_factory: pytest.TempPathFactory) -> None:
         ]
 
     comes_back()
-    database.dispose()
 
 
 def test_names_that_a_transaction_took_back_are_stored_by_the_next(database: Database) -> None:

@@ -63,7 +63,6 @@ def old(empty_url: str, later: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
     monkeypatch.setattr(schema, "MIGRATIONS", later)
     schema.known_revisions.cache_clear()
     yield opened
-    opened.dispose()
     schema.known_revisions.cache_clear()
 
 

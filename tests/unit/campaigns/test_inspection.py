@@ -25,10 +25,8 @@ NOTHING: Any = None
 
 @pytest.fixture
 def connection(tmp_path: Path) -> Iterator[Connection]:
-    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
-    with database.transaction() as opened:
+    with migrated(f"sqlite:///{tmp_path / 'drivecal.db'}").transaction() as opened:
         yield opened
-    database.dispose()
 
 
 def stored(connection: Connection, kind: Outcome, sample: int, **members: Any) -> tuple[int, int]:

@@ -143,6 +143,5 @@ def test_sets_within_reach_of_the_best_one_are_simulated_whole(tmp_path: Path) -
     with database.transaction() as connection:
         assert campaign(connection).sequence == 1
         planned = planner.plan(connection, cells, 6.0, ())
-    database.dispose()
     assert {cell.individual for cell in planned if cell.plan is Outcome.SIMULATED} == {0, 2}
     assert {cell.individual for cell in planned if cell.plan is Outcome.PREDICTED} == {1, *range(3, 98)}

@@ -48,7 +48,6 @@ def test_a_dispatcher_is_known_by_its_term_whatever_the_clock_says(
         assert startup.missing() == ["workers"]
         report(database, "idle")
         assert startup.missing() == []
-    database.dispose()
 
 
 def test_the_dispatcher_alone_is_told_where_to_post(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,7 +67,7 @@ def test_the_dispatcher_alone_is_told_where_to_post(tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(serving, "Supervisor", Supervisor)
     monkeypatch.setenv("DRIVECAL_WEBHOOK", webhook)
-    migrated(f"sqlite:///{tmp_path / 'drivecal.db'}").dispose()
+    migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
     with socket.socket() as listener:
         serving.run_server(load_settings(home=str(tmp_path)), listener, "http://127.0.0.1:1", lambda: None)
     assert told == {"API": None, "dispatcher": webhook}

@@ -39,7 +39,6 @@ def test_a_thread_that_waits_too_long_for_its_turn_is_refused_and_may_try_again(
         enough.set()
     with database.transaction():
         pass
-    database.dispose()
 
 
 OTHER = """
@@ -70,5 +69,4 @@ def test_threads_that_write_all_the_time_let_another_process_write(tmp_path: Pat
         command = [sys.executable, "-c", OTHER, f"sqlite:///{tmp_path / 'file.db'}"]
         between = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False).stdout
         stop.set()
-    database.dispose()
     assert int(between) < 150  # ten turns: some 500 if a process kept its turn for half a second
