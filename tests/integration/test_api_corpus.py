@@ -3,13 +3,12 @@
 import json
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
-import httpx
 import pytest
 from pydantic import BaseModel
 from tests.support.api_process import ApiProcess, api_process
 from tests.support.effort import sample
+from tests.support.server import refused
 
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 
@@ -71,15 +70,6 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiProcess]:
     folder = tmp_path_factory.mktemp("corpus")
     with api_process(f"sqlite:///{folder / 'drivecal.db'}", folder) as running:
         yield running
-
-
-def refused(response: httpx.Response) -> dict[str, Any]:
-    assert 400 <= response.status_code < 500, (response.status_code, response.text[:500])
-    assert response.headers["content-type"] == "application/problem+json"
-    assert len(response.content) < 100_000
-    document: dict[str, Any] = response.json()
-    assert document["detail"]
-    return document
 
 
 def usual_work(api: ApiProcess) -> None:

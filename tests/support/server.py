@@ -81,6 +81,13 @@ def serving(database_url: str, port: int = 0, **settings: Any) -> Iterator[Runni
         database.dispose()
 
 
+def refused(response: httpx.Response) -> dict[str, Any]:
+    """The problem document of any refusal, which is short."""
+    assert 400 <= response.status_code < 500, (response.status_code, response.text[:500])
+    assert len(response.content) < 100_000
+    return problem_of(response, response.status_code)
+
+
 def problem_of(response: httpx.Response, status: int) -> dict[str, Any]:
     """The problem document that a response with this status has to be."""
     assert response.status_code == status, response.text
