@@ -12,7 +12,7 @@ import pytest
 from fastapi.testclient import TestClient
 from sqlalchemy import func, select, text
 from tests.support.api_process import api_process
-from tests.support.server import RunningApi, new_database, serving
+from tests.support.server import RunningApi, new_database, problem_of, serving
 
 from drivecal.api.app import create_app
 from drivecal.client.client import Client
@@ -34,11 +34,8 @@ def api(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[RunningApi]:
 
 
 def unavailable(response: httpx.Response) -> dict[str, Any]:
-    assert response.status_code == 503, response.text
-    assert response.headers["content-type"] == "application/problem+json"
     assert int(response.headers["retry-after"]) > 0
-    document: dict[str, Any] = response.json()
-    return document
+    return problem_of(response, 503)
 
 
 def post(http: httpx.Client, key: str) -> httpx.Response:

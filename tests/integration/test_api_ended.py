@@ -3,20 +3,13 @@
 from typing import Any
 
 import pytest
-from tests.support.answered_campaigns import analyse, carry_out, carry_out_evaluation
+from tests.support.answered_campaigns import ANALYSIS, analyse, carry_out, carry_out_evaluation
 from tests.support.server import RunningApi
 
 from drivecal.plugins import registry
 from drivecal.storage.engine.records import encode_cursor
 
-SMALL: dict[str, Any] = {
-    "catalogue": ["S1", "S4"],
-    "weights": {"S1": 3},
-    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05, "unit": "s"} for i in range(1, 4)],
-    "fixed": {f"P{i}": 0.5 for i in range(4, 12)},
-    "sensitivity": {"intervals": 5, "samples": 4, "threshold": 0.02},
-    "optimizer": {"population": 10, "iterations": 3},
-}
+SMALL = ANALYSIS | {"catalogue": ["S1", "S4"], "weights": {"S1": 3}, "optimizer": {"population": 10, "iterations": 3}}
 
 
 def posted(api: RunningApi, path: str, document: dict[str, Any]) -> dict[str, Any]:

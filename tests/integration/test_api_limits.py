@@ -12,7 +12,7 @@ import pytest
 from sqlalchemy import func, select
 from tests.support.answered_campaigns import carry_out
 from tests.support.serve import until
-from tests.support.server import RunningApi, new_database, serving
+from tests.support.server import RunningApi, new_database, problem_of, serving
 from tests.support.values import MIDDLE
 
 from drivecal.api.http import protocol
@@ -36,13 +36,6 @@ def post(api: RunningApi, body: dict[str, Any], key: str = "", path: str = "camp
     return api.http.post(f"/api/v1/{path}", json=body, headers={"Idempotency-Key": key} if key else {})
 
 
-def problem(response: httpx.Response, status: int) -> dict[str, Any]:
-    assert response.status_code == status, response.text
-    assert response.headers["content-type"] == "application/problem+json"
-    document: dict[str, Any] = response.json()
-    return document
-
-
 @pytest.mark.slow("sqlite")
 def test_the_queue_is_never_longer_than_it_may_be_however_many_come_at_once(api: RunningApi) -> None:
     def crowd(number: int) -> httpx.Response:
@@ -55,7 +48,7 @@ def test_the_queue_is_never_longer_than_it_may_be_however_many_come_at_once(api:
         assert connection.scalar(select(func.count()).select_from(campaigns)) == PLACES
     refused = next(response for response in responses if response.status_code == 429)
     assert int(refused.headers["retry-after"]) > 0
-    assert "5 campaigns" in problem(refused, 429)["detail"]
+    assert "5 campaigns" in problem_of(refused, 429)["detail"]
 
 
 @pytest.mark.slow("postgresql")
@@ -65,7 +58,7 @@ def test_a_full_queue_still_knows_what_it_took_and_what_contradicts_it(api: Runn
         assert post(api, SMALL).status_code == 202
     assert post(api, SMALL, key="second").status_code == 429
     assert post(api, SMALL, key="first").json()["id"] == first["id"]
-    problem(post(api, SMALL | {"name": "other"}, key="first"), 409)
+    problem_of(post(api, SMALL | {"name": "other"}, key="first"), 409)
     assert api.http.post("/api/v1/campaigns?validate_only=true", json=SMALL).status_code == 200
 
 
@@ -76,7 +69,7 @@ def test_what_starts_or_is_cancelled_makes_room(api: RunningApi) -> None:
     api.http.post(f"/api/v1/campaigns/{ids[0]}/cancel").raise_for_status()
     carry_out(api.database, ids[1])
     assert [post(api, SMALL).status_code for _ in range(3)] == [202, 202, 429]
-    assert problem(post(api, {"weights": {"S1": 2}}, path=f"campaigns/{ids[1]}/rerun"), 429)
+    assert problem_of(post(api, {"weights": {"S1": 2}}, path=f"campaigns/{ids[1]}/rerun"), 429)
 
 
 @pytest.mark.slow("postgresql")
@@ -89,7 +82,7 @@ def test_influence_maps_are_kept_up_to_a_limit_however_many_come_at_once(
         responses = list(pool.map(lambda _: post(api, document, path="influence-maps"), range(10)))
     assert sorted(response.status_code for response in responses) == [201] * PLACES + [413] * (10 - PLACES)
     refused = next(response for response in responses if response.status_code == 413)
-    assert problem(refused, 413)["errors"]
+    assert problem_of(refused, 413)["errors"]
     assert len(api.http.get("/api/v1/influence-maps").json()["items"]) == PLACES
 
 
@@ -121,7 +114,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
 def test_a_campaign_that_is_too_large_is_refused_with_its_numbers(
     small: RunningApi, specification: dict[str, Any], field: str, said: str, query: str
 ) -> None:
-    document = problem(small.http.post(f"/api/v1/campaigns{query}", json=specification), 413)
+    document = problem_of(small.http.post(f"/api/v1/campaigns{query}", json=specification), 413)
     assert [error["field"] for error in document["errors"]] == [field]
     assert said in document["detail"]
     assert "10,000" in document["detail"]
@@ -131,7 +124,7 @@ def test_a_campaign_that_is_too_large_is_refused_with_its_numbers(
 
 def test_of_many_faulty_query_parameters_the_first_are_listed(small: RunningApi) -> None:
     query = "&".join(f"p{number}={number}" for number in range(1_000))
-    errors = problem(small.http.get(f"/api/v1/campaigns?{query}"), 422)["errors"]
+    errors = problem_of(small.http.get(f"/api/v1/campaigns?{query}"), 422)["errors"]
     assert len(errors) == 101
 
 

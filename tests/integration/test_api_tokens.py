@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 from tests.support.command import command
-from tests.support.server import RunningApi, serving
+from tests.support.server import RunningApi, problem_of, serving
 
 from drivecal.api.app import create_app
 from drivecal.configuration.settings import load_settings
@@ -135,9 +135,7 @@ def test_campaigns_are_steered_and_deleted_by_their_owner_and_by_an_admin(tmp_pa
         assert ask("bob", "", body=SMALL).json()["id"] == campaign["id"]
         own = f"/{campaign['id']}"
         for action in ("pause", "resume", "cancel"):
-            refused = ask("alice", f"{own}/{action}")
-            assert refused.status_code == 403
-            assert "bob" in problem(refused)["detail"]
+            assert "bob" in problem_of(ask("alice", f"{own}/{action}"), 403)["detail"]
         assert ask("alice", own, "PATCH", {"name": "mine"}).status_code == 403
         assert ask("bob", f"{own}/pause").status_code == 202
         assert ask("root", f"{own}/cancel").status_code == 202
@@ -160,9 +158,3 @@ def test_sets_of_an_outside_optimizer_are_taken_from_the_owner_and_an_admin(tmp_
         assert [ask("bob", *each) for each in asked[:2]] == [202, 200]
         assert ask("alice", "/answers", "GET") == 200
         assert ask("root", "/finish") == 202
-
-
-def problem(response: httpx.Response) -> dict[str, Any]:
-    assert response.headers["content-type"] == "application/problem+json"
-    document: dict[str, Any] = response.json()
-    return document

@@ -13,7 +13,7 @@ import pytest
 from sqlalchemy import update
 from tests.support.faults.postgres import KillablePostgres, killable_postgres
 from tests.support.serve import until
-from tests.support.server import RunningApi, serving
+from tests.support.server import RunningApi, problem_of, serving
 
 from drivecal.configuration.settings import Settings
 from drivecal.server import serving as serving_module
@@ -53,12 +53,7 @@ def ask(api: RunningApi, path: str) -> httpx.Response:
 
 
 def refuses(response: httpx.Response) -> bool:
-    if response.status_code != 503:
-        return False
-    assert response.headers["content-type"] == "application/problem+json"
-    assert int(response.headers["retry-after"]) > 0
-    assert "database" in response.json()["detail"]
-    return True
+    return "database" in problem_of(response, 503)["detail"] and int(response.headers["retry-after"]) > 0
 
 
 def recovers(api: RunningApi) -> None:

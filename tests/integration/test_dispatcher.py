@@ -8,7 +8,7 @@ from sqlalchemy import select
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.problems import store, submit_checked
-from tests.support.runs import SMALL, WITH_ANALYSIS, dispatcher, everything, influenced, request, run, submit
+from tests.support.runs import SMALL, WITH_ANALYSIS, dispatcher, everything, finish, influenced, request, run, submit
 
 from drivecal.api.responses import campaign_answer
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
@@ -37,12 +37,7 @@ def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
 
 
 def _run(database: Database, campaign: StoredCampaign, backend: ComputedBackend | None = None) -> StoredCampaign:
-    working = dispatcher(database, backend or ComputedBackend())
-    for _ in range(3_000):
-        if _get(database, campaign).state.ended:
-            return _get(database, campaign)
-        working.step()
-    raise AssertionError("the campaign did not end")
+    return _get(database, finish(database, campaign, dispatcher(database, backend)))
 
 
 def test_a_campaign_runs_to_its_end_and_every_cell_has_its_answer(database: Database) -> None:

@@ -7,20 +7,16 @@ from typing import Any
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.problems import RANDOM, scored, store, submit_checked
-from tests.support.runs import finish
+from tests.support.runs import dispatcher, finish
 
 from drivecal.analysis.savings import account
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.campaigns.stages.stage import ALL_FAILED
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
-from drivecal.execution.pool import Leases, WorkPool
-from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.storage import campaigns, evaluations, events, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -60,18 +56,8 @@ def submit(database: Database, **changes: Any) -> StoredCampaign:
     return submit_checked(database, RANDOM | changes)
 
 
-def dispatcher(database: Database, simulated: Simulated, backend: ComputedBackend | None = None) -> Dispatcher:
-    ticks = iter(range(10**9))
-    own = database.fenced(Leadership.begin(database).fence)
-    policy = None if backend is None else BatchPolicy(largest=1)
-    pool = WorkPool(backend or ComputedBackend(answer=simulated), Leases(own), policy)
-    return Dispatcher(own, pool, clock=lambda: float(next(ticks)))
-
-
-def run(
-    database: Database, campaign: StoredCampaign, simulated: Simulated, backend: ComputedBackend | None = None
-) -> StoredCampaign:
-    return finish(database, campaign, dispatcher(database, simulated, backend))
+def run(database: Database, campaign: StoredCampaign, simulated: Simulated) -> StoredCampaign:
+    return finish(database, campaign, dispatcher(database, ComputedBackend(answer=simulated)))
 
 
 def causes(database: Database, campaign: StoredCampaign) -> list[FailureCause]:

@@ -142,16 +142,13 @@ def _lost() -> None:
     raise DatabaseError("another drivecal server (process 1) uses the database")
 
 
-def _tell_until_it_raises(heartbeat: Heartbeat) -> None:
-    deadline = time.monotonic() + 30
-    while time.monotonic() < deadline:
-        heartbeat.report([WORKER], None)
-        time.sleep(0.01)
-
-
 def _ends(heartbeat: Heartbeat, error: type[Exception], words: str) -> None:
+    def reported() -> bool:
+        heartbeat.report([WORKER], None)
+        return False
+
     with pytest.raises(error, match=words):
-        _tell_until_it_raises(heartbeat)
+        until(reported, words, 30)
 
 
 def test_the_main_thread_learns_that_another_dispatcher_was_elected_or_has_the_lock(database: Database) -> None:
