@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
-from tests.support.storage import new_evaluation
+from tests.support.storage import new_evaluation, simulate
 from tests.support.values import numbers
 
+from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.maps import analysis_to_document, smallest_s_rel
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.spaces import fixed_to_document, space_to_document
@@ -17,14 +18,12 @@ from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.contracts.tables import Generation
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.evaluations import Outcome, RequestedCell
+from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet
-from drivecal.storage import campaigns, evaluations, generations
+from drivecal.storage import campaigns, generations
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.evaluations import AnsweredCell
-from drivecal.storage.references import influence_maps, parameter_sets, runs, setups
-from drivecal.storage.references.runs import NewRun
+from drivecal.storage.references import influence_maps, parameter_sets, setups
 
 METRICS = {"peak_lateral_acceleration_mps2": 1.25, "peak_lateral_jerk_mps3": 0.1}
 
@@ -47,7 +46,7 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
         campaigns.set_resolution(connection, campaign.sequence, problem.resolution())
         population = [[i, *([0] * (len(problem.space.searched) - 1))] for i in range(individuals)]
         sets = [problem.space.parameter_set(row) for row in population]
-        _simulate(connection, campaign, problem, sets)
+        _simulate(connection, campaign, problem.bench, sets)
         cells = len(sets) * len(problem.scenarios)
         figures = Generation(iteration=0, proposed=cells, requested=cells, simulated=cells, best=3.5, mean=3.0, minimum=2.5)
         generations.insert(
@@ -72,57 +71,16 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
         return Carried(campaigns.get(connection, campaign_id), problem, sets)
 
 
-def _simulate(connection: Connection, campaign: StoredCampaign, problem: CalibrationProblem, sets: list[ParameterSet]) -> None:
-    setup_ids = dict(
-        zip(
-            problem.scenarios,
-            setups.ensure(connection, [problem.bench.setups[name] for name in problem.scenarios]),
-            strict=True,
-        )
-    )
-    ids = parameter_sets.ensure(connection, sets)
-    cells = [
-        new_evaluation(StageName.CALIBRATION, 0, individual, scenario, setup_ids[scenario], parameter_set, Outcome.SIMULATED)
-        for individual, parameter_set in enumerate(ids)
-        for scenario in problem.scenarios
-    ]
-    evaluation_ids = evaluations.insert(connection, campaign.sequence, cells)
-    _answer(connection, campaign, cells, evaluation_ids, problem.bench.evaluator_id, problem.scenarios[0])
-
-
-def _answer(
-    connection: Connection,
-    campaign: StoredCampaign,
-    cells: list[RequestedCell],
-    evaluation_ids: list[int],
-    evaluator: str,
-    first: str,
-) -> None:
-    new = [
-        NewRun(
-            setup_id=cell.setup_id,
-            parameter_set_id=cell.parameter_set_id,
-            metrics=METRICS,
-            failure=None,
-            milliseconds=7.5,
-            worker="worker 1",
-            evaluator=evaluator,
-            score=cell.individual % 8 if cell.scenario == first else 3,
-            rating=(cell.individual % 8 if cell.scenario == first else 3) + 0.125,
-            evaluation_id=evaluation,
-            campaign_sequence=campaign.sequence,
-            stage=cell.stage,
-            iteration=cell.iteration,
-            individual=cell.individual,
-        )
-        for cell, evaluation in zip(cells, evaluation_ids, strict=True)
-    ]
-    stored = runs.insert_results(connection, new)
-    answers = [
-        AnsweredCell(evaluation, Outcome.SIMULATED, run.score, run.rating, at.id, None, 7.5, "worker 1", 1)
-        for evaluation, run, at in zip(evaluation_ids, new, stored, strict=True)
-    ]
-    evaluations.answer(connection, answers)
+def _simulate(connection: Connection, campaign: StoredCampaign, bench: Bench, sets: list[ParameterSet]) -> None:
+    """Stores the cells of a population in all scenarios of a bench, with their runs."""
+    names = list(bench.setups)
+    setup_ids = setups.ensure(connection, list(bench.setups.values()))
+    for individual, parameter_set in enumerate(parameter_sets.ensure(connection, sets)):
+        for name, setup in zip(names, setup_ids, strict=True):
+            score = individual % 8 if name == names[0] else 3
+            new = new_evaluation(StageName.CALIBRATION, 0, individual, name, setup, parameter_set, Outcome.SIMULATED)
+            rated: dict[str, Any] = {"score": score, "rating": score + 0.125, "evaluator": bench.evaluator_id}
+            simulate(connection, campaign.sequence, [new], **rated, metrics=METRICS)
 
 
 def carry_out_evaluation(database: Database, evaluation_id: str) -> None:
@@ -132,15 +90,7 @@ def carry_out_evaluation(database: Database, evaluation_id: str) -> None:
         problem = resolve_evaluation(validated(EvaluationSpecification, campaign.spec))
         campaigns.start(connection, campaign.sequence)
         campaigns.set_resolution(connection, campaign.sequence, problem.resolution())
-        names = list(problem.bench.setups)
-        setup_ids = setups.ensure(connection, list(problem.bench.setups.values()))
-        [parameter_set] = parameter_sets.ensure(connection, [problem.parameter_set])
-        cells = [
-            new_evaluation(StageName.CALIBRATION, 0, 0, name, setup, parameter_set, Outcome.SIMULATED)
-            for name, setup in zip(names, setup_ids, strict=True)
-        ]
-        ids = evaluations.insert(connection, campaign.sequence, cells)
-        _answer(connection, campaign, cells, ids, problem.bench.evaluator_id, names[0])
+        _simulate(connection, campaign, problem.bench, [problem.parameter_set])
         campaigns.end(connection, campaign.sequence, CampaignState.SUCCEEDED)
 
 

@@ -1,7 +1,7 @@
 """Rows to test the storage with."""
 
 import multiprocessing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
 from typing import Any
@@ -22,6 +22,7 @@ PROCESSES = multiprocessing.get_context("forkserver")
 """Starts processes as forks of a server process with all imports, which take longer than most tests."""
 PROCESSES.set_forkserver_preload(["pytest", "tests.support.runs", "drivecal.storage.maintenance.backup"])
 EVALUATOR = "reference 1"
+METRICS = {"peak_lateral_acceleration_mps2": 0.1 + 0.2, "offset_m": 1e-300}
 SETUP = Setup("S1", {"simulator": {"kind": "highway"}, "adapter": "1", "scenario": "S1", "data": {}, "files": "0"})
 
 
@@ -85,12 +86,13 @@ def new_run(
     rating: float = 5.25,
     failure: str | None = None,
     evaluator: str = EVALUATOR,
+    metrics: Mapping[str, float] = METRICS,
 ) -> NewRun:
     """A simulated result."""
     return NewRun(
         setup_id=setup,
         parameter_set_id=parameter_set,
-        metrics={"peak_lateral_acceleration_mps2": 0.1 + 0.2, "offset_m": 1e-300},
+        metrics=metrics,
         failure=failure,
         milliseconds=7.0,
         worker="worker 1",
@@ -106,7 +108,7 @@ def new_run(
 
 
 def simulate(
-    connection: Connection, sequence: int, cells: Sequence[RequestedCell], *, score: float = 5, rating: float = 5.25
+    connection: Connection, sequence: int, cells: Sequence[RequestedCell], *, score: float = 5, rating: float = 5.25, **run: Any
 ) -> list[int]:
     """Stores cells of a campaign, and results for the simulated ones as if from a worker. Returns the ids of the cells."""
     ids = evaluations.insert(connection, sequence, cells)
@@ -122,13 +124,14 @@ def simulate(
             individual=cell.individual,
             score=score,
             rating=rating,
+            **run,
         )
         for one, cell in simulated
     ]
     stored = runs.insert_results(connection, results)
     answers = [
-        AnsweredCell(one, Outcome.SIMULATED, score, rating, run.id, worker="worker 1", milliseconds=7.0, attempts=1)
-        for (one, _), run in zip(simulated, stored, strict=True)
+        AnsweredCell(one, Outcome.SIMULATED, score, rating, at.id, worker="worker 1", milliseconds=7.0, attempts=1)
+        for (one, _), at in zip(simulated, stored, strict=True)
     ]
     evaluations.answer(connection, answers)
     return ids
