@@ -1,5 +1,6 @@
 """Every kind of optimizer survives one parameter, two values, one feasible set, equal, missing, tiny and huge objectives."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
+from tests.unit.optimizers.test_surrogate import task_of
 
 from drivecal.analysis.aims import JudgedGoals
 from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective
@@ -16,7 +18,7 @@ from drivecal.optimizers.cma_es import CMA_ES
 from drivecal.optimizers.repair import RepairingOptimizer, checked_proposal
 from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
 from drivecal.plugins.ports import Floats, OptimizerPlugin
-from drivecal.plugins.search import CellAnswer, SearchTask
+from drivecal.plugins.search import CellAnswer
 
 POPULATIONS: dict[str, OptimizerPlugin] = {"genetic": GENETIC, "random": RANDOM, "swarm": SWARM, "cma_es": CMA_ES}
 GRID: Kind = "grid"
@@ -67,32 +69,18 @@ def test_the_surrogate_searches_the_smallest_spaces(sizes: list[int], landscape:
     n_values, value = np.array(sizes), CellValue(measure="m")
     goals = Goals((Objective("m", value, {"s": 1.0}, Aggregate(), 1),))
 
-    def feasible(rows: Indices) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        return np.all(rows == 1, axis=1) if one_is_feasible else np.ones(len(rows), dtype=np.bool_)
-
-    def repair(rows: Indices) -> Indices:
-        return np.ones_like(rows) if one_is_feasible else rows
-
-    def sample(count: int, generator: np.random.Generator) -> Indices:
-        return repair(generator.integers(0, n_values, size=(count, len(n_values))))
-
-    task = SearchTask(
-        n_values,
-        [GRID] * len(sizes),
-        JudgedGoals(goals, ("s",)),
-        feasible,
-        repair,
-        sample,
-        np.ones((1, len(sizes)), dtype=np.int64),
-        (),
-        12,
-        1,
-    )
+    task = task_of(JudgedGoals(goals, ("s",)), 12, 1, n_values, [GRID] * len(sizes))
+    if one_is_feasible:
+        one: dict[str, Any] = {
+            "start": np.ones((1, len(sizes)), int),
+            "sample": lambda count, _: np.ones((count, len(sizes)), int),
+        }
+        task = replace(task, feasible=lambda rows: np.all(rows == 1, axis=1), repair=np.ones_like, **one)
     search = SURROGATE.begin(SurrogateSettings(seed=seed), task)
     asked: set[tuple[int, ...]] = set()
     while cells := search.ask(2):
         asked |= {cell.indices for cell in cells}
-        assert feasible(np.array([cell.indices for cell in cells])).all()
+        assert task.feasible(np.array([cell.indices for cell in cells])).all()
         values = objective(np.array([cell.indices for cell in cells]), n_values, landscape).tolist()
         search.tell([CellAnswer(cell, (each,), np.isnan(each)) for cell, each in zip(cells, values, strict=True)])
     assert len(asked) == min(12, 1 if one_is_feasible else int(n_values.prod()))
