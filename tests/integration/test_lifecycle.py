@@ -2,39 +2,30 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import timedelta
 from typing import Any
 
 import pytest
-from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
-from tests.support.runs import finish, get, request, rows_of
+from tests.support.deaths import mortal
+from tests.support.runs import EXPERT_SPACE, dispatcher, finish, get, request, rows_of, submit
 
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages import search as searches
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, Given, InfluenceMapSpecification
+from drivecal.contracts.specification import EvaluationSpecification, Given, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Outcome
-from drivecal.execution.pool import Leases, WorkPool
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import influence_maps
 
-SPECIFICATION: dict[str, Any] = {
-    "sensitivity": None,
-    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.5} for i in range(1, 12)],
-    "catalogue": ["S1", "S2"],
-    "optimizer": {"kind": "genetic", "population": 24, "iterations": 5, "seed": 3},
-}
+SEARCH: dict[str, Any] = {"kind": "genetic", "population": 24, "iterations": 5, "seed": 3}
 
 
 class HeldBackend(ComputedBackend):
@@ -47,38 +38,28 @@ class HeldBackend(ComputedBackend):
 
 
 def _submit(database: Database, **changes: Any) -> StoredCampaign:
-    specification = CampaignSpecification.model_validate(SPECIFICATION | changes)
-    named = (specification.model_dump()["sensitivity"] or {}).get("map")
-    with database.transaction() as connection:
-        return campaigns.insert(connection, name="test", spec=specification.model_dump(mode="json"), influence_map_id=named)
-
-
-def _dispatcher(database: Database, backend: ComputedBackend) -> Dispatcher:
-    """A newly elected one."""
-    Leadership.begin(database)
-    ticks = iter(range(10**9))
-    return Dispatcher(database, WorkPool(backend, Leases(database)), clock=lambda: float(next(ticks)))
+    return submit(database, **{"catalogue": ["S1", "S2"], "optimizer": SEARCH} | changes)
 
 
 def _busy(database: Database) -> tuple[StoredCampaign, HeldBackend, Dispatcher]:
     """A running campaign whose cells are at workers that do not answer for now."""
     campaign, backend = _submit(database), HeldBackend()
-    dispatcher = _dispatcher(database, backend)
+    working = dispatcher(database, backend)
     for _ in range(4):
-        dispatcher.step()
+        working.step()
     backend.held = True
-    dispatcher.step()
-    return campaign, backend, dispatcher
+    working.step()
+    return campaign, backend, working
 
 
 def test_a_cancel_overtakes_a_pause_that_still_waits_for_workers(database: Database) -> None:
-    campaign, backend, dispatcher = _busy(database)
+    campaign, backend, working = _busy(database)
     request(database, campaign, "pause")
-    dispatcher.step()
+    working.step()
     request(database, campaign, "cancel")
-    dispatcher.step()
+    working.step()
     backend.held = False
-    assert finish(database, campaign, dispatcher).state is CampaignState.CANCELLED
+    assert finish(database, campaign, working).state is CampaignState.CANCELLED
 
 
 def test_a_cancelled_campaign_that_is_taken_up_again_asks_for_nothing_more(database: Database) -> None:
@@ -86,54 +67,33 @@ def test_a_cancelled_campaign_that_is_taken_up_again_asks_for_nothing_more(datab
     request(database, campaign, "cancel")
     before = get(database, campaign).cells.proposed
     fresh = ComputedBackend()
-    ended = finish(database, campaign, _dispatcher(database, fresh))
+    ended = finish(database, campaign, dispatcher(database, fresh))
     assert (ended.state, ended.cells.proposed, fresh.sent) == (CampaignState.CANCELLED, before, [])
 
 
-class _LostAnswer:
-    """A database that commits the transaction that brings a campaign into `state`, and whose answer to that commit is lost."""
-
-    def __init__(self, database: Database, campaign: StoredCampaign, state: CampaignState) -> None:
-        self._database, self._campaign, self._state = database, campaign, state
-        self.is_lost = False
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._database, name)
-
-    @contextmanager
-    def transaction(self) -> Iterator[Connection]:
-        with self._database.transaction() as connection:
-            yield connection
-        if not self.is_lost and get(self._database, self._campaign).state is self._state:
-            self.is_lost = True
-            raise UnavailableError("the answer to the commit was lost")
-
-
-def _lose_the_answer(used: _LostAnswer, dispatcher: Dispatcher) -> None:
-    """Works until the answer is lost, and does then as `Dispatcher.run` does."""
-    for _ in range(200):
-        try:
-            dispatcher.step()
-        except UnavailableError:
-            dispatcher._forget_jobs()
-            break
-    assert used.is_lost
-
-
 def test_a_pause_whose_answer_is_lost_simulates_nothing_more_until_it_is_resumed(database: Database) -> None:
-    campaign, backend = _submit(database, optimizer=SPECIFICATION["optimizer"] | {"iterations": 2}), ComputedBackend()
-    used: Any = _LostAnswer(database, campaign, CampaignState.PAUSED)
-    dispatcher = _dispatcher(used, backend)
+    campaign, backend, lost = _submit(database, optimizer=SEARCH | {"iterations": 2}), ComputedBackend(), list[bool]()
+
+    def loses() -> bool:
+        """The answer to the commit of the pause is lost."""
+        if lost or get(database, campaign).state is not CampaignState.PAUSED:
+            return False
+        lost.append(True)
+        return True
+
+    working = mortal(database, loses, backend, UnavailableError)
     for _ in range(4):
-        dispatcher.step()
+        working.step()
     request(database, campaign, "pause")
-    _lose_the_answer(used, dispatcher)
+    with pytest.raises(UnavailableError):
+        finish(database, campaign, working)
+    working._forget_jobs()  # as `Dispatcher.run` does
     sent = len(backend.sent)
     for _ in range(5):
-        dispatcher.step()
-    assert (get(database, campaign).state, len(backend.sent), dispatcher._active) == (CampaignState.PAUSED, sent, {})
+        working.step()
+    assert (get(database, campaign).state, len(backend.sent), working._active) == (CampaignState.PAUSED, sent, {})
     request(database, campaign, "resume")
-    assert finish(database, campaign, dispatcher).state is CampaignState.SUCCEEDED
+    assert finish(database, campaign, working).state is CampaignState.SUCCEEDED
     assert max(Counter(backend.sent).values()) == 1
 
 
@@ -142,7 +102,7 @@ def test_a_campaign_does_not_go_on_with_another_version(database: Database, part
     campaign, _, _ = _busy(database)
     begun_with = CalibrationProblem.resolution
     monkeypatch.setattr(CalibrationProblem, "resolution", lambda problem: begun_with(problem) | {part: "another one"})
-    ended = finish(database, campaign, _dispatcher(database, ComputedBackend()))
+    ended = finish(database, campaign, dispatcher(database, ComputedBackend()))
     assert ended.state is CampaignState.FAILED
     assert part in str(ended.error)
 
@@ -156,15 +116,14 @@ def test_a_run_outside_the_space_of_a_map_answers_nothing_inside_it(database: Da
     middle: dict[str, Given] = {f"P{i}": 0.5 for i in range(1, 12)}
     single = EvaluationSpecification(parameters=middle | {"P9": 1000.0})
     document = {"scenarios": {"S1": {"P9": {"influential": False}}, "S2": {"P9": {"upper": 0}}}}
-    posted = InfluenceMapSpecification.model_validate(document | {"parameters": SPECIFICATION["parameters"]})
+    posted = InfluenceMapSpecification.model_validate(document | {"parameters": EXPERT_SPACE})
     with database.transaction() as connection:
         campaigns.insert(connection, name="one", spec=single.model_dump(mode="json"), kind="evaluation")
         stored = influence_maps.insert(connection, **resolve_map(posted))
-    no_lots = {"mode": "influence", "max_error": 1}  # so few answers would all be in the sample
-    dispatcher = _dispatcher(database, ComputedBackend(answer=outside_is_bad))
+    working = dispatcher(database, ComputedBackend(answer=outside_is_bad))
     for _ in range(60):
-        dispatcher.step()
-    ended = finish(database, _submit(database, sensitivity={"map": stored.id}, reduction=no_lots, baseline=middle), dispatcher)
+        working.step()
+    ended = finish(database, _submit(database, stored_map=stored.id, baseline=middle), working)
     assert ended.baseline is not None
     assert ended.baseline.scores == {"S1": 6, "S2": 6}
     assert ended.cells.reused > 0
@@ -175,12 +134,12 @@ def test_simulations_that_do_not_repeat_themselves_are_told(database: Database) 
         del scenario
         return CellResult(cell.id, 3.0, 3, {"draw": float(cell.id)}, None, 7.0)
 
-    finish(database, _submit(database), _dispatcher(database, ComputedBackend(answer=drifting)))
+    finish(database, _submit(database), dispatcher(database, ComputedBackend(answer=drifting)))
     again = _submit(database, reduction={"mode": "off"})
-    first = _dispatcher(database, ComputedBackend(answer=drifting))
+    first = dispatcher(database, ComputedBackend(answer=drifting))
     for _ in range(6):
         first.step()
-    ended = finish(database, again, _dispatcher(database, ComputedBackend(answer=drifting)))
+    ended = finish(database, again, dispatcher(database, ComputedBackend(answer=drifting)))
     repeated = [row for row in rows_of(database, ended) if not row.has_seed]
     assert ended.cells.unrepeatable == len(repeated) < ended.cells.simulated, "runs under further seeds repeat no run"
     assert any(str(ended.cells.unrepeatable) in re.findall(r"\d+", note) for note in ended.notes)
@@ -194,15 +153,15 @@ def test_simulations_that_do_not_repeat_themselves_are_told(database: Database) 
 
 
 def test_a_pause_takes_no_minutes_of_a_budget(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
-    campaign, dispatcher = _submit(database, budget={"minutes": 60}), _dispatcher(database, ComputedBackend())
+    campaign, working = _submit(database, budget={"minutes": 60}), dispatcher(database)
     while not get(database, campaign).cells.simulated:
-        dispatcher.step()
+        working.step()
     request(database, campaign, "pause")
     while get(database, campaign).state is not CampaignState.PAUSED:
-        dispatcher.step()
+        working.step()
     later = now() + timedelta(hours=10)
     monkeypatch.setattr(searches, "now", lambda: later)
     request(database, campaign, "resume")
-    search = finish(database, campaign, dispatcher).search
+    search = finish(database, campaign, working).search
     assert search is not None
     assert search.ended_by == "iterations"

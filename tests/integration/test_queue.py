@@ -12,20 +12,17 @@ from sqlalchemy import func, select, text
 from tests.support.cell_search import CellSearchPlugin
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
-from tests.support.deaths import InterceptedDatabase, Killed
+from tests.support.deaths import Killed, at, mortal
 from tests.support.effort import tries
 from tests.support.runs import dispatcher, everything, finish, get, post_map, submit
 from tests.support.server import new_database
 
 from drivecal.contracts.work import Batch, Cell, CellResult
-from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import SupersededError
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.measures import MEASURES
-from drivecal.execution.pool import Leases, WorkPool
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.plugins import registry
 from drivecal.storage import campaigns, leases
@@ -53,42 +50,21 @@ def databases(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[], Da
     return lambda: migrated(new_database(request, request.param, Path(mkdtemp(dir=tmp_path))))
 
 
-class Fate:
-    """Kills at one of the next moments that matter."""
-
-    def __init__(self, draw: random.Random) -> None:
-        self._left = draw.randrange(1, draw.choice([40, 90]))
-        self.died_at = ""
-
-    def moment(self, name: str) -> None:
-        self._left -= 1
-        if self._left == 0:
-            self.died_at = name
-            raise Killed(name)
-
-
 class MortalBackend(ComputedBackend):
     """Dies between leasing and sending, and between a result and its record."""
 
-    fate: Fate
+    dies: Callable[[], bool]
 
     def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
-        self.fate.moment("between lease and send")
+        if self.dies():
+            raise Killed("between lease and send")
         super().submit(worker, batch_id, batch, expected_seconds, alone=alone)
 
     def wait(self, timeout: float) -> list[Finished | Lost]:
         events = super().wait(timeout)
-        if events:
-            self.fate.moment("between result and record")
+        if events and self.dies():
+            raise Killed("between result and record")
         return events
-
-
-def mortal(database: Database, seed: int, fate: Fate) -> Dispatcher:
-    own: Any = InterceptedDatabase(database.fenced(Leadership.begin(database).fence), fate.moment)
-    backend = MortalBackend(seed)
-    backend.fate = fate
-    ticks = iter(range(10**9))
-    return Dispatcher(own, WorkPool(backend, Leases(own)), clock=lambda: float(next(ticks)))
 
 
 def late_results() -> float:
@@ -119,11 +95,12 @@ def test_a_dispatcher_killed_at_any_moment_changes_no_result_and_answers_nothing
         if not kills:
             finish(database, campaign, dispatcher(database))
         while not get(database, campaign).state.ended:
-            fate = Fate(draw)
+            backend = MortalBackend(draw.randrange(99))
+            backend.dies = at(draw.randrange(1, draw.choice([40, 90])))
             try:
-                finish(database, campaign, mortal(database, draw.randrange(99), fate))
-            except Killed:
-                deaths[fate.died_at] += 1
+                finish(database, campaign, mortal(database, backend.dies, backend))
+            except Killed as moment:
+                deaths[str(moment)] += 1
         assert leased(database) == 0
         with database.read() as connection:
             simulated = connection.scalar(
@@ -255,14 +232,7 @@ def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Dat
             ),
             {"a": submitted[0].id, "b": submitted[1].id},
         )
-    own = database.fenced(Leadership.begin(database).fence)
-    ticks = iter(range(10**9))
-
-    def limited(most: int) -> Dispatcher:
-        pool = WorkPool(Silent(), Leases(own))
-        return Dispatcher(own, pool, running_campaigns=most, clock=lambda: float(next(ticks)))
-
-    working = limited(2)
+    working = dispatcher(database, Silent(), running_campaigns=2)
     for _ in range(3):
         working.step()
     assert _states(database, submitted) == ["queued", "queued", "running", "running"]
@@ -271,7 +241,7 @@ def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Dat
         connection.execute(
             text("UPDATE campaigns SET state = 'succeeded', ended_at = created_at WHERE id = :id"), {"id": submitted[2].id}
         )
-    fresh = limited(2)
+    fresh = dispatcher(database, Silent(), running_campaigns=2)
     for _ in range(5):
         fresh.step()
     assert _states(database, submitted) == ["running", "running", "succeeded", "paused"]
@@ -289,7 +259,7 @@ def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Dat
     with database.transaction() as connection:
         submitted.append(campaigns.insert(connection, name="urgent", spec=submitted[0].spec, priority=9))
     for most in (1, 2):
-        more = limited(most)
+        more = dispatcher(database, Silent(), running_campaigns=most)
         for _ in range(3):
             more.step()
         assert _states(database, submitted)[:2] == ["running", "running"], "they ran before the restart"
