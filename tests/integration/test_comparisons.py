@@ -103,27 +103,6 @@ def test_what_was_stored_before_changes_no_count(compared: Compared, database: D
 WITHOUT_LOTS = {"mode": "influence", "audit": 0.4, "max_error": 1}
 
 
-@pytest.mark.slow
-def test_reductions_are_compared(database: Database) -> None:
-    stored_map = post_map(database, nothing_matters())
-    tag = submit_comparison(
-        database,
-        stored_map,
-        optimizers=[{"kind": "genetic"}],
-        populations=[9],
-        reductions=["exact", WITHOUT_LOTS, {"mode": "influence", "audit": 0.0}],
-    )
-    answer = finish_comparison(database, tag)
-    campaigns = runs_of(database, tag)
-    labels = ["exact", "influence audit=0.4 max_error=1.0", "influence audit=0.0 max_error=0.02"]
-    assert [run.reduction for run in answer.runs[:3]] == labels
-    assert [campaign.influence_map_id for campaign in campaigns[:3]] == [None, stored_map, stored_map]
-    exact, reduced = campaigns[0::3], campaigns[1::3]
-    assert all(campaign.cells.reused > 0 for campaign in reduced)
-    assert all(fewer.cells.simulated < campaign.cells.simulated for campaign, fewer in zip(exact, reduced, strict=True))
-    assert [group.reduction for group in answer.groups] == labels
-
-
 def test_unconfirmed_campaigns_have_the_best_they_simulated(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(comparison, "CONFIRMED", 0)
     stored_map = post_map(database, nothing_matters() | {"S1": {"P1": {"influential": True}}})
