@@ -7,17 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from fastapi.testclient import TestClient
 from tests.support.computed import ComputedBackend
 from tests.support.problems import RANDOM, scored, store
-from tests.support.runs import run
+from tests.support.runs import run_posted
+from tests.support.server import RunningApi
 from tests.support.several import SEARCH, installed
 
 from drivecal.api.app import create_app
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 
 MANIFEST = scored("mine", {"x": {"lower": 0, "upper": 1, "step": 0.01}}) | {
@@ -41,24 +42,28 @@ def simulated(scenario: str, cell: Cell) -> CellResult:
 class Asked:
     """Two campaigns that search the same sets by different scores."""
 
-    http: TestClient
+    http: httpx.Client
     first: str
     other: str
 
 
 @pytest.fixture
-def asked(database: Database, tmp_path: Path) -> Iterator[Asked]:
-    store(database, MANIFEST)
+def api(database: Database, tmp_path: Path) -> Iterator[RunningApi]:
+    """The API in this process."""
     app = create_app(load_settings(database_url=f"sqlite:///{tmp_path / 'drivecal.db'}"))
     with TestClient(app, base_url="http://127.0.0.1") as http:
-        ids = []
-        for changes in ({}, {"evaluator": "gain"}):
-            accepted = http.post("/api/v1/campaigns", json=SPEC | changes).raise_for_status().json()
-            with database.read() as connection:
-                queued = campaigns.get(connection, accepted["id"])
-            run(database, queued, ComputedBackend(answer=simulated))
-            ids.append(f"/api/v1/campaigns/{accepted['id']}")
-        yield Asked(http, *ids)
+        yield RunningApi("", http, database)
+
+
+def carried_out(api: RunningApi, changes: dict[str, Any]) -> str:
+    """The path of a campaign that has ended."""
+    return f"/api/v1/campaigns/{run_posted(api, SPEC | changes, ComputedBackend(answer=simulated))}"
+
+
+@pytest.fixture
+def asked(api: RunningApi) -> Asked:
+    store(api.database, MANIFEST)
+    return Asked(api.http, carried_out(api, {}), carried_out(api, {"evaluator": "gain"}))
 
 
 def items(asked: Asked, path: str, **query: Any) -> list[dict[str, Any]]:
@@ -107,14 +112,11 @@ BOUNDED: dict[str, Any] = {
 
 
 @pytest.fixture
-def bounded(asked: Asked, database: Database) -> str:
+def bounded(asked: Asked, api: RunningApi) -> str:
     """The path of a campaign under constraints on a measure and on its own score; y grows with x, the cost is least at x = 0.5."""
+    del asked
     with installed():
-        accepted = asked.http.post("/api/v1/campaigns", json=SPEC | BOUNDED).raise_for_status().json()
-        with database.read() as connection:
-            queued = campaigns.get(connection, accepted["id"])
-        run(database, queued, ComputedBackend(answer=simulated))
-    return f"/api/v1/campaigns/{accepted['id']}"
+        return carried_out(api, BOUNDED)
 
 
 def amounts(x: float) -> dict[str, float]:
@@ -188,29 +190,23 @@ def test_a_formula_of_a_later_push_ranks_what_is_stored(asked: Asked, database: 
     assert items(asked, f"{asked.first}/solutions", limit=100, score="cost@mine") == own
 
 
-def test_a_reference_answers_no_other_score(database: Database, tmp_path: Path) -> None:
+def test_a_reference_answers_no_other_score(api: RunningApi) -> None:
     """z matters to the other score alone, so that references answer the own score across z."""
     parameters = {name: {"lower": 0, "upper": 1, "step": 0.05} for name in ("x", "z")}
     scores = {
         "cost": {"formula": "x", "direction": "minimise", "range": [0, 1]},
         "gain": {"formula": "z", "direction": "maximise", "range": [0, 1]},
     }
-    store(database, MANIFEST | {"parameters": parameters, "measures": {"x": "1", "z": "1"}, "scores": scores})
+    store(api.database, MANIFEST | {"parameters": parameters, "measures": {"x": "1", "z": "1"}, "scores": scores})
 
     def both(scenario: str, cell: Cell) -> CellResult:
         del scenario
         return CellResult(cell.id, None, None, {name: float(cell.parameters[name]) for name in ("x", "z")}, None, 7.0)
 
-    app = create_app(load_settings(database_url=f"sqlite:///{tmp_path / 'drivecal.db'}"))
     analysed = {"sensitivity": {"intervals": 4, "samples": 4}, "reduction": {"mode": "influence", "max_error": 1, "confirm": 0}}
-    with TestClient(app, base_url="http://127.0.0.1") as http:
-        accepted = http.post("/api/v1/campaigns", json=SPEC | analysed).raise_for_status().json()
-        path = f"/api/v1/campaigns/{accepted['id']}"
-        with database.read() as connection:
-            queued = campaigns.get(connection, accepted["id"])
-        ended = run(database, queued, ComputedBackend(answer=both))
-        assert ended.cells.reused > 0
-        asked = Asked(http, path, path)
-        by_gain = items(asked, f"{path}/solutions", limit=100, score="gain")
-        assert 0 < len(by_gain) < len(items(asked, f"{path}/solutions", limit=100))
-        assert all(row["objective"] == pytest.approx(row["parameters"]["z"]) and not row["reused"] for row in by_gain)
+    path = f"/api/v1/campaigns/{run_posted(api, SPEC | analysed, ComputedBackend(answer=both))}"
+    assert api.http.get(path).json()["cells"]["reused"] > 0
+    asked = Asked(api.http, path, path)
+    by_gain = items(asked, f"{path}/solutions", limit=100, score="gain")
+    assert 0 < len(by_gain) < len(items(asked, f"{path}/solutions", limit=100))
+    assert all(row["objective"] == pytest.approx(row["parameters"]["z"]) and not row["reused"] for row in by_gain)
