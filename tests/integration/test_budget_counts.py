@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from tests.support.cell_search import CellSearchPlugin
+from tests.support.changes import install
 from tests.support.computed import ComputedBackend, computed
 from tests.support.runs import dispatcher, get, run, submit
 
@@ -18,7 +19,6 @@ from drivecal.campaigns.resolve.bench import Bench
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import Finished, Lost
-from drivecal.plugins import registry
 from drivecal.storage import evaluations
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import check_counters
@@ -94,8 +94,8 @@ def breaking(cell: Cell, scenario: str, draws: random.Random) -> CellResult:
 def test_runs_are_what_simulators_count_and_keep_to_the_budget(
     database: Database, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    draws, known = random.Random(seed), registry.optimizer
-    monkeypatch.setattr(registry, "optimizer", lambda name: CellSearchPlugin() if name == "cell_search" else known(name))
+    draws = random.Random(seed)
+    install(monkeypatch, "optimizer", CellSearchPlugin())
     monkeypatch.setattr(Bench, "repeated_share", 0.1)
     optimizer: dict[str, Any] = draws.choice([{"kind": "cell_search"}, {"kind": "genetic", "population": 12}])
     budget = draws.randint(30, 90)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.support.cell_search import CellSearchPlugin
+from tests.support.changes import install
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import killed_between_rounds
@@ -17,7 +18,6 @@ from tests.support.values import present
 from drivecal.campaigns.resolve import resolvers
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.constraints import Constraint, Constraints
-from drivecal.plugins import registry
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -28,8 +28,7 @@ BY_CELL: dict[str, Any] = {"optimizer": {"kind": "cell_search"}} | WITH_SIX
 
 @pytest.fixture(autouse=True)
 def _plugin(monkeypatch: pytest.MonkeyPatch) -> None:
-    known = registry.optimizer
-    monkeypatch.setattr(registry, "optimizer", lambda name: CellSearchPlugin() if name == "cell_search" else known(name))
+    install(monkeypatch, "optimizer", CellSearchPlugin())
 
 
 def carried_out(database: Database, seed: int = 0, **changes: Any) -> StoredCampaign:

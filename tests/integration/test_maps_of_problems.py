@@ -7,25 +7,22 @@ from typing import Any
 import pytest
 import yaml
 from tests.support.computed import ComputedBackend
-from tests.support.problems import store
+from tests.support.problems import LIMITS, store, submit_checked
 from tests.support.runs import dispatcher
 
 from drivecal.api import submission
-from drivecal.api.dependencies import Limits
 from drivecal.campaigns.resolve.maps import basis_of, resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
 from drivecal.campaigns.resolve.spaces import space_to_document
 from drivecal.campaigns.resolve.workbench import stored_bundles
-from drivecal.configuration.settings import load_settings
-from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification, RerunSpecification
+from drivecal.contracts.specification import InfluenceMapSpecification, RerunSpecification
 from drivecal.domain.errors import InvalidInputError
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
 
-LIMITS = Limits.of(load_settings())
 EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "problems" / "python-function"
 SCORES = {"cost": {"formula": "rms_jerk", "direction": "minimise", "range": [0, 100], "tolerance": 2, "failed": 100}}
 
@@ -35,7 +32,7 @@ def _ended_with_a_map(database: Database) -> StoredCampaign:
     _push(database, "f1", SCORES)
     analysis = {"intervals": 3, "samples": 4, "threshold": 0.02}
     document = {"problem": "python-function", "sensitivity": analysis, "optimizer": {"population": 10, "iterations": 2}}
-    queued = submission.submit(database, LIMITS, CampaignSpecification.model_validate(document), None)
+    queued = submit_checked(database, document)
     problem = problem_of(queued, stored_bundles(database))
     assert isinstance(problem, CalibrationProblem)
     with database.transaction() as connection:
@@ -67,8 +64,7 @@ def test_a_campaign_uses_a_map_that_was_posted_for_its_problem_and_no_other(data
     document = {"problem": "python-function", "optimizer": {"population": 10, "iterations": 2}}
 
     def submitted(map_id: str) -> StoredCampaign:
-        specification = CampaignSpecification.model_validate(document | {"sensitivity": {"map": map_id}})
-        return submission.submit(database, LIMITS, specification, None)
+        return submit_checked(database, document | {"sensitivity": {"map": map_id}})
 
     assert submitted(own).influence_map_id == own
     with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "sensitivity.map"):

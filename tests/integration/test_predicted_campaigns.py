@@ -11,6 +11,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
+from tests.support.problems import LIMITS
 from tests.support.runs import (
     EXPERT_SPACE,
     dispatcher,
@@ -31,10 +32,8 @@ from tests.support.values import present
 
 from drivecal.analysis.verdicts import confirmation_verdict
 from drivecal.api import submission
-from drivecal.api.dependencies import Limits
 from drivecal.campaigns.cells.predicting import LotPlanner, slice_size
 from drivecal.campaigns.results.explanation import explain
-from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.specification import RerunSpecification
@@ -311,7 +310,7 @@ def test_a_search_whose_scenarios_are_known_ends_with_a_set_that_was_simulated(d
 def test_a_rerun_predicts_from_what_the_first_campaign_simulated(database: Database) -> None:
     first = run(database, ask(database, population=280), ComputedBackend(answer=slowly))
     wanted = RerunSpecification.model_validate({"weights": {"S1": 3.0}, "optimizer": {"kind": "genetic", "seed": 4}})
-    again = submission.rerun(database, Limits.of(load_settings()), first.id, wanted, None)
+    again = submission.rerun(database, LIMITS, first.id, wanted, None)
     ended = run(database, again, ComputedBackend(answer=slowly))
     counts = Counter(row.outcome for row in rows_of(database, ended))
     assert ended.cells.predicted == counts[Outcome.PREDICTED] > 0

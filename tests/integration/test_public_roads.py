@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from tests.integration.test_public_files import pip
 from tests.support.roads import to_cartesian
 
 from drivecal.configuration.problems import read_bundle
@@ -132,11 +133,6 @@ ROADS = {
         ("-0#0", "-0#1", "-0#2", "-0#3", "-1#0", "-1#1", "-1#2", "-1#3", "-5"), 1, 20.0, 15, (FREE,), FREE,
     ),
 }  # fmt: skip
-
-
-def pip(*words: str) -> None:
-    """Runs pip."""
-    subprocess.run([sys.executable, "-m", "pip", *words, "--quiet", "--disable-pip-version-check", "--no-deps"], check=True)
 
 
 @pytest.fixture(scope="module")

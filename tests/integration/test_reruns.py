@@ -5,30 +5,26 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
+from tests.support.changes import install
 from tests.support.computed import ComputedBackend
+from tests.support.problems import LIMITS, submit_checked
 from tests.support.runs import WITH_ANALYSIS, influenced, run
 from tests.support.values import numbers
 
 from drivecal.api import submission
-from drivecal.api.dependencies import Limits
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.campaigns.resolve.problem import resolve
-from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, Rating
 from drivecal.highway.comfort.reference import Manoeuvre
-from drivecal.plugins import registry
-from drivecal.plugins.ports import Evaluator
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
-
-LIMITS = Limits.of(load_settings())
 
 
 @dataclass(frozen=True)
@@ -56,17 +52,11 @@ def strict_answer(scenario: str, cell: Cell) -> CellResult:
 @pytest.fixture
 def strict(monkeypatch: pytest.MonkeyPatch) -> None:
     """A second evaluator is installed."""
-    usual = registry.evaluator
-
-    def find(name: str) -> Evaluator:
-        return Strict() if name == "strict" else usual(name)
-
-    monkeypatch.setattr(registry, "evaluator", find)
+    install(monkeypatch, "evaluator", Strict())
 
 
 def _run(database: Database, **changes: Any) -> StoredCampaign:
-    specification = CampaignSpecification.model_validate(WITH_ANALYSIS | changes)
-    return run(database, submission.submit(database, LIMITS, specification, None), ComputedBackend(answer=influenced))
+    return run(database, submit_checked(database, WITH_ANALYSIS | changes), ComputedBackend(answer=influenced))
 
 
 def _rerun(database: Database, first: StoredCampaign, backend: ComputedBackend | None = None, **changes: Any) -> StoredCampaign:

@@ -4,23 +4,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import pytest
+from tests.support.changes import install
 from tests.support.computed import ComputedBackend
+from tests.support.problems import LIMITS, submit_checked
 from tests.support.runs import WITH_ANALYSIS, influenced, run
 
 from drivecal.api import submission
-from drivecal.api.dependencies import Limits
-from drivecal.configuration.settings import load_settings
-from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
+from drivecal.contracts.specification import RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Rating
-from drivecal.plugins import registry
-from drivecal.plugins.ports import Evaluator, Series
+from drivecal.plugins.ports import Series
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import verify
 
-LIMITS = Limits.of(load_settings())
 MAPPED = WITH_ANALYSIS | {"sensitivity": {"intervals": 2, "samples": 4, "threshold": 0.02}}
 
 
@@ -48,12 +46,7 @@ def seen(scenario: str, cell: Cell) -> CellResult:
 
 @pytest.fixture(autouse=True)
 def seeing(monkeypatch: pytest.MonkeyPatch) -> None:
-    installed = registry.evaluator
-
-    def evaluator(name: str) -> Evaluator:
-        return Seeing() if name == "seeing" else installed(name)
-
-    monkeypatch.setattr(registry, "evaluator", evaluator)
+    install(monkeypatch, "evaluator", Seeing())
 
 
 def rerun(database: Database, first: StoredCampaign, evaluator: str, backend: ComputedBackend) -> StoredCampaign:
@@ -63,8 +56,7 @@ def rerun(database: Database, first: StoredCampaign, evaluator: str, backend: Co
 
 @pytest.mark.slow
 def test_runs_are_simulated_again_for_it_once_and_nothing_is_for_who_rates_by_metrics(database: Database) -> None:
-    specification = CampaignSpecification.model_validate(MAPPED)
-    first = run(database, submission.submit(database, LIMITS, specification, None), ComputedBackend(answer=influenced))
+    first = run(database, submit_checked(database, MAPPED), ComputedBackend(answer=influenced))
     again = rerun(database, first, "seeing", ComputedBackend(answer=seen))
     asked = again.cells.simulated + again.counts(StageName.SENSITIVITY).simulated
     assert asked > 100

@@ -1,4 +1,4 @@
-"""Documents with one change, for tests of what is refused, and modules with another library."""
+"""Documents with one change, for tests of what is refused, modules with another library, and plug-ins that tests install."""
 
 import copy
 from collections.abc import Mapping
@@ -7,11 +7,19 @@ from typing import Any
 
 import pytest
 
+from drivecal.plugins import registry
+
 
 def replace_in(monkeypatch: pytest.MonkeyPatch, module: ModuleType, library: str, **functions: Any) -> None:
     """Replaces functions of a library, such as `time`, for one module. Threads of other tests in this process use the library itself."""
     namespace = SimpleNamespace(**vars(getattr(module, library)) | functions)
     monkeypatch.setattr(module, library, namespace)
+
+
+def install(monkeypatch: pytest.MonkeyPatch, kind: str, plugin: Any) -> None:
+    """Installs a plug-in beside the others of its `kind`, such as `evaluator`."""
+    known = getattr(registry, kind)
+    monkeypatch.setattr(registry, kind, lambda name: plugin if name == plugin.name else known(name))
 
 
 def with_change(document: Mapping[str, Any], path: str, value: Any) -> dict[str, Any]:

@@ -8,12 +8,12 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import pytest
+from tests.support.changes import install
 
 from drivecal.analysis.front import non_dominated
 from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.built_in import RANDOM
-from drivecal.plugins import registry
 from drivecal.plugins.ports import Ability, Floats, Optimizer, OptimizerPlugin, Proposal
 
 
@@ -79,6 +79,5 @@ SEVERAL: OptimizerPlugin = SeveralPlugin()
 def installed() -> Iterator[None]:
     """Lets campaigns choose it."""
     with pytest.MonkeyPatch.context() as patched:
-        known = registry.optimizer
-        patched.setattr(registry, "optimizer", lambda name: SEVERAL if name == "several" else known(name))
+        install(patched, "optimizer", SEVERAL)
         yield

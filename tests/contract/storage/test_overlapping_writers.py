@@ -10,13 +10,12 @@ from fastapi import Request
 from sqlalchemy import Connection, event, text
 from tests.support.comparisons import runs_of
 from tests.support.computed import ComputedBackend
+from tests.support.problems import LIMITS
 from tests.support.runs import SHORT, influenced, run, submit
 
 from drivecal.api import submission
-from drivecal.api.dependencies import Limits
 from drivecal.api.http.authorisation import ANYBODY
 from drivecal.api.routes.evaluations import read_trace
-from drivecal.configuration.settings import load_settings
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.errors import ConflictError, DrivecalError, NotFoundError
@@ -26,7 +25,6 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance import deletion
 
-LIMITS = Limits.of(load_settings())
 PATIENCE = 60
 """Seconds after which an overlap that never comes fails its test."""
 
