@@ -3,17 +3,16 @@
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
 import psutil
+from tests.support.databases import migrated
+from tests.support.serve import until
 from tests.support.server import free_port
-
-from drivecal.storage.engine.database import Database
 
 
 @dataclass(frozen=True)
@@ -31,14 +30,11 @@ class ApiProcess:
 
 
 @contextmanager
-def api_process(database_url: str, folder: Path, **settings: str) -> Iterator[ApiProcess]:
-    """The API until the block is left; `settings` as environment variables without their prefix."""
-    database = Database.open(database_url)
-    database.upgrade()
-    database.dispose()
+def api_process(database_url: str, folder: Path) -> Iterator[ApiProcess]:
+    """The API until the block is left."""
+    migrated(database_url).dispose()
     kept = {name: value for name, value in os.environ.items() if not name.startswith("DRIVECAL_")}
     own = {"DRIVECAL_DATABASE_URL": database_url, "DRIVECAL_HOME": str(folder / "home")}
-    own |= {f"DRIVECAL_{name.upper()}": value for name, value in settings.items()}
     port = free_port()
     with (folder / "api.log").open("wb") as log:
         started = subprocess.Popen(
@@ -47,22 +43,15 @@ def api_process(database_url: str, folder: Path, **settings: str) -> Iterator[Ap
     url = f"http://127.0.0.1:{port}"
     try:
         with httpx.Client(base_url=url, timeout=60) as http:
-            _wait(http, started, folder / "api.log")
+
+            def answers() -> bool:
+                assert started.poll() is None, (folder / "api.log").read_text()
+                with suppress(httpx.TransportError):
+                    return http.get("/healthz").is_success
+                return False
+
+            until(answers, "the answer of the API")
             yield ApiProcess(url, http, psutil.Process(started.pid))
     finally:
         started.terminate()
         started.wait(timeout=60)
-
-
-def _wait(http: httpx.Client, started: subprocess.Popen[bytes], log: Path) -> None:
-    deadline = time.monotonic() + 300
-    while time.monotonic() < deadline:
-        if started.poll() is not None:
-            raise AssertionError(log.read_text())
-        try:
-            http.get("/healthz")
-        except httpx.TransportError:
-            time.sleep(0.05)
-        else:
-            return
-    raise AssertionError("the API did not answer")

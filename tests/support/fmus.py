@@ -140,17 +140,21 @@ THIRD_DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 
 def build(folder: Path, version: int) -> Path:
     """Compiles an FMU of FMI 2 or 3; returns its file."""
-    text = SECOND if version == 2 else THIRD
-    source, rest = folder / f"trial{version}.c", folder / f"rest{version}.c"
-    source.write_text(text)
-    # FMPy wants all functions to be there, unused ones included; they stand apart, because the headers declare their arguments
-    names = [name for name in dir(FMU2Slave if version == 2 else FMU3Slave) if name.startswith(f"fmi{version}")]
-    rest.write_text(
-        "".join(f"int {name}(void) {{ return 3; }}\n" for name in names if f" {name}(" not in text and f"*{name}(" not in text)
-    )
-    library = compiled("cc", source, folder / f"trial{version}.so", str(rest), "-shared", "-fPIC", f"-I{HEADERS}")
+    library = shared_library(folder, f"trial{version}", SECOND if version == 2 else THIRD, version)
     binary = f"binaries/{'linux64' if version == 2 else 'x86_64-linux'}/trial.so"
     return archive(folder / f"trial{version}.fmu", SECOND_DESCRIPTION if version == 2 else THIRD_DESCRIPTION, {binary: library})
+
+
+def shared_library(folder: Path, name: str, text: str, version: int = 2) -> Path:
+    """Compiles the functions of FMI that a text defines, and all others as failures."""
+    source, rest = folder / f"{name}.c", folder / f"rest_of_{name}.c"
+    source.write_text(text)
+    # FMPy wants all functions to be there, unused ones included; they stand apart, because the headers declare their arguments
+    names = [each for each in dir(FMU2Slave if version == 2 else FMU3Slave) if each.startswith(f"fmi{version}")]
+    unused = [each for each in names if f" {each}(" not in text and f"*{each}(" not in text]
+    rest.write_text("".join(f"int {each}(void) {{ return 3; }}\n" for each in unused))
+    options = "-shared", "-fPIC", "-ffp-contract=off", f"-I{HEADERS}"
+    return compiled("cc", source, folder / f"{name}.so", str(rest), *options)
 
 
 def archive(file: Path, description: str, files: dict[str, Path]) -> Path:

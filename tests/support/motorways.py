@@ -6,8 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fmpy.fmi2 import FMU2Slave
-from tests.support.fmus import HEADERS, archive
+from tests.support.fmus import archive, shared_library
 from tests.support.simulators import compiled, opened
 
 from drivecal.bundles.highway import HighwaySimulator
@@ -168,19 +167,7 @@ def compile_program(folder: Path) -> None:
 
 def compile_fmu(folder: Path, source: str = FMU) -> None:
     """Adds the ACC as an FMU."""
-    (folder / "fmu.c").write_text(source)
-    names = [name for name in dir(FMU2Slave) if name.startswith("fmi2") and f" {name}(" not in FMU and f"*{name}(" not in FMU]
-    (folder / "rest.c").write_text("".join(f"int {name}(void) {{ return 3; }}\n" for name in names))
-    library = compiled(
-        "cc",
-        folder / "fmu.c",
-        folder / "acc.so",
-        str(folder / "rest.c"),
-        "-shared",
-        "-fPIC",
-        "-ffp-contract=off",
-        f"-I{HEADERS}",
-    )
+    library = shared_library(folder, "fmu", source)
     archive(folder / "acc.fmu", DESCRIPTION, {"binaries/linux64/acc.so": library})
 
 
