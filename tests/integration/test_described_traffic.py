@@ -7,12 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.support.motorways import CONTROLLERS, PARAMETERS, PYTHON, driven, motorway
-from tests.support.networks import entrance
-from tests.support.scenario_files import FILES, ROUTES
-from tests.support.scenario_files import motorway as opendrive
+from tests.support.scenario_files import write_files
 
 from drivecal.plugins.simulators import RunOutcome
-from drivecal.roads.conversion import converted
 
 BLIND = "def control(observation, parameters):\n    return 0.0\n"
 
@@ -21,14 +18,7 @@ BLIND = "def control(observation, parameters):\n    return 0.0\n"
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("described") / "bundle"
     motorway(path, BLIND)
-    for name in ("maps", "scenarios"):
-        (path / name).mkdir()
-    (path / "maps" / "motorway.xodr").write_bytes(opendrive())
-    (path / "maps" / "motorway.xodr.net.xml").write_bytes(converted(opendrive(), "motorway.xodr").network)
-    for name, make in FILES.items():
-        (path / "scenarios" / f"{name}.xosc").write_bytes(make())
-    (path / "merge.net.xml").write_bytes(entrance())
-    (path / "merge.rou.xml").write_bytes(ROUTES)
+    write_files(path)
     (path / "peak.rou.xml").write_bytes(DAY)
     (path / "follow.py").write_text(PYTHON)
     return path

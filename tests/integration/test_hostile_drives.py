@@ -15,15 +15,13 @@ import yaml
 from tests.support import effort
 from tests.support.motorways import CONTROLLERS, PARAMETERS, driven, motorway
 from tests.support.mutations import mutated, nudged, outcome
-from tests.support.networks import REAL, entrance, real
-from tests.support.scenario_files import FILES, ROUTES
-from tests.support.scenario_files import motorway as opendrive
+from tests.support.networks import REAL, real
+from tests.support.scenario_files import write_files
 
 from drivecal.configuration.problems import read_bundle
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import NoMeasuresError
-from drivecal.roads.conversion import converted
 
 ON_RAMP: dict[str, Any] = {
     "network": "merge.net.xml",
@@ -56,15 +54,8 @@ DRIVES = {"few": 2, "many": int(os.environ.get("DRIVECAL_DRIVES") or effort.trie
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bundle whose files are as they should be."""
     folder = motorway(tmp_path_factory.mktemp("hostile") / "sound")
-    for name in ("maps", "scenarios"):
-        (folder / name).mkdir()
-    (folder / "merge.net.xml").write_bytes(entrance())
-    (folder / "merge.rou.xml").write_bytes(ROUTES)
+    write_files(folder)
     (folder / "highway.net.xml").write_bytes(real("highway").read_bytes())
-    (folder / "maps" / "motorway.xodr").write_bytes(opendrive())
-    (folder / "maps" / "motorway.xodr.net.xml").write_bytes(converted(opendrive(), "motorway.xodr").network)
-    for name in ("cut_in", "cut_out", "walks_across"):
-        (folder / "scenarios" / f"{name}.xosc").write_bytes(FILES[name]())
     return folder
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -227,6 +228,18 @@ ROUTES = b"""<routes>
 <person id="p" depart="0"><walk edges="before"/></person>
 </routes>
 """
+
+
+def write_files(folder: Path) -> None:
+    """Adds the files to a bundle, and the networks that they are about: `merge` and the converted motorway."""
+    for name in ("maps", "scenarios"):
+        (folder / name).mkdir()
+    (folder / "maps" / "motorway.xodr").write_bytes(motorway())
+    (folder / "maps" / "motorway.xodr.net.xml").write_bytes(converted(motorway(), "motorway.xodr").network)
+    for name, make in FILES.items():
+        (folder / "scenarios" / f"{name}.xosc").write_bytes(make())
+    (folder / "merge.net.xml").write_bytes(entrance())
+    (folder / "merge.rou.xml").write_bytes(ROUTES)
 
 
 @cache
