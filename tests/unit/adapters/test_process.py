@@ -6,6 +6,7 @@ import pickle
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 from tests.support.simulators import (
     DECLARED,
@@ -56,6 +57,18 @@ def test_a_fault_costs_its_run_only(tmp_path: Path, name: str) -> None:
         for _ in range(2):
             assert detail in lost(session, {"x": 1.0}, breakdown)
             assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_many_runs_and_faults_leave_nothing_open(tmp_path: Path) -> None:
+    with served(tmp_path, "if x == 1.0:\n    os.abort()\nif x == 2.0:\n    answer(id=0)") as session:
+        session.evaluate({"x": 0.0})
+        before = psutil.Process().num_fds()
+        for number in range(300):
+            if number % 30 == 0:
+                lost(session, {"x": 1.0}, Breakdown.CRASH)
+                lost(session, {"x": 2.0}, Breakdown.ERROR)
+            assert session.evaluate({"x": 10.0 + number}).measures == {"y": 20.0 + 2 * number}
+        assert psutil.Process().num_fds() <= before
 
 
 def test_a_process_is_busy_for_a_run_or_at_its_start_with_its_reason(tmp_path: Path) -> None:
