@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from tempfile import mkdtemp
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,7 +20,7 @@ from tests.support.server import new_database
 
 from drivecal.contracts.work import Batch, Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import SupersededError
+from drivecal.domain.errors import SupersededError, UnavailableError
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.measures import MEASURES
@@ -316,3 +317,33 @@ def test_without_reduction_every_campaign_simulates_its_own_cells(database: Data
     backend, ended = _both(database, reduction={"mode": "off"})
     assert len(backend.sent) == sum(campaign.cells.simulated for campaign in ended) == 2 * ended[0].cells.simulated
     assert all(campaign.cells.unrepeatable == 0 for campaign in ended)
+
+
+@pytest.mark.parametrize("seed", range(tries(1, 5)))
+def test_hiccups_change_no_result_and_simulate_nothing_twice(tmp_path: Path, seed: int) -> None:
+    ended, sent = [], []
+    for share in (0.0, 0.1):
+        database = migrated(f"sqlite:///{tmp_path / f'{share}.db'}")
+        campaign = submit(
+            database,
+            stored_map=post_map(database, BOLD_MAP),
+            catalogue=["S1", "S2"],
+            optimizer={"kind": "genetic", "population": 8, "iterations": 2, "seed": 3},
+            reduction={"audit": 0.2, "confirm": 20},
+        )
+        draw, failures, backend = random.Random(seed), list[bool](), ComputedBackend(seed)
+
+        def fails(draw: random.Random = draw, share: float = share, failures: list[bool] = failures) -> bool:
+            failures.append(draw.random() < share)
+            return failures[-1]
+
+        working = mortal(database, fails, backend, UnavailableError)
+        until_the_end: Any = SimpleNamespace(
+            is_set=lambda database=database, campaign=campaign: get(database, campaign).state.ended, wait=lambda _: None
+        )
+        working.run(until_the_end)
+        assert any(failures) == (share > 0)
+        ended.append(everything(database, campaign))
+        sent.append(Counter(backend.sent))
+    assert ended[0] == ended[1]
+    assert sent[0] == sent[1]
