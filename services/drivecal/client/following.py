@@ -5,16 +5,13 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from drivecal.contracts.campaign import Best, Campaign
 from drivecal.contracts.events import CampaignEvent, CampaignProgress
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import InvalidInputError, NotFoundError, OverloadError, UnavailableError
 from drivecal.domain.events import EventKind
-
-if TYPE_CHECKING:
-    from drivecal.client.client import Client
 
 SILENCE_SECONDS = 60.0
 """Tolerated silence of a server, s; a restart takes less."""
@@ -30,6 +27,16 @@ Sent = CampaignEvent | CampaignProgress | None
 """None: a sign of life."""
 
 
+class Source(Protocol):
+    """Reads campaigns, as `Client` does."""
+
+    def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
+        """Returns the campaign unless its ETag is `etag`."""
+
+    def events(self, identifier: str, last_id: int | None = None) -> Iterator[Sent]:
+        """Yields the events after an event until the stream ends."""
+
+
 class Following:
     """The states of a campaign until its end. Calls `told` with each event, or with later events only if `from_beginning` is False.
 
@@ -38,7 +45,7 @@ class Following:
     """
 
     def __init__(
-        self, source: "Client", identifier: str, deadline: float | None, told: Told | None, *, from_beginning: bool
+        self, source: Source, identifier: str, deadline: float | None, told: Told | None, *, from_beginning: bool
     ) -> None:
         self._source = source
         self._identifier = identifier
