@@ -24,6 +24,7 @@ from drivecal.dispatch.heartbeat import Waits
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.outside import answers as outside_answers
 from drivecal.storage.outside import sets as outside_sets
 from drivecal.storage.outside.sets import OutsideSet
 
@@ -306,7 +307,7 @@ def begun(database: Database) -> StoredCampaign:
 def told(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
     """The answers of the outside optimizer; their order may differ."""
     with database.read() as connection:
-        rows = outside_sets.answers(connection, campaign, 0, 1_000)
+        rows = outside_answers.after(connection, campaign, 0, 1_000)
     after = get(database, campaign)
     numbers = [row.number for row in rows]
     assert len(set(numbers)) == len(numbers)

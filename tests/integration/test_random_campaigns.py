@@ -35,6 +35,7 @@ from drivecal.storage import evaluations, generations, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import check_counters
+from drivecal.storage.outside import answers as outside_answers
 from drivecal.storage.outside import sets as outside_sets
 from drivecal.storage.outside.sets import OutsideSet
 from drivecal.storage.references import influence_maps
@@ -143,7 +144,7 @@ def test_an_outside_optimizer_gets_its_replicates_with_their_seeds(database: Dat
         outside_sets.finish(connection, campaign)
     finish(database, campaign, dispatcher(database, ComputedBackend(0, driven=noisy)))
     with database.read() as connection:
-        answers = outside_sets.answers(connection, campaign, 0, 100)
+        answers = outside_answers.after(connection, campaign, 0, 100)
     expected = [("a", scenario, seed) for scenario in ("city", "road") for seed in (1, 2, 3)] + [("b", "city", 1)]
     assert sorted((answer.key, answer.scenario, answer.seed) for answer in answers) == expected
     assert len({answer.score for answer in answers}) == 7

@@ -17,7 +17,7 @@ def replace_in(monkeypatch: pytest.MonkeyPatch, module: ModuleType, library: str
 
 
 def install(monkeypatch: pytest.MonkeyPatch, kind: str, plugin: Any) -> None:
-    """Installs a plug-in beside the others of its `kind`, such as `evaluator`."""
+    """Adds a plug-in to the others of its `kind`, such as `evaluator`."""
     known = getattr(registry, kind)
     monkeypatch.setattr(registry, kind, lambda name: plugin if name == plugin.name else known(name))
 

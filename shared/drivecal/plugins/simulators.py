@@ -59,7 +59,7 @@ class RunOutcome:
 class Declared:
     """Names that a manifest declares of a simulator's answers. Without declared `failures`, a simulator may report any name.
 
-    `units` has those of measures and series by name, `parameters` those of what it gets: an FMU that states others is refused.
+    `units` of measures and series by name, and of `parameters`, which it gets: an FMU that states others is refused.
     `watched`: drivecal records the files that a Python function opens. `varied`: values of side conditions, which all runs of a session
     have in common. `evaluator`: name of an installed evaluator that rates the time series of runs in this process.
     """

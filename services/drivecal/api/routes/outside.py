@@ -24,6 +24,7 @@ from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet, ProposedSets
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
+from drivecal.storage.outside import answers as outside_answers
 from drivecal.storage.outside import sets as outside_sets
 from drivecal.storage.outside.sets import OutsideSet
 
@@ -98,7 +99,7 @@ async def answers(
 def _answers(database: Database, campaign_id: str, after: int, limit: int) -> AnswerPage:
     with database.read() as connection:
         campaign = campaigns.get(connection, campaign_id)
-        items = outside_sets.answers(connection, campaign, after, limit)
+        items = outside_answers.after(connection, campaign, after, limit)
     ended_by = None if campaign.search is None else campaign.search.ended_by
     is_over = campaign.state.ended or (ended_by is not None and campaign.cells.pending == 0)
     last = items[-1].number if items else after

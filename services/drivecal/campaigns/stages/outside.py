@@ -21,6 +21,7 @@ from drivecal.contracts.campaign import SearchEnd
 from drivecal.domain.evaluations import Outcome, Purpose, RequestedCell
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.outside import answers
 from drivecal.storage.outside import sets as outside_sets
 from drivecal.storage.outside.sets import OutsideSet
 
@@ -171,7 +172,7 @@ class OutsideSearch(SearchStage):
 
     def _save(self, connection: Connection) -> None:
         super()._save(connection)
-        outside_sets.number_answers(connection, self._campaign.sequence, self._closed)
+        answers.number(connection, self._campaign.sequence, self._closed)
 
     def _conclude(self) -> None:
         with self._database.transaction() as connection:

@@ -1,24 +1,17 @@
-"""Parameter sets that outside optimizers propose to campaigns, and the answers of their cells by arrival."""
+"""Parameter sets that outside optimizers propose to campaigns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, bindparam, func, select, update
+from sqlalchemy import Connection, bindparam, func, select, update
 
-from drivecal.contracts.outside.sets import CellAnswered
-from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import ConflictError, NotFoundError
-from drivecal.domain.evaluations import Outcome
-from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import campaigns
-from drivecal.storage import evaluations as stored_evaluations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.bulk import execute_rows, rows_among
 from drivecal.storage.engine.tables import campaigns as campaigns_table
-from drivecal.storage.engine.tables import evaluations, outside_sets, parameter_sets, runs
+from drivecal.storage.engine.tables import outside_sets
 from drivecal.storage.engine.types import now
-from drivecal.storage.references import metrics
 
 AWAITED = (
     "all proposed sets are answered; another program proposes further ones (POST /campaigns/ID/sets) or ends the campaign"
@@ -152,63 +145,3 @@ def cancel(connection: Connection, campaign_id: str, key: str) -> tuple[int, boo
     if row is None:
         raise NotFoundError("set", key)
     return row.number, row.cancelled
-
-
-def number_answers(connection: Connection, campaign_sequence: int, iteration: int) -> None:
-    """Numbers the new answers, by arrival. Earlier iterations have theirs."""
-    cell = evaluations.c
-    mine = cell.campaign_sequence == campaign_sequence
-    new = select(cell.id).where(
-        mine,
-        cell.stage == StageName.CALIBRATION,
-        cell.iteration >= iteration,
-        cell.outcome.is_not(None),
-        cell.answered.is_(None),
-    )
-    ids = list(connection.scalars(new.order_by(cell.id)))
-    if ids:
-        last = connection.scalar(select(func.max(cell.answered)).where(mine, cell.answered.is_not(None))) or 0
-        stored_evaluations.store(connection, "answered", {number: place for place, number in enumerate(ids, last + 1)})
-
-
-def answers(connection: Connection, campaign: StoredCampaign, after: int, limit: int) -> list[CellAnswered]:
-    """Returns the answers of a campaign after a number, by arrival, at most `limit`."""
-    cell, proposed = evaluations.c, outside_sets.c
-    own = (
-        (proposed.campaign_sequence == cell.campaign_sequence)
-        & (proposed.iteration == cell.iteration)
-        & (proposed.individual == cell.individual)
-    )
-    names = ("scenario", "seed", "outcome", "score", "rating", "reference", "failure", "detail")
-    columns: list[ColumnElement[Any]] = [
-        cell.answered.label("number"),
-        proposed.number.label("set"),
-        proposed.key,
-        parameter_sets.c.parameter_values.label("parameters"),
-        cell.id.label("evaluation"),
-        *(cell[name] for name in names),
-        cell.metrics.label("own"),
-        runs.c.metrics,
-    ]
-    query = (
-        select(*columns)
-        .select_from(
-            evaluations.join(outside_sets, own)
-            .join(parameter_sets, parameter_sets.c.id == cell.parameter_set_id)
-            .outerjoin(runs, runs.c.id == cell.run_id)
-        )
-        .where(cell.campaign_sequence == campaign.sequence, cell.answered > after, cell.answered.is_not(None))
-        .order_by(cell.answered)
-        .limit(limit)
-    )
-    read = metrics.reader(connection)
-    wrong = {Outcome.FAILED: None, Outcome.REUSED: campaign.spec["reduction"]["max_error"]}
-    return [
-        CellAnswered.of(
-            row,
-            parameters=ParameterSet.from_json(row.parameters).floats,
-            metrics=row.own if row.own is not None or row.metrics is None else dict(read(row.metrics)),
-            wrong_at_most=wrong.get(row.outcome, 0.0),
-        )
-        for row in connection.execute(query)
-    ]
