@@ -209,10 +209,21 @@ def _act(identifier: str | None, tag: str | None, action: Action, url: str | Non
         chosen = _chosen(client, identifier, tag)
         if identifier is None:
             open_ones = [place for place in chosen if not CampaignState(client.campaign(place).state).ended]
-            changed = [client.act(place, action) for place in open_ones]
-            say(f"asked {len(changed)} of {len(chosen)} campaigns to {action}; the others have ended")
+            changed: list[Campaign] = []
+            refused: list[ConflictError] = []
+            for place in open_ones:
+                try:
+                    changed.append(client.act(place, action))
+                except ConflictError as error:  # the other campaigns are asked all the same
+                    refused.append(error)
+            ended = len(chosen) - len(open_ones)
+            say(f"asked {len(changed)} of {len(chosen)} campaigns to {action}; {ended} have ended, {len(refused)} refuse")
             if as_json:
                 print_json(changed)
+            for other in refused[1:]:
+                say(str(other))
+            if refused:
+                raise refused[0]
             return
         _print_whole(client, client.act(chosen[0], action), as_json)
 

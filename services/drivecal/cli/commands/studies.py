@@ -132,9 +132,15 @@ def _map_of(campaign: Campaign) -> dict[str, str]:
 def print_validation(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> None:
     """Prints Tables 1 and 2 of the paper for a map, or how many released predictions are right."""
     print_blocks(validation_tables(rows, scale))
-    nothing = [row.scenario for row in rows if not row.compared]
-    if nothing:
-        typer.echo(f"nothing to validate in {', '.join(nothing)}: no parameter has a region in which it does not matter")
+    reasons = {
+        "no parameter has a region in which it does not matter": [
+            row for row in rows if row.released is None and not row.bases
+        ],
+        "no prediction was released": [row for row in rows if row.released == 0],
+    }
+    for reason, empty in reasons.items():
+        if empty:
+            typer.echo(f"nothing to validate in {', '.join(row.scenario for row in empty)}: {reason}")
 
 
 @app.command()
