@@ -79,7 +79,7 @@ def test_the_campaigns_are_listed_and_compared_by_their_tag(run: Run, api: Runni
 def test_campaigns_of_a_tag_are_paused_cancelled_and_deleted_together(run: Run, api: RunningApi) -> None:
     large = SMALL | {"name": "large", "populations": [60], "iterations": 500}
     tag = json.loads(run("compare-optimizers", "-", "--json", stdin=json.dumps(large)).stdout)["tag"]
-    for action, expected in {"pause": 6, "finish": 0, "cancel": 6}.items():  # each one refuses to finish: nobody feeds it
+    for action, expected in {"pause": 6, "finish": 0, "cancel": 6}.items():  # each one refuses to finish: no program feeds it
         asked = json.loads(run(action, "--tag", tag, "--json").stdout)
         assert len(asked) == expected
     for each in asked:

@@ -1,5 +1,6 @@
 """Aims of searches by the cell: the weighted score of a campaign, or its objectives and constraints on results. Pure."""
 
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -45,6 +46,10 @@ class WeightedScore:
     def of(self, cell: CellScore) -> tuple[float, ...]:
         """Returns the values of an answered cell."""
         return (float("nan") if cell.rating is None else float(cell.rating),)
+
+    def is_failure(self, cell: CellScore) -> bool:
+        """Whether an answer has the worth of a failed run, or no result."""
+        return cell.score in {None, self.scale.failed}
 
     def judge(self, values: Floats) -> tuple[Floats, Floats]:
         """Returns the weighted scores, higher is better, shape (n, 1), and no violations."""
@@ -94,12 +99,12 @@ class JudgedGoals:
 
     @cached_property
     def best(self) -> Floats:
-        """The better end of a score's usual range; a measure has no limit."""
-        ends: dict[str, float] = {}
+        """The better end of a score's usual range; a measure has no limit. NaN if goals disagree on what is better, as two limits do."""
+        ends: dict[str, set[float]] = defaultdict(set)
         for goal in self._all:
             scale = goal.value.scale
-            ends.setdefault(goal.value.key, goal.sign * np.inf if scale is None else _better_end(scale))
-        return np.tile(list(ends.values()), (self.scenarios, 1))
+            ends[goal.value.key].add(goal.sign * np.inf if scale is None else scale.upper if goal.sign > 0 else scale.lower)
+        return np.tile([each.pop() if len(each) == 1 else np.nan for each in ends.values()], (self.scenarios, 1))
 
     @cached_property
     def worst(self) -> Floats:
@@ -120,6 +125,10 @@ class JudgedGoals:
         """Returns the values of an answered cell."""
         known = dict(cell.values) if cell.score is None else {SCORE: cell.score, **cell.values}
         return tuple(float(known.get(key, float("nan"))) for key in self.keys)
+
+    def is_failure(self, cell: CellScore) -> bool:
+        """Whether an answer is a failed run, or no result. A sound run has its measures, whatever the score of the problem says of it."""
+        return cell.score is None or cell.failed
 
     def judge(self, values: Floats) -> tuple[Floats, Floats]:
         """Returns the objectives, higher is better, shape (n, m), and the sums of violations, shape (n,)."""

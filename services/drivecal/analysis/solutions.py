@@ -393,8 +393,8 @@ class Ranking:
                 solution,
                 standard_error=solution.standard_error if is_reported else float(known.standard_errors[place]),
                 # runs that chose the best set say too much of it
-                lower=solution.lower if is_reported or place == leader else middle - half,
-                upper=solution.upper if is_reported or place == leader else middle + half,
+                lower=solution.lower if is_reported else None if place == leader else middle - half,
+                upper=solution.upper if is_reported else None if place == leader else middle + half,
                 probability_best=None if np.isnan(probabilities[place]) else float(probabilities[place]),
                 is_close=bool(close),
                 runs_to_tell=replicates.to_tell(known, leader, place, confidence) if close else None,

@@ -4,10 +4,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.analysis.aims import JudgedGoals
+from drivecal.analysis.aims import JudgedGoals, WeightedScore
 from drivecal.analysis.goals import Aggregate, Bound, CellValue, Goals, Objective
 from drivecal.domain.evaluations import CellScore
+from drivecal.domain.scales import Direction, Scale
 
+SCALE = Scale("points", Direction.MAXIMISE, 0.0, 7.0, 1.0, 0.0)
 SHARES = st.just({"S0": 0.5, "S1": 0.2, "S2": 0.3})
 VALUES, SIGNS = st.sampled_from([CellValue(measure="a"), CellValue(measure="b")]), st.sampled_from([1, -1])
 AGGREGATES = st.builds(Aggregate, st.sampled_from(["mean", "min", "max", "quantile"]), st.floats(0, 1))
@@ -28,3 +30,14 @@ def test_goals_are_judged_by_arrays_as_by_cells(sets: list[dict[str, CellScore]]
     for amounts, violation, judged in zip(*aim.judge(table), goals.judge(sets), strict=True):
         known = None if judged is None else (*goals.compared(judged), judged.violation)
         assert known == (None if np.isnan([*amounts, violation]).any() else (*amounts, violation))
+
+
+def test_a_sound_run_with_the_worst_score_is_no_failure_for_goals_of_its_measures() -> None:
+    goals = JudgedGoals(Goals((Objective("a", CellValue(measure="a"), {"S": 1.0}, Aggregate(), -1),)), ("S",))
+    runs = [
+        CellScore(1, "S", score, score, True, 0, 0, failed=failed)
+        for score, failed in ((5.0, False), (0.0, False), (0.0, True))
+    ]
+    runs.append(CellScore(1, "S", None, None, True, 0, 0))
+    assert [goals.is_failure(run) for run in runs] == [False, False, True, True]
+    assert [WeightedScore({"S": 1.0}, SCALE).is_failure(run) for run in runs] == [False, True, True, True]

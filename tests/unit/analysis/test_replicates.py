@@ -1,5 +1,6 @@
 """Which sets get further runs, and what is then known of the best one: small synthetic campaigns with fixed seeds."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 from statistics import NormalDist
@@ -288,6 +289,26 @@ def test_a_seed_is_tried_only_if_all_scenarios_of_the_ranking_ran() -> None:
         scores = [(seed, 5.0 + (seed * number % 3) / 10) for seed in range(1, last + 1)]
         ranking.add(CellScore(number, scenario, x, x, True, 0, number, seed=seed) for seed, x in scores)
     assert set(next_runs(ranking, wanted, 8, 100)) >= {(1, 3), (2, 3)}
+
+
+def test_intervals_are_those_of_a_ranking_that_takes_all_answers_at_once() -> None:
+    """Set 2 leads until it has further runs; set 1, which leads then, has none that report it."""
+    random = np.random.default_rng(1)
+
+    def cells(numbers: Iterable[int], seeds: range, mean: float) -> list[CellScore]:
+        scores = [(number, seed, mean + 0.1 * random.normal()) for number in numbers for seed in seeds]
+        return [CellScore(number, "S1", x, x, True, 0, number, seed=seed) for number, seed, x in scores]
+
+    first = cells([1], range(1, 5), 5.2) + cells([2], range(1, 5), 5.35) + cells(range(3, 33), range(1, 5), 4.0)
+    later = cells([2], range(5, 13), 4.8) + cells(range(3, 13), range(5, 13), 4.0)
+    grown, whole = (by_score({"S1": 1}, wanted=ReplicatesSpecification()) for _ in range(2))
+    grown.add(first)
+    assert grown.best_first()[0].parameter_set == 2
+    grown.add(later)
+    whole.add(first + later)
+    assert [(each.lower, each.upper) for each in grown.best_first()] == [
+        (each.lower, each.upper) for each in whole.best_first()
+    ]
 
 
 def test_reports_with_equal_scores_have_an_interval() -> None:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -298,6 +299,102 @@ def test_several_objectives_spread_over_the_front_and_keep_constraints() -> None
     assert len(kept) > len(objectives) / 3
     front = [row for row in kept if not ((kept >= row).all(axis=1) & (kept > row).any(axis=1)).any()]
     assert np.ptp(np.array(front)[:, 0]) > 0.4
+
+
+def measured(bounds: tuple[Bound, ...] = (), failed: float | None = None, weights: Sequence[float] = (1.0,)) -> JudgedGoals:
+    """Returns the aim to minimise the measure `energy`, whose failed runs have a worth or none, under constraints."""
+    shares = {f"S{place}": weight for place, weight in enumerate(weights)}
+    energy = Objective("energy", CellValue(measure="energy", failed=failed), shares, Aggregate(), -1)
+    return JudgedGoals(Goals((energy,), bounds), tuple(shares))
+
+
+@dataclass
+class Measured(Played):
+    """`measures` has the values of a cell; the run failed if one is NaN."""
+
+    measures: Callable[[Floats, int], tuple[float, ...]] = field(kw_only=True)
+
+    def answered(self, cell: AskedCell) -> CellAnswer:
+        values = self.measures(np.array(cell.indices) / (self.task.n_values - 1), cell.scenario)
+        return CellAnswer(cell, values, failed=not np.isfinite(values).all())
+
+
+def grid_task(aim: Aim, cells: int, sizes: int = 3, **changes: Any) -> SearchTask:
+    """Returns a task on a grid of 41 values for each parameter."""
+    n_values, kinds = np.full(sizes, 41, dtype=np.int64), [KINDS[0]] * sizes
+    return replace(task_of(aim, cells, 1, n_values, kinds), start=n_values[:0].reshape(0, sizes), **changes)
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_while_all_sets_fail_it_explores_the_whole_space(seed: int) -> None:
+    def value(cell: AskedCell) -> tuple[float, bool]:
+        x = np.array(cell.indices) / 40
+        return (3 + 2 * x[2], False) if min(x[:2]) > 0.7 else (POINTS.failed, True)
+
+    task = grid_task(mean_of(POINTS, 1), 60)
+    played = Played(task, value, 1).play(begun(task, seed))
+    assert sum(not answer.failed for answers in played.answers for answer in answers) > 20
+
+
+def test_a_measure_with_two_limits_gives_no_set_up() -> None:
+    def measures(x: Floats, scenario: int) -> tuple[float, ...]:
+        return float(((x - 0.3 - 0.05 * scenario) ** 2).sum() + 1), float(30 + 20 * (x[0] - 0.3) + scenario)
+
+    shares, gap = {"S0": 0.5, "S1": 0.5}, CellValue(measure="gap")
+    low, high = (
+        Bound("gap", gap, shares, Aggregate("min"), 1, 10.0, 10.0),
+        Bound("gap", gap, shares, Aggregate("max"), -1, 50.0, 50.0),
+    )
+    both, one = (grid_task(measured(bounds, weights=(0.5, 0.5)), 40, 2) for bounds in ((low, high), (low,)))
+    complete = [len(Measured(task, cost, 1, measures=measures).play(begun(task)).complete()) for task in (both, one)]
+    assert complete[0] > 0.8 * complete[1] > 10
+
+
+def test_failures_without_a_worth_do_not_blind_the_search_of_a_random_simulator() -> None:
+    noise = np.random.default_rng(1)
+
+    def measures(x: Floats, scenario: int) -> tuple[float, ...]:
+        del scenario
+        return (float("nan") if x[0] > 0.7 else float(((x - 0.4) ** 2).sum() + 0.02 * noise.normal()),)
+
+    task = grid_task(measured(), 50, random=True, replicates=10)
+    played = Measured(task, cost, 1, measures=measures).play(begun(task, 2))
+    assert any(answer.failed for answers in played.answers for answer in answers)
+    assert max(cell.replicate for cell in played.cells) > 1
+    assert min(float(((np.array(cell.indices) / 40 - 0.4) ** 2).sum()) for cell in played.cells) < 0.02
+
+
+def test_a_set_without_a_value_that_a_constraint_bounds_is_not_the_best() -> None:
+    def measures(x: Floats, scenario: int) -> tuple[float, ...]:
+        return float(x[0]), float("nan") if scenario == 1 and x[0] < 0.5 else 1.0
+
+    gap = Bound("gap", CellValue(measure="gap"), {"S1": 1.0}, Aggregate("min"), 1, 0.5, 1.0)
+    task = grid_task(replace(measured((gap,)), names=("S0", "S1")), 40, 2)
+    played = Measured(task, cost, 1, measures=measures).play(begun(task))
+    assert min(indices[0] for indices, values in played.complete().items() if np.isfinite(values[1]).all()) == 20
+
+
+def test_a_failure_in_one_scenario_leaves_the_order_of_the_others() -> None:
+    weights = (0.01, 0.01, 0.02, 0.96)
+
+    def measures(x: Floats, scenario: int) -> tuple[float, ...]:
+        return (float("nan") if scenario == 0 and x[0] > 0.8 else float(((x - 0.4) ** 2).sum()),)
+
+    task = grid_task(measured(weights=weights), 60, 2)
+    played = Measured(task, cost, 1, measures=measures).play(begun(task, 2))
+    assert any(answer.failed for answers in played.answers for answer in answers)
+    firsts = {cell.indices: cell.scenario for cell in reversed(played.cells)}
+    assert [*firsts.values()][: len(firsts) // 2].count(3) > len(firsts) // 4, "sets after the design begin with what decides"
+
+
+@pytest.mark.parametrize("worth", [3.0, 1e6])
+def test_the_worth_of_a_failed_run_does_not_scale_the_front(worth: float) -> None:
+    points = np.array([[[-0.1], [-0.9]], [[-0.9], [-0.1]], [[-worth], [-3.0]]]).reshape(3, 1, 2)
+    first, second = (Objective(name, CellValue(measure=name), {"S0": 1.0}, Aggregate(), 1) for name in ("a", "b"))
+    aim = JudgedGoals(Goals((first, second)), ("S0",))
+    merit = Merit(aim, Standing.of(aim, points), np.array([0.5, 0.5]))
+    better = merit(np.array([[[-0.5, -0.5]], [[-0.9, -0.1]]]))
+    assert better[0] > better[1]
 
 
 def test_a_large_round_holds_different_sets() -> None:

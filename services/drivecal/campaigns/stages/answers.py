@@ -130,8 +130,7 @@ class CellAnswers(SearchAnswers):
         firsts = [cell for cell in asked.cells if (cell[2] - 1) % seeds == 0]
         for cell, (individual, scenario, first) in zip(cells_of(asked, seeds), firsts, strict=True):
             runs = [told[individual, names[scenario], seed] for seed in range(first, first + seeds)]
-            failed = all(run.score in {None, self._problem.bench.scale.failed} for run in runs)
-            answers.append(CellAnswer(cell, self.aim.of(over_seeds(runs)), failed=failed))
+            answers.append(CellAnswer(cell, self.aim.of(over_seeds(runs)), failed=all(map(self.aim.is_failure, runs))))
         return (answers,)
 
     def forget(self, number: int) -> None:

@@ -193,7 +193,9 @@ def _known(database: Database, view: View, problem: CalibrationProblem, aim: Wei
                 values = {SCORE: run.score}
                 if measured:
                     values |= problem.goals.values(*measured[run.evaluation], run.parameters)
-                cell = CellScore(0, scenario, run.score, run.rating, own=True, iteration=0, individual=0, values=values)
-                failed = run.score == view.bench.scale.failed
-                answers.append(CellAnswer(AskedCell(indices, place), aim.of(cell), failed=failed))
+                failed = bool(measured) and measured[run.evaluation][1] is not None
+                cell = CellScore(
+                    0, scenario, run.score, run.rating, own=True, iteration=0, individual=0, failed=failed, values=values
+                )
+                answers.append(CellAnswer(AskedCell(indices, place), aim.of(cell), failed=aim.is_failure(cell)))
     return answers

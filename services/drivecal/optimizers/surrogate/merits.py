@@ -1,6 +1,7 @@
 """The merit of sets: a number for each, with any number of objectives and constraints on results."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +29,19 @@ class Standing:
         valid = np.isfinite(objectives).all(axis=1) & np.isfinite(violations)
         return cls(objectives[valid], violations[valid])
 
+    @cached_property
+    def front(self) -> tuple[Floats, Floats]:
+        """The best and the worst value of each objective on the front of the sets that keep all constraints, or else of all sets, shape
+        (m,); the worst of all of them if the front has one value. Sets behind it may be worse by any amount, such as a failed run's."""
+        kept = self.objectives[self.violations <= 0]
+        points = kept if len(kept) else self.objectives
+        if not len(points):
+            return np.zeros(points.shape[1]), np.zeros(points.shape[1])
+        best, as_good = points.max(axis=0), points[:, np.newaxis] >= points
+        dominated = (as_good.all(axis=2) & ~as_good.transpose(1, 0, 2).all(axis=2)).any(axis=0)
+        worst = points[~dominated].min(axis=0)
+        return best, np.where(worst < best, worst, points.min(axis=0))
+
     def beats(self, objectives: Floats, violations: Floats) -> npt.NDArray[np.bool_]:
         """Returns which of k sets with such bounds cannot be better than all complete sets, shape (k,); NaN is no bound."""
         own, bounds = violations[:, np.newaxis], objectives[:, np.newaxis]
@@ -39,7 +53,7 @@ class Standing:
 
 
 class Merit:
-    """A number for each set, higher is better: the objective, or several as one, in units of what the complete sets range over.
+    """A number for each set, higher is better: the objective, or several as one, in units of the front's ranges.
 
     Several are weighted by a direction, and the largest distance to the best of all counts. Sets that violate constraints are worse than
     all others, by their violations.
@@ -52,11 +66,7 @@ class Merit:
         """Deviation of the merit of a single answer in each scenario."""
         self.least_gain = 0.0
         """Gain from which on a set counts as an improvement."""
-        kept = standing.objectives[standing.violations <= 0]
-        reference = kept if len(kept) else standing.objectives
-        none = np.zeros(aim.objectives)
-        self._ideal = reference.max(axis=0) if len(reference) else none
-        lowest = reference.min(axis=0) if len(reference) else none
+        self._ideal, lowest = standing.front
         self._span = np.where(self._ideal > lowest, self._ideal - lowest, 1.0)
         known = self._scalar(standing.objectives)
         self._floor = float(known.min()) if len(known) else 0.0
@@ -70,7 +80,7 @@ class Merit:
         """Returns the merits of values, shape (n, n_scenarios, n_values); without a result negative infinity."""
         objectives, violations = self._aim.judge(values)
         merits = self._with_violations(self._scalar(objectives), violations)
-        return np.where(np.isnan(merits), -np.inf, merits)
+        return np.where(np.isnan(merits) | np.isnan(violations), -np.inf, merits)
 
     def _scalar(self, objectives: Floats) -> Floats:
         if self._aim.objectives == 1:
@@ -90,7 +100,7 @@ class Merit:
             return np.asarray(finite.mean(axis=0))
         result: Floats = np.maximum(finite - self.best - self.least_gain, 0.0).mean(axis=0)
         if self.noise > 0:
-            result = result * (1.0 - self.noise / np.hypot(self.noise, finite.std(axis=0)))
+            result = result * (1.0 - self.noise / np.hypot(self.noise, _mean_and_spread(merits)[1]))
         return result
 
     def best_first(self, merits: Floats) -> Indices:
@@ -102,14 +112,19 @@ class Merit:
         Args:
             merits: Draws, shape (n_draws, n).
         """
-        valid = np.isfinite(merits)
-        count = np.maximum(valid.sum(axis=0), 1)
-        mean = np.where(valid, merits, 0.0).sum(axis=0) / count
-        spread = np.sqrt(((np.where(valid, merits, mean) - mean) ** 2).sum(axis=0) / count)
-        bounds = np.where(2 * count > len(merits), mean + spread, -np.inf)
+        mean, spread = _mean_and_spread(merits)
+        bounds = np.where(2 * np.isfinite(merits).sum(axis=0) > len(merits), mean + spread, -np.inf)
         order: Indices = np.lexsort((-bounds, -self.improvements(merits)))
         return order
 
     def beaten_by(self, merits: Floats) -> float:
         """Returns the share of merits that are better than the best set's by more than rounding."""
         return float((merits > self.best + (grain(self.best) if np.isfinite(self.best) else 0.0)).mean())
+
+
+def _mean_and_spread(merits: Floats) -> tuple[Floats, Floats]:
+    """Returns means and deviations of the draws with a result, shape (n,); 0 without one."""
+    valid = np.isfinite(merits)
+    count = np.maximum(valid.sum(axis=0), 1)
+    mean = np.where(valid, merits, 0.0).sum(axis=0) / count
+    return mean, np.sqrt(((np.where(valid, merits, mean) - mean) ** 2).sum(axis=0) / count)

@@ -169,16 +169,17 @@ class ScenarioModel:
         warped = prediction.means + prediction.deviations * normal
         values = np.stack([output.warp.undone(warped[:, :, place]) for place, output in enumerate(self._outputs)], axis=2)
         failing = uniform < prediction.failing
-        if self._random:
-            failing = np.broadcast_to(prediction.failing, failing.shape)
-            mixed = values + failing[:, :, np.newaxis] * (self._worst - values)
-            return np.where(failing[:, :, np.newaxis] > 0, mixed, values)
-        return np.where(failing[:, :, np.newaxis], self._worst, values)
+        drawn = np.where(failing[:, :, np.newaxis], self._worst, values)
+        if not self._random:
+            return drawn
+        rate = np.broadcast_to(prediction.failing, failing.shape)[:, :, np.newaxis]
+        mixed = np.where(rate > 0, values + rate * (self._worst - values), values)
+        return np.where(np.isnan(self._worst), drawn, mixed)  # a failure that has no worth leaves no mean
 
     def expected(self, features: Floats) -> Floats:
         """Returns the values that the model expects, shape (n, n_values)."""
-        belief, none = self.predict(features, pending=False), np.zeros((1, 1, 1))
-        values: Floats = self.values(belief, none, none[:, :, 0])[0]
+        belief = self.predict(features, pending=False)
+        values: Floats = self.values(belief, np.zeros((1, 1, 1)), np.full((1, 1), 0.5))[0]
         return values
 
     def runs(self, features: Floats, normal: Floats, uniform: Floats) -> Floats:

@@ -309,12 +309,14 @@ class SurrogateSearch:
         missing = self._answers.missing(begun, self._needs[aim])
         if not len(missing):
             return missing
-        values = np.repeat(np.median(drawn, axis=0)[np.newaxis], len(missing) * DRAWS, axis=0)
+        usual = np.nanmedian(np.where(np.isnan(drawn).all(axis=0), 0.0, drawn), axis=0)
+        values = np.repeat(usual[np.newaxis], len(missing) * DRAWS, axis=0)
         values = values.reshape(len(missing), DRAWS, *values.shape[1:])
         for place, scenario in enumerate(missing.tolist()):
             values[place, :, scenario] = drawn[:: OPEN_DRAWS // DRAWS, scenario]
         merits = self._merit(begun.number, aim)(values.reshape(-1, *values.shape[2:])).reshape(len(missing), DRAWS)
-        spreads = np.where(np.isfinite(merits), merits, np.nanmin(np.where(np.isfinite(merits), merits, 0.0))).std(axis=1)
+        known = np.isfinite(merits)
+        spreads = np.where(known, merits, merits[known].min() if known.any() else 0.0).std(axis=1)
         return missing[np.argsort(-spreads, kind="stable")]
 
     def _proposed(self, count: int) -> list[BegunSet]:
@@ -404,7 +406,9 @@ class SurrogateSearch:
             chosen = references[generator.integers(len(references), size=len(rows))]
             back = generator.random(rows.shape) < generator.random((len(rows), 1))
             rows = np.concatenate([rows, np.where(back, chosen, rows)])
-        rows = np.unique(self._task.repair(rows), axis=0)
+        rows = self._task.repair(rows)
+        # In the order of drawing: while the models say nothing all rows are equal, and the first one is taken.
+        rows = rows[np.sort(np.unique(rows, axis=0, return_index=True)[1])]
         fresh = np.array([tuple(row) not in self._answers for row in rows.tolist()], dtype=np.bool_)
         return rows[fresh & self._task.feasible(rows)]
 
