@@ -48,7 +48,7 @@ class WeightedScore:
         return (float("nan") if cell.rating is None else float(cell.rating),)
 
     def is_failure(self, cell: CellScore) -> bool:
-        """Whether an answer has the worth of a failed run, or no result."""
+        """Returns whether an answer has the worth of a failed run, or no result."""
         return cell.score in {None, self.scale.failed}
 
     def judge(self, values: Floats) -> tuple[Floats, Floats]:
@@ -127,7 +127,7 @@ class JudgedGoals:
         return tuple(float(known.get(key, float("nan"))) for key in self.keys)
 
     def is_failure(self, cell: CellScore) -> bool:
-        """Whether an answer is a failed run, or no result. A sound run has its measures, whatever the score of the problem says of it."""
+        """Returns whether an answer is a failed run, or no result. A sound run has its measures, whatever its score is worth."""
         return cell.score is None or cell.failed
 
     def judge(self, values: Floats) -> tuple[Floats, Floats]:

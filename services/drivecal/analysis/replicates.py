@@ -29,6 +29,8 @@ DRAWS = 4000
 """Draws of the means of sets that tell how probably each is the best."""
 QUANTILES = 200
 """Points of a distribution over which probabilities are integrated."""
+MOST_BAD_LUCK = 2.0
+"""The largest move of the mean of a worse set, in errors."""
 LEAST_APART = 0.1
 """Least squared distance of sets, in the largest squared error."""
 NEGLIGIBLE = 0.05
@@ -222,15 +224,15 @@ def _step(values: Floats) -> float:
 
 def _without_luck(known: SetStatistics) -> SetStatistics:
     """Draws means to their median, each by the share of luck in it (James and Stein 1961), so that no lucky single run stands before many
-    good ones. The better half tells how far sets are apart: a search asks for many bad sets, but for few that beat its best ones. Errors
-    stay what they are."""
+    good ones. The better half tells how far sets are apart: a search asks for many bad sets, but for few that beat its best ones. Worse
+    sets move by `MOST_BAD_LUCK` errors at most (Efron and Morris 1972): the others are bad, not unlucky. Errors stay what they are."""
     middle, errors = float(np.median(known.means)), known.errors**2
     better = known.means > middle
     if not better.any():
         return known
     apart = float(((known.means[better] - middle) ** 2 - errors[better]).mean())
     luck = errors / (errors + max(apart, LEAST_APART * float(errors.max()), 1e-300))
-    return replace(known, means=known.means + luck * (middle - known.means))
+    return replace(known, means=known.means + np.minimum(luck * (middle - known.means), MOST_BAD_LUCK * known.errors))
 
 
 def _quantiles(samples: Floats, known: SetStatistics, level: float) -> SetStatistics:

@@ -323,9 +323,10 @@ def test_a_lucky_single_run_counts_less_than_many_good_ones() -> None:
     samples = 5.0 + 0.5 * np.random.default_rng(3).normal(size=(40, 8))
     samples[0] += 0.8
     samples[1:5, 4:] = samples[5:, 1:] = np.nan
-    samples[39, 0] = 6.5
+    samples[38, 0], samples[39, 0] = 1.0, 6.5
     means = assess(samples).means
     assert means[39] < means[0] - 0.1
+    assert means[38] < 2.5, "it is bad, not unlucky"
 
 
 @pytest.mark.parametrize("quantile", [0.0, 1.0])
