@@ -33,12 +33,19 @@ function ownRange({ lower, upper, step, choices }: ShapeParameter): Range {
   return { lower, upper, step: step ?? undefined, choices };
 }
 
+type Entry = Readonly<Record<string, unknown>>;
+
+/** The specification's entry of a parameter: its own, or that of the curve whose coefficient it is. */
+function listedAs(shape: Shape, wanted: Wanted, name: string): Entry | undefined {
+  const listed = Array.isArray(wanted["parameters"]) ? (wanted["parameters"] as Entry[]) : [];
+  return listed.find((entry) => entry["name"] === name) ?? listed.find((entry) => entry["name"] === shape.curves[name]);
+}
+
 export function parameterRows(shape: Shape, wanted: Wanted): ParameterRow[] {
-  const listed = Array.isArray(wanted["parameters"]) ? (wanted["parameters"] as Record<string, unknown>[]) : [];
   const fixed = mapOf(wanted["fixed"]);
   const baseline = mapOf(wanted["baseline"] ?? shape.baseline);
   return shape.parameters.map((parameter) => {
-    const entry = listed.find((candidate) => candidate["name"] === parameter.name);
+    const entry = listedAs(shape, wanted, parameter.name);
     const known = (name: string): number | undefined => (typeof entry?.[name] === "number" ? entry[name] : undefined);
     const range = entry ? { lower: known("lower"), upper: known("upper"), step: known("step"), choices: (entry["choices"] as string[] | undefined) ?? parameter.choices } : ownRange(parameter);
     return { parameter, ...range, fixed: fixed[parameter.name], baseline: baseline[parameter.name] };
@@ -50,12 +57,17 @@ export function withRange(shape: Shape, wanted: Wanted, name: string, changes: P
   const rows = parameterRows(shape, wanted).map((row) => (row.parameter.name === name ? { ...row, ...changes } : row));
   const same = ({ parameter, lower, upper, step, choices }: ParameterRow): boolean =>
     JSON.stringify(ownRange(parameter)) === JSON.stringify({ lower, upper, step, choices: choices.length > 0 ? choices : parameter.choices }) || (parameter.kind === "choice" && choices.length === parameter.choices.length);
-  return changed(wanted, "parameters", rows.every(same) ? undefined : rows.map(entryOf));
+  const entries = rows.map((row) => {
+    const entry = listedAs(shape, wanted, row.parameter.name);
+    // An entry of a curve stands for all its coefficients, until one of them is changed.
+    return entry !== undefined && entry["name"] !== row.parameter.name && shape.curves[name] !== entry["name"] ? entry : entryOf(row, entry?.["integer"] === true);
+  });
+  return changed(wanted, "parameters", rows.every(same) ? undefined : [...new Set(entries)]);
 }
 
-function entryOf({ parameter: { name, kind, unit }, lower, upper, step, choices }: ParameterRow): Record<string, unknown> {
+function entryOf({ parameter: { name, kind, unit }, lower, upper, step, choices }: ParameterRow, integer: boolean): Entry {
   if (kind === "choice") return { name, choices, unit };
-  return { name, lower, upper, ...(kind === "integer" ? { integer: true } : step === undefined ? {} : { step }), unit };
+  return { name, lower, upper, ...(kind === "integer" || integer ? { integer: true } : step === undefined ? {} : { step }), unit };
 }
 
 export function withFixed(wanted: Wanted, name: string, value: Value | undefined): Wanted {

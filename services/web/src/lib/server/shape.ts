@@ -31,6 +31,8 @@ export interface Shape {
   /** Whether it has side conditions to be robust against. */
   varied: boolean;
   parameters: ShapeParameter[];
+  /** The curve or map of each coefficient, by its name. */
+  curves: Readonly<Record<string, string>>;
   constraints: readonly string[];
   baseline: Readonly<Record<string, number | string>> | null;
   scenarios: { id: string; title: string }[];
@@ -48,6 +50,7 @@ export function shapeOf(problem: ProblemAnswer): Shape {
     driving: isDriven(problem) ? String((problem.simulator["controller"] as Record<string, unknown>)["driving_function"]) : null,
     varied: Object.keys(problem.varied).length > 0,
     parameters: Object.entries(problem.parameters).map(([name, entry]) => declared(name, entry)),
+    curves: Object.fromEntries(Object.entries(problem.shapes).flatMap(([curve, { names }]) => names.map((coefficient) => [coefficient, curve]))),
     scenarios: Object.entries(problem.scenarios).map(([id, data]) => ({ id, title: typeof data["title"] === "string" ? data["title"] : dataText(data) })),
     scores: Object.entries(problem.scores).map(([name, entry]) => ({ name, ...(entry as Omit<ShapeScore, "name">) })),
     goals: { scores: Object.keys(problem.scores), measures: Object.keys(problem.measures) },

@@ -9,7 +9,7 @@ const OPTIMIZERS: OptimizerAnswer[] = [
   { name: "swarm", supports: ["grid", "integer"], settings: { properties: { kind: { const: "swarm" }, population: { type: "integer" }, inertia: { type: "number" } } } },
 ];
 const MIXED: Shape = {
-  name: "m", digest: "d", description: "", simulator: "", driving: null, varied: false, constraints: ["a <= b"], baseline: null, scenarios: [], scores: [], goals: { scores: [], measures: [] },
+  name: "m", digest: "d", description: "", simulator: "", driving: null, varied: false, constraints: ["a <= b"], curves: {}, baseline: null, scenarios: [], scores: [], goals: { scores: [], measures: [] },
   parameters: [{ name: "a", kind: "choice", unit: "1", description: "", lower: 0, upper: 1, step: null, choices: ["x", "y"] }],
 };
 

@@ -9,6 +9,7 @@ const SHAPE: Shape = {
     parameter("gain", { unit: "W/K" }), parameter("stage", { kind: "grid", lower: 0.5, upper: 2.5, step: 0.5 }),
     parameter("rooms", { kind: "integer", lower: 1, upper: 6 }), parameter("mode", { kind: "choice", lower: 0, upper: 2, choices: ["eco", "normal", "boost"] }),
   ],
+  curves: {},
   baseline: { gain: 0.5, stage: 1, rooms: 3, mode: "normal" },
   scenarios: [{ id: "winter", title: "" }, { id: "spring", title: "" }],
   scores: [], goals: { scores: [], measures: [] },
@@ -26,6 +27,14 @@ test("a range is written only where it differs, and then with all parameters as 
   expect(parameterRows(SHAPE, eco)[3]?.choices).toEqual(["eco", "boost"]);
   expect(withRange(SHAPE, eco, "mode", { choices: ["eco", "normal", "boost"] })).toEqual({});
   expect(parameterRows(SHAPE, withRange(SHAPE, {}, "gain", { upper: undefined }))[0]?.upper).toBeUndefined();
+});
+
+test("an entry of a curve stands for its coefficients until one of them is changed", () => {
+  const curved: Shape = { ...SHAPE, parameters: [parameter("low", {}), parameter("high", {}), parameter("gain", {})], curves: { low: "slope", high: "slope" } };
+  const given = { parameters: [{ name: "slope", lower: 0.5, upper: 1 }, { name: "gain", lower: 0, upper: 2, integer: true }] };
+  expect(parameterRows(curved, given).map(({ lower, upper }) => [lower, upper])).toEqual([[0.5, 1], [0.5, 1], [0, 2]]);
+  expect(withRange(curved, given, "gain", { upper: 1 })["parameters"]).toEqual([{ name: "slope", lower: 0.5, upper: 1 }, { name: "gain", lower: 0, upper: 1, integer: true, unit: "1" }]);
+  expect(withRange(curved, given, "low", { upper: 0.9 })["parameters"]).toMatchObject([{ name: "low", upper: 0.9 }, { name: "high", upper: 1 }, { name: "gain" }]);
 });
 
 test("scenarios and weights are written where they differ, and one scenario is always left", () => {

@@ -8,7 +8,7 @@ test("a problem of drivecal's own planner has the parameters of the chosen space
   const scenario = { id: "M1", catalogue: "mine", title: "Free road", manoeuvre: "", duration: 1, step: 0.1, vehicles: 0 };
   const scenarios: ScenarioPage = { items: [scenario], next_cursor: null, scores: ["comfort"], measures: { offset_peak_m: "m" }, broken: [] };
   const simulator = { kind: "highway", controller: { kind: "planner", driving_function: "frenet" } };
-  const shape = shapeOf({ parameters: {}, varied: {}, constraints: [], measures: {}, scores: {}, simulator, scenarios: { S1: { title: "A road", task: {} } } } as unknown as ProblemAnswer);
+  const shape = shapeOf({ parameters: {}, shapes: {}, varied: {}, constraints: [], measures: {}, scores: {}, simulator, scenarios: { S1: { title: "A road", task: {} } } } as unknown as ProblemAnswer);
   expect(shape.scenarios).toEqual([{ id: "S1", title: "A road" }]);
   expect(withPlugins(shape, spaces, scenarios, {})).toEqual(shape);
   const chosen = withPlugins(shape, spaces, scenarios, { parameters: "coarse", catalogue: "mine" });
