@@ -14,22 +14,24 @@ STATE = """
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-static double rate, x, now;
+static double rate, x, now, size, end;
 static int factor, flag, mode, runs, broken;
 static char label[100];
-static void defaults(void) { rate = 1; factor = 1; flag = 0; mode = 1; x = 0; now = 0; broken = 0; strcpy(label, "none"); }
-static int advance(double h) {
+static void defaults(void) { rate = 1; factor = 1; flag = 0; mode = 1; x = 0; now = 0; size = 0; broken = 0; strcpy(label, "none"); }
+static int advance(double t, double h) {
     if (rate == 666) abort();
     if (rate == 777) exit(0);
     if (rate == 13) return 3;
     if (rate == 14) return 4;
     if (rate == 15) for (;;) { }
     if (rate == 16) { for (int i = 0; i < 2000; i++) puts("message"); fflush(stdout); }
+    if (rate == 18 && ((size && h != size) || t + h > end)) return 3;
+    size = h;
     x += (flag ? -1 : 1) * rate * factor * mode * h; now += h;
     return 0;
 }
 """
-"""Shared by both FMUs. Some rates misbehave: abort, exit, error, fatal, an endless loop, a flood of output."""
+"""Shared by both FMUs. Some rates misbehave: abort, exit, error, fatal, an endless loop, a flood, only steps of one size up to the end."""
 
 SECOND = (
     STATE
@@ -44,7 +46,8 @@ fmi2Component fmi2Instantiate(fmi2String i, fmi2Type t, fmi2String g, fmi2String
     if (strcmp(g, "{trial}") || instances++) return NULL; /* once per process, as many FMUs */
     defaults(); return &x; }
 void fmi2FreeInstance(fmi2Component c) { }
-fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean d, fmi2Real t, fmi2Real s, fmi2Boolean e, fmi2Real z) { return fmi2OK; }
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean d, fmi2Real t, fmi2Real s, fmi2Boolean e, fmi2Real z) {
+    end = z; return fmi2OK; }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { runs++; return fmi2OK; }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return fmi2OK; }
 fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
@@ -61,7 +64,7 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference r[], size_t 
 fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Boolean v[]) { flag = v[0]; return fmi2OK; }
 fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2String v[]) {
     snprintf(label, sizeof label, "%s", v[0]); return fmi2OK; }
-fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean f) { return (fmi2Status)advance(h); }
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean f) { return (fmi2Status)advance(t, h); }
 """
 )
 
@@ -76,7 +79,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String i, fmi3String t, fmi3String 
     defaults(); return &x; }
 void fmi3FreeInstance(fmi3Instance c) { }
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean d, fmi3Float64 t, fmi3Float64 s, fmi3Boolean e, fmi3Float64 z) {
-    runs++; return fmi3OK; }
+    end = z; runs++; return fmi3OK; }
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return fmi3OK; }
 fmi3Status fmi3Terminate(fmi3Instance c) { return fmi3OK; }
 fmi3Status fmi3Reset(fmi3Instance c) { defaults(); return fmi3OK; }
@@ -95,7 +98,7 @@ fmi3Status fmi3SetBoolean(fmi3Instance c, const fmi3ValueReference r[], size_t n
 fmi3Status fmi3SetString(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3String v[], size_t m) { return fmi3OK; }
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean f, fmi3Boolean *e, fmi3Boolean *s, fmi3Boolean *y,
     fmi3Float64 *l) {
-    *e = 0; *s = rate == 17 && t > 0.5; *y = 0; *l = t + h; return (fmi3Status)advance(h); }
+    *e = 0; *s = rate == 17 && t > 0.5; *y = 0; *l = t + h; return (fmi3Status)advance(t, h); }
 """
 )
 

@@ -295,19 +295,21 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     fmu.check_units((place, output, declared.get(name, "1"), whole) for place, (name, output, whole) in outputs.items())
     reader = fmu.reader(dict.fromkeys([*(output for _, output in measures.values()), *recorded]))
     steps = max(1, math.ceil(duration / step - 1e-9))
+    rest = duration - (steps - 1) * step
+    last = step if rest > step * (1 - 1e-9) else rest  # many FMUs want one size, and a rest is short of it by rounding
+    stop = max(duration, (steps - 1) * step + last)
 
     def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:
         fmu.check(request["parameters"], "parameter")
         try:
             seeded = {} if seed is None else {seed: request["seed"]}
-            fmu.begin({**settings["data"], **request["parameters"], **seeded}, duration)
+            fmu.begin({**settings["data"], **request["parameters"], **seeded}, stop)
             values = reader.read()
             statistics = [OutputStatistics(value) for value in values]
             rows = [values]
             for number in range(steps):
-                time = number * step
-                length = min(step, duration - time)
-                fmu.step(time, length)
+                length = step if number < steps - 1 else last
+                fmu.step(number * step, length)
                 values = reader.read()
                 for entry, value in zip(statistics, values, strict=True):
                     entry.add(value, length)
