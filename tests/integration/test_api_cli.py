@@ -116,6 +116,10 @@ def test_the_set_of_a_rank_goes_to_calibration_tools_and_back(
         back = json.loads(run("parameters", str(file), "--names", str(names), "--json").stdout)
         assert back["baseline"] == best["parameters"]
     assert "ACC_tGap_C: {" in run("parameters", str(file)).stdout
+    described = tmp_path / "ecu.a2l"
+    described.write_text("""/begin PROJECT p "" /begin CHARACTERISTIC ACC_tGap_C "" VALUE 0 L 0 NO_COMPU_METHOD 0 9
+CALIBRATION_ACCESS NO_CALIBRATION /end CHARACTERISTIC /end PROJECT""")
+    assert "ACC_tGap_C: {" not in run("parameters", str(described), str(file)).stdout
     rows = list(csv.DictReader(io.StringIO(run(*shape, "--names", str(names)).stdout)))
     assert {row["name"]: float(row["value"]) for row in rows}["ACC_v_C"] == best["parameters"]["P3"]
     for wrong in (

@@ -32,6 +32,7 @@ _WHOLE = re.compile(r"U?(?:BYTE|WORD|LONG)|SBYTE|SWORD|SLONG|A_U?INT64")
 _IDENTICAL = "NO_COMPU_METHOD"
 _FOLLOWING = frozenset({"DEPENDENT_CHARACTERISTIC", "VIRTUAL_CHARACTERISTIC"})
 """Blocks of characteristics that follow from others."""
+_NO_ACCESS = frozenset({"NO_CALIBRATION", "NOT_IN_MCD_SYSTEM"})
 _AXES = {"VALUE": 0, "CURVE": 1, "MAP": 2, "VAL_BLK": 1}
 """Least number of axes of each kind."""
 
@@ -58,8 +59,11 @@ class _Block:
     def text(self, position: int) -> str:
         return self.tokens[position].text if position < len(self.tokens) else ""
 
-    def has(self, keyword: str) -> bool:
-        return any(token.text == keyword and not token.is_string for token in self.tokens[9:])
+    def is_fixed(self) -> bool:
+        """Returns whether a characteristic or axis follows from others, or cannot be calibrated."""
+        words = {token.text for token in self.tokens[9:] if not token.is_string}
+        access = self.after("CALIBRATION_ACCESS", 9)[:1]
+        return "READ_ONLY" in words or not _NO_ACCESS.isdisjoint(access) or any(each.kind in _FOLLOWING for each in self.inside)
 
     def after(self, keyword: str, first: int) -> list[str]:
         """Returns the texts behind a keyword, at position `first` or later; empty if it is missing."""
@@ -80,9 +84,10 @@ def read(content: bytes, file: str) -> Content:
     wanted: list[_Block] = []
     result = Content()
     for block in _blocks(decoded(content, file), file):
+        if block.kind in {"CHARACTERISTIC", "AXIS_PTS"} and block.is_fixed():
+            result.fixed.add(block.text(0))
         if block.kind == "CHARACTERISTIC":
-            follows = any(each.kind in _FOLLOWING for each in block.inside)
-            if block.text(2) in _AXES and not follows and not block.has("READ_ONLY"):
+            if block.text(2) in _AXES and not block.is_fixed():
                 wanted.append(block)
             else:
                 result.skipped.append(block.text(0))
@@ -101,9 +106,9 @@ def read(content: bytes, file: str) -> Content:
                 characteristic = replace(characteristic, fault=fault)
         is_known = _AXES[characteristic.kind] <= len(axes) <= 2
         result.add(file, characteristic.name, replace(characteristic, axes=axes) if is_known else None)
-    for name in [name for name, points in shared.items() if name not in result.names and not points.has("READ_ONLY")]:
-        axis = _characteristic(shared[name], "COM_AXIS", described, file)
-        result.add(file, name, replace(axis, axes=(index(_count(shared[name].text(7))),)))
+    for name, points in [(name, points) for name, points in shared.items() if name not in result.names]:
+        axis = None if points.is_fixed() else _characteristic(points, "COM_AXIS", described, file)
+        result.add(file, name, axis and replace(axis, axes=(index(_count(points.text(7))),)))
     return result
 
 

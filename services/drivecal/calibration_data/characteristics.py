@@ -97,10 +97,12 @@ class Quality:
 
 @dataclass(slots=True)
 class Content:
-    """Content of a file. `skipped`: names of characteristics that cannot become parameters."""
+    """Content of a file. `skipped`: names of characteristics that cannot become parameters; `fixed`: those with values that no calibration
+    changes, of whatever file they are."""
 
     characteristics: list[Characteristic] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
+    fixed: set[str] = field(default_factory=set)
     names: set[str] = field(default_factory=set)
 
     def add(self, file: str, name: str, given: Characteristic | None) -> None:

@@ -174,12 +174,17 @@ def test_what_follows_from_others_or_cannot_be_changed_is_left_out() -> None:
         file(
             'free "" VALUE 0x10 _U16 0 speed 0 1',
             'fixed "" VALUE 0x10 _U16 0 speed 0 1 READ_ONLY',
+            'seen "" VALUE 0x10 _U16 0 speed 0 1 CALIBRATION_ACCESS NO_CALIBRATION',
+            'unseen "" VALUE 0x10 _U16 0 speed 0 1 CALIBRATION_ACCESS NOT_IN_MCD_SYSTEM',
+            'flashed "READ_ONLY" VALUE 0x10 _U16 0 speed 0 1 CALIBRATION_ACCESS OFFLINE_CALIBRATION',
+            'curve "" CURVE 0x10 _U16 0 speed 0 1 /begin AXIS_DESCR COM_AXIS in same 8 0 9 AXIS_PTS_REF points /end AXIS_DESCR',
             'twice "" VALUE 0x10 _U16 0 speed 0 1 /begin DEPENDENT_CHARACTERISTIC "X1*2" free /end DEPENDENT_CHARACTERISTIC',
-        ).replace(b"/end MODULE", b'/begin INSTANCE x "" T 0x10 /end INSTANCE\n/end MODULE'),
+        ).replace(b"/end MODULE", b"""/begin INSTANCE x "" T 0x10 /end INSTANCE
+/begin AXIS_PTS points "" 0x20 in _U16 0 same 8 0 30 CALIBRATION_ACCESS NO_CALIBRATION /end AXIS_PTS /end MODULE"""),
         "a.a2l",
-    )
-    assert [each.name for each in content.characteristics] == ["free"]
-    assert content.skipped == ["fixed", "twice", "x"]
+    )  # fmt: skip
+    assert [each.name for each in content.characteristics] == ["free", "flashed", "curve"]
+    assert content.skipped == ["fixed", "seen", "unseen", "twice", "x", "points"]
 
 
 def test_an_included_description_of_interfaces_is_ignored() -> None:

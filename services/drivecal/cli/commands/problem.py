@@ -292,7 +292,8 @@ def parameters(
             read = stream.read(LARGEST_FILE + 1)
         contents.append((source, files.read(read, source)))
     labels = files.labels_of(read_document(names)) if names is not None else {}
-    known = joined(content.characteristics for _, content in contents)
+    fixed = {name for _, content in contents for name in content.fixed}
+    known = [each for each in joined(content.characteristics for _, content in contents) if each.name not in fixed]
     offered = [*known, *axis_points(known)] if with_axes else [each for each in known if each.kind != "COM_AXIS"]
     chosen = chosen_by(offered, match or [])
     sections = sections_of(chosen, {label: name for name, label in labels.items()}, span)
