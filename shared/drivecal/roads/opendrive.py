@@ -347,6 +347,8 @@ class _Reader:
         if self.unread is None and element not in READ.get(inside, ()):
             self.unread = len(self.path)
             self.ignored[element] = self.ignored.get(element, 0) + 1
+        if self.unread is not None:
+            return
         if element in GEOMETRIES and inside == "geometry" and self.road is not None and self.geometry is not None:
             self.road.geometries.append(geometry_of(self.geometry, attributes))
             self.geometry = None
@@ -356,9 +358,12 @@ class _Reader:
 
     def end(self, tag: str) -> None:
         """Leaves an element."""
+        is_read = self.unread is None
         if self.unread == len(self.path):
             self.unread = None
         self.path.pop()
+        if not is_read:
+            return
         if tag == "road":
             self._close_road()
         elif tag == "lane":
@@ -483,10 +488,7 @@ class _Reader:
 
     def on_type_speed(self, attributes: Attributes) -> None:
         """Takes a road's speed limit."""
-        road = self._open_road(attributes)
-        if self.path[-3:-1] != ["road", "type"]:
-            raise attributes.fault("the speed limit stands outside of a road's type", "move it into its type")
-        road.limits[-1] = (self.kind_begin, _speed(attributes))
+        self._open_road(attributes).limits[-1] = (self.kind_begin, _speed(attributes))
 
     def _open_road(self, attributes: Attributes) -> FileRoad:
         if self.road is None:

@@ -68,6 +68,14 @@ def test_elements_that_nothing_reads_are_noted_by_tag_once_with_all_that_they_ho
     assert {"2 x userData: ignored", "1 x surface: ignored"} <= set(converted(content, NAME).notes)
 
 
+@pytest.mark.parametrize("around", ["OpenDRIVE", "road", "junction", "planView", "lanes", "lane", "link"])
+def test_what_stands_in_an_element_that_nothing_reads_has_no_effect(around: str) -> None:
+    geometries = "<planView><geometry s='0' x='0' y='0' hdg='0' length='1'><line/></geometry><geometry/></planView>"
+    roads = "<road/><lane id='-1'/><link><predecessor id='x'/></link><type><speed/></type><connection/>"
+    content = edited("entrance", f"(<{around}(?: [^>]*[^/])?>)", rf"\1<boundary>{geometries}{roads}</boundary>", count=0)
+    assert read_opendrive(content, NAME).roads == read_opendrive(FILES["entrance"](), NAME).roads
+
+
 def test_a_lane_that_is_not_in_the_file_is_noted_and_no_route_leads_over_it(monkeypatch: pytest.MonkeyPatch) -> None:
     lane = re.compile(rb'(<lane id="-5#1_1".*?key="origId" value=)"5_-2"', re.DOTALL)
     netconvert_writes(monkeypatch, lambda network: lane.sub(rb'\1"9_-2"', network, count=1))
