@@ -449,15 +449,13 @@ class _Reader:
             self.lane.limits.append((attributes.number("sOffset", 0.0, LONGEST), _speed(attributes)))
 
     def _on_link(self, attributes: Attributes) -> None:
-        if self.lane is None:
+        if self.path[-3] == "road":
             _check_name(attributes, "elementId")
             if attributes.text("elementType") == "road" and self.road is not None:
                 self.named.append((attributes, "elementId"))
                 self.road.linked.append(attributes.text("elementId"))
-        elif attributes.element.lower() == "successor":
-            self.lane.successor = attributes.integer("id", -64, 64)
-        else:
-            self.lane.predecessor = attributes.integer("id", -64, 64)
+        elif self.lane is not None:  # one of the centre lane leads nowhere
+            setattr(self.lane, attributes.element, attributes.integer("id", -64, 64))
 
     on_link_successor = on_link_predecessor = _on_link
 

@@ -98,6 +98,13 @@ def test_signals_that_are_no_traffic_lights_do_not_stop_a_file(attributes: str) 
     assert noted(result, "signal").startswith("2 x")
 
 
+def test_a_link_of_the_centre_lane_changes_nothing() -> None:
+    link = b'<link><predecessor id="0"/><successor id="0"/></link>'
+    content = with_a_junction().replace(b'<lane id="0" type="none"/>', b'<lane id="0" type="none">' + link + b"</lane>")
+    network, plain = (converted(each, NAME).network.partition(b"<net ")[2] for each in (content, with_a_junction()))
+    assert network == plain != b""
+
+
 def test_a_default_namespace_and_a_missing_minor_version_change_nothing() -> None:
     plain = read_network(converted(document(road()), NAME).network, NAME)
     other = document(road(), attributes='xmlns="http://code.asam.net/simulation/standard/opendrive_schema"', minor="")
