@@ -1,6 +1,7 @@
 """The storyboard of an OpenSCENARIO file: events of its maneuvers become actions of the traffic's vehicles."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from math import inf
 from typing import Any, NamedTuple
 
 from drivecal.bundles.highway_actions import EGO
@@ -13,6 +14,8 @@ from drivecal.contracts.strict_json import shown
 MOST_ACTIONS = 2_000
 IMMEDIATE = 0.1
 """Seconds of a change of lanes that the file wants in no time."""
+FASTEST_ASIDE = 20.0
+"""Largest lateral acceleration (m/s²) of a drift."""
 SHAPES = ("linear", "cubic", "sinusoidal", "step")
 ENDING = ("override", "overwrite")
 """Priorities of events that end the running events of their maneuver."""
@@ -258,11 +261,18 @@ class Storyboard:
             raise action.fault("an offset that is kept continuously is not supported", 'give continuous="false"')
         dynamics = action.only("LaneOffsetActionDynamics")
         target = action.only("LaneOffsetTarget").only("AbsoluteTargetLaneOffset")
-        return {
-            "do": "drift",
-            "offset": target.number("value", -MOST_ASIDE, MOST_ASIDE),
-            "lateral_acceleration": dynamics.number("maxLateralAcc", 1e-3, 20.0),
-        }
+        drift = {"do": "drift", "offset": target.number("value", -MOST_ASIDE, MOST_ASIDE)}
+        acceleration = dynamics.number("maxLateralAcc", 1e-3, inf, inf)
+        shape = dynamics.word("dynamicsShape", SHAPES, "sinusoidal")
+        if shape == "step":
+            self._notes.add(dynamics, f"driven in {IMMEDIATE:g} s")
+            return drift | {"seconds": IMMEDIATE}
+        if shape != "sinusoidal":
+            self._notes.add(dynamics, "driven with least jerk")
+        if acceleration == inf:
+            self._notes.add(dynamics, "driven in the default time: it has no maxLateralAcc")
+            return drift
+        return drift | {"lateral_acceleration": min(acceleration, FASTEST_ASIDE)}
 
 
 def _never_begins(act: Element) -> bool:

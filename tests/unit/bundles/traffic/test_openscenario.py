@@ -217,14 +217,27 @@ def test_repeated_and_skipped_events_are_noted() -> None:
     assert sum("<Event>" in note for note in notes) == sum("<Event>" in note for note in of_file(content).notes) + 2
 
 
-def test_offsets_are_drifts() -> None:
+@pytest.mark.parametrize(
+    ("dynamics", "acceleration", "seconds", "noted"),
+    [
+        ('maxLateralAcc="0.5" dynamicsShape="sinusoidal"', 0.5, None, False),
+        ('maxLateralAcc="100" dynamicsShape="sinusoidal"', 20.0, None, False),
+        ('maxLateralAcc="0.5" dynamicsShape="linear"', 0.5, None, True),
+        ('maxLateralAcc="0.5" dynamicsShape="step"', None, 0.1, True),
+        ('dynamicsShape="sinusoidal"', None, None, True),
+        ('maxLateralAcc="INF" dynamicsShape="sinusoidal"', None, None, True),
+    ],
+)
+def test_offsets_are_drifts(dynamics: str, acceleration: float | None, seconds: float | None, noted: bool) -> None:
     offset = (
-        '<LateralAction><LaneOffsetAction continuous="false"><LaneOffsetActionDynamics maxLateralAcc="0.5" dynamicsShape="sinusoidal"/>'
+        f'<LateralAction><LaneOffsetAction continuous="false"><LaneOffsetActionDynamics {dynamics}/>'
         '<LaneOffsetTarget><AbsoluteTargetLaneOffset value="0.9"/></LaneOffsetTarget></LaneOffsetAction></LateralAction>'
     )
-    (drift,) = actions(with_events(event("drift", offset, when_time(2))))
+    content = with_events(event("drift", offset, when_time(2)))
+    (drift,) = actions(content)
     assert isinstance(drift, Drift)
-    assert (drift.offset, drift.lateral_acceleration, drift.seconds) == (0.9, 0.5, None)
+    assert (drift.offset, drift.lateral_acceleration, drift.seconds) == (0.9, acceleration, seconds)
+    assert any("<LaneOffsetActionDynamics>" in note and "driven" in note for note in of_file(content).notes) is noted
 
 
 def test_the_act_s_trigger_comes_before_the_event_s() -> None:
