@@ -22,7 +22,7 @@ from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import Floats, reference_line
 from drivecal.highway import sumo
 from drivecal.highway.comfort.reference import REFERENCE
-from drivecal.highway.drive import geometry
+from drivecal.highway.drive import geometry, tasks
 from drivecal.highway.drive.tasks import NEIGHBOUR_COLUMNS, TaskRunner, road_of
 from drivecal.highway.drive.traffic import Traffic, TrafficError
 from drivecal.highway.scenarios.highway import HIGHWAY, RANDOM_FOLDER, scenario_of
@@ -249,6 +249,14 @@ def test_a_trace_holds_what_the_run_was_rated_by() -> None:
     for rows in (of_neighbour(series, vehicle.id) for vehicle in S1.traffic):
         steps = np.hypot(*np.diff(rows[:, 4:6], axis=0).T)
         assert steps == pytest.approx(rows[1:, 2] * S1.step, abs=0.3)
+
+
+@pytest.mark.parametrize("step", [0.1, 0.05])
+def test_an_overshoot_is_the_same_at_any_step(step: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The offset is planted: it is centred for 0.7 s."""
+    swings = np.repeat([0.3, 0.0, -0.3], [round(seconds / step) for seconds in (1.0, 0.7, 90.0)])
+    monkeypatch.setattr(tasks, "target_offsets", lambda motion, _: swings[: len(motion)])
+    assert runner(replace(S1, step=step)).run(changes_lane(S1)).measures["offset_overshoot_m"] == 0.3
 
 
 def test_a_trace_has_its_road_the_others_and_the_plans() -> None:

@@ -81,6 +81,13 @@ def test_overshoot_is_what_goes_beyond_the_centre_on_the_way_back(offset: list[f
         assert metrics["offset_overshoot_m"] == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("step", [0.2, 0.1, 0.05, 0.01])
+def test_an_excursion_ends_after_the_same_time_at_any_step(step: float) -> None:
+    for centred, expected in ((0.7, 0.3), (1.3, 0.0)):
+        offset = np.repeat([0.3, 0.0, -0.3], [round(seconds / step) for seconds in (1.0, centred, 1.0)])
+        assert comfort_metrics(motion(), offset, step)["offset_overshoot_m"] == expected
+
+
 @pytest.mark.parametrize(
     ("amplitude", "expected"), [(0.004, 2 * 0.5 * 60), (0.0004, 0.0)], ids=["every half period", "below the gap"]
 )

@@ -195,18 +195,18 @@ WINDOW = RATE // 2
 """Rows in 0.5 s, the averaging window of peaks, which UN R79 prescribes for the lateral jerk of lane change systems."""
 REVERSAL_GAP = 0.001
 """Front wheel angle (rad) of a steering reversal: one degree at a steering wheel with a ratio of 17 to 1."""
-NOTICEABLE, CENTRED, SETTLED = 0.1, 0.05, 10
-"""Excursions begin at an offset of 0.1 m and end after 10 samples (1 s) below 0.05 m."""
+NOTICEABLE, CENTRED, SETTLED = 0.1, 0.05, 1.0
+"""Excursions begin at an offset of 0.1 m and end after 1 s below 0.05 m."""
 
 _HORIZONTAL = digital(WD, RATE)
 _SICKNESS = digital(WF, RATE)
 
 
-def comfort_metrics(dynamics: Floats, offset: Floats) -> dict[str, float]:
+def comfort_metrics(dynamics: Floats, offset: Floats, step: float = 0.1) -> dict[str, float]:
     """Returns the metrics of a run by name; names carry units.
 
     `dynamics`: one row per 0.01 s: speed, longitudinal acceleration, lateral acceleration, yaw rate, steering angle of the front wheels
-    (SI), shape (n, 5). `offset`: signed distance (m) from the centre of the target lane every 0.1 s, shape (m,).
+    (SI), shape (n, 5). `offset`: signed distance (m) from the centre of the target lane every `step` (s), shape (m,).
 
     Peaks are the largest absolute moving averages over 0.5 s, also of jerk. `iso2631_*_rms` are weighted by Wd with k = 1 (ISO
     2631-1, Section 8.2: comfort of seated persons, on the seat). `iso2631_*_msdv` are motion sickness dose values in m/s^1.5 (Annex D)
@@ -232,7 +232,7 @@ def comfort_metrics(dynamics: Floats, offset: Floats) -> dict[str, float]:
         "peak_yaw_rate_radps": float(np.abs(yaw_rate).max()),
         "offset_rms_m": root_mean_square(offset),
         "offset_peak_m": float(np.abs(offset).max()),
-        "offset_overshoot_m": overshoot(offset, NOTICEABLE, CENTRED, SETTLED),
+        "offset_overshoot_m": overshoot(offset, NOTICEABLE, CENTRED, max(1, round(SETTLED / step))),
         "steering_reversals_per_minute": reversals(steering, REVERSAL_GAP) * 60.0 / seconds,
         "iso2631_lateral_rms_mps2": weighted_lateral,
         "iso2631_longitudinal_rms_mps2": weighted_longitudinal,

@@ -165,7 +165,7 @@ class TaskRunner:
         motion, dynamics = finished.record.motion, finished.record.dynamics
         offsets = target_offsets(motion, self._scenario)
         signals = Series(dynamics, offsets[1:])
-        metrics = comfort_metrics(signals.dynamics, signals.offset) | {
+        metrics = comfort_metrics(signals.dynamics, signals.offset, self._scenario.step) | {
             "driven_s": (len(motion) - 1) * self._scenario.step,
             "final_offset_m": offsets.item(-1),
             "final_speed_error_mps": speed_errors(motion[-1:], self._scenario).item(),
