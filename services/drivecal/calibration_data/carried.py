@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import escape  # writes only
 
 from drivecal.calibration_data import cdfx, dcm, files
@@ -64,7 +65,7 @@ def replaced(known: Mapping[str, Characteristic], chosen: Sequence[Characteristi
     given = {each.name: each for each in chosen}
     problems, unknown, result = [], set(given), dict[str, Characteristic]()
     for name, old in known.items():
-        new, axes = given.get(name, old), []
+        new, axes = _coded(old, given.get(name, old)), []
         fits = name not in given or _fits(old, new, given)
         for letter, axis, own in zip(AXES, old.axes, new.axes, strict=False):
             moved = given.get(f"{name}.{letter}", given.get(axis.shared))
@@ -74,13 +75,23 @@ def replaced(known: Mapping[str, Characteristic], chosen: Sequence[Characteristi
             unknown.discard(f"{name}.{letter}")
         if not fits:
             message = f"{shown(file, 200)} has another kind, number or axis of its values than the problem"
-            problems.append(old.fault or Problem(shown(name), message, "give a file that belongs to the problem's version"))
+            problem = Problem(shown(name), message, "give a file that belongs to the problem's version")
+            if isinstance(old.value, float) and isinstance(new.value, str):
+                message = f"{shown(file, 200)} has the number of a choice, and no text"
+                problem = Problem(shown(name), message, "give a base with the text (TEXT of a DCM, VT of a CDFX)")
+            problems.append(old.fault or problem)
         result[name] = replace(old, value=new.value, values=new.values, axes=tuple(axes))
     missing = f"{shown(file, 200)} does not have it"
     problems += [Problem(shown(name), missing, nearest(name, list(known))) for name in sorted(unknown - known.keys())]
     if problems:
         raise InvalidInputError(*problems)
     return result
+
+
+def _coded(old: Characteristic, new: Characteristic) -> Characteristic:
+    """Returns a chosen text as a number if the file has the number, and says what it stands for."""
+    codes = dict[Any, float](zip(old.choices, old.codes, strict=False))
+    return replace(new, value=codes.get(new.value, new.value)) if isinstance(old.value, float) else new
 
 
 def _fits(old: Characteristic, new: Characteristic, given: Mapping[str, Characteristic]) -> bool:

@@ -142,6 +142,26 @@ def test_all_that_was_not_calibrated_stays_in_a_base(tmp_path: Path, form: Calib
     assert (back["s"].given, back["c"].axes[0].points) == ([1.0, 2.0], (1.0, 2.0)), "axes that are parameters have moved"
 
 
+@pytest.mark.parametrize(
+    ("held", "chosen", "expected"), [(b"0", "true", b"1.0"), (b"1", "true", b"1"), (b"1.0", "false", b"0.0")]
+)
+def test_a_choice_that_a_base_has_as_a_number_stays_one(tmp_path: Path, held: bytes, chosen: str, expected: bytes) -> None:
+    base = tmp_path / "b.cdfx"
+    written = cdfx.write([Characteristic("flag", 7.0, choices=cdfx.TRUTHS)])
+    base.write_bytes(written.replace(b"<V>7.0", b"<V>" + held))
+    flag = Characteristic("flag", chosen, choices=cdfx.TRUTHS)
+    assert carried(base, "cdfx", [flag]) == written.replace(b"<V>7.0", b"<V>" + expected)
+    assert [each.given for each in dcm.read(carried(base, "dcm", [flag]), "b.dcm").characteristics] == [float(expected)]
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_base_with_the_number_of_an_unknown_choice_is_refused(tmp_path: Path, form: CalibrationFormat) -> None:
+    base = tmp_path / f"b.{form}"
+    base.write_bytes(FORMS[form].write([Characteristic("mode", 1.0)]))
+    with pytest.raises(InvalidInputError, match=r"mode: .*number of a choice, and no text; give .*TEXT"):
+        carried(base, form, [Characteristic("mode", "auto", choices=("off", "auto"))])
+
+
 def test_an_a2l_gives_the_axes_of_a_set_their_kinds(tmp_path: Path) -> None:
     base = tmp_path / "a.a2l"
     base.write_text("""/begin PROJECT p "" /begin CHARACTERISTIC gap "" CURVE 0 L 0 NO_COMPU_METHOD 0 9
