@@ -30,11 +30,11 @@ from drivecal.roads.opendrive import (
     IGNORED,
     LIGHTS,
     NO_LIMIT,
-    OPEN_LIMIT,
     READ,
     FileLane,
     FileRoad,
     RoadFile,
+    leaves_open,
     read_opendrive,
 )
 from drivecal.roads.placement import place
@@ -288,9 +288,11 @@ def _normalized(content: bytes, file: RoadFile) -> bytes:
                 side[:] = sorted(side, key=lambda lane: -int(lane.get("id", "0")))
     for lane in document.iter("lane"):
         lane.attrib.setdefault("type", "none")
-        for speed in lane.findall("speed"):
-            if speed.get("max") in {NO_LIMIT, OPEN_LIMIT}:  # netconvert reads them as numbers, and gives up
-                lane.remove(speed)
+    for holder in (*document.iter("lane"), *document.iter("type")):
+        for speed in holder.findall("speed"):
+            limit = speed.get("max", "")  # netconvert reads all of lanes as numbers, and gives up
+            if leaves_open(limit) or (limit == NO_LIMIT and holder.tag == "lane"):
+                holder.remove(speed)
     connect_directly(document, file)
     return tostring(document)
 

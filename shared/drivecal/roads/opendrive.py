@@ -446,7 +446,7 @@ class _Reader:
     def on_lane_speed(self, attributes: Attributes) -> None:
         """Takes a lane's speed limit."""
         if self.lane is not None:
-            self.lane.limits.append((attributes.number("sOffset", 0.0, LONGEST), _speed(attributes)))
+            self.lane.limits.append((attributes.number("sOffset", 0.0, LONGEST), self._speed(attributes)))
 
     def _on_link(self, attributes: Attributes) -> None:
         if self.path[-3] == "road":
@@ -486,7 +486,21 @@ class _Reader:
 
     def on_type_speed(self, attributes: Attributes) -> None:
         """Takes a road's speed limit."""
-        self._open_road(attributes).limits[-1] = (self.kind_begin, _speed(attributes))
+        self._open_road(attributes).limits[-1] = (self.kind_begin, self._speed(attributes))
+
+    def _speed(self, attributes: Attributes) -> float | None:
+        """Returns a speed limit in m/s: infinite if there is none, None if the file leaves it open."""
+        limit = attributes.text("max")
+        if limit == NO_LIMIT:
+            return math.inf
+        if leaves_open(limit):
+            if limit != OPEN_LIMIT:
+                self.notes.add(f"line {attributes.line}, <speed>", f"max is {shown(limit, 20)}: taken as {OPEN_LIMIT}")
+            return None
+        unit = attributes.text("unit", "")
+        if unit not in UNITS:
+            raise attributes.fault(f"the unit {shown(unit, 20)} is unknown", "give m/s, km/h or mph")
+        return attributes.number("max", SLOWEST, FASTEST) * UNITS[unit]
 
     def _open_road(self, attributes: Attributes) -> FileRoad:
         if self.road is None:
@@ -527,16 +541,12 @@ def _check_name(attributes: Attributes, key: str) -> None:
         raise attributes.fault(message, "rename it in the whole file")
 
 
-def _speed(attributes: Attributes) -> float | None:
-    """Returns a speed limit in m/s: infinite if there is none, None if the file leaves it open."""
-    if attributes.text("max") == NO_LIMIT:
-        return math.inf
-    if attributes.text("max") == OPEN_LIMIT:
-        return None
-    unit = attributes.text("unit", "")
-    if unit not in UNITS:
-        raise attributes.fault(f"the unit {shown(unit, 20)} is unknown", "give m/s, km/h or mph")
-    return attributes.number("max", SLOWEST, FASTEST) * UNITS[unit]
+def leaves_open(limit: str) -> bool:
+    """Returns whether the text of a speed limit says that there is none in the file: `undefined`, or a speed of no vehicle, such as 0."""
+    try:
+        return limit == OPEN_LIMIT or float(limit) < SLOWEST
+    except ValueError:
+        return False
 
 
 def _last(limits: list[tuple[float, float | None]], s: float) -> float | None:

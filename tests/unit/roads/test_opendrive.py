@@ -150,16 +150,10 @@ def test_limits_of_lanes_stand_above_those_of_roads() -> None:
     assert [lane.limit for lane in lanes] == pytest.approx([20.0, 33.5])
 
 
-@pytest.mark.parametrize(
-    ("pattern", "replacement"),
-    [
-        (r'max="33.5"', 'max="0"'),
-        (r'max="33.5"', 'max="1e-9"'),
-    ],
-)
-def test_absurd_limits_are_refused_by_their_line(pattern: str, replacement: str) -> None:
+@pytest.mark.parametrize("limit", ["601", "1e9", "fast", "nan", ""])
+def test_absurd_limits_are_refused_by_their_line(limit: str) -> None:
     with pytest.raises(InvalidInputError) as error:
-        read_opendrive(edited("two_way", pattern, replacement), NAME)
+        read_opendrive(edited("two_way", r'max="33.5"', f'max="{limit}"'), NAME)
     (problem,) = error.value.problems
     assert (problem.field, bool(problem.remedy)) == (NAME, True)
     assert re.search(r"line \d+, <speed>", problem.message)

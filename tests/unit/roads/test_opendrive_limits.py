@@ -67,7 +67,14 @@ def test_the_limit_of_a_lane_changes_in_its_section() -> None:
 
 
 @pytest.mark.parametrize(
-    ("pattern", "replacement"), [(OWN, 'max="undefined"'), (r"<type.*?</type>", ""), (r"<speed [^>]*/>(?=</type>)", "")]
+    ("pattern", "replacement"),
+    [
+        (OWN, 'max="undefined"'),
+        (OWN, 'max="0" unit="mph"'),
+        (OWN, 'max="-1"'),
+        (r"<type.*?</type>", ""),
+        (r"<speed [^>]*/>(?=</type>)", ""),
+    ],
 )
 def test_a_route_without_limits_is_refused_by_road_and_field_unless_the_scenario_gives_one(
     pattern: str, replacement: str
@@ -101,10 +108,12 @@ def test_no_limit_is_a_stated_speed_and_not_that_of_the_road() -> None:
     assert drive(beside, ALONG).limits[10].tolist()[1:] == [70.0, 33.5]
 
 
-def test_an_undefined_limit_of_a_lane_leaves_that_of_the_road() -> None:
-    free = '<speed sOffset="0" max="undefined"/>'
+@pytest.mark.parametrize(("limit", "notes"), [("undefined", 0), ("0", 1), ("-1.0", 1)])
+def test_an_undefined_limit_of_a_lane_leaves_that_of_the_road(limit: str, notes: int) -> None:
+    free = f'<speed sOffset="0" max="{limit}"/>'
     content = edited("two_way", r'(<lane id="-2" type="driving"[^>]*>.*?)</lane>', rf"\1{free}</lane>", count=0)
     assert np.nanmax(drive(content, ALONG).limits) == 33.5
+    assert sum("<speed>" in note and "undefined" in note for note in conversion(content).notes) == notes
 
 
 def test_a_junction_without_limits_has_that_of_the_lane_before() -> None:
