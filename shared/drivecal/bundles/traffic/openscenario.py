@@ -6,7 +6,7 @@ A declared subset is read. What has no effect on the drive is noted with its lin
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import ceil, pi
+from math import ceil, inf, pi
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -185,8 +185,9 @@ class ScenarioFile:
             return self._scenario.duration
         groups = trigger.every("ConditionGroup") if trigger else []
         times = [time for group in groups if (time := _stop_time(group)) is not None]
-        if not times:
-            raise (trigger or storyboard).fault("the file has no time at which it stops", "give `duration` in the scenario")
+        if min(times, default=inf) > 3_600.0:
+            message = "the file has no time up to 3600 s at which it stops"
+            raise (trigger or storyboard).fault(message, "give `duration` in the scenario")
         for group in groups:
             if _stop_time(group) is None:
                 group.skip()
@@ -450,5 +451,5 @@ def _stop_time(group: Element) -> float | None:
         time = value.optional("SimulationTimeCondition") if value is not None else None
         if time is None or time.word("rule", (*ABOVE, "lessThan", "lessOrEqual", "equalTo", "notEqualTo")) not in ABOVE:
             return None
-        times.append(time.number("value", 0.0, 3_600.0) + condition.number("delay", 0.0, 3_600.0, 0.0))
+        times.append(time.number("value", 0.0, inf) + condition.number("delay", 0.0, inf, 0.0))
     return max(times, default=None)

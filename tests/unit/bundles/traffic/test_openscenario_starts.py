@@ -225,6 +225,7 @@ SLOW = when("Other", '<SpeedCondition value="1" rule="lessThan"/>')
         (((when_time(10, delay=4),), (when_time(12),)), 12.0),
         (((when_time(10), SLOW), (when_time(20), when_time(15))), 20.0),
         (((when_time(10), when_time(5, "lessThan")), (when_time(30),)), 30.0),
+        (((when_time(1e6),), (when_time(20),), (when_time(4, delay="INF"),)), 20.0),
     ],
 )
 def test_the_end_is_the_time_at_which_the_first_group_of_times_is_whole(
@@ -235,8 +236,9 @@ def test_the_end_is_the_time_at_which_the_first_group_of_times_is_whole(
     assert any("<ConditionGroup>: ignored" in note for note in described.notes) == (SLOW in groups[0] or duration == 30.0)
 
 
-def test_an_end_that_not_only_a_time_decides_needs_a_duration() -> None:
-    content = with_events(stop=stop((when_time(10), SLOW)))
+@pytest.mark.parametrize("group", [(when_time(10), SLOW), (when_time(1e6),), (when_time(10, delay=3600),)])
+def test_an_end_that_no_time_up_to_an_hour_decides_needs_a_duration(group: tuple[str, ...]) -> None:
+    content = with_events(stop=stop(group))
     assert "duration" in refused(content)
     assert of_file(content, duration=8.0).scenario.duration == 8.0
 
