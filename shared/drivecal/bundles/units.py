@@ -3,7 +3,8 @@
 import re
 from collections.abc import Mapping
 
-_SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+_CHARACTERS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹\u00b5\u2126\u212a\u2212\u22c5\u2219", "-0123456789\u03bc\u03a9K-\u00b7\u00b7")
+"""Superscripts, and the other code points of micro, ohm, kelvin, minus and the dot."""
 _FACTOR = re.compile(r"([/.*·]?)([^\W\d_]+|[%°]\w*|1)(?:(?:\^|\*\*)?(?:\((-?\d{1,2})\)|(-?\d{1,2})))?")
 _GROUP = re.compile(r"/\(([^()/]+)\)")
 LONGEST = 200
@@ -18,7 +19,7 @@ def powers(unit: str) -> Mapping[str, int] | None:
     powers, or longer than `LONGEST`."""
     if len(unit) > LONGEST:
         return None
-    text = "" if unit.strip() in WITHOUT else unit.strip().translate(_SUPERSCRIPTS)
+    text = "" if unit.strip() in WITHOUT else unit.strip().translate(_CHARACTERS)
     text = _GROUP.sub(lambda match: "/" + re.sub(r"[.*· ]", "/", match[1].replace("**", "^")), text)
     text = re.sub(r"\s*([/*·.])\s*", r"\1", text).replace(" ", ".")
     counted: dict[str, int] = {}
@@ -36,7 +37,9 @@ def powers(unit: str) -> Mapping[str, int] | None:
 def same(unit: str, other: str) -> bool:
     """Returns whether two texts are the same unit."""
     counted = powers(unit), powers(other)
-    return unit == other if None in counted else counted[0] == counted[1]
+    if None in counted:
+        return unit.translate(_CHARACTERS) == other.translate(_CHARACTERS)
+    return counted[0] == counted[1]
 
 
 def spellings(stated: str | None, base: Mapping[str, float] | None) -> tuple[str, ...]:

@@ -18,6 +18,11 @@ SPELLINGS = (
     ("°",),
     ("%",),
     ("s, m, m",),
+    ("\u00b5m", "\u03bcm"),  # micro, and the Greek letter
+    ("k\u2126.s", "k\u03a9\u22c5s", "k\u03a9\u2219s", "k\u03a9\u00b7s"),
+    ("\u00b5m, \u00b5m", "\u03bcm, \u03bcm"),
+    ("m", "m\u22c5s\u2219s-1"),
+    ("1/K", "\u212a\u22121"),
 )
 
 
