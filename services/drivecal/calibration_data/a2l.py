@@ -13,6 +13,7 @@ from drivecal.calibration_data.characteristics import (
     Characteristic,
     Content,
     decoded,
+    extents,
     index,
     problem_of,
     refused,
@@ -227,9 +228,7 @@ def _axes(block: _Block, described: _Described) -> Iterator[Axis]:
     and upper limit, then optional fields. An axis that is a curve itself is missing."""
     if block.text(2) == "VAL_BLK":
         sizes = [*takewhile(bool, map(_count, block.after("MATRIX_DIM", 9)[:3] or block.after("NUMBER", 9)[:1]))]
-        while len(sizes) > 1 and sizes[-1] == 1:
-            sizes.pop()
-        yield from map(index, sizes)
+        yield from map(index, extents(sizes))
     for axis in (each for each in block.inside if each.kind == "AXIS_DESCR"):
         kind = axis.text(0)
         method = described.get((block.module, "COMPU_METHOD", axis.text(2)))

@@ -14,6 +14,7 @@ from drivecal.calibration_data.characteristics import (
     Content,
     Places,
     Quality,
+    extents,
     index,
     number_or_fault,
     on_one_line,
@@ -191,6 +192,7 @@ def _characteristic(node: Element, name: str, file: str) -> Characteristic | Non
         is_truth = category == "BOOLEAN" and value in {*TRUTHS, *CODES}
         return replace(read, value=value, fault=fault, choices=TRUTHS if is_truth else (), codes=CODES if is_truth else ())
     sizes = [len(rows[0]), len(rows)] if kind == "MAP" or len(rows) > 1 else [len(rows[0])]
+    sizes = extents(sizes) if kind == "VAL_BLK" else sizes
     described = [axis for holder in holders for axis in holder.findall("SW-AXIS-CONTS/SW-AXIS-CONT")]
     axes = [_axis(*pair, file) for pair in zip(described, sizes, strict=False)]
     axes = axes if kind in {"CURVE", "MAP"} else list(map(index, sizes))

@@ -1,6 +1,7 @@
 """The common content of calibration files: characteristics, and the origin of their values."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,6 +34,11 @@ class Axis:
 def index(size: int, kind: str = INDEX) -> Axis:
     """Returns an axis whose points are the numbers of the values."""
     return Axis(kind, tuple(map(float, range(size))))
+
+
+def extents(sizes: Sequence[int]) -> list[int]:
+    """Returns the sizes of an array. Sizes of 1 are left out, as in some files."""
+    return [size for size in sizes if size != 1] or [*sizes[:1]]
 
 
 @dataclass(frozen=True, slots=True)

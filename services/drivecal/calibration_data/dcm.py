@@ -17,6 +17,7 @@ from drivecal.calibration_data.characteristics import (
     Places,
     Quality,
     decoded,
+    extents,
     index,
     number_or_fault,
     on_one_line,
@@ -186,7 +187,7 @@ def _read_block(
         return None
     held = numbers["ST/X" if kind == "COM_AXIS" else "WERT"]
     counts = [int(size) for size in sizes[: max(n_axes, kind == "VAL_BLK" and 2)] if size.isdecimal() and len(size) < 10]
-    counts = counts[:1] if kind == "VAL_BLK" and counts[1:] == [1] else counts
+    counts = extents(counts) if kind == "VAL_BLK" else counts
     axes: list[Axis] = []
     for letter, count in zip("XY", counts, strict=False):
         points, places = zip(*numbers[f"ST/{letter}"], strict=True) if axis_kind and numbers[f"ST/{letter}"] else ((), ())

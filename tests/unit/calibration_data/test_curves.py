@@ -13,10 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.logs import log_left_as_it_was
 
-from drivecal.calibration_data import cdfx, dcm
+from drivecal.calibration_data import a2l, cdfx, dcm
 from drivecal.calibration_data.carried import carried
 from drivecal.calibration_data.characteristics import Axis, Characteristic, Quality, index, unit_of
 from drivecal.calibration_data.files import CalibrationFormat
+from drivecal.calibration_data.sections import joined
 from drivecal.domain.errors import InvalidInputError
 
 PUBLIC = Path(__file__).parent / "public" / "DEMO.DCM"
@@ -140,6 +141,18 @@ def test_all_that_was_not_calibrated_stays_in_a_base(tmp_path: Path, form: Calib
     base.write_bytes(changed)
     back = {each.name: each for each in module.read(carried(base, form, [shared, curve]), base.name).characteristics}
     assert (back["s"].given, back["c"].axes[0].points) == ([1.0, 2.0], (1.0, 2.0)), "axes that are parameters have moved"
+
+
+@pytest.mark.parametrize("sizes", ["5", "1 @ 5", "5 @ 1"])
+@pytest.mark.parametrize("dimensions", ["5", "1 5 1", "5 1", "1 1 5"])
+def test_an_array_has_one_axis_whichever_sizes_of_1_its_files_have(sizes: str, dimensions: str) -> None:
+    described = f"""/begin PROJECT p "" /begin CHARACTERISTIC c "" VAL_BLK 0 L 0 NO_COMPU_METHOD 0 9 MATRIX_DIM {dimensions}
+/end CHARACTERISTIC /end PROJECT"""
+    values = f"KONSERVIERUNG_FORMAT 2.0\nFESTWERTEBLOCK c {sizes}\n  WERT 1 2 3 4 5\nEND\n"
+    table = Characteristic("c", kind="VAL_BLK", axes=(index(1), index(5)), values=(1.0, 2.0, 3.0, 4.0, 5.0))
+    held = [dcm.read(values.encode(), "v.dcm"), cdfx.read(cdfx.write([table]), "v.cdfx")]
+    (array,) = joined(each.characteristics for each in [a2l.read(described.encode(), "d.a2l"), *held])
+    assert (array.fault, array.axes, array.given) == (None, (index(5),), [1.0, 2.0, 3.0, 4.0, 5.0])
 
 
 @pytest.mark.parametrize(
