@@ -1,5 +1,6 @@
 """Work of a pool on a backend of the test's own, and all of its answers."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -46,14 +47,23 @@ class MemoryLeases(Leases):
     numbers: dict[int, int] = field(default_factory=dict)
     breakdowns: dict[int, int] = field(default_factory=dict)
     exchanges: list[tuple[dict[int, int], dict[int, int], float]] = field(default_factory=list)
+    starts: Counter[int] = field(default_factory=Counter)
+    """Starts of the simulator by cell that happened."""
 
     def exchange(
-        self, returned: Mapping[int, int], wanted: Mapping[int, int], seconds: float, **_: object
+        self,
+        returned: Mapping[int, int],
+        wanted: Mapping[int, int],
+        seconds: float,
+        *,
+        unstarted: Mapping[int, int],
+        **_: object,
     ) -> Mapping[int, int]:
         failure = self.fails.pop(0) if self.fails else ""
         if failure == "before":
             raise UnavailableError("the database does not answer")
         self.exchanges.append((dict(returned), dict(wanted), seconds))
+        self.starts.subtract(unstarted)
         for cell, count in returned.items():
             if cell in self.numbers:
                 self.held.pop(cell, None)
@@ -62,6 +72,7 @@ class MemoryLeases(Leases):
         for cell in granted:
             self.held[cell] = self.numbers[cell] = self.numbers.get(cell, 0) + 1
             self.breakdowns[cell] = wanted[cell]
+            self.starts[cell] += 1
         if failure == "after":
             raise UnavailableError("the answer to the commit was lost")
         return {cell: self.numbers[cell] for cell in granted}

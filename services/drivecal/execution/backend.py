@@ -1,6 +1,6 @@
 """The port for simulation: every submitted batch comes back once, finished or lost."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -47,6 +47,12 @@ class Lost:
     """True if the worker left, killed from outside or with its node: its cells are not to blame."""
     starts: Mapping[int, int] | None = None
     """Starts of the simulator by cell, those without any left out; None if nothing is known."""
+
+    def blamed(self, cells: Collection[int]) -> Collection[int]:
+        """Returns the cells that may have ended the worker: the started ones, or all of the running batch if no start is known."""
+        if not self.begun:
+            return ()
+        return [cell for cell in cells if self.starts and cell in self.starts] or cells
 
 
 @dataclass(frozen=True, slots=True)

@@ -153,9 +153,10 @@ class Observer:
 
 
 def breakdowns(dispatch: Dispatch, event: Finished | Lost) -> Mapping[int, str]:
-    """Returns the kind of breakdown by cell id. Cells have none that a refusal or a busy simulator leaves, or whose worker left."""
+    """Returns the kind of breakdown by cell id. Cells have none that a refusal or a busy simulator leaves, whose worker left,
+    or that it had not begun."""
     if isinstance(event, Lost):
-        return {} if event.departed else dict.fromkeys(dispatch.breakdowns, event.breakdown.value)
+        return {} if event.departed else dict.fromkeys(event.blamed(dispatch.breakdowns), event.breakdown.value)
     result: BatchResult = event.result
     answered = {answer.id: answer.breakdown for answer in result.results}
     missing = None if result.refusal is not None or result.busy is not None else Breakdown.ERROR.value

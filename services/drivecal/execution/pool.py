@@ -164,12 +164,13 @@ class WorkPool:
         if event.batch_id < 0:
             self._take_answer(event)
             return []
+        dispatch = self._sent.pop(event.batch_id, None)
         if isinstance(event, Finished):
             finished = self._scheduler.finished(event.batch_id, event.result)
         else:
             lost = event.batch_id, event.worker, event.breakdown, event.detail, event.seconds
-            finished = self._scheduler.lost(*lost, begun=event.begun, departed=event.departed)
-        dispatch = self._sent.pop(event.batch_id, None)
+            blamed = None if dispatch is None else event.blamed(dispatch.breakdowns)
+            finished = self._scheduler.lost(*lost, blamed=blamed, starts=event.starts, departed=event.departed)
         if dispatch is None:  # it came back before, and the scheduler ignored it too
             return []
         numbers = {cell: self._numbers.pop(cell, None) for cell in dispatch.breakdowns}
@@ -264,9 +265,9 @@ class WorkPool:
 
 def _unstarted(dispatch: Dispatch, event: Finished | Lost) -> dict[int, int]:
     """Returns by cell how many of the starts that its lease counts did not happen. A batch that a lost worker had begun counts as started,
-    unless the worker left and its starts are known."""
+    unless its starts are known."""
     planned = {cell.id: 1 + cell.check for cell in dispatch.batch.cells}
-    if isinstance(event, Lost) and event.departed and event.starts is not None:
+    if isinstance(event, Lost) and event.begun and event.starts is not None:
         return {cell: max(0, count - event.starts.get(cell, 0)) for cell, count in planned.items()}
     if isinstance(event, Lost):
         return dict.fromkeys(planned, 0) if event.begun else planned

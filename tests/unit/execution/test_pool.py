@@ -9,7 +9,7 @@ from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import Cell
 from drivecal.execution.pool import WorkPool
-from drivecal.execution.scheduling.in_flight import Work
+from drivecal.execution.scheduling.in_flight import RunBudget, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 
 
@@ -25,6 +25,21 @@ def test_a_poison_cell_costs_three_attempts_and_none_of_its_neighbours() -> None
         assert (failed.result.id, failed.result.breakdown, failed.attempts) == (1021, cause, ATTEMPTS)
         assert backend.attempts[1021] == ATTEMPTS
         assert max(count for cell, count in backend.attempts.items() if cell != 1021) <= ATTEMPTS
+
+
+@pytest.mark.parametrize("poison", [Behaviour.CRASH, Behaviour.HANG])
+def test_cells_that_a_lost_worker_had_not_begun_keep_their_attempts_and_the_budget(poison: Behaviour) -> None:
+    backend, leases = FakeBackend(1, notes_starts=True), MemoryLeases()
+    pool = WorkPool(backend, leases)
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 100)), tag="a")
+    drain(pool)
+    budget = RunBudget(left=3.0)  # the two started cells, and the poison cell once more
+    pool.submit(Work(setup(), cells([Behaviour.WELL, poison, *[Behaviour.WELL] * 98], first=101)), tag="b", budget=budget)
+    failed = [(entry.result.id, entry.attempts) for entry in drain(pool) if entry.result.breakdown is not None]
+    assert failed == [(102, ATTEMPTS)]
+    assert budget.left == 0
+    assert backend.attempts == {cell: leases.starts[cell] for cell in range(1, 201)}
+    assert {cell for cell, starts in leases.starts.items() if starts > 1} == {101, 102}
 
 
 def test_batches_take_half_a_second_whatever_a_cell_costs() -> None:

@@ -1,8 +1,9 @@
 """Chooses the next cells for a worker and handles breakdowns: a pure state machine without clock or I/O.
 
 Campaigns of equal priority share the workers' time (`queue`), identical cells are simulated once (`in_flight`), and workers seldom load
-another scenario. The loss of a worker makes each cell of its batch a suspect, which is then sent alone to an idle worker, so that a poison
-cell harms no other cell. After `ATTEMPTS` breakdowns a cell has failed; innocent cells succeed at once.
+another scenario. The loss of a worker makes each cell that it had begun a suspect, or its batch if that is unknown. A suspect is sent
+alone to an idle worker, so that a poison cell harms no other cell. After `ATTEMPTS` breakdowns a cell has failed; innocent cells succeed at
+once.
 
 A worker that leaves, killed from outside or with its node, is no fault of its cells: they go to another worker. Two such losses make a
 suspect as well, and a cell that lost `MOST_LOSSES` workers, the last ones alone, has failed: it may kill them after all.
@@ -14,7 +15,6 @@ replacement of the only worker. A refusal of a setup says nothing about the cell
 import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 from drivecal.cluster import tracing
 from drivecal.contracts.inventory import ResourceAnswer
@@ -253,10 +253,11 @@ class Scheduler:
         detail: str,
         seconds: float | None = None,
         *,
-        begun: bool = True,
+        blamed: Collection[int] | None = None,
+        starts: Mapping[int, int] | None = None,
         departed: bool = False,
     ) -> list[Completed]:
-        """Takes the loss of a batch: its cells are tried again one by one, and fail without attempts left,
+        """Takes the loss of a batch: the blamed cells are tried again one by one, and fail without attempts left,
         or without a budget for another one.
 
         Args:
@@ -265,7 +266,8 @@ class Scheduler:
             breakdown: `ERROR` if the worker lives, else the cause of its end.
             detail: the cause in words.
             seconds: the worker's time, if known, which is charged to the campaign.
-            begun: see `Lost`.
+            blamed: cells that may have ended the worker, by default all.
+            starts: starts of the simulator by cell, if known; a cell without any takes nothing from a budget.
             departed: the worker left: that takes no attempt from the cells.
         """
         if breakdown is not Breakdown.ERROR:
@@ -279,11 +281,15 @@ class Scheduler:
         self._affinity.came_back(sent.leaders[0].simulation.key, failed=True)
         answers = [(leader, _broken(leader, breakdown, detail)) for leader in sent.leaders]
         if breakdown is not Breakdown.ERROR:  # the worker is gone as well
-            if departed:
-                again = partial(self._after_departure, alone=sent.alone, begun=begun)
-            else:
-                again = partial(self._again_or_failed, alone=sent.alone, begun=begun)
-            return [done for answer in answers for done in again(*answer, worker)]
+            completed: list[Completed] = []
+            for leader, answer in answers:
+                is_blamed = blamed is None or leader.cell.id in blamed
+                if departed or not is_blamed:
+                    completed += self._after_departure(leader, answer, worker, alone=sent.alone, blamed=is_blamed)
+                else:
+                    begun = starts is None or leader.cell.id in starts
+                    completed += self._again_or_failed(leader, answer, worker, alone=sent.alone, begun=begun)
+            return completed
         self._worker_health.failed(worker, detail)
         return [done for answer in answers for done in self._broke_down(*answer, worker, alone=sent.alone)]
 
@@ -482,10 +488,10 @@ class Scheduler:
         self._changed |= {claim.cell.id: simulation.breakdowns for claim in simulation.claims}
         return completed
 
-    def _after_departure(self, leader: Claim, answer: CellResult, worker: str, *, alone: bool, begun: bool) -> list[Completed]:
-        """Handles a cell whose worker left: the run takes neither an attempt nor a part of the budget."""
+    def _after_departure(self, leader: Claim, answer: CellResult, worker: str, *, alone: bool, blamed: bool) -> list[Completed]:
+        """Handles a cell whose worker left, or ended without its doing: the run takes neither an attempt nor a part of the budget."""
         simulation = leader.simulation
-        simulation.losses += begun
+        simulation.losses += blamed
         if alone and simulation.losses >= MOST_LOSSES:
             detail = f"{answer.detail}; {simulation.losses} workers left with this cell, the last ones while it ran alone"
             return self._complete(leader, replace(answer, detail=detail), worker, max(1, simulation.breakdowns))
