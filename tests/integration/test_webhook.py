@@ -81,6 +81,7 @@ def test_an_end_and_a_degradation_are_posted_once_each_with_attempts_until_they_
         assert "hunter" not in json.dumps(posted)
         running = submit(database)
         with database.transaction() as connection:
+            campaigns.start(connection, running.sequence)
             campaigns.degrade(connection, [running.sequence], "no worker")
         hook.post()
         Webhook(database, url).post()

@@ -428,10 +428,11 @@ def set_influence_map(connection: Connection, sequence: int, influence_map_id: s
 
 
 def degrade(connection: Connection, sequences: Collection[int], reason: str | None) -> None:
-    """Stores why running campaigns are slow or stand still for now; None if they are not."""
+    """Stores why running campaigns are slow or stand still for now; None if they are not. Leaves campaigns alone that ended meanwhile."""
     if not sequences:
         return
-    changed = campaigns.c.sequence.in_(list(sequences)) & campaigns.c.degraded.is_distinct_from(reason)
+    works = campaigns.c.state.in_([CampaignState.RUNNING, CampaignState.CANCELLING])  # checked again after a wait for the row
+    changed = works & campaigns.c.sequence.in_(list(sequences)) & campaigns.c.degraded.is_distinct_from(reason)
     statement = update(campaigns).where(changed).values(degraded=reason, revision=campaigns.c.revision + 1)
     for sequence in sorted(connection.execute(statement.returning(campaigns.c.sequence)).scalars()):
         if reason is None:
@@ -451,7 +452,8 @@ def explain(connection: Connection, waits: Mapping[int, str]) -> None:
     open_ones = select(campaigns.c.sequence, campaigns.c.waiting).where(campaigns.c.ended_at.is_(None))
     for sequence, waiting in connection.execute(open_ones).all():
         if waiting != waits.get(sequence):
-            connection.execute(_of(sequence).values(waiting=waits.get(sequence)))
+            is_open = campaigns.c.ended_at.is_(None)  # checked again after a wait for the row
+            connection.execute(_of(sequence).where(is_open).values(waiting=waits.get(sequence)))
 
 
 def waits(connection: Connection) -> list[tuple[str, str, CampaignState, str]]:

@@ -18,9 +18,10 @@ from drivecal.api.http.authorisation import ANYBODY
 from drivecal.api.routes.evaluations import read_trace
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
+from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError, DrivecalError, NotFoundError
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import campaigns, results
+from drivecal.storage import campaigns, events, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance import deletion
@@ -131,6 +132,36 @@ def test_a_deletion_waits_for_a_submission_that_was_checked_and_is_refused(
     stored = {submitted.id, *(each.id for tag in submitted.tags for each in runs_of(postgres, tag))}
     assert referring
     assert referring <= stored
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda connection, number: campaigns.degrade(connection, [number], "no workers"),
+        lambda connection, number: campaigns.explain(connection, {number: "no licence"}),
+    ],
+    ids=["degrade", "explain"],
+)
+def test_a_heartbeat_changes_no_campaign_that_ends_while_it_waits(
+    postgres: Database, beside: ThreadPoolExecutor, write: Callable[[Connection, int], None]
+) -> None:
+    campaign = submit(postgres, **SHORT)
+
+    def beat() -> None:
+        with postgres.transaction() as connection:
+            write(connection, campaign.sequence)
+
+    with postgres.transaction() as connection:
+        campaigns.start(connection, campaign.sequence)
+    with postgres.transaction() as connection:
+        assert campaigns.end(connection, campaign.sequence, CampaignState.SUCCEEDED)
+        late = beside.submit(beat)
+        settle(postgres, late)
+    late.result(PATIENCE)
+    with postgres.read() as connection:
+        ended = campaigns.by_sequence(connection, campaign.sequence)
+        last = events.since(connection, campaign.sequence, 0, 100)[-1]
+    assert (ended.degraded, ended.waiting, last.kind) == (None, None, "succeeded")
 
 
 def delete_whole(database: Database, campaign: StoredCampaign) -> None:
