@@ -86,7 +86,7 @@ class SupervisedBackend(Backend, ABC):
 
     @abstractmethod
     def _launch(self, worker: WorkerProcess) -> None:
-        """Starts a process and its trial: sets `handle` and `warming`."""
+        """Starts a process and its trial: sets `handle` and `warming`. Raises OSError if the machine has no room for it."""
 
     @abstractmethod
     def _send(self, worker: WorkerProcess, batch: Batch) -> Any:
@@ -209,7 +209,16 @@ class SupervisedBackend(Backend, ABC):
     def _start(self, worker: WorkerProcess) -> None:
         worker.incarnation += 1
         worker.bundles.clear()
-        self._launch(worker)
+        try:
+            self._launch(worker)
+        except OSError as error:  # no room for a process, a file or a descriptor: another process of ours would get none either
+            worker.handle = worker.warming = None
+            worker.reason = f"{worker.place} cannot be started: {error}"
+            if not worker.failed_starts:
+                log.warning("%s; it is tried again", worker.reason)
+            worker.failed_starts = min(worker.failed_starts + 1, TRIES_TO_START - 1)
+            worker.pause(TRIES_TO_START)
+            return
         worker.deadline = time.monotonic() + self._allowed_to_start(worker)
 
     def _allowed_to_start(self, worker: WorkerProcess) -> float:

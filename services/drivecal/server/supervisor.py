@@ -65,8 +65,8 @@ class _Child:
         """Ends that were its own doing, since it last lived for a minute."""
 
     def start(self) -> None:
-        self._pulse.close()
-        self._pulse = pulse.Pipe()
+        before, self._pulse = self._pulse, pulse.Pipe()
+        before.close()
         kept = (*self.specification.keep, self._pulse.writer)
         keep = ",".join(map(str, kept))
         guardian = [sys.executable, "-m", "drivecal.server.guardian", str(GRACE_SECONDS), keep]
@@ -127,7 +127,7 @@ class Supervisor:
                 signal.signal(number, lambda given, _: self._signals.append(given))
         try:
             for child in self._children:
-                child.start()
+                self._start(child)
             return self._watch()
         finally:
             self._stop()
@@ -148,7 +148,7 @@ class Supervisor:
                     pause = max(0.0, child.start_at - time.monotonic())
                     log.warning("the %s ended unexpectedly (exit code %d); it starts again in %.1f s", name, code, pause)
                 if child.process is None and time.monotonic() >= child.start_at:
-                    child.start()
+                    self._start(child)
             if not self._ready and time.monotonic() >= next_question:
                 missing = self._missing()
                 next_question = time.monotonic() + ASK_SECONDS
@@ -161,6 +161,15 @@ class Supervisor:
             time.sleep(LOOK_SECONDS)
         log.info("stopping (%s)", signal.Signals(self._signals[0]).name)
         return 0
+
+    def _start(self, child: _Child) -> None:
+        """Starts a child; after a pause if the machine has no room for a process or a descriptor."""
+        try:
+            child.start()
+        except OSError as error:
+            pause = child.pauses.next(0.0, 1)
+            child.start_at = time.monotonic() + pause
+            log.warning("the %s cannot be started: %s; it is tried again in %.1f s", child.specification.name, error, pause)
 
     def _stop(self) -> None:
         """Ends the children, by force after GRACE_SECONDS or a second signal."""

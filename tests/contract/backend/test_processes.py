@@ -1,14 +1,22 @@
 """Further promises of the backend whose workers are processes of this machine."""
 
+import errno
+import gc
 import os
 import signal
+import subprocess
+import tempfile
+import threading
+from pathlib import Path
 
 import pytest
 from tests.contract.backend.test_backend import CRASH, WELL, batch, collect, send, wait_for_idle
 
+from drivecal.campaigns.resolve.problem import trial
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.processes.backend import ProcessBackend
+from drivecal.execution.supervised import WorkerLimits
 
 LARGE = 4_000
 """Cells of a batch that fits into no buffer of a connection."""
@@ -20,6 +28,22 @@ def test_a_lost_batch_tells_which_runs_had_begun(processes_backend: ProcessBacke
     lost = collect(processes_backend, 1)[1]
     assert isinstance(lost, Lost)
     assert lost.starts == {11: 1, 12: 1}
+
+
+@pytest.mark.parametrize("start", [(subprocess, "Popen"), (threading.Thread, "start"), (tempfile, "TemporaryFile")])
+def test_a_start_that_the_machine_has_no_room_for_leaves_nothing_behind(
+    monkeypatch: pytest.MonkeyPatch, start: tuple[object, str]
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise RuntimeError("can't start new thread") if start[1] == "start" else OSError(errno.EAGAIN, "no room")
+
+    monkeypatch.setattr(*start, refuse)
+    gc.collect()
+    before = set(Path("/proc/self/fd").iterdir())
+    backend = ProcessBackend(WorkerLimits(workers=1), trial())
+    assert "1 of 1 workers do not start: worker-1 cannot be started: [Errno 11]" in (backend.trouble() or "")
+    gc.collect()
+    assert set(Path("/proc/self/fd").iterdir()) <= before
 
 
 @pytest.mark.slow

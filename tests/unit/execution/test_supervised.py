@@ -1,5 +1,6 @@
 """Workers whose bundle cache fails get the files of a bundle again with a new process; workers that start slowly get more time."""
 
+import errno
 import io
 import math
 import zipfile
@@ -193,3 +194,19 @@ def test_a_worker_that_never_gets_ready_is_given_up_at_last(tmp_path: Path, cloc
     backend.wait(100_000.0)
     assert backend.starts[:5] == [600.0, 1200.0, 2400.0, 4800.0, 4800.0]
     assert set(backend.starts[3:]) == {8 * 600.0}
+
+
+@pytest.mark.usefixtures("clock")
+def test_workers_wait_while_the_machine_has_no_room_for_a_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    with monkeypatch.context() as crowded:
+        crowded.setattr(WorkersHere, "_launch", refuse)
+        backend = WorkersHere([tmp_path])
+        assert backend.wait(100.0) == []
+        assert (backend.trouble() or "").endswith("cannot be started: [Errno 11] Resource temporarily unavailable")
+        assert [worker.state for worker in backend.workers()] == ["starting"]
+    backend.wait(10.0)
+    assert backend.trouble() is None
+    assert [worker.state for worker in backend.workers()] == ["idle"]

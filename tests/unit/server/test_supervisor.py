@@ -1,3 +1,4 @@
+import errno
 import os
 import signal
 import subprocess
@@ -13,8 +14,9 @@ import pytest
 from tests.support.serve import until
 from tests.support.simulators import is_running
 
+from drivecal.cluster import pulse
 from drivecal.server.guardian import members
-from drivecal.server.supervisor import ChildProcess, Pauses, _Child
+from drivecal.server.supervisor import ChildProcess, Pauses, Supervisor, _Child
 
 SCRIPT = """
 import logging, sys
@@ -162,6 +164,25 @@ def test_ends_count_as_failed_starts_within_a_minute_only() -> None:
         assert child.ended() == code
         counts.append(child.gave_up)
     assert counts == [1, 1, 2, 1, 2]
+
+
+def test_a_child_without_room_on_the_machine_is_started_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    server = Supervisor([ChildProcess("one", ["true"])], lambda: (), lambda: None)
+    [child] = server._children
+    for pause, place in ((0.5, (pulse, "Pipe")), (1.0, (subprocess, "Popen"))):
+        begin = time.monotonic()
+        with monkeypatch.context() as crowded:
+            crowded.setattr(*place, refuse)
+            server._start(child)
+        assert child.process is None
+        assert child.start_at >= begin + pause
+    server._start(child)
+    assert child.process is not None
+    server._stop()
+    assert child.ended() is not None
 
 
 def test_the_members_of_a_session_are_found_by_it() -> None:

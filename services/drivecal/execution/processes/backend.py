@@ -1,5 +1,6 @@
 """The backend on processes of this machine, connected by socket pairs. It needs no other package and starts in a second."""
 
+import errno
 import itertools
 import os
 import queue
@@ -11,7 +12,7 @@ import tempfile
 import threading
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import IO, Any
@@ -42,15 +43,21 @@ class ConnectedProcess:
         starts: IO[bytes],
         arrived: threading.Condition,
     ) -> None:
-        """`arrived` is notified of answers, and of the end of the process; `pulse` gets its signs of life, `starts` the runs that begin."""
+        """`arrived` is notified of answers, and of the end of the process; `pulse` gets its signs of life, `starts` the runs that begin.
+        Raises OSError, and ends the process, without room for the threads."""
         self.process, self.pulse, self._starts = process, pulse, starts
         self.answers: dict[int, RemoteAnswer] = {}
         self.ended = False
         self._connection, self._arrived = connection, arrived
         self._calls: queue.SimpleQueue[RemoteCall | None] = queue.SimpleQueue()
-        self._threads = [threading.Thread(target=target, daemon=True) for target in (self._send_all, self._receive_all)]
-        for thread in self._threads:
-            thread.start()
+        self._threads = [threading.Thread(target=target, daemon=True) for target in (self._receive_all, self._send_all)]
+        try:
+            for thread in self._threads:
+                thread.start()
+        except RuntimeError as error:  # the limit of processes counts threads
+            process.kill()
+            process.wait()
+            raise OSError(errno.EAGAIN, str(error)) from error
 
     def send(self, call: RemoteCall) -> None:
         """Sends a call after those before it."""
@@ -110,13 +117,15 @@ class ProcessBackend(SupervisedBackend):
             self._hire(None)
 
     def _launch(self, worker: WorkerProcess) -> None:
-        ours, theirs = socket.socketpair()
-        pulse, starts = Pipe(), tempfile.TemporaryFile()  # noqa: SIM115  # for as long as the process
-        with theirs:
+        with ExitStack() as opened:
+            ours, theirs = map(opened.enter_context, socket.socketpair())
+            pulse, starts = opened.enter_context(closing(Pipe())), opened.enter_context(tempfile.TemporaryFile())
             kept = [theirs.fileno(), pulse.writer, starts.fileno()]
             command = [sys.executable, "-m", "drivecal.execution.processes.child", *map(str, kept), worker.name]
             process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=kept)  # noqa: S603  # our own module
-        worker.handle = ConnectedProcess(process, Connection(ours.detach()), pulse, starts, self._arrived)
+            worker.handle = ConnectedProcess(process, Connection(ours.detach()), pulse, starts, self._arrived)
+            opened.pop_all()
+        theirs.close()
         worker.warming = self._call(worker.handle, "warm", self._trial)
 
     def _send(self, worker: WorkerProcess, batch: Batch) -> SentCall:
