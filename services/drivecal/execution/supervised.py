@@ -29,7 +29,7 @@ from drivecal.execution.backend import (
     WorkerInfo,
 )
 from drivecal.execution.worker_process import Call, WorkerProcess
-from drivecal.plugins.simulators import END_SECONDS, MOST_SESSIONS, PROBE_SECONDS, start_limit
+from drivecal.plugins.simulators import END_SECONDS, MOST_SESSIONS, probe_limit, start_limit
 
 TRIES_TO_START = 3
 """Attempts without a started worker after which a backend is given up, because a new process may succeed, unless it `waits_for_workers`."""
@@ -329,9 +329,11 @@ class SupervisedBackend(Backend, ABC):
 def _limits_of_simulators(batch: Batch) -> float:
     """Returns how long a user's simulator may take for a batch (s): it ends its probe, two starts and its runs itself. A run that hangs
     costs a start as well, and each end of a simulation END_SECONDS at most."""
-    timeout = batch.setup.timeout
-    if timeout is None or not batch.cells:
+    if batch.closes:
         return 0.0
-    probe = PROBE_SECONDS if batch.setup.tools is not None else 0.0
+    timeout, asks = batch.setup.timeout, not batch.cells or batch.setup.tools is not None
+    probe = probe_limit(batch.setup.simulator) if asks else 0.0
+    if timeout is None or not batch.cells:
+        return probe
     starts = 2 * start_limit(timeout) + MOST_SESSIONS * END_SECONDS
     return probe + starts + (2 * timeout + END_SECONDS) * len(batch.cells)

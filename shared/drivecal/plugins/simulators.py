@@ -20,7 +20,7 @@ a bit; `tests/golden` detects such changes. Here, because the coordinator needs 
 START_SECONDS = 60.0
 """Shortest time limit of a simulator's start, which may load libraries and licences. Here, because the coordinator waits for it, too."""
 PROBE_SECONDS = 45.0
-"""Time limit of a probe: below that of a batch, whose worker would be ended, and above the start of slow tools."""
+"""Time limit of a probe, and of each command of `inputs`: below the limit of a batch and above the start of slow tools."""
 
 
 SEED = 1
@@ -34,6 +34,13 @@ END_SECONDS = 3.0
 def start_limit(timeout: float) -> float:
     """Returns the time limit of a start (s) of a simulator with this limit of a run."""
     return max(timeout, START_SECONDS)
+
+
+def probe_limit(section: Mapping[str, Any]) -> float:
+    """Returns the time limit (s) of all that a worker is asked about its tools for a manifest's section `simulator`: the probe, the digest
+    of variables and files, and each command of `inputs`."""
+    commands = [each for each in section.get("inputs") or () if not isinstance(each, str)]
+    return PROBE_SECONDS * ((section.get("probe") is not None) + 1 + len(commands))
 
 
 @dataclass(frozen=True, slots=True)
