@@ -265,15 +265,19 @@ class WorkPool:
 
 def _unstarted(dispatch: Dispatch, event: Finished | Lost) -> dict[int, int]:
     """Returns by cell how many of the starts that its lease counts did not happen. A batch that a lost worker had begun counts as started,
-    unless its starts are known."""
+    unless its starts are known. A busy simulator was started for the first cell that it left."""
     planned = {cell.id: 1 + cell.check for cell in dispatch.batch.cells}
     if isinstance(event, Lost) and event.begun and event.starts is not None:
         return {cell: max(0, count - event.starts.get(cell, 0)) for cell, count in planned.items()}
     if isinstance(event, Lost):
         return dict.fromkeys(planned, 0) if event.begun else planned
     started = {answer.id: answer.starts for answer in event.result.results}
-    missing = planned if event.result.refusal is None else {}
-    return {cell: count - started.get(cell, missing.get(cell, 0)) for cell, count in planned.items()}
+    left = {cell: count for cell, count in planned.items() if cell not in started}
+    if event.result.busy is not None:
+        started |= dict.fromkeys(list(left)[:1], 1)
+    elif event.result.refusal is None:
+        started |= left
+    return {cell: count - started.get(cell, 0) for cell, count in planned.items()}
 
 
 def _longest(expected_seconds: float | None) -> float:

@@ -42,6 +42,19 @@ def test_cells_that_a_lost_worker_had_not_begun_keep_their_attempts_and_the_budg
     assert {cell for cell, starts in leases.starts.items() if starts > 1} == {101, 102}
 
 
+def test_a_busy_simulator_was_started_for_one_cell_of_its_batch() -> None:
+    backend, leases = FakeBackend(1), MemoryLeases()
+    pool = WorkPool(backend, leases, clock=lambda: backend.now)
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 100)), tag="a")
+    drain(pool)
+    until = backend.busy_until["S1"] = backend.now + 5.0
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 50, first=101)), tag="b")
+    drain(pool)
+    busy = [size for at, _, size in backend.sizes if until - 5.0 <= at < until]
+    assert max(busy) > 1
+    assert sum(leases.starts[cell] for cell in range(101, 151)) == 50 + len(busy)
+
+
 def test_batches_take_half_a_second_whatever_a_cell_costs() -> None:
     backend = FakeBackend(seconds_per_cell={"S1": 0.007, "S2": 0.1, "S3": 3.0, "S4": 0.0001})
     pool = WorkPool(backend, MemoryLeases())
