@@ -1,8 +1,9 @@
 """Requests that overtake each other, versions that change, databases that do not answer: a campaign ends as it should all the same."""
 
 import re
+import time
 from collections import Counter
-from datetime import timedelta
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -22,7 +23,6 @@ from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.types import now
 from drivecal.storage.references import influence_maps
 
 SEARCH: dict[str, Any] = {"kind": "genetic", "population": 24, "iterations": 5, "seed": 3}
@@ -152,16 +152,20 @@ def test_simulations_that_do_not_repeat_themselves_are_told(database: Database) 
     assert [drawn[row.iteration, row.individual, row.scenario] for row in own] == [row.id for row in own], "of its own run"
 
 
-def test_a_pause_takes_no_minutes_of_a_budget(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("pauses", "end"), [(True, "iterations"), (False, "budget")])
+def test_only_a_pause_takes_no_minutes_of_a_budget(
+    database: Database, monkeypatch: pytest.MonkeyPatch, pauses: bool, end: str
+) -> None:
     campaign, working = _submit(database, budget={"minutes": 60}), dispatcher(database)
     while not get(database, campaign).cells.simulated:
         working.step()
-    request(database, campaign, "pause")
-    while get(database, campaign).state is not CampaignState.PAUSED:
-        working.step()
-    later = now() + timedelta(hours=10)
-    monkeypatch.setattr(searches, "now", lambda: later)
-    request(database, campaign, "resume")
+    if pauses:
+        request(database, campaign, "pause")
+        while get(database, campaign).state is not CampaignState.PAUSED:
+            working.step()
+        request(database, campaign, "resume")
+    later = time.monotonic() + 36_000.0
+    monkeypatch.setattr(searches, "time", SimpleNamespace(monotonic=lambda: later))
     search = finish(database, campaign, working).search
     assert search is not None
-    assert search.ended_by == "iterations"
+    assert search.ended_by == end

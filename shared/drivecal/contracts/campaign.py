@@ -1,7 +1,7 @@
 """Answers about campaigns."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from datetime import datetime, timedelta
+from datetime import datetime
 from html import escape
 from typing import Any, Generic, Literal, Self, TypeVar, get_args
 
@@ -258,7 +258,6 @@ class SearchState(Answer):
 
     room: int
     """Cells of a round."""
-    began_at: datetime
     ended_by: SearchEnd | None = None
     simulated: int = 0
     """Simulations in closed rounds."""
@@ -279,16 +278,6 @@ class SearchState(Answer):
     """Minutes of the search up to its last stored result, or its end, without those while it was paused or no server ran."""
     reuse_seconds: float = 0.0
     """CPU time of the dispatcher for look-ups, keys and lots."""
-
-    def minutes(self, now: datetime) -> float:
-        """Returns the minutes of the search so far, or up to its end."""
-        return (now - self.began_at).total_seconds() / 60 if self.spent_minutes is None else self.spent_minutes
-
-    def resumed(self, now: datetime) -> Self:
-        """Returns the stored search as it goes on: the time since its last stored result does not count."""
-        if self.ended_by is not None or self.spent_minutes is None:
-            return self
-        return self.model_copy(update={"began_at": now - timedelta(minutes=self.spent_minutes), "spent_minutes": None})
 
 
 class Spent(Answer):

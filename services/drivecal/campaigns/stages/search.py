@@ -3,6 +3,7 @@
 Cells of the confirmation continue the stage's iteration numbers, without a generation.
 """
 
+import time
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -33,7 +34,6 @@ from drivecal.reduction.assignment import Policy
 from drivecal.storage import evaluations, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.types import now
 from drivecal.storage.references import parameter_sets
 
 STALE = 50
@@ -59,7 +59,9 @@ class SearchStage(Stage):
             view.reuse_time.seconds += campaign.search.reuse_seconds
         self._repeatable_no_more = campaign.cells.unrepeatable > 0
         begun, room = campaign.search, room_for(view.workers)
-        self._search = SearchState(room=room, began_at=now()) if begun is None else begun.resumed(now())
+        self._search = SearchState(room=room) if begun is None else begun
+        self._since = time.monotonic() - 60 * (self._search.spent_minutes or 0.0)
+        """Begin of the search if it never paused, on a clock that nobody sets (s)."""
         self._asked: dict[int, AskedRound] = {}
         """Rounds whose answers the search does not know, by number."""
         self._confirming: Confirming | None = None
@@ -93,13 +95,18 @@ class SearchStage(Stage):
         budget = self._optimization.budget
         if budget is None:
             return False
-        is_late = budget.minutes is not None and self._search.minutes(now()) >= budget.minutes
+        is_late = budget.minutes is not None and self._minutes >= budget.minutes
         return is_late or (budget.simulations is not None and self._cells_left < 1)
+
+    @property
+    def _minutes(self) -> float:
+        """Minutes of the search so far, or up to its end, without the time since its last stored result when it paused."""
+        spent = None if self._search.ended_by is None else self._search.spent_minutes
+        return (time.monotonic() - self._since) / 60 if spent is None else spent
 
     def _end_search(self, reason: SearchEnd) -> None:
         """Notes the end, which is stored with the next rows."""
-        minutes = self._search.minutes(now())
-        self._search = self._search.model_copy(update={"ended_by": reason, "spent_minutes": minutes})
+        self._search = self._search.model_copy(update={"ended_by": reason, "spent_minutes": self._minutes})
 
     def _resume(self) -> list[Work]:
         """Resumes the rounds that have cells without an answer, or starts with the first.
@@ -264,7 +271,7 @@ class SearchStage(Stage):
             super()._snapshot(connection),
             iteration=self._next - 1 if self._next else None,
             search=self._search.model_copy(
-                update={"reuse_seconds": reuse, "spent_minutes": self._search.minutes(now()), "surest": self._leader.surest}
+                update={"reuse_seconds": reuse, "spent_minutes": self._minutes, "surest": self._leader.surest}
             ),
             progress=self._progress(counts.requested, counts.requested + counts.pending),
             error_rate=self._error_rate,
