@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import Connection
+from sqlalchemy import Connection, text
 from tests.support.runs import get, submit
 from tests.support.serve import until
 
@@ -136,6 +136,13 @@ def test_it_outlives_an_outage_of_the_database(database: Database, caplog: pytes
         until(lambda: bool(reported(database).detail.get("workers")), "a heartbeat after the outage", 30)
     assert caplog.text.count("waiting for the database") == 1
     assert "the database answers again" in caplog.text
+
+
+def test_a_new_dispatcher_takes_no_licence_as_free_however_long_the_last_one_was_not_heard_of(database: Database) -> None:
+    assert Leadership.begin(database).free_in(12.0) == 0.0
+    with database.transaction() as connection:
+        connection.execute(text("UPDATE processes SET heartbeat_at = '2020-01-01 00:00:00'"))
+    assert Leadership.begin(database).free_in(12.0) == 23.0
 
 
 def _lost() -> None:

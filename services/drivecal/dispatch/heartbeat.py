@@ -27,11 +27,11 @@ from drivecal.storage.processes import DISPATCHER
 
 @dataclass(frozen=True, slots=True)
 class Leadership:
-    """A dispatcher's `term` number and start time. `last_seen_at`: the last heartbeat of the dispatcher before it."""
+    """A dispatcher's `term` number and start time. `follows`: there was a dispatcher before it."""
 
     term: int
     began_at: datetime
-    last_seen_at: datetime | None = None
+    follows: bool = False
 
     @classmethod
     def begin(cls, database: Database) -> Leadership:
@@ -40,15 +40,13 @@ class Leadership:
         with database.transaction() as connection:
             last = processes.read(connection, DISPATCHER)
             term = processes.elect(connection, DISPATCHER, os.getpid(), began_at)
-            return cls(term, began_at, None if last is None else last.heartbeat_at)
+            return cls(term, began_at, follows=last is not None)
 
     def free_in(self, settle_seconds: float) -> float:
-        """Returns the time (s) for which runs of the dispatcher before may still go on. That dispatcher ends soon after its last heartbeat,
-        and its workers with it, whose runs take at most `settle_seconds` more."""
-        if self.last_seen_at is None:
-            return 0.0
-        longest = EVERY_SECONDS + GRACE_SECONDS + settle_seconds
-        return min(longest, max(0.0, longest - (self.began_at - self.last_seen_at).total_seconds()))
+        """Returns the time (s) for which runs of the dispatcher before may still go on. That dispatcher, whose heartbeats an outage of the
+        database may have kept back, notices the election soon and ends, and its workers with it, whose runs take at most `settle_seconds`
+        more."""
+        return EVERY_SECONDS + GRACE_SECONDS + settle_seconds if self.follows else 0.0
 
     def fence(self, connection: Connection) -> None:
         """Raises SupersededError if the leadership is over; see `Database.fenced`."""
