@@ -3,6 +3,7 @@
 import random
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import mkdtemp
 from types import SimpleNamespace
@@ -255,8 +256,12 @@ def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Dat
         campaigns.explain(connection, fresh._places())
     assert "place 1 of 1 in the queue with priority 9" in (get(database, submitted[3]).waiting or "")
     assert get(database, submitted[0]).waiting is None
+    fresh._in_line = [replace(fresh._in_line[0], sequence=number) for number in range(1, 301)]
+    long = fresh._places()
+    fresh._in_line.pop(0)
+    assert {number for number, reason in fresh._places().items() if reason != long[number]} == set(range(2, 102))
     fresh._active.clear()  # they ended since the line was drawn up: no other program keeps its places
-    assert [reason.split()[0] for reason in fresh._places().values()] == ["2"]
+    assert fresh._places()[2].split()[0] == "2"
     with database.transaction() as connection:
         submitted.append(campaigns.insert(connection, name="urgent", spec=submitted[0].spec, priority=9))
     for most in (1, 2):

@@ -141,6 +141,8 @@ STALL_SECONDS = 600.0
 """Time without a result after which a campaign whose cells wait has stalled."""
 MOST_BEGUN = 8
 """Most campaigns for each place. Campaigns that wait for sets of other programs take none, and go on at once when sets come."""
+EXACT_PLACES = 100
+"""Campaigns that are told their place in the queue: each start changes all of these rows."""
 RETRY_SECONDS = 5.0
 """Delay before a campaign resumes whose cells were answered or simulated elsewhere."""
 
@@ -222,9 +224,10 @@ class Dispatcher:
         if self._begun >= MOST_BEGUN * most:
             why = f"{self._begun:,} campaigns have begun, and most wait for sets of other programs: finish or cancel some"
         order = "higher priorities first, then the order of submission"
-        return {
+        far = f"more than {EXACT_PLACES} campaigns are before it in the queue: {order}"
+        return {waiting.sequence: far for waiting in self._in_line[EXACT_PLACES:]} | {
             waiting.sequence: f"{why}; place {place} of {count} in the queue with priority {waiting.priority}: {order}"
-            for place, waiting in enumerate(self._in_line, start=1)
+            for place, waiting in enumerate(self._in_line[:EXACT_PLACES], start=1)
         }
 
     def _tidy(self) -> bool:
