@@ -9,12 +9,14 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
 from tests.support.runs import dispatcher, get, submit, working
+from tests.support.serve import until
 from tests.support.server import RunningApi, new_database, problem_of, serving
 from tests.support.tree import PROJECT, loaded
 
@@ -256,6 +258,11 @@ def test_a_request_may_wait_for_an_answer(sqlite: RunningApi) -> None:
     campaign = submitted(sqlite)
     empty = answers(sqlite, campaign, wait=0.5)
     assert (empty["items"], empty["last"], empty["is_complete"]) == ([], 0, False)
+    with pytest.raises(httpx.ReadTimeout):
+        sqlite.http.get(f"/api/v1/campaigns/{campaign}/answers", params={"wait": 60}, timeout=0.5)
+    until(
+        lambda: "drivecal_http_event_streams 0.0" in sqlite.http.get("/metrics").text, "the end of a wait without a client", 30
+    )
 
 
 def test_a_set_costs_one_transaction_of_the_api_and_four_of_the_dispatcher(

@@ -91,7 +91,7 @@ async def answers(
     while True:
         waited = time.monotonic() - begin
         page = await run_in_threadpool(_answers, database, campaign_id, query.after, query.limit)
-        if page.items or page.is_complete or waited >= query.wait or hub.closed:
+        if page.items or page.is_complete or waited >= query.wait or hub.closed or await request.is_disconnected():
             return page
         await asyncio.sleep(min(LONGEST_LOOK, max(LOOK_SECONDS, waited / 10)))
 
