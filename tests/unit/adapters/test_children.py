@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import textwrap
 import time
 from pathlib import Path
@@ -25,8 +26,9 @@ from tests.support.simulators import (
     write_server,
 )
 
-from drivecal.adapters import children, keeper
-from drivecal.adapters.environment import GRANTED
+from drivecal.adapters import children, environment, keeper
+from drivecal.adapters.children import Children, Launch
+from drivecal.adapters.environment import GRANTED, Scratch
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import NoMeasuresError
 
@@ -378,3 +380,22 @@ def test_descendants_are_found_and_none_besides(mark: str) -> None:
         assert process.pid in [seen.pid for seen in keeper.descendants(os.getpid())]
         os.kill(sleeper.pid, signal.SIGKILL)
     assert keeper.seen(process.pid) is None
+
+
+def test_folders_of_sessions_whose_worker_and_keeper_were_killed_are_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    living, kept, dead = (Scratch(tmp_path) for _ in range(3))
+    family = Children(Launch(["true"], 500), kept)
+    family._start_keeper()
+    for killed in (kept, dead):
+        os.close(killed.lock)
+        killed.lock = -1
+    Scratch(tmp_path).remove()
+    assert dead.folder.exists(), "too young: its worker may be about to lock it"
+    monkeypatch.setattr(environment, "A_MOMENT", -1.0)
+    Scratch(tmp_path).remove()
+    assert [each.folder.exists() for each in (living, kept, dead)] == [True, True, False]
+    family.close()
+    living.remove()

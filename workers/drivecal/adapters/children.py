@@ -241,7 +241,7 @@ class Children:
             begun = subprocess.run(  # noqa: S603  # our own program, which goes on in another process
                 [sys.executable, "-I", "-S", keeper.__file__, str(theirs.fileno())],
                 input=json.dumps(settings).encode(),
-                pass_fds=[theirs.fileno()],
+                pass_fds=[theirs.fileno(), self._scratch.lock],
                 start_new_session=True,
                 cwd="/",
                 check=False,

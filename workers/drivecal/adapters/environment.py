@@ -1,12 +1,15 @@
 """Scratch folders and environments of child processes."""
 
 import errno
+import fcntl
 import os
 import re
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +24,8 @@ GRANTED = "DRIVECAL_SIMULATOR_FOLDERS"
 _SECRETS = ("DRIVECAL_TOKENS_FILE", "DRIVECAL_DATABASE_PASSWORD_FILE", "RAY_AUTH_TOKEN_PATH")
 """Variables that name files with secrets."""
 
+LOCKED, A_MOMENT = "drivecal-run-l-", 60.0
+"""Beginning of the names of folders that sessions lock, and the age (s) from which such a folder has its lock."""
 _INHERITED = re.compile(r"PATH|LANG|LC_\w+|TZ|LD_LIBRARY_PATH|PYTHONHASHSEED|\w+_LICENSE\w*")
 """Names of variables that every child gets: what programs need to start, to write numbers and dates, and to reach licence servers."""
 _REFUSALS = ("ermission denied", "EACCES", "ead-only file system", "EROFS")
@@ -38,7 +43,14 @@ class Scratch:
     def __init__(self, bundle: Path) -> None:
         """Creates the folder in the user's private folder of sessions. Raises UnavailableError if another user could change that."""
         self._bundle = bundle.resolve()
-        self.folder = Path(tempfile.mkdtemp(prefix="drivecal-run-", dir=sessions()))
+        parent = sessions()
+        for folder in parent.glob(f"{LOCKED}*"):
+            _remove_if_left_behind(folder)
+        self.folder = Path(tempfile.mkdtemp(prefix=LOCKED, dir=parent))
+        self.lock = os.open(self.folder, os.O_RDONLY)
+        """Its lock holds for as long as this process or a keeper lives."""
+        with suppress(OSError):  # a disk without locks: its folders stay
+            fcntl.flock(self.lock, fcntl.LOCK_SH)
         self.work, self.home = self.folder / "work", self.folder / "home"
         self._kept: set[Path] = {self.work, self.home}
         self.is_spoilt = False
@@ -130,6 +142,9 @@ class Scratch:
     def remove(self) -> None:
         """Removes the folder. Idempotent."""
         remove(self.folder)
+        if self.lock >= 0:
+            os.close(self.lock)
+            self.lock = -1
 
 
 def sessions() -> Path:
@@ -142,6 +157,18 @@ def sessions() -> Path:
     if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         folder.chmod(0o700)
     return folder
+
+
+def _remove_if_left_behind(folder: Path) -> None:
+    """Removes the folder of a session whose worker and keeper were both killed."""
+    with suppress(OSError):  # gone, or locked: its session lives
+        descriptor = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW)
+        try:
+            if time.time() - os.fstat(descriptor).st_ctime > A_MOMENT:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                remove(folder)
+        finally:
+            os.close(descriptor)
 
 
 def _absolute(path: Path) -> Path | None:
