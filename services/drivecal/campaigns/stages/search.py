@@ -61,7 +61,7 @@ class SearchStage(Stage):
         begun, room = campaign.search, room_for(view.workers)
         self._search = SearchState(room=room) if begun is None else begun
         self._since = time.monotonic() - 60 * (self._search.spent_minutes or 0.0)
-        """Begin of the search if it never paused, on a clock that nobody sets (s)."""
+        """Begin of the search if it never paused, on a clock that cannot be set (s)."""
         self._asked: dict[int, AskedRound] = {}
         """Rounds whose answers the search does not know, by number."""
         self._confirming: Confirming | None = None
