@@ -14,8 +14,8 @@ from drivecal.domain.scales import Scale
 from drivecal.plugins.ports import Floats
 
 
-def _better_end(scale: Scale) -> float:
-    return scale.upper if scale.sign > 0 else scale.lower
+def _better_end(scale: Scale, sign: int) -> float:
+    return scale.upper if sign > 0 else scale.lower
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class WeightedScore:
     @cached_property
     def best(self) -> Floats:
         """The better end of the usual range."""
-        return np.full((self.scenarios, 1), _better_end(self.scale))
+        return np.full((self.scenarios, 1), _better_end(self.scale, self.scale.sign))
 
     @cached_property
     def worst(self) -> Floats:
@@ -103,7 +103,7 @@ class JudgedGoals:
         ends: dict[str, set[float]] = defaultdict(set)
         for goal in self._all:
             scale = goal.value.scale
-            ends[goal.value.key].add(goal.sign * np.inf if scale is None else scale.upper if goal.sign > 0 else scale.lower)
+            ends[goal.value.key].add(goal.sign * np.inf if scale is None else _better_end(scale, goal.sign))
         return np.tile([each.pop() if len(each) == 1 else np.nan for each in ends.values()], (self.scenarios, 1))
 
     @cached_property

@@ -1,6 +1,7 @@
 """Commands about campaigns as a whole."""
 
-from typing import Annotated
+from collections.abc import Callable, Iterable, Sequence
+from typing import Annotated, TypeVar
 
 import typer
 
@@ -24,6 +25,7 @@ from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedR
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError, NotFoundError
 
+Answered = TypeVar("Answered")
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
 TimeoutOption = Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; exit status 6 when they are over.")]
 
@@ -174,18 +176,28 @@ def label(
 def delete(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False) -> None:
     """Delete an ended campaign to which no other refers. What it simulated stays in the reference table."""
     with connect(url) as client:
-        refused: list[ConflictError] = []
-        deleted: list[str] = []
-        for campaign in _chosen(client, identifier, tag):
-            try:
-                client.delete(campaign)
-                deleted.append(campaign)
-            except ConflictError as error:  # the other campaigns are deleted all the same
-                refused.append(error)
+        deleted, refused = _each(_chosen(client, identifier, tag), client.delete)
     if as_json:
-        print_json({"deleted": deleted})
+        print_json({"deleted": list(deleted)})
     for campaign in () if as_json else deleted:
         typer.echo(f"campaign {campaign} is deleted; what it simulated stays in the reference table")
+    _raise(refused)
+
+
+def _each(chosen: Iterable[str], call: Callable[[str], Answered]) -> tuple[dict[str, Answered], list[ConflictError]]:
+    """Calls something about each of some campaigns. Returns the answers by id, and the refusals: they keep no other from being asked."""
+    answers: dict[str, Answered] = {}
+    refused: list[ConflictError] = []
+    for campaign in chosen:
+        try:
+            answers[campaign] = call(campaign)
+        except ConflictError as error:
+            refused.append(error)
+    return answers, refused
+
+
+def _raise(refused: Sequence[ConflictError]) -> None:
+    """Says all refusals but the first, which it raises."""
     for other in refused[1:]:
         say(str(other))
     if refused:
@@ -209,21 +221,12 @@ def _act(identifier: str | None, tag: str | None, action: Action, url: str | Non
         chosen = _chosen(client, identifier, tag)
         if identifier is None:
             open_ones = [place for place in chosen if not CampaignState(client.campaign(place).state).ended]
-            changed: list[Campaign] = []
-            refused: list[ConflictError] = []
-            for place in open_ones:
-                try:
-                    changed.append(client.act(place, action))
-                except ConflictError as error:  # the other campaigns are asked all the same
-                    refused.append(error)
+            changed, refused = _each(open_ones, lambda place: client.act(place, action))
             ended = len(chosen) - len(open_ones)
             say(f"asked {len(changed)} of {len(chosen)} campaigns to {action}; {ended} have ended, {len(refused)} refuse")
             if as_json:
-                print_json(changed)
-            for other in refused[1:]:
-                say(str(other))
-            if refused:
-                raise refused[0]
+                print_json(list(changed.values()))
+            _raise(refused)
             return
         _print_whole(client, client.act(chosen[0], action), as_json)
 

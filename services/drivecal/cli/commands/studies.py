@@ -133,9 +133,7 @@ def print_validation(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> N
     """Prints Tables 1 and 2 of the paper for a map, or how many released predictions are right."""
     print_blocks(validation_tables(rows, scale))
     reasons = {
-        "no parameter has a region in which it does not matter": [
-            row for row in rows if row.released is None and not row.bases
-        ],
+        "no parameter has a region where it does not matter": [row for row in rows if row.released is None and not row.bases],
         "no prediction was released": [row for row in rows if row.released == 0],
     }
     for reason, empty in reasons.items():
