@@ -98,7 +98,7 @@ class ValidationStage(StudyStage):
     def _outcome(self) -> dict[str, Any]:
         rows = [self._row(scenario, pairs) for scenario, pairs in self._designs.items()]
         notes = [
-            f"nothing to validate in {row['scenario']}: no parameter has a region in which it does not matter"
+            f"nothing to validate in {row['scenario']}: no parameter has a region where it does not matter"
             for row in rows
             if not row["bases"]
         ]
