@@ -16,6 +16,7 @@ from drivecal.analysis.goals import Aggregate, Bound, CellValue, Goals, Objectiv
 from drivecal.domain.parameters import Indices, Kind
 from drivecal.domain.scales import Direction, Scale
 from drivecal.optimizers.surrogate.merits import Merit, Standing
+from drivecal.optimizers.surrogate.models import Warp
 from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, AskedCell, CellAnswer, Search, SearchTask
@@ -194,13 +195,13 @@ def test_sets_given_up_for_certain_would_not_be_better(seed: int, steps: bool) -
 
 def test_a_search_that_stands_still_explores() -> None:
     aim = mean_of(COST, 1)
-    merit = Merit(aim, Standing.of(aim, np.array([[[2.0]]])), np.ones(1))
+    merit = Merit(aim, Standing.of(aim, np.array([[[2.0]], [[7.0]]])), np.ones(1))
     draws = np.linspace(-1.0, 1.0, 11)
-    fails = np.where(draws < 0.3, -np.inf, -2.5)
-    below = np.stack([-6.0 + 0.1 * draws, -4.0 + 0.1 * draws, -4.5 + 2.0 * draws, fails], axis=1)
+    fails, neighbour = np.where(draws < 0.3, -np.inf, -2.5), -2.05 + 0.04 * draws
+    below = np.stack([-6.0 + 0.1 * draws, -4.0 + 0.1 * draws, -4.5 + 2.0 * draws, fails, neighbour], axis=1)
     assert not merit.improvements(below).any()
-    assert merit.best_first(below).tolist() == [2, 1, 0, 3]
-    assert merit.best_first(np.column_stack([below, -6.0 + 5.0 * draws]))[0] == 4, "improvements count first"
+    assert merit.best_first(below).tolist() == [2, 4, 1, 0, 3]
+    assert merit.best_first(np.column_stack([below, -6.0 + 5.0 * draws]))[0] == 5, "improvements count first"
 
 
 def test_a_rare_large_gain_counts_where_small_gains_do_not() -> None:
@@ -348,6 +349,22 @@ def test_a_measure_with_two_limits_gives_no_set_up() -> None:
     both, one = (grid_task(measured(bounds, weights=(0.5, 0.5)), 40, 2) for bounds in ((low, high), (low,)))
     complete = [len(Measured(task, cost, 1, measures=measures).play(begun(task)).complete()) for task in (both, one)]
     assert complete[0] > 0.8 * complete[1] > 10
+
+
+def test_a_measure_that_only_has_limits_is_not_warped(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends: set[str] = set()
+    chosen = Warp.chosen
+
+    def noted(values: Floats, end: float) -> Warp:
+        ends.add(str(end))
+        return chosen(values, end)
+
+    monkeypatch.setattr(Warp, "chosen", noted)
+    gap = Bound("gap", CellValue(measure="gap"), {"S0": 1.0}, Aggregate("max"), -1, 0.2, 1.0)
+    task = grid_task(measured((gap,)), 10, 2)
+    Measured(task, cost, 1, measures=lambda x, _: (float(x[0]), float(x[1]))).play(begun(task))
+    assert ends == {"-inf", "nan"}
+    assert chosen(np.exp(np.arange(9.0)), np.nan).sign == 0.0 != chosen(np.exp(np.arange(9.0)), -np.inf).sign
 
 
 def test_failures_without_a_worth_do_not_blind_the_search_of_a_random_simulator() -> None:

@@ -36,7 +36,7 @@ class Warp:
 
     @classmethod
     def chosen(cls, values: Floats, best: float) -> "Warp":
-        """Returns what makes values likelier (Box and Cox 1964); `best`: the better end of their range."""
+        """Returns what makes values likelier (Box and Cox 1964); `best`: the better end of their range, NaN for no warp."""
         spread = values.std()
         if len(values) < FEWEST + 2 or spread <= 0:
             return cls()

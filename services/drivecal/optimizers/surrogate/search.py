@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtri
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]  # it ships no types
 
@@ -17,8 +16,8 @@ from drivecal.domain.parameters import Indices
 from drivecal.optimizers.surrogate.answers import Answers, BegunSet
 from drivecal.optimizers.surrogate.gaussian_process import Encoding
 from drivecal.optimizers.surrogate.giving_up import beaten, improbable, without_result
-from drivecal.optimizers.surrogate.merits import Merit, Standing
-from drivecal.optimizers.surrogate.models import ScenarioModel
+from drivecal.optimizers.surrogate.merits import NOTABLE, Merit, Standing
+from drivecal.optimizers.surrogate.models import Bools, ScenarioModel
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, AskedCell, CellAnswer, SearchTask
 
@@ -45,9 +44,9 @@ REFINEMENTS, REFINED, REFINING = 2, 8, 150
 """How often the most promising candidates have children, how many of them, and how many children."""
 TOGETHER = 8
 """Most sets that are chosen from the same candidates: all but the first by a draw each."""
-STANDING_STILL, NOTABLE = 20, 0.01
-"""Sets without a notable gain, a share of what the complete sets range over, after which every other set must promise one: small gains
-near the best set would otherwise hide for long that a distant region is better."""
+STANDING_STILL = 20
+"""Sets without a notable gain after which every other set must promise one: small gains near the best set would otherwise hide for long
+that a distant region is better."""
 TURNS = 3
 """Steps of asking a set when many cells are under way; with one cell at a time there is a step for each scenario."""
 GROUPS = 4
@@ -68,15 +67,18 @@ class SurrogateSearch:
         encoding = Encoding(task.n_values, task.kinds)
         self._encoding = encoding
         self._answers = Answers(encoding, task.aim)
+        self._aims = (task.aim, *task.variants)
+        improving, bounding = zip(*map(_needed, self._aims), strict=True)
+        self._needs = [np.ones(task.aim.scenarios, dtype=np.bool_), *np.any([improving, bounding], axis=(0, 3))[1:]]
+        """Masks of the scenarios of each aim, shape (n_scenarios,)."""
+        # a measure that has a limit alone may have to get better than any answer by more than a logarithm's origin leaves
+        ends = np.where(np.isinf(task.aim.best) & ~np.any(improving, axis=0), np.nan, task.aim.best)
         self._models = [
             ScenarioModel(task.aim.values, len(task.kinds), encoding.owners, best, worst, random=task.random)
-            for best, worst in zip(task.aim.best, task.aim.worst, strict=True)
+            for best, worst in zip(ends, task.aim.worst, strict=True)
         ]
         self._learned: list[tuple[int, ...]] = [() for _ in self._models]
         """Basis of each model: number of answers, and pending sets."""
-        self._aims = (task.aim, *task.variants)
-        self._needs = [np.ones(task.aim.scenarios, dtype=np.bool_), *map(_needed, task.variants)]
-        """Masks of the scenarios of each aim, shape (n_scenarios,)."""
         self._standings: list[Standing] = []
         self._merits: dict[int, Merit] = {}
         self._spent = 0
@@ -442,9 +444,10 @@ class SurrogateSearch:
         return np.where(moved, np.where(unordered, anywhere, stepped), rows)
 
 
-def _needed(aim: Aim) -> npt.NDArray[np.bool_]:
-    """Returns the mask of the scenarios without whose values an aim has no result, shape (n_scenarios,)."""
-    values = np.zeros((aim.scenarios, aim.scenarios, aim.values))
-    values[np.arange(aim.scenarios), np.arange(aim.scenarios)] = np.nan
-    objectives, violations = aim.judge(values)
-    return np.isnan(objectives).any(axis=1) | np.isnan(violations)
+def _needed(aim: Aim) -> tuple[Bools, Bools]:
+    """Returns the masks of the values without which the objectives of an aim, and its constraints, have no result, shape (n_scenarios,
+    n_values)."""
+    shape = (aim.scenarios, aim.values)
+    values = np.where(np.eye(aim.scenarios * aim.values, dtype=np.bool_), np.nan, 0.0)
+    objectives, violations = aim.judge(values.reshape(-1, *shape))
+    return np.isnan(objectives).any(axis=1).reshape(shape), np.isnan(violations).reshape(shape)
