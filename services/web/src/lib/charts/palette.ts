@@ -2,9 +2,7 @@
 
 import type { Outcome } from "../text/words";
 
-export const COLOURS: Record<Outcome | "pending" | "carried_over", string> = {
-  carried_over: "#9aa3ad",
-  pending: "#c9ced4",
+export const COLOURS: Record<Outcome, string> = {
   repeated: "#56b4e9",
   reused: "#0072b2",
   predicted: "#cc79a7",

@@ -1,6 +1,6 @@
 /** What a form says of its fields besides what the API's description says: names that can be chosen, and what a field is for. */
 
-import { count } from "../text/format";
+import { capital, count } from "../text/format";
 import type { Shape } from "../server/shape";
 import fields from "./fields.json";
 import type { Schema } from "./schema";
@@ -51,7 +51,7 @@ export function helpAt(path: string, schema: Schema, names: readonly string[] = 
     schema.maximum !== undefined && Math.abs(schema.maximum) < BEYOND ? `at most ${bound(schema.maximum)}` : "",
   ].filter(Boolean);
   const said = limits.join(", ");
-  return [own.replaceAll("`", ""), names.length > 0 ? `Installed: ${names.join(", ")}.` : "", said && `${said.charAt(0).toUpperCase()}${said.slice(1)}.`].filter(Boolean).join(" ");
+  return [own.replaceAll("`", ""), names.length > 0 ? `Installed: ${names.join(", ")}.` : "", said && `${capital(said)}.`].filter(Boolean).join(" ");
 }
 
 function bound(value: number): string {

@@ -5,7 +5,6 @@ import { Broken } from "./faults";
 export interface Schema {
   $ref?: string;
   type?: string;
-  title?: string;
   description?: string;
   default?: unknown;
   enum?: unknown[];

@@ -1,6 +1,7 @@
 /** Scenarios and parameters of a campaign as a form shows them: read from the specification, and written into it only where they differ from the problem's own. */
 
 import type { Shape, ShapeParameter } from "../server/shape";
+import type { Campaign } from "../server/types";
 import { changed } from "./schema";
 
 export type Wanted = Readonly<Record<string, unknown>>;
@@ -130,8 +131,16 @@ export function withWeight(wanted: Wanted, id: string, weight: number): Wanted {
   return changed(wanted, "weights", filled(mapOf(wanted["weights"]), id, weight === 1 ? undefined : weight));
 }
 
+/** The specification of a clone. `analysed`: with an analysis, if the campaign has none; the default of reuse follows it then. `start`: the sets that its search starts with, if it is a list. */
+export function cloneOf({ name, spec }: Pick<Campaign, "name" | "spec">, analysed: boolean, start?: unknown): Wanted {
+  const optimizer = spec.optimizer && { ...spec.optimizer, ...(Array.isArray(start) ? { start_sets: start } : {}) };
+  const clone: Wanted = { ...spec, ...(optimizer ? { optimizer } : {}), name: `${name.slice(0, 190)} again` };
+  if (!analysed || (spec.sensitivity ?? null) !== null) return clone;
+  return { ...clone, sensitivity: {}, ...(spec.reduction?.mode === "predicted" ? { reduction: changed(spec.reduction, "mode", undefined) } : {}) };
+}
+
 /** The parts of a specification that belong to a problem: another one begins without them. */
-const OF_A_PROBLEM = ["catalogue", "parameters", "fixed", "baseline", "weights", "evaluator", "driving_function", "vehicle", "robustness"];
+const OF_A_PROBLEM = ["catalogue", "parameters", "fixed", "baseline", "weights", "evaluator", "driving_function", "vehicle", "variants", "objectives", "constraints", "robustness"];
 
 export function withProblem(wanted: Wanted, problem: string | undefined): Wanted {
   const left = Object.fromEntries(Object.entries(wanted).filter(([name]) => !OF_A_PROBLEM.includes(name)));

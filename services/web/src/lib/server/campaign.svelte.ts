@@ -37,7 +37,8 @@ export class CampaignState {
     this.stop = follow(this.id, {
       event: (event) => this.take(event),
       progress: (moving) => {
-        if (this.campaign !== null) this.campaign = { ...this.campaign, ...moving };
+        // An ended campaign moves no more: what was on its way when its end was read is older.
+        if (this.campaign?.ended_at === null) this.campaign = { ...this.campaign, ...moving };
       },
       over: () => this.soon(0),
     });

@@ -65,8 +65,7 @@ export function baselineSide({ id, baseline }: Pick<Campaign, "id" | "baseline">
 export function sideOf(campaign: string, set: FrontRow | PageSolution["items"][number]): SetSide {
   const { rank, iteration, individual, parameters, scores, seeds } = set;
   const answers = "answers" in set ? set.answers : Object.fromEntries(set.reused.map((scenario) => [scenario, "reused"]));
-  const cell = async (scenario: string): Promise<number | null> => (iteration === null || individual === null ? null : cellAt(campaign, iteration, individual, scenario));
-  return { title: `Set ${rank}`, column: `set ${rank}`, parameters, scores, answers, seeds, cell };
+  return { title: `Set ${rank}`, column: `set ${rank}`, parameters, scores, answers, seeds, cell: (scenario) => cellAt(campaign, iteration, individual, scenario) };
 }
 
 /** Opens the evaluation of a set in a scenario, or the ranking if there is none. */

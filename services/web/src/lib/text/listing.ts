@@ -30,6 +30,12 @@ export function savedShare(campaign: Pick<Known, "cells" | "stages">): number | 
   return cells.requested > 0 ? withoutSimulation(cells) / cells.requested : null;
 }
 
+/** The name of a campaign's problem, which a specification names by its digest; empty if a list leaves a long specification out. */
+export function problemNameOf({ spec }: Pick<Known, "spec">, problems: readonly { name: string; digest: string }[]): string {
+  const digest = String(spec["problem"] ?? "");
+  return problems.find((entry) => entry.digest === digest)?.name ?? digest.slice(0, 12);
+}
+
 /** Weights in few words, the heaviest first, without weights of 1. Empty if all are 1. */
 export function weighted(weights: Readonly<Record<string, number>> | null | undefined, most = 4): string {
   const told = Object.entries(weights ?? {}).filter(([, weight]) => weight !== 1).sort(([, a], [, b]) => b - a);

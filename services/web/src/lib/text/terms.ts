@@ -1,5 +1,6 @@
 /** Terms of the page with their meanings: each is the beginning of its entry in the glossary of the documentation (`docs/pages/concepts/glossary.md`). */
 
+import { capital } from "./format";
 import { MEANING } from "./words";
 
 export const TERMS = {
@@ -25,13 +26,12 @@ export type Word = keyof typeof TERMS | keyof typeof MEANING;
 /** A sentence: of a term, or of an outcome of cells. */
 export function meaningOf(word: Word): string {
   if (word in TERMS) return TERMS[word as keyof typeof TERMS];
-  const meaning = MEANING[word as keyof typeof MEANING];
-  return `${meaning.charAt(0).toUpperCase()}${meaning.slice(1)}.`;
+  return `${capital(MEANING[word as keyof typeof MEANING])}.`;
 }
 
-/** The anchor in the glossary; outcomes stand at the cells. */
-export function anchorOf(word: Word): string {
-  return word in TERMS ? word : "cell";
+/** The address in the glossary; outcomes stand at the cells. */
+export function glossary(word: Word): string {
+  return `/help/concepts/glossary.html#${word in TERMS ? word : "cell"}`;
 }
 
 /** How texts of the server and of settings write the terms; code in backticks is none. */

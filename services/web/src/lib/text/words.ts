@@ -1,6 +1,7 @@
 /** Meanings of the terms: as tooltips, and in the glossary of the documentation. */
 
-import type { Campaign, CellCounts, Moving } from "../server/types";
+import type { Best, Campaign, CellCounts, Difference, Moving } from "../server/types";
+import { number, percent } from "./format";
 
 export type Outcome = "repeated" | "reused" | "predicted" | "simulated" | "failed";
 
@@ -15,9 +16,6 @@ export const MEANING: Record<Outcome | "pending" | "carried_over", string> = {
   simulated: "run by the simulator; a failure of what is tested, such as a collision, is a result as well, worth a failed run",
   failed: "without a result after all attempts: ranked last, never used as a reference",
 };
-
-/** The address of a word's meaning; `word` is the anchor of a heading. */
-export const glossary = (word: string): string => `/help/concepts/glossary.html#${word}`;
 
 const STAGES = ["claims", "sensitivity", "calibration", "robustness", "validation"];
 
@@ -72,6 +70,24 @@ export function sentence(campaign: Moving & Partial<Pick<Campaign, "spec" | "bud
   if (stage === "robustness") return "Simulating the best sets in other vehicles.";
   if (stage === "validation") return "Checking the influence map by simulation.";
   return "Running.";
+}
+
+/** Where a differing parameter matters, as a map says, which knows nothing of values outside its space. */
+export function regionText({ region, reference_region: other, lower, upper }: Pick<Difference, "region" | "reference_region" | "lower" | "upper">): string {
+  if (region === "outside" || other === "outside") return "nothing: a value lies outside its space";
+  if (lower === null && upper === null) return region === "influential" ? "matters everywhere" : "matters nowhere";
+  return `matters ${lower === null ? "" : `from ${number(lower)} `}${upper === null ? "on" : `up to ${number(upper)}`}`;
+}
+
+/** By how much a set breaks constraints, or that it is not known; empty if it keeps them. */
+export function brokenText({ violation, undecided }: Pick<Best, "violation" | "undecided">): string {
+  return undecided ? "not known to keep its rates" : violation > 0 ? `breaks constraints by ${percent(violation)}` : "";
+}
+
+/** The interval of the objective of a random simulator; empty without one. */
+export function intervalText({ lower, upper }: Pick<Best, "lower" | "upper">): string {
+  const ends = [lower, upper].map((end) => (typeof end === "number" ? number(end) : "unknown"));
+  return ends.every((end) => end === "unknown") ? "" : ends.join(" to ");
 }
 
 /** The signs of lights; `open` while a search goes on. */

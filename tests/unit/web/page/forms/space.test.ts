@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import type { Shape, ShapeParameter } from "$lib/server/shape";
-import { parameterRows, pastedSet, scenarioRows, withBaselineOf, withProblem, withRange, withScenario, withWeight, type Wanted } from "$lib/forms/space";
+import { cloneOf, parameterRows, pastedSet, scenarioRows, withBaselineOf, withProblem, withRange, withScenario, withWeight, type Wanted } from "$lib/forms/space";
 
 const parameter = (name: string, changes: Partial<ShapeParameter>): ShapeParameter => ({ name, kind: "continuous", unit: "1", description: "", lower: 0, upper: 2, step: null, choices: [], ...changes });
 const SHAPE: Shape = {
@@ -47,9 +47,20 @@ test("scenarios and weights are written where they differ, and one scenario is a
 });
 
 test("another problem begins without what belonged to the one before", () => {
-  const before: Wanted = { name: "a", problem: "x", weights: { S1: 2 }, fixed: { P1: 1 }, optimizer: { kind: "genetic", population: 20, start_sets: [{}] } };
+  const before: Wanted = { name: "a", problem: "x", weights: { S1: 2 }, fixed: { P1: 1 }, objectives: [{ score: "comfort" }], optimizer: { kind: "genetic", population: 20, start_sets: [{}] } };
   expect(withProblem(before, "heater")).toEqual({ name: "a", problem: "heater", optimizer: { kind: "genetic", population: 20 } });
   expect(withProblem(before, undefined)).toEqual({ name: "a", optimizer: { kind: "genetic", population: 20 } });
+});
+
+test("a clone with an analysis takes the reuse that goes with one, unless it was chosen", () => {
+  const of = (spec: Record<string, unknown>, analysed = true, start?: unknown): Wanted => cloneOf({ name: "a", spec }, analysed, start);
+  const reduction = { mode: "predicted", audit: 0.1, max_error: 0.02 };
+  expect(of({ reduction, sensitivity: null })).toEqual({ name: "a again", sensitivity: {}, reduction: { audit: 0.1, max_error: 0.02 } });
+  expect(of({ reduction: { ...reduction, mode: "exact" } })["reduction"]).toMatchObject({ mode: "exact" });
+  expect(of({ reduction }, false)).toEqual({ name: "a again", reduction });
+  expect(of({ reduction, sensitivity: { map: "m" } })).toMatchObject({ sensitivity: { map: "m" }, reduction });
+  expect(of({ optimizer: { kind: "genetic" } }, false, [{ P1: 1 }])["optimizer"]).toEqual({ kind: "genetic", start_sets: [{ P1: 1 }] });
+  expect(of({ optimizer: null }, false, [{ P1: 1 }])["optimizer"]).toBeNull();
 });
 
 test("a baseline is pasted as lines, between commas, from a table or as JSON", () => {

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { arranged, countedCells, savedShare, subjectOf } from "$lib/text/listing";
+import { arranged, countedCells, problemNameOf, savedShare, subjectOf } from "$lib/text/listing";
 import type { Campaign } from "$lib/server/types";
 
 const NONE = { proposed: 0, requested: 0, simulated: 0, repeated: 0, reused: 0, predicted: 0 };
@@ -25,6 +25,11 @@ test("a search takes every word, in the name, the problem or the beginning of th
 test("a search takes words of settings: optimizer, mode, objectives", () => {
   const known = [campaign("a", { spec: { optimizer: { kind: "nsga2" }, reduction: { mode: "both" }, objectives: [{ measure: "energy_kwh" }] } }), campaign("b", { spec: { optimizer: { kind: "genetic" }, reduction: { mode: "predicted" } } })];
   expect(["nsga2 both", "energy", "predicted", "nsga2 predicted"].map((search) => shown(arranged(known, search, ["created", "down"])))).toEqual([["a"], ["a"], ["b"], []]);
+});
+
+test("a problem has the name of its push, and none if the list leaves the specification out", () => {
+  const [digest, pushed] = ["0123456789abcdef", [{ name: "heater", digest: "0123456789abcdef" }]];
+  expect([digest, "another-digest-of-one", "highway", undefined].map((problem) => problemNameOf({ spec: { problem } }, pushed))).toEqual(["heater", "another-dige", "highway", ""]);
 });
 
 test("columns sort both ways, and a missing best comes last in both", () => {

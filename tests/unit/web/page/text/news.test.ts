@@ -40,6 +40,14 @@ test("a new campaign is better than older ones of its question, else than its ba
   expect(better(...[fresh, old].map((campaign) => ({ ...campaign, scale: { ...campaign.scale, direction: "minimise" } }) as Campaign))).toEqual([]);
 });
 
+test("a set is not called better if its runs leave that open", () => {
+  const better = (...known: Campaign[]): string[] => betterSince(known, 10 * HOUR).map(({ campaign }) => campaign.id);
+  const sure = ended("new", 11 * HOUR, 6, { lower: 5.6, upper: 6.4 });
+  expect(better(sure, ended("old", HOUR, 5, { lower: 4.5, upper: 5.5 }))).toEqual(["new"]);
+  expect(better(sure, ended("old", HOUR, 5, { lower: 4.3, upper: 5.7 }))).toEqual([]);
+  expect(better({ ...sure, baseline: { objective: 4, scores: {}, close: true } } as unknown as Campaign)).toEqual([]);
+});
+
 test("a visit goes on until an hour out of sight, and begins at the last sight", () => {
   const now = 100 * HOUR;
   expect(visitAt(`${now - HOUR} ${now - 1}`, now).since).toBe(now - HOUR);
