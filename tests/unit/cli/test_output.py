@@ -14,10 +14,12 @@ from typer.testing import CliRunner
 
 from drivecal.cli.commands import imported
 from drivecal.cli.commands.campaigns import counted
+from drivecal.cli.commands.evaluate import difference_row
 from drivecal.cli.main import app
 from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, saved, when
 from drivecal.cli.views.progress import Bar, Lines
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
+from drivecal.contracts.explanation import Difference
 from drivecal.contracts.outside.imported import ImportedRow
 from drivecal.domain.scales import objective_text
 
@@ -86,7 +88,7 @@ def test_a_campaign_shows_all_that_matters(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_without_a_terminal_a_line_appears_now_and_then(capsys: pytest.CaptureFixture[str]) -> None:
-    clock = iter([0.0, 1.0, 2.0, 7.5, 8.0])
+    clock = iter([0.0, 1.0, 2.0, 7.5, 13.0, 14.0])
     lines = Lines(lambda: next(clock))
     running = Campaign(id="0" * 32, name="mine", state="running", stage="calibration", spec={"optimizer": {"iterations": 10}})
     lines.show(running.model_copy(update={"state": "queued", "stage": None}))
@@ -96,6 +98,8 @@ def test_without_a_terminal_a_line_appears_now_and_then(capsys: pytest.CaptureFi
                 update={"iteration": iteration, "progress": Progress(done=5, total=10), "stages": {"calibration": CELLS}}
             )
         )
+    broken = Best(objective=2e-5, parameters={}, scores={}, alternatives=1, violation=0.02)
+    lines.show(running.model_copy(update={"iteration": 10, "stage": "calibration", "best": broken, "degraded": "slow"}))
     lines.show(running.model_copy(update={"state": "succeeded"}))
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -103,6 +107,7 @@ def test_without_a_terminal_a_line_appears_now_and_then(capsys: pytest.CaptureFi
         "queued",
         "calibration 1/10  5/10 cells  simulated 44  repeated 6  reused 9  failed 1",
         "calibration 3/10  5/10 cells  simulated 44  repeated 6  reused 9  failed 1",
+        "calibration, confirming  best 2e-05, breaks constraints by 2.0 %  degraded: slow",
         "succeeded",
     ]
 
@@ -113,6 +118,30 @@ def test_without_a_terminal_a_line_appears_now_and_then(capsys: pytest.CaptureFi
 )
 def test_small_and_large_objectives_keep_their_digits(objective: float, text: str) -> None:
     assert objective_text(objective) == text
+
+
+@pytest.mark.parametrize(
+    ("given", "refused"),
+    [
+        (["submit", "c.yaml", "--timeout", "3"], "--timeout needs --wait"),
+        (["submit", "c.yaml", "--dry-run", "--wait"], "leave --wait"),
+        (["rerun", "abcd", "--weights", "S1=2", "--timeout", "3"], "--timeout needs --wait"),
+        (["compare-optimizers", "--tag", "t", "--dry-run"], "--dry-run needs a FILE"),
+        (["compare-optimizers", "c.yaml", "--timeout", "3"], "--timeout needs --wait"),
+        (["validate", "abcd", "--predicted", "--references", "3"], "leave it out with --predicted"),
+        (["export", "abcd", "--json", "--format", "csv"], "--json is --format json"),
+    ],
+)
+def test_an_option_without_effect_is_refused(given: list[str], refused: str) -> None:
+    result = CliRunner().invoke(app, given, env={"COLUMNS": "200"})
+    assert (result.exit_code, refused in result.stderr) == (2, True), result.stderr
+
+
+@pytest.mark.parametrize(("there", "said"), [("outside", None), ("anywhere", "nowhere"), ("influential", "everywhere")])
+def test_an_explanation_says_nothing_of_values_outside_the_map(there: str, said: str | None) -> None:
+    known = {"parameter": "P1", "value": 9.0, "reference_value": 8.0, "lower": None, "upper": None, "blocks": True}
+    difference = Difference.model_validate(known | {"region": "outside", "reference_region": there})
+    assert difference_row(difference)[3] == said
 
 
 def test_a_study_is_listed_with_the_cells_of_its_stages() -> None:

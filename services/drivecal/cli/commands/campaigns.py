@@ -18,6 +18,7 @@ from drivecal.cli.views.output import (
     when,
 )
 from drivecal.cli.views.progress import follow
+from drivecal.cli.views.sections import judged_text, percent
 from drivecal.client.client import Action, Client
 from drivecal.configuration.documents import opened_document
 from drivecal.contracts.assignments import assignments
@@ -47,6 +48,7 @@ def submit(
     as_json: JsonOption = False,
 ) -> None:
     """Submit a campaign."""
+    refuse_ignored(wait, timeout, dry_run=dry_run)
     with connect(url) as client, opened_document(file) as specification:
         if dry_run:
             print_answer(client.expected_runs(specification), as_json, _print_expected)
@@ -81,6 +83,7 @@ def rerun(
     """Run an ended campaign again with other weights or another evaluator, on the stored results."""
     if weights is None and evaluator is None and problem is None:
         raise typer.BadParameter("say what changes: --weights, --evaluator or --problem")
+    refuse_ignored(wait, timeout)
     given = {"name": name, "evaluator": evaluator, "problem": problem}
     changes: dict[str, object] = {key: value for key, value in given.items() if value is not None}
     with connect(url) as client:
@@ -231,6 +234,14 @@ def _act(identifier: str | None, tag: str | None, action: Action, url: str | Non
         _print_whole(client, client.act(chosen[0], action), as_json)
 
 
+def refuse_ignored(wait: bool, timeout: float | None, *, dry_run: bool = False) -> None:
+    """Raises BadParameter for an option that would have no effect."""
+    if dry_run and (wait or timeout is not None):
+        raise typer.BadParameter("--dry-run submits nothing: leave --wait and --timeout out")
+    if timeout is not None and not wait:
+        raise typer.BadParameter("--timeout needs --wait")
+
+
 def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | None, as_json: bool) -> None:
     """Shows a new campaign, with `wait` at its end, and ends the command with the matching exit status."""
     code = ExitCode.OK
@@ -285,8 +296,7 @@ def counted(campaign: Campaign) -> CellCounts:
 
 def _row(campaign: Campaign) -> list[object]:
     cells = counted(campaign)
-    best = "-" if campaign.best is None else f"{campaign.best.objective:.3f}"
-    share = f"{100 * saved(cells):.1f} %" if cells.requested else "-"
+    share = percent(saved(cells), 1) if cells.requested else None
     return [
         campaign.id,
         campaign.state,
@@ -295,8 +305,8 @@ def _row(campaign: Campaign) -> list[object]:
         cells.requested,
         cells.simulated,
         share,
-        best,
-        campaign.owner or "-",
-        " ".join(campaign.tags) or "-",
+        None if campaign.best is None else judged_text(campaign.best),
+        campaign.owner,
+        " ".join(campaign.tags) or None,
         campaign.name,
     ]

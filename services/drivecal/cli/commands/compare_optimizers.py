@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, say
-from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption
+from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, code_of_state, connect, say
+from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption, refuse_ignored
 from drivecal.cli.views.output import duration, print_answer, print_columns
 from drivecal.cli.views.progress import attached, pauses
 from drivecal.cli.views.sections import fixed, objective_number
@@ -34,6 +34,9 @@ def compare_optimizers(
     """Calibrate one problem with several optimizers, populations, seeds and reductions, and compare the results."""
     if (file is None) == (tag is None):
         raise typer.BadParameter("give a FILE, or --tag TAG of campaigns that are there")
+    if dry_run and file is None:
+        raise typer.BadParameter("--dry-run needs a FILE")
+    refuse_ignored(wait, timeout, dry_run=dry_run)
     with connect(url) as client:
         if file is None:
             comparison = client.comparison(tag or "")
@@ -49,8 +52,8 @@ def compare_optimizers(
         if wait:
             comparison = _wait_for(client, comparison, timeout)
     print_answer(comparison, as_json, _print_comparison)
-    if wait:
-        raise typer.Exit(_exit_code(comparison))
+    if wait:  # failed campaigns count before cancelled ones
+        raise typer.Exit(min({code_of_state(run.state) for run in comparison.runs} - {ExitCode.OK}, default=ExitCode.OK))
 
 
 def _wait_for(client: Client, comparison: Comparison, timeout: float | None) -> Comparison:
@@ -64,13 +67,6 @@ def _wait_for(client: Client, comparison: Comparison, timeout: float | None) -> 
                 return comparison
             next(asking)
             comparison = client.comparison(comparison.tag)
-
-
-def _exit_code(comparison: Comparison) -> ExitCode:
-    states = {run.state for run in comparison.runs}
-    if CampaignState.FAILED in states:
-        return ExitCode.FAILED
-    return ExitCode.CANCELLED if CampaignState.CANCELLED in states else ExitCode.OK
 
 
 def _print_comparison(comparison: Comparison) -> None:

@@ -145,18 +145,21 @@ def print_explanation(explanation: Explanation, shapes: Mapping[str, ShapeAnswer
     if explanation.differences:
         typer.echo("")
         header = ["parameter", "this cell", "stored set", "influential", "this lies", "that lies", "in the way"]
-        print_columns(header, map(_line, explanation.differences))
+        print_columns(header, map(difference_row, explanation.differences))
     if explanation.distance is not None:
         typer.echo(f"\ndistance {explanation.distance:.4f} of the parameters' ranges")
     if explanation.stored is not None:
         typer.echo(f"searched {explanation.stored:,} stored results of the same setup")
 
 
-def _line(difference: Difference) -> list[object]:
-    if "anywhere" in (difference.region, difference.reference_region):
+def difference_row(difference: Difference) -> list[object]:
+    """Returns a parameter that differs, as a row; a map says nothing of values outside its space."""
+    regions = {difference.region, difference.reference_region}
+    bounds: str | None
+    if "anywhere" in regions:
         bounds = "nowhere"
     elif difference.lower is None and difference.upper is None:
-        bounds = "everywhere"
+        bounds = "everywhere" if "influential" in regions else None
     elif difference.lower is None:
         bounds = f"up to {difference.upper:g}"
     else:

@@ -143,6 +143,8 @@ def export(
             number = write_runs(client, client.full_id(identifier), folder)
         say(f"{folder}: {number:,} runs; show them by: MLFLOW_ALLOW_FILE_STORE=true mlflow ui --backend-store-uri {folder}")
         return
+    if as_json and form not in {None, "json"}:
+        raise typer.BadParameter(f"--json is --format json, not {form}")
     form = "json" if as_json else form or _format_of(output if output != "-" or base is None else base.name)
     if weights is not None and table not in {"solutions", "front"}:
         raise typer.BadParameter("--weights needs --table solutions or front")

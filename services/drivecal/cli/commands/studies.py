@@ -18,7 +18,7 @@ from drivecal.contracts.setup import ShapeAnswer
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
-from drivecal.domain.scales import COMFORT, Scale
+from drivecal.domain.scales import COMFORT, Scale, score_text
 
 STAGES = ("optimizer", "sensitivity", *STUDIES)
 BENCH = ("problem", "catalogue", "weights", "driving_function", "vehicle", "evaluator")
@@ -109,6 +109,8 @@ def validate(
 
     With `--predicted`: whether the predictions that the campaign released are right.
     """
+    if predicted and references is not None:
+        raise typer.BadParameter("--references are variants of a map's sets: leave it out with --predicted")
     with connect(url) as client:
         campaign = client.campaign(client.full_id(identifier))
         given = {"samples": samples or ALL} if predicted else {"samples": samples, "references": references}
@@ -205,7 +207,7 @@ def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any],
             [
                 *(row.rank, f"{'≥ ' if row.at_least else ''}{row.degree}", f"{row.radius:.4g}"),
                 objective_number(row.objective),
-                " ".join(f"{name} {'-' if score is None else score}" for name, score in row.scores.items()),
+                " ".join(f"{name} {score_text(score)}" for name, score in row.scores.items()),
                 *(row.region, fixed(row.to_worse, 3), parameters_text(row.parameters, shapes=shapes)),
             ]
             for row in rows

@@ -17,8 +17,8 @@ from drivecal.cli.views.sections import (
     Table,
     account_blocks,
     audits_table,
-    broken_text,
     failures_table,
+    judged_text,
     lots_table,
     percent,
     shortened,
@@ -27,7 +27,7 @@ from drivecal.cli.views.sections import (
     variants_table,
 )
 from drivecal.contracts.assignments import value_text
-from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts
+from drivecal.contracts.campaign import Best, Campaign, CellCounts
 from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.results import CampaignResults
 from drivecal.contracts.setup import ShapeAnswer
@@ -93,10 +93,12 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("search", _search_text(campaign)))
     hidden = {name for curve in campaign.curves.values() for name in curve["names"]}
     if campaign.baseline:
-        lines.append(("baseline", _set_text(campaign.baseline, hidden)))
+        lines.append(
+            ("baseline", f"{judged_text(campaign.baseline)}  {parameters_text(campaign.baseline.parameters, None, hidden)}")
+        )
     if campaign.best:
         best = campaign.best
-        lines.append(("best", _set_text(best, hidden)))
+        lines.append(("best", f"{judged_text(best)}  {parameters_text(best.parameters, None, hidden)}"))
         lines.append(("scores", "  ".join(f"{name} {score_text(score)}" for name, score in best.scores.items())))
         share = "1 parameter set has" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share"
         lines.append(("alternatives", f"{share} the best objective"))
@@ -311,12 +313,6 @@ def duration(seconds: float) -> str:
 def when(moment: datetime | None) -> str:
     """Returns a moment in the reader's time zone, with its offset: an hour comes twice when daylight saving time ends."""
     return "" if moment is None else moment.astimezone().isoformat(sep=" ", timespec="seconds")
-
-
-def _set_text(shown: Best | Baseline, hidden: Collection[str]) -> str:
-    objective = "no result yet" if shown.objective is None else objective_text(shown.objective)
-    broken = f"  {broken_text(shown)}" if shown.violation > 0 else ""
-    return f"{objective}{broken}  {parameters_text(shown.parameters, None, hidden)}"
 
 
 def _text(value: object) -> str:

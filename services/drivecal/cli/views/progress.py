@@ -13,6 +13,7 @@ from rich.table import Column
 
 from drivecal.cli.application import ExitCode, WaitTimedOutError, say
 from drivecal.cli.views.output import by_outcome, duration
+from drivecal.cli.views.sections import judged_text
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.events import CampaignEvent
@@ -165,6 +166,8 @@ def stage_text(campaign: Campaign) -> str:
     iterations = (campaign.spec.get("optimizer") or {}).get("iterations")
     if campaign.stage != "calibration" or campaign.iteration is None or iterations is None:
         return campaign.stage
+    if campaign.iteration >= iterations:
+        return f"{campaign.stage}, confirming"
     return f"{campaign.stage} {campaign.iteration + 1}/{iterations}"
 
 
@@ -172,7 +175,7 @@ def _detail(campaign: Campaign) -> str:
     cells = campaign.stages.get(campaign.stage or "", campaign.cells)
     parts = [f"{name} {count:,}" for name, count in by_outcome(cells).items() if count]
     if campaign.best:
-        parts.append(f"best {campaign.best.objective:.3f}")
+        parts.append(f"best {judged_text(campaign.best)}")
     if campaign.progress.eta_seconds is not None and campaign.state == "running":
         parts.append(f"{duration(campaign.progress.eta_seconds)} left")
     if campaign.degraded:

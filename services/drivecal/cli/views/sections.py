@@ -142,6 +142,12 @@ def broken_text(judged: Best | Baseline | FrontBaseline | Solution | FrontRow) -
     return "not known to keep its rates" if judged.undecided else f"breaks constraints by {100 * judged.violation:.1f} %"
 
 
+def judged_text(shown: Best | Baseline) -> str:
+    """Returns the objective of a set, and whether it breaks constraints."""
+    objective = "no result yet" if shown.objective is None else objective_text(shown.objective)
+    return f"{objective}, {broken_text(shown)}" if shown.violation > 0 else objective
+
+
 def solutions_table(solutions: Sequence[Solution]) -> list[Block]:
     """Returns the best sets; nothing without a set."""
     if not solutions:
