@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from statistics import NormalDist, fmean
@@ -24,6 +25,7 @@ from tests.support.values import faults_of, present
 
 from drivecal.analysis.robustness import directions, vehicles
 from drivecal.api.tables.front import front_table, summary
+from drivecal.api.tables.ranking import variants_of
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking, front_of
 from drivecal.campaigns.stages.replication import Replication
@@ -76,6 +78,22 @@ def carried_out(
 ) -> StoredCampaign:
     campaign = submit_checked(database, SPEC | changes)
     return finish(database, campaign, dispatcher(database, ComputedBackend(order, driven=driven)))
+
+
+def test_each_variant_has_a_best_set_that_is_reported(database: Database) -> None:
+    def apart(setup: SetupRequest, cell: Cell) -> CellResult:
+        shift = 0.4 * (setup.scenario == "city")
+        return noisy(setup, replace(cell, parameters={"x": (cell.parameters["x"] + shift) % 1.0}))
+
+    variants = {"town": {"scenarios": ["city"]}, "land": {"scenarios": ["road"]}}
+    ended = carried_out(database, driven=apart, variants=variants, budget={"simulations": 200})
+    assert ended.cells.runs == 200
+    rows = {each.name: each for each in variants_of(StoredRanking(database, ended, resolved_spec(ended)))}
+    for name, x in (("town", 0.2), ("land", 0.6)):
+        best = present(rows[name].best)
+        assert best.parameters["x"] == pytest.approx(x, abs=0.25)
+        assert None not in (best.lower, best.upper)
+        assert present(rows[name].cost) > -NOISE
 
 
 @pytest.mark.parametrize("optimizer", [SPEC["optimizer"], POPULATIONS], ids=["cells", "population"])

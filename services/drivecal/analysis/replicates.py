@@ -21,6 +21,8 @@ SHRINKAGE = 4
 """Degrees of freedom of the pooled variance in the variance of a set."""
 FEWEST = 3
 """Degrees of freedom that make the noise known."""
+FEWEST_REPORTING = 3
+"""Runs that report a best set, if the budget does not suffice for more."""
 FIRST = 4
 """Sets that get a second run before the noise is known."""
 SWEEPS = 30
@@ -45,16 +47,20 @@ def choosing(most: int) -> int:
     return most - fresh if fresh > 1 else most
 
 
-def kept_back(budget: int, scenarios: int, most: int, shown: int = 0, *, by_cell: bool) -> int:
+def kept_back(budget: int, scenarios: int, most: int, shown: int = 0, of_variants: int = 0, *, by_cell: bool) -> int:
     """Returns the simulations of a budget that are kept for the runs after the search: at most a third, or a half if rates need `shown`
-    seeds at least."""
+    seeds at least. `of_variants`: scenarios of each variant, in sum."""
     share = KEPT_BY_CELL if by_cell else KEPT
-    return min(budget // (2 if shown else 3), max(int(share * budget), fewest(scenarios, most, shown))) if most > 1 else 0
+    needed = fewest(scenarios, most, shown, of_variants)
+    return min(budget // (2 if shown else 3), max(int(share * budget), needed)) if most > 1 else 0
 
 
-def fewest(scenarios: int, most: int, shown: int = 0) -> int:
-    """Returns the simulations that the choice and the report of the best set need at least; `shown`: seeds that rates need."""
-    return (most - choosing(most) + max(FIRST, shown)) * scenarios if most > 1 else 0
+def fewest(scenarios: int, most: int, shown: int = 0, of_variants: int = 0) -> int:
+    """Returns the simulations that the choice and the report of the best set need at least, and the reports of variants; `shown`: seeds
+    that rates need."""
+    reporting = most - choosing(most)
+    needed = (reporting + max(FIRST, shown)) * scenarios + min(FEWEST_REPORTING, reporting) * of_variants
+    return needed if most > 1 else 0
 
 
 @dataclass(frozen=True)

@@ -293,7 +293,7 @@ class Ranking:
                 noise[scenario] = deviation
         return noise
 
-    def seeds(self, parameter_set: int) -> Collection[int]:
+    def seeds(self, parameter_set: int) -> set[int]:
         """Returns the seeds under which a set was run in all scenarios, with or without a result."""
         return {seed for seed, cells in self._runs.get(parameter_set, {}).items() if cells.keys() >= self.scenarios}
 
@@ -513,6 +513,17 @@ class Ranking:
         """A parameter set's solution, None if a result is missing; `parameter_set` is its id."""
         self._assess()
         return self._solutions.get(parameter_set)
+
+    def beside_best(self, parameter_set: int) -> tuple[EvaluatedSet, EvaluatedSet] | None:
+        """Returns the best set and another one, by its id, under the seeds that both were run under: what a seed does to all sets is no
+        difference. None without a result of both."""
+        best, sides = self.best(), list[EvaluatedSet]()
+        shared = set() if best is None else self.seeds(best[0].parameter_set) & self.seeds(parameter_set)
+        for number in (best[0].parameter_set, parameter_set) if best is not None and shared else ():
+            runs = {seed: self._runs[number][seed] for seed in shared}
+            ((_, by_seed),) = self._judge.by_seed(self._places, {number: runs})
+            sides += filter(None, self._judge.over_seeds(by_seed, runs)[:1])
+        return (sides[0], sides[1]) if len(sides) > 1 else None
 
 
 def over_seeds(cells: Sequence[CellScore]) -> CellScore:

@@ -145,7 +145,8 @@ class FrontSummary(Answer):
 class VariantResult(Answer):
     """The best set of a variant and its value under the best set that all variants have in common; null until they are known.
 
-    The common set is worse by `cost`, which is below 0 only if the set breaks constraints of the variant, by `violation`."""
+    The common set is worse by `cost`. This is below 0 if the set breaks constraints of the variant, by `violation`, or by the noise of a
+    random simulator: both sets are compared under the seeds that they have in common."""
 
     name: str
     scenarios: dict[str, float]

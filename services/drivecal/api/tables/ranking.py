@@ -82,16 +82,19 @@ def solution_pages(stored: StoredRanking, weights: str | None = None, score: str
 
 
 def variants_of(stored: StoredRanking) -> list[VariantResult]:
-    """Returns the best set of each variant and its value under the best common set, as far as they are known."""
+    """Returns the best set of each variant and its value under the best common set, as far as they are known. Both are compared under the
+    same seeds, though the common set may have been run under more."""
     resolved, rows = stored.resolved, list[VariantResult]()
     best = stored.sets.best() if resolved.variants else None
     for name in resolved.variants:
         variant = stored.under(resolved.of_variant(name))
         own = solution_pages(variant).solutions(0, 1)
         rows.append(VariantResult(name=name, scenarios=dict(variant.resolved.weights), best=next(iter(own), None)))
-        if best is not None and (common := variant.sets.get(best[0].parameter_set)) is not None:
-            cost = {"cost": common.sign * (own[0].objective - common.objective) + 0.0, "violation": common.violation}
-            rows[-1] = rows[-1].model_copy(update=cost | {"common": common.objective})
+        compared = None if best is None else variant.sets.beside_best(best[0].parameter_set)
+        if compared is not None:
+            mine, common = compared
+            cost = {"cost": common.sign * (mine.objective - common.objective) + 0.0, "violation": common.violation}
+            rows[-1] = rows[-1].model_copy(update=cost | {"common": common.objective + (own[0].objective - mine.objective)})
     return rows
 
 

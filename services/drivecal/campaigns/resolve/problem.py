@@ -124,6 +124,11 @@ class CalibrationProblem:
         return self.goals.fewest_seeds
 
     @property
+    def scenarios_of_variants(self) -> int:
+        """The number of scenarios of each variant, in sum."""
+        return sum(len(goals.objectives[0].shares) for goals in self.variants.values())
+
+    @property
     def search(self) -> Optimization:
         """The chosen optimizer. Raises ValueError without one."""
         if self.optimization is None:
@@ -136,7 +141,9 @@ class CalibrationProblem:
         if self.optimization is None or budget is None or budget.simulations is None or not is_random:
             return None if budget is None else budget.simulations
         by_cell, most = not self.optimization.has_populations, self.specification.replicates.most
-        return budget.simulations - kept_back(budget.simulations, len(self.scenarios), most, self.rate_seeds, by_cell=by_cell)
+        shown, of_variants = self.rate_seeds, self.scenarios_of_variants
+        kept = kept_back(budget.simulations, len(self.scenarios), most, shown, of_variants, by_cell=by_cell)
+        return budget.simulations - kept
 
     @property
     def start_indices(self) -> Indices:

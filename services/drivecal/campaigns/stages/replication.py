@@ -20,9 +20,6 @@ from drivecal.domain.evaluations import Purpose, RequestedCell
 from drivecal.storage import evaluations
 from drivecal.storage.references import parameter_sets
 
-FEWEST_REPORTING = 3
-"""Runs that report the best set, if the budget does not suffice for more."""
-
 
 class SeededBenches:
     """The benches of a problem by seed, each made once."""
@@ -60,14 +57,19 @@ class Replication:
             self._answers.add(self._answers.read(connection, campaign, number))
         self._taken = last
         left = max(0, self._left(tracker, cells_after))
-        for ranking in (self._answers.ranking, *self._answers.variants.values()):
+        most = self._problem.specification.replicates.most
+        choosing = replicates.choosing(most)
+        rankings = (self._answers.ranking, *self._answers.variants.values())
+        reports = [0, *(_missing_reports(each, most) * len(each.scenarios) for each in rankings[1:])]
+        for place, ranking in enumerate(rankings):
             scenarios = [name for name in self._problem.scenarios if name in ranking.scenarios]
-            chosen = next_runs(ranking, self._problem.specification.replicates, room, left // len(scenarios))
+            affordable = max(0, left - sum(reports[place + 1 :])) // len(scenarios)
+            chosen = next_runs(ranking, self._problem.specification.replicates, room, affordable)
             if chosen:
                 break
         sets = parameter_sets.load(connection, list({number for number, _ in chosen}))
         numbers = list(dict.fromkeys(number for number, _ in chosen))
-        choosing, purposes = replicates.choosing(self._problem.specification.replicates.most), (Purpose.CHOICE, Purpose.REPORT)
+        purposes = Purpose.CHOICE, Purpose.REPORT
         cells = [
             RequestedCell(numbers.index(number), scenario, sets[number], purpose=purposes[seed > choosing], seed=seed)
             for number, seed in chosen
@@ -81,10 +83,17 @@ class Replication:
         chosen, requested = self._problem.optimization, tracker.counts.get("requested", 0)
         if chosen is None or chosen.budget is None or chosen.budget.simulations is None:
             most, shown = self._problem.specification.replicates.most, self._problem.rate_seeds
-            fewest = replicates.fewest(len(self._problem.scenarios), most, shown)
+            fewest = replicates.fewest(len(self._problem.scenarios), most, shown, self._problem.scenarios_of_variants)
             return max(fewest, int((requested - after) * replicates.KEPT / (1 - replicates.KEPT))) - after
         left = int(tracker.budget.left)
         return left if chosen.has_populations else min(left, chosen.budget.simulations - requested)
+
+
+def _missing_reports(ranking: Ranking, most: int) -> int:
+    """Returns how many of the fewest runs that report the best set were not requested yet."""
+    best, choosing = ranking.best(), replicates.choosing(most)
+    reported = 0 if best is None else sum(seed > choosing for seed in ranking.seeds(best[0].parameter_set))
+    return max(0, min(replicates.FEWEST_REPORTING, most - choosing) - reported)
 
 
 def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affordable: int) -> list[tuple[int, int]]:
@@ -117,7 +126,9 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
         places = [place] * min(room, needed[place], half)
     else:
         # a small budget reports by fewer runs
-        report = len(fresh) if known.is_known else min(len(fresh), max(FEWEST_REPORTING, affordable - replicates.FIRST))
+        report = (
+            len(fresh) if known.is_known else min(len(fresh), max(replicates.FEWEST_REPORTING, affordable - replicates.FIRST))
+        )
         places = replicates.allocate(known, min(room, affordable - report), choosing, wanted.confidence)
     # a seed without a result is not tried again
     chosen = [(numbers[place], untried[place].pop(0)) for place in places if untried[place]]
