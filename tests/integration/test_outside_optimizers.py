@@ -260,9 +260,7 @@ def test_a_request_may_wait_for_an_answer(sqlite: RunningApi) -> None:
     assert (empty["items"], empty["last"], empty["is_complete"]) == ([], 0, False)
     with pytest.raises(httpx.ReadTimeout):
         sqlite.http.get(f"/api/v1/campaigns/{campaign}/answers", params={"wait": 60}, timeout=0.5)
-    until(
-        lambda: "drivecal_http_event_streams 0.0" in sqlite.http.get("/metrics").text, "the end of a wait without a client", 30
-    )
+    until(lambda: "drivecal_http_event_streams 0.0" in sqlite.http.get("/metrics").text, "the end of its wait", 30)
 
 
 def test_a_set_costs_one_transaction_of_the_api_and_four_of_the_dispatcher(

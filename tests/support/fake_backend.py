@@ -2,7 +2,7 @@
 
 import heapq
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupKey
@@ -80,8 +80,6 @@ class FakeBackend:
     """Licences in use, as the license server counts them, at each change."""
     running: list[tuple[float, float]] = field(default_factory=list)
     """Begin and end of each batch that ran with a licence."""
-    notes_starts: bool = False
-    """True if a lost batch reports which of its cells had begun."""
     closed: bool = False
 
     def __post_init__(self) -> None:
@@ -233,11 +231,9 @@ class FakeBackend:
             if behaviour_of(cell) in {Behaviour.CRASH, Behaviour.HANG}:
                 break
         lost: list[Finished | Lost] = [
-            Lost(batch_id, worker.name, breakdown, "it died", None, not (behind and self.notes_starts), departed)
+            Lost(batch_id, worker.name, breakdown, "it died", None, not behind, departed, None if behind else begun)
             for behind, (batch_id, _) in enumerate(worker.queue)
         ]
-        if self.notes_starts:
-            lost[:1] = [replace(first, starts=begun) for first in lost[:1] if isinstance(first, Lost)]
         self._ended += worker.queue
         worker.queue.clear()
         self._restart(worker)

@@ -1,12 +1,8 @@
 """Further promises of the backend whose workers are processes of this machine."""
 
-import errno
 import gc
 import os
 import signal
-import subprocess
-import tempfile
-import threading
 from pathlib import Path
 
 import pytest
@@ -30,20 +26,17 @@ def test_a_lost_batch_tells_which_runs_had_begun(processes_backend: ProcessBacke
     assert lost.starts == {11: 1, 12: 1}
 
 
-@pytest.mark.parametrize("start", [(subprocess, "Popen"), (threading.Thread, "start"), (tempfile, "TemporaryFile")])
-def test_a_start_that_the_machine_has_no_room_for_leaves_nothing_behind(
-    monkeypatch: pytest.MonkeyPatch, start: tuple[object, str]
-) -> None:
+@pytest.mark.parametrize("start", ["subprocess.Popen", "threading.Thread.start", "tempfile.TemporaryFile"])
+def test_a_start_without_room_on_the_machine_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch, start: str) -> None:
     def refuse(*_: object, **__: object) -> None:
-        raise RuntimeError("can't start new thread") if start[1] == "start" else OSError(errno.EAGAIN, "no room")
+        raise RuntimeError("can't start new thread") if "Thread" in start else OSError("no room")
 
-    monkeypatch.setattr(*start, refuse)
-    gc.collect()
+    monkeypatch.setattr(start, refuse)
     before = set(Path("/proc/self/fd").iterdir())
     backend = ProcessBackend(WorkerLimits(workers=1), trial())
-    assert "1 of 1 workers do not start: worker-1 cannot be started: [Errno 11]" in (backend.trouble() or "")
     gc.collect()
     assert set(Path("/proc/self/fd").iterdir()) <= before
+    assert "1 of 1 workers do not start: worker-1 cannot be started" in (backend.trouble() or "")
 
 
 @pytest.mark.slow

@@ -7,9 +7,11 @@ from tests.support.fake_backend import Behaviour, FakeBackend
 from tests.support.pooled import MemoryLeases, cells, drain
 from tests.support.setups import bare as setup
 
-from drivecal.contracts.work import Cell
-from drivecal.execution.pool import WorkPool
-from drivecal.execution.scheduling.in_flight import RunBudget, Work
+from drivecal.contracts.work import Batch, BatchResult, Cell
+from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.backend import Finished, Lost
+from drivecal.execution.pool import WorkPool, _unstarted
+from drivecal.execution.scheduling.in_flight import Dispatch, RunBudget, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 
 
@@ -27,32 +29,21 @@ def test_a_poison_cell_costs_three_attempts_and_none_of_its_neighbours() -> None
         assert max(count for cell, count in backend.attempts.items() if cell != 1021) <= ATTEMPTS
 
 
-@pytest.mark.parametrize("poison", [Behaviour.CRASH, Behaviour.HANG])
-def test_cells_that_a_lost_worker_had_not_begun_keep_their_attempts_and_the_budget(poison: Behaviour) -> None:
-    backend, leases = FakeBackend(1, notes_starts=True), MemoryLeases()
+def test_cells_that_a_lost_worker_had_not_begun_keep_their_attempts_and_the_budget() -> None:
+    backend, leases, budget = FakeBackend(1), MemoryLeases(), RunBudget(left=3.0)  # two started cells, and the last one again
     pool = WorkPool(backend, leases)
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 100)), tag="a")
     drain(pool)
-    budget = RunBudget(left=3.0)  # the two started cells, and the poison cell once more
-    pool.submit(Work(setup(), cells([Behaviour.WELL, poison, *[Behaviour.WELL] * 98], first=101)), tag="b", budget=budget)
+    pool.submit(Work(setup(), cells([Behaviour.WELL, Behaviour.HANG, *[Behaviour.WELL] * 98], 101)), tag="b", budget=budget)
     failed = [(entry.result.id, entry.attempts) for entry in drain(pool) if entry.result.breakdown is not None]
-    assert failed == [(102, ATTEMPTS)]
-    assert budget.left == 0
-    assert backend.attempts == {cell: leases.starts[cell] for cell in range(1, 201)}
-    assert {cell for cell, starts in leases.starts.items() if starts > 1} == {101, 102}
+    assert (failed, budget.left, backend.attempts) == ([(102, ATTEMPTS)], 0, leases.starts)
 
 
-def test_a_busy_simulator_was_started_for_one_cell_of_its_batch() -> None:
-    backend, leases = FakeBackend(1), MemoryLeases()
-    pool = WorkPool(backend, leases, clock=lambda: backend.now)
-    pool.submit(Work(setup(), cells([Behaviour.WELL] * 100)), tag="a")
-    drain(pool)
-    until = backend.busy_until["S1"] = backend.now + 5.0
-    pool.submit(Work(setup(), cells([Behaviour.WELL] * 50, first=101)), tag="b")
-    drain(pool)
-    busy = [size for at, _, size in backend.sizes if until - 5.0 <= at < until]
-    assert max(busy) > 1
-    assert sum(leases.starts[cell] for cell in range(101, 151)) == 50 + len(busy)
+def test_starts_that_did_not_happen_are_known_by_cell() -> None:
+    sent = Dispatch("worker-1", 1, Batch(setup(), tuple(cells([Behaviour.WELL] * 3))), None, alone=False, breakdowns={})
+    lost = Lost(1, "worker-1", Breakdown.HANG, "it hung", starts={1: 1})
+    busy = Finished(1, BatchResult("worker-1", (), 0.1, busy="no licence"))
+    assert _unstarted(sent, lost) == _unstarted(sent, busy) == {1: 0, 2: 1, 3: 1}
 
 
 def test_batches_take_half_a_second_whatever_a_cell_costs() -> None:
