@@ -172,7 +172,7 @@ def ray_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RayBackend
 @pytest.fixture(scope="session")
 def processes_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ProcessBackend]:
     """Two workers as processes of this machine."""
-    limits = WorkerLimits(workers=2, deadline_seconds=10.0, archive=ARCHIVES.__getitem__)
+    limits = WorkerLimits(workers=2, deadline_seconds=5.0, archive=ARCHIVES.__getitem__)
     with started(lambda: ProcessBackend(limits, trial()), tmp_path_factory.mktemp("home")) as backend:
         yield backend
 

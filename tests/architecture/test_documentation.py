@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import typer
 from pydantic import TypeAdapter, ValidationError
+from tests.architecture.plain_words import phrases_in
 from tests.support.documentation import DOCS, PAGES, Block, blocks, program
 
 from drivecal.bundles.archives import content_digest, files_digest
@@ -216,3 +217,7 @@ def test_wrong_yaml_would_be_noticed() -> None:
     for text in ("name: x\noptimiser: {}\n", "simulator: {kind: python}\n", "scores: {}\nproblem: x\n"):
         with pytest.raises((InvalidInputError, ValidationError)):
             test_yaml_in_the_documentation_is_valid(Block(ROOT, "yaml", "", text))
+
+
+def test_there_are_no_unclear_phrases() -> None:
+    assert [str(phrase) for phrase in phrases_in()] == []

@@ -108,10 +108,7 @@ def run_campaign(client: Client, population: int, iterations: int) -> Campaign:
         "optimizer": {"kind": "genetic", "population": population, "iterations": iterations, "seed": 1},
         "reduction": {"mode": "off"},
     }
-    campaign = client.submit(specification)
-    while campaign.state not in {"succeeded", "failed", "cancelled"}:
-        time.sleep(1.0)
-        campaign = client.campaign(campaign.id)
+    campaign = client.wait(client.submit(specification).id, progress=False)
     if campaign.state != "succeeded":
         raise RuntimeError(f"the campaign ended as {campaign.state}: {campaign.error}")
     return campaign

@@ -32,6 +32,7 @@ from tests.support.browser import NAMES
 from tests.support.computed import ComputedBackend
 from tests.support.runs import dispatcher, get, submit
 from tests.support.several import installed
+from tests.support.values import present
 
 from drivecal.api.routes.page import FILES, START
 from drivecal.contracts.work import Cell, CellResult
@@ -242,8 +243,7 @@ def brushed(page: Page) -> float:
         page.mouse.up()
     page.wait_for_timeout(300)
     drawn = float(page.evaluate(LONGEST))
-    button = page.get_by_role("button", name="Show all again").bounding_box()
-    assert button is not None
+    button = present(page.get_by_role("button", name="Show all again").bounding_box())
     page.evaluate(WATCH)
     page.mouse.click(button["x"] + button["width"] / 2, button["y"] + button["height"] / 2)
     page.wait_for_timeout(300)
@@ -285,8 +285,7 @@ def measure_front(browser: Browser, api: ApiProcess, campaign: StoredCampaign) -
 def drawn_over(page: Page, place: Locator, *, upright: bool) -> float:
     """The longest frame, milliseconds, while the pointer is drawn over an element, along it and back."""
     place.scroll_into_view_if_needed()
-    box = place.bounding_box()
-    assert box is not None
+    box = present(place.bounding_box())
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     page.mouse.move(x, y)
     page.evaluate(WATCH)

@@ -83,9 +83,7 @@ def changed(page: Page, address: str, change: Callable[[Any], Any]) -> None:
 
 
 @pytest.mark.parametrize(("column", "words"), [("mode", MODES), ("gear", GEARS)])
-def test_choices_of_every_spelling_are_selected_and_exported(
-    shown: Shown, opening: Opening, column: str, words: tuple[str, ...]
-) -> None:
+def test_choices_of_every_spelling_are_exported(shown: Shown, opening: Opening, column: str, words: tuple[str, ...]) -> None:
     page = opening(shown.at(shown.first, "evaluations"))
     group = page.get_by_role("group", name=f"Only of {column}")
     for word in words:

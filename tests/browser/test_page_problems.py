@@ -167,9 +167,7 @@ def test_an_evaluation_has_its_measures_and_the_series_of_its_simulator(heater: 
     assert barriers(page) == []
 
 
-def test_a_drive_on_a_road_network_is_replayed_without_declared_series(
-    opening: Opening, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_a_drive_is_replayed_without_declared_series(opening: Opening, tmp_path_factory: pytest.TempPathFactory) -> None:
     folder = tmp_path_factory.mktemp("roads")
     with serving(f"sqlite:///{folder / 'drivecal.db'}") as api:
         store(api.database, ROADS)

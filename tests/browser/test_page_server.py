@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
-from tests.browser.conftest import GONE, Opening, barriers
+from tests.browser.conftest import Opening, barriers
 from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, WITH_ANALYSIS, dispatcher, get, influenced, run, submit
-from tests.support.server import RunningApi, free_port, serving
+from tests.support.server import RunningApi, serving
 
 from drivecal.bundles.archives import folder_digest
 from drivecal.client.problem_templates import write_problem
@@ -178,22 +178,3 @@ def push_a_folder(page: Page, api: RunningApi, folder: Path) -> None:
         page.get_by_role("button", name="Check and push").click()
         expect(page.get_by_role("main")).to_contain_text(re.compile(said))
     assert folder_digest(folder) in api.http.get("/api/v1/problems/mine", headers={"Authorization": f"Bearer {TOKEN}"}).text
-
-
-def test_views_come_back_with_a_server_that_was_started_again(tmp_path: Path, opening: Opening) -> None:
-    url, port = f"sqlite:///{tmp_path / 'drivecal.db'}", free_port()
-    with serving(url, port) as api:
-        campaign = run(api.database, submit(api.database, **SMALL))
-        page = opening(f"{api.url}/#/campaigns/{campaign.id}", expected=(*GONE, "409"))
-        expect(page.get_by_text("Finished.")).to_be_visible()
-        stays = opening(f"{api.url}/#/campaigns/{campaign.id}/ranking")
-        expect(stays.get_by_role("grid")).to_be_visible()
-        address = api.url
-    for each in (page, stays):
-        expect(each.get_by_text("Connection lost")).to_be_visible()
-    page.goto(f"{address}/#/evaluations/1")
-    with serving(url, port):
-        expect(stays.get_by_text("Connection lost")).to_have_count(0)
-        expect(stays.get_by_role("grid")).to_be_visible()
-        expect(page.get_by_text("Connection lost")).to_have_count(0)
-        expect(page.get_by_role("heading", level=1)).to_contain_text("evaluation 1")

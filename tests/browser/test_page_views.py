@@ -172,8 +172,7 @@ def test_a_scatter_keeps_ranges_that_the_table_and_the_export_follow(shown: Show
     plot = page.get_by_role("img", name=re.compile("score over P1"))
     expect(plot).to_be_visible()
     whole = rows_shown(page)
-    box = plot.bounding_box()
-    assert box is not None
+    box = present(plot.bounding_box())
     page.mouse.move(box["x"] + box["width"] * 0.6, box["y"] + box["height"] * 0.1)
     page.mouse.down()
     page.mouse.move(box["x"] + box["width"] * 0.9, box["y"] + box["height"] * 0.5, steps=3)

@@ -44,9 +44,7 @@ def test_four_nodes_are_there_each_with_a_worker(cluster: Cluster) -> None:
     }
 
 
-def test_a_campaign_survives_whatever_is_done_to_the_cluster_and_finds_what_it_finds_embedded(
-    cluster: Cluster, embedded: Found, tmp_path: Path
-) -> None:
+def test_a_campaign_survives_what_is_done_to_the_cluster(cluster: Cluster, embedded: Found, tmp_path: Path) -> None:
     size = database_bytes(cluster)
     campaign = Running(cluster)
     campaign.gets_on()

@@ -156,9 +156,7 @@ def test_an_attack_on_a_node_costs_its_cell_and_nothing_of_a_campaign_beside_it(
 
 
 @pytest.mark.parametrize(("name", "doublings", "memory_mb"), [("memory_without_end", 9, 8000), ("fork_bomb", 13, 300)])
-def test_an_attack_as_large_as_a_node_costs_its_cell_only(
-    cluster: Cluster, tmp_path: Path, name: str, doublings: int, memory_mb: int
-) -> None:
+def test_a_large_attack_costs_its_cell(cluster: Cluster, tmp_path: Path, name: str, doublings: int, memory_mb: int) -> None:
     """More memory than a node has, by a manifest that asks for it, and twice the processes that its container may run."""
     nodes = cluster.containers("ray-worker")
     cluster.until(lambda: len(cluster.ready_nodes()) == len(nodes), "that all nodes work")

@@ -14,9 +14,7 @@ pytestmark = [pytest.mark.compose, pytest.mark.timeout(3600)]
 
 
 @pytest.mark.parametrize("name", ["acc-process", "command-shell", "python-function", "fmu", "acc-highway"])
-def test_a_pushed_problem_finds_in_the_cluster_what_it_finds_embedded(
-    cluster: Cluster, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cluster_finds_the_same(cluster: Cluster, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))
     folder = problem(name, tmp_path)
     with Client(cluster.url, cluster.token) as client:

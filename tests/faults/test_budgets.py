@@ -85,9 +85,7 @@ def kill_one(server: Server, part: str, chance: random.Random) -> bool:
 @pytest.mark.faults
 @pytest.mark.timeout(5400)
 @pytest.mark.parametrize("killed", [[], [WORKER], [WORKER, WORKER, DISPATCHER]], ids=["none", "workers", "all"])
-def test_runs_are_the_starts_that_the_program_counts(
-    killed: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_are_the_starts_that_a_program_counts(killed: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))
     chance = random.Random(None if LONG else 5)
     (tmp_path / "counters").mkdir()

@@ -52,9 +52,7 @@ def test_fifty_posts_with_one_key_make_one_campaign_though_the_api_is_killed(kin
 @pytest.mark.faults
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
-def test_a_second_server_is_refused_while_the_dispatcher_of_the_first_sleeps(
-    kind: str, server_on: MakeServer, without_faults: dict[str, Found], tmp_path: Path
-) -> None:
+def test_a_second_server_is_refused(kind: str, server_on: MakeServer, without_faults: dict[str, Found], tmp_path: Path) -> None:
     server = server_on(kind)
 
     def second_server(first: Coordinator) -> None:
@@ -69,9 +67,7 @@ def test_a_second_server_is_refused_while_the_dispatcher_of_the_first_sleeps(
 
 @pytest.mark.faults
 @pytest.mark.timeout(3600)
-def test_a_dispatcher_that_sleeps_while_another_takes_over_does_nothing_more(
-    server_on: MakeServer, without_faults: dict[str, Found], tmp_path: Path
-) -> None:
+def test_a_superseded_dispatcher_does_nothing(server_on: MakeServer, without_faults: dict[str, Found], tmp_path: Path) -> None:
     first = server_on("postgresql")
     first.start_ready()
     accepted = submit(first.url)

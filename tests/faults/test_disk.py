@@ -60,9 +60,7 @@ def _fill(folder: Path) -> Path:
 
 @pytest.mark.faults
 @pytest.mark.timeout(3600)
-def test_a_full_disk_stops_campaigns_only_as_long_as_it_is_full(
-    disk: Path, server: Coordinator, without_faults: dict[str, Found]
-) -> None:
+def test_a_full_disk_only_delays_campaigns(disk: Path, server: Coordinator, without_faults: dict[str, Found]) -> None:
     def disk_full(coordinator: Coordinator) -> None:
         file = _fill(disk)
         time.sleep(FULL_SECONDS)
@@ -77,9 +75,7 @@ def test_a_full_disk_stops_campaigns_only_as_long_as_it_is_full(
 
 @pytest.mark.faults
 @pytest.mark.timeout(3600)
-def test_a_read_only_disk_is_refused_at_the_start_and_costs_nothing(
-    disk: Path, server: Coordinator, without_faults: dict[str, Found]
-) -> None:
+def test_a_read_only_disk_is_refused_at_the_start(disk: Path, server: Coordinator, without_faults: dict[str, Found]) -> None:
     def read_only(coordinator: Coordinator) -> None:
         coordinator.terminate()
         coordinator.close_database()

@@ -118,9 +118,7 @@ def test_postgresql_is_away_for_a_minute(
 @pytest.mark.faults
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", DATABASES)
-def test_api_and_dispatcher_killed_alone_are_back_within_a_minute(
-    kind: str, server_on: MakeServer, without_faults: dict[str, Found]
-) -> None:
+def test_api_and_dispatcher_are_back_in_a_minute(kind: str, server_on: MakeServer, without_faults: dict[str, Found]) -> None:
     faults: list[Fault] = [kill_api, kill_dispatcher, kill_api, kill_dispatcher]
     plan = [(Moment(0.2 * number, 0.1), and_ready_again(fault)) for number, fault in enumerate(faults, 1)]
     live(server_on(kind), plan, without_faults)
@@ -129,9 +127,7 @@ def test_api_and_dispatcher_killed_alone_are_back_within_a_minute(
 @pytest.mark.faults
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", DATABASES)
-def test_sigterm_under_load_ends_it_in_ten_seconds_and_it_goes_on(
-    kind: str, server_on: MakeServer, without_faults: dict[str, Found]
-) -> None:
+def test_sigterm_under_load_ends_it_in_ten_seconds(kind: str, server_on: MakeServer, without_faults: dict[str, Found]) -> None:
     live(server_on(kind), [(Moment(share, 0.05), terminate) for share in (0.1, 0.35, 0.6, 0.85)], without_faults)
 
 
@@ -146,8 +142,6 @@ def test_the_parts_of_a_local_ray_are_killed(server_on: MakeServer, without_faul
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("fault", [dispatcher_asleep, asleep])
 @pytest.mark.parametrize("kind", DATABASES)
-def test_processes_sleep_and_wake_up_again(
-    kind: str, fault: Fault, server_on: MakeServer, without_faults: dict[str, Found]
-) -> None:
+def test_processes_sleep_and_wake_up(kind: str, fault: Fault, server_on: MakeServer, without_faults: dict[str, Found]) -> None:
     plan = [(Moment(0.2, 0.0), and_ready_again(fault)), (Moment(0.6, 0.1), and_ready_again(fault))]
     live(server_on(kind), plan, without_faults)

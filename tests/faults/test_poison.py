@@ -47,9 +47,7 @@ def healed(ray_backend: RayBackend) -> Iterator[RayBackend]:
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-def test_a_segfault_a_hang_and_exhausted_memory_in_a_batch_of_sixteen_cost_their_own_cells_only(
-    healed: RayBackend, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_poison_in_a_batch_of_sixteen_costs_its_own_cells(healed: RayBackend, monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[list[int]] = []
     submit_batch: Callable[..., None] = healed.submit
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from tests.support.command import Run, command
 from tests.support.databases import migrated
-from tests.support.server import RunningApi, serving
+from tests.support.server import RunningApi, new_database, serving
 
 from drivecal.storage.engine.database import Database
 
@@ -18,9 +18,9 @@ def database(tmp_path: Path) -> Database:
 
 
 @pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    """The API on a new SQLite database of the module."""
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('api') / 'drivecal.db'}") as running:
+def api(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    """The API on a new database of the module: SQLite, unless its tests are for both kinds."""
+    with serving(new_database(request, getattr(request, "param", "sqlite"), tmp_path_factory.mktemp("api"))) as running:
         yield running
 
 

@@ -6,21 +6,20 @@ import json
 import os
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from tests.support.answered_campaigns import carry_out, carry_out_evaluation
+from tests.support.answered_campaigns import METRICS, carry_out
 from tests.support.command import Run
-from tests.support.server import RunningApi, free_port
+from tests.support.computed import ComputedBackend
+from tests.support.runs import working
+from tests.support.server import RunningApi, free_port, serving
 from tests.support.values import MIDDLE
 from typer.testing import CliRunner
 
 from drivecal.cli.main import app
-from drivecal.domain.campaigns import CampaignState
-from drivecal.storage import campaigns
+from drivecal.contracts.work import Cell, CellResult
 from drivecal.storage.engine import server_lock
 
 SETS = [f"{name}={value}" for name, value in MIDDLE.items()]
@@ -97,9 +96,7 @@ def test_tables_are_exported_whole(run: Run, api: RunningApi, submitted: str, tm
     assert "score_S4" in run("export", submitted, "--table", "solutions").stdout
 
 
-def test_the_set_of_a_rank_goes_to_calibration_tools_and_back(
-    run: Run, api: RunningApi, submitted: str, tmp_path: Path
-) -> None:
+def test_a_ranked_set_goes_to_calibration_tools_and_back(run: Run, api: RunningApi, submitted: str, tmp_path: Path) -> None:
     carry_out(api.database, submitted)
     best = json.loads(run("solutions", submitted, "--json").stdout)["items"][1]
     names = tmp_path / "names.yaml"
@@ -139,24 +136,13 @@ def test_an_export_that_cannot_be_written_leaves_nothing_behind(run: Run, submit
     assert {path.name for path in tmp_path.iterdir()} == {"campaign.yaml"}
 
 
-def test_an_evaluation_is_waited_for_and_shown(run: Run, api: RunningApi) -> None:
-    def answer() -> None:
-        for _ in range(200):
-            with api.database.read() as connection:
-                waiting = [campaign.id for campaign in campaigns.active(connection) if campaign.kind == "evaluation"]
-            for identifier in waiting:
-                carry_out_evaluation(api.database, identifier)
-            if waiting:
-                return
-            time.sleep(0.05)
+def rated(_: str, cell: Cell) -> CellResult:
+    return CellResult(cell.id, 0.0, 0, METRICS, None, 7.0)
 
-    with api.database.transaction() as connection:
-        for campaign in campaigns.active(connection):
-            campaigns.end(connection, campaign.sequence, CampaignState.CANCELLED)
-    thread = threading.Thread(target=answer)
-    thread.start()
-    result = run("evaluate", *SETS, "--scenario", "S2")
-    thread.join()
+
+def test_an_evaluation_is_waited_for_and_shown(run: Run, tmp_path: Path) -> None:
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api, working(api.database, ComputedBackend(answer=rated)):
+        result = run("evaluate", *SETS, "--scenario", "S2", "--url", api.url)
     assert result.exit_code == 0, result.output
     assert result.stdout.startswith("P1=0 P2=1 P3=100")
     assert "S2        simulated      0" in result.stdout

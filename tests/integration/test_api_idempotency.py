@@ -1,7 +1,6 @@
 """Retries and races: one Idempotency-Key makes one campaign, on both databases."""
 
 import uuid
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -9,17 +8,13 @@ import httpx
 import pytest
 from sqlalchemy import text
 from tests.support.answered_campaigns import carry_out
-from tests.support.server import RunningApi, new_database, serving
+from tests.support.server import RunningApi
 from tests.support.values import MIDDLE
 
 from drivecal.api import submission
 from drivecal.domain.errors import InvalidInputError, Problem
 
-
-@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
-def api(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    with serving(new_database(request, request.param, tmp_path_factory.mktemp("idempotency"))) as running:
-        yield running
+pytestmark = pytest.mark.parametrize("api", ["sqlite", "postgresql"], indirect=True, scope="module")
 
 
 @pytest.mark.slow("sqlite")
@@ -46,9 +41,7 @@ REQUESTS: list[tuple[str, dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize(("path", "body"), REQUESTS)
-def test_a_retry_is_known_again_if_what_it_names_is_gone(
-    api: RunningApi, monkeypatch: pytest.MonkeyPatch, path: str, body: dict[str, Any]
-) -> None:
+def test_a_retry_is_known_by_its_key(api: RunningApi, monkeypatch: pytest.MonkeyPatch, path: str, body: dict[str, Any]) -> None:
     def refuse(*_: object) -> None:
         raise InvalidInputError(Problem("evaluator", "unknown"))
 

@@ -73,9 +73,7 @@ def test_what_starts_or_is_cancelled_makes_room(api: RunningApi) -> None:
 
 
 @pytest.mark.slow("postgresql")
-def test_influence_maps_are_kept_up_to_a_limit_however_many_come_at_once(
-    api: RunningApi, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_influence_maps_are_kept_up_to_a_limit(api: RunningApi, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(admission, "MOST_MAPS", PLACES)
     document = {"scenarios": {"S1": {"P1": {"influential": False}}}}
     with ThreadPoolExecutor(10) as pool:

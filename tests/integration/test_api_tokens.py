@@ -79,9 +79,7 @@ def test_the_page_itself_is_open_to_be_read_and_nothing_else(api: RunningApi) ->
     assert api.http.post("/page/nothing.js").status_code == 401
 
 
-def test_the_command_says_which_token_is_missing_or_wrong(
-    api: RunningApi, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_the_command_says_which_token_is_wrong(api: RunningApi, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("DRIVECAL_URL", api.url)
     monkeypatch.delenv("DRIVECAL_TOKEN", raising=False)

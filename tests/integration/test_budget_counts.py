@@ -91,9 +91,7 @@ def breaking(cell: Cell, scenario: str, draws: random.Random) -> CellResult:
 @pytest.mark.slow(*map(str, range(4, 10)))
 @pytest.mark.faults(*map(str, range(10, 50)))
 @pytest.mark.parametrize("seed", range(50))
-def test_runs_are_what_simulators_count_and_keep_to_the_budget(
-    database: Database, seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_are_what_simulators_count(database: Database, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     draws = random.Random(seed)
     install(monkeypatch, "optimizer", CellSearchPlugin())
     monkeypatch.setattr(Bench, "repeated_share", 0.1)

@@ -15,12 +15,10 @@ from drivecal.api.dependencies import Limits
 from drivecal.campaigns import comparison
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.comparison import ComparisonSpecification
-from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError, NotFoundError, OverloadError
 from drivecal.storage import results
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
-from drivecal.storage.maintenance.consistency import verify
 
 Compared = tuple[Database, str, ComputedBackend]
 
@@ -33,27 +31,6 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Compared]:
     finish_comparison(opened, tag, backend)
     yield opened, tag, backend
     opened.dispose()
-
-
-@pytest.mark.slow
-def test_each_optimizer_population_and_seed_is_a_campaign(compared: Compared) -> None:
-    database, tag, _ = compared
-    campaigns = runs_of(database, tag)
-    assert tag.startswith("comparison-")
-    assert len(campaigns) == 2 * 2 * 3
-    assert {campaign.state for campaign in campaigns} == {CampaignState.SUCCEEDED}
-    runs = read_comparison(database, tag).runs
-    assert [(run.campaign, run.name, run.best) for run in runs] == [
-        (campaign.id, campaign.name, campaign.best.objective if campaign.best else None) for campaign in campaigns
-    ]
-    assert [(run.optimizer, run.population, run.seed, run.reduction) for run in runs[:4]] == [
-        *(("genetic", 6, seed, "exact") for seed in (1, 2, 3)),
-        ("genetic", 9, 1, "exact"),
-    ]
-    for compared_run in runs:
-        assert (compared_run.course[-1].iteration, compared_run.course[-1].best) == (compared_run.iterations, compared_run.best)
-        assert compared_run.course[-1].simulations == compared_run.simulations - compared_run.confirmations
-    assert [check for check in verify(database) if check.problems] == []
 
 
 @pytest.mark.slow

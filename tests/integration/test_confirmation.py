@@ -75,9 +75,7 @@ def confirmed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Databa
         database.dispose()
 
 
-def test_the_best_set_is_simulated_and_the_ranking_made_anew(
-    confirmed: tuple[Database, StoredCampaign, StoredCampaign],
-) -> None:
+def test_the_best_set_is_simulated_and_ranked_anew(confirmed: tuple[Database, StoredCampaign, StoredCampaign]) -> None:
     database, campaign, plain = confirmed
     assert campaign.best is not None
     assert plain.best is not None
@@ -94,9 +92,7 @@ def test_the_best_set_is_simulated_and_the_ranking_made_anew(
     assert (plain.notes, plain.confirmation) == ((), None)
 
 
-def test_a_cell_that_confirmed_is_explained_and_found_in_the_place_of_the_reference(
-    confirmed: tuple[Database, StoredCampaign, StoredCampaign],
-) -> None:
+def test_a_confirming_cell_is_explained_and_ranks(confirmed: tuple[Database, StoredCampaign, StoredCampaign]) -> None:
     database, campaign, _ = confirmed
     rows = rows_of(database, campaign)
     by_number = {row.id: row for row in rows}

@@ -39,9 +39,7 @@ PROBLEMS: dict[str, tuple[Mapping[str, Any], dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_a_calibrated_controller_gives_the_same_bits_in_any_worker(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_controller_gives_the_same_bits_in_any_worker(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = made(name, tmp_path)
     manifest, _ = read_bundle(folder)
     monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))

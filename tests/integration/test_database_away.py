@@ -93,9 +93,7 @@ def says_so_everywhere(api: RunningApi) -> None:
     assert ask(api, "/healthz").json() == {"status": "alive"}
 
 
-def test_a_server_that_accepts_connections_and_answers_nothing_is_noticed(
-    api: RunningApi, postgres: KillablePostgres, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_silent_database_is_noticed(api: RunningApi, postgres: KillablePostgres, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO, "drivecal"):
         with postgres.frozen():
             says_so_everywhere(api)
@@ -105,9 +103,7 @@ def test_a_server_that_accepts_connections_and_answers_nothing_is_noticed(
 
 
 @pytest.mark.slow
-def test_a_server_whose_database_does_not_answer_hears_signals(
-    postgres: KillablePostgres, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_server_with_a_silent_database_hears_signals(postgres: KillablePostgres, monkeypatch: pytest.MonkeyPatch) -> None:
     """A question that waits for the database keeps the supervisor from its signals."""
     asked: list[Sequence[str]] = []
 

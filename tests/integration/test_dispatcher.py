@@ -8,7 +8,7 @@ from sqlalchemy import select
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.problems import store, submit_checked
-from tests.support.runs import SMALL, WITH_ANALYSIS, dispatcher, everything, finish, influenced, request, run, submit
+from tests.support.runs import SMALL, dispatcher, everything, finish, request, submit
 
 from drivecal.api.responses import campaign_answer
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
@@ -149,7 +149,7 @@ def test_a_campaign_that_cannot_be_resolved_any_more_fails_and_says_why(database
     assert _run(database, campaign).state is CampaignState.SUCCEEDED
 
 
-def test_a_queued_planner_problem_has_its_own_scale_and_starts_with_the_versions_of_its_start(
+def test_a_queued_problem_has_its_scale_and_starts_with_new_versions(
     database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = installed_bundles("highway")
@@ -179,13 +179,3 @@ def test_a_baseline_is_evaluated_first_and_shown(database: Database) -> None:
         first = next(iter(results.stream(connection, campaign.sequence)))
     assert first.stage is StageName.CALIBRATION
     assert (first.iteration, first.individual, first.parameters.floats) == (0, 0, middle)
-
-
-@pytest.mark.slow("without lots")
-@pytest.mark.parametrize("limit", [1, 0.2], ids=["without lots", "with lots"])
-def test_the_same_campaign_again_simulates_nothing(database: Database, limit: float) -> None:
-    spec = WITH_ANALYSIS | {"reduction": {"mode": "influence", "audit": 0.1, "max_error": limit}}
-    first, again = (run(database, submit(database, likeness="a", **spec), ComputedBackend(answer=influenced)) for _ in range(2))
-    assert first.cells.reused > 0
-    assert (again.cells.runs, again.cells.simulated, again.counts(StageName.SENSITIVITY).runs) == (0, 0, 0)
-    assert (again.best, again.cells.requested, again.cells.reused) == (first.best, first.cells.requested, first.cells.reused)

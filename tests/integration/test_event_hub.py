@@ -25,9 +25,7 @@ def _little_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.faults("1", "2")
 @pytest.mark.parametrize("seed", range(3))
-def test_every_reader_gets_every_event_once_and_in_order_wherever_it_begins_and_breaks_off(
-    database: Database, seed: int
-) -> None:
+def test_every_reader_gets_every_event_once_and_in_order(database: Database, seed: int) -> None:
     draw = random.Random(seed)
     with database.transaction() as connection:
         sequence, identifier = (stored := campaign(connection)).sequence, stored.id
@@ -95,9 +93,7 @@ def test_forgetting_old_events_skips_what_is_gone_and_loses_nothing_else(databas
     assert [item for item in asyncio.run(read()) if item is not None] == [newest]
 
 
-def test_a_database_that_does_not_answer_is_told_and_so_is_its_return(
-    database: Database, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_silent_database_and_its_return_are_reported(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     with database.transaction() as connection:
         stored = campaign(connection)
     reason = "the database does not answer"

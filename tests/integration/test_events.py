@@ -86,9 +86,7 @@ def stored_only(received: Iterator[ServerSentEvent]) -> list[str]:
 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
-def test_a_stream_tells_what_happened_and_what_happens_and_closes_at_the_end(
-    request: pytest.FixtureRequest, tmp_path: Path, kind: str
-) -> None:
+def test_a_stream_sends_all_events_and_closes_at_the_end(request: pytest.FixtureRequest, tmp_path: Path, kind: str) -> None:
     with serving(new_database(request, kind, tmp_path)) as api:
         campaign = submit(api.database)
         note(api.database, campaign, "before")

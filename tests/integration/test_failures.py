@@ -123,9 +123,7 @@ def test_a_campaign_without_failures_has_no_cause(database: Database) -> None:
 
 
 @pytest.mark.parametrize("sensitivity", [None, {"intervals": 4, "samples": 8, "threshold": 0.02}])
-def test_a_campaign_in_which_everything_fails_ends_early_with_the_cause(
-    database: Database, sensitivity: dict[str, Any] | None
-) -> None:
+def test_a_campaign_whose_cells_all_fail_ends_early(database: Database, sensitivity: dict[str, Any] | None) -> None:
     optimizer = {"kind": "random", "population": 400, "iterations": 5, "seed": 1}
     simulated = Simulated(broken=2.0)
     ended = run(database, submit(database, optimizer=optimizer, sensitivity=sensitivity), simulated)

@@ -58,9 +58,7 @@ def test_every_attack_is_expected_to_cost_its_cell_or_nothing() -> None:
 
 
 @pytest.mark.parametrize("backend", ["processes", "ray"])
-def test_an_attack_costs_its_cell_and_nothing_of_a_campaign_beside_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, backend: str
-) -> None:
+def test_an_attack_costs_its_cell_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, backend: str) -> None:
     mark, temporary = f"mark-of-{tmp_path.parent.name}-{backend}", tmp_path / "temporary"
     temporary.mkdir()
     listening, shared, elsewhere = socket.socket(socket.AF_UNIX), Path(f"/dev/shm/{mark}"), tmp_path / "elsewhere"

@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 from tests.support.answered_campaigns import ANALYSIS, analyse
 from tests.support.server import RunningApi
+from tests.support.values import present
 
 from drivecal.contracts.tables import InfluenceRow
 
@@ -37,11 +38,9 @@ def test_an_analysis_gives_bounds_in_units_and_its_measures(api: RunningApi, ana
     assert list(rows) == [(scenario, f"P{i}") for scenario in ("S1", "S2") for i in range(1, 4)]
     p1, p2 = rows["S1", "P1"], rows["S1", "P2"]
     assert (p1.influential, p1.lower, p1.unknown) == (True, 0, False), "where nothing is cut the space's own bound is given"
-    assert p1.upper is not None
-    assert 0.5 <= p1.upper <= 0.65
+    assert 0.5 <= present(p1.upper) <= 0.65
     assert (p1.unit, p1.space_lower, p1.space_upper, p1.n_values) == ("s", 0, 1, 21)
-    assert p1.mu is not None
-    assert p1.mu > 0
+    assert present(p1.mu) > 0
     assert p1.mu_star is not None
     assert p1.s_rel_intervals is not None
     assert len(p1.s_rel_intervals) == 5

@@ -75,9 +75,7 @@ def damage(folder: Path, patch: pytest.MonkeyPatch) -> None:
         patch.delitem(vars(plugin), "version", raising=False)
 
 
-def test_what_needs_a_damaged_file_is_refused_by_its_name_and_nothing_is_stored(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_damaged_learned_part_is_refused_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     damage(tmp_path, monkeypatch)
     with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
         for name, choice in CHOICES.items():

@@ -10,6 +10,7 @@ import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.deaths import mortal
 from tests.support.runs import EXPERT_SPACE, dispatcher, finish, get, request, rows_of, submit
+from tests.support.values import present
 
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
@@ -124,8 +125,7 @@ def test_a_run_outside_the_space_of_a_map_answers_nothing_inside_it(database: Da
     for _ in range(60):
         working.step()
     ended = finish(database, _submit(database, stored_map=stored.id, baseline=middle), working)
-    assert ended.baseline is not None
-    assert ended.baseline.scores == {"S1": 6, "S2": 6}
+    assert present(ended.baseline).scores == {"S1": 6, "S2": 6}
     assert ended.cells.reused > 0
 
 
@@ -153,9 +153,7 @@ def test_simulations_that_do_not_repeat_themselves_are_told(database: Database) 
 
 
 @pytest.mark.parametrize(("pauses", "end"), [(True, "iterations"), (False, "budget")])
-def test_only_a_pause_takes_no_minutes_of_a_budget(
-    database: Database, monkeypatch: pytest.MonkeyPatch, pauses: bool, end: str
-) -> None:
+def test_a_pause_takes_no_minutes(database: Database, monkeypatch: pytest.MonkeyPatch, pauses: bool, end: str) -> None:
     campaign, working = _submit(database, budget={"minutes": 60}), dispatcher(database)
     while not get(database, campaign).cells.simulated:
         working.step()
@@ -166,6 +164,5 @@ def test_only_a_pause_takes_no_minutes_of_a_budget(
         request(database, campaign, "resume")
     later = time.monotonic() + 36_000.0
     monkeypatch.setattr(searches, "time", SimpleNamespace(monotonic=lambda: later))
-    search = finish(database, campaign, working).search
-    assert search is not None
+    search = present(finish(database, campaign, working).search)
     assert search.ended_by == end

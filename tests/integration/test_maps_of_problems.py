@@ -81,9 +81,7 @@ def _push(database: Database, file: str, scores: Mapping[str, Any]) -> str:
     ("file", "change", "again"),
     [("f1", {"unit": "EUR"}, False), ("f2", {}, True), ("f1", {"tolerance": 9}, True), ("f1", {"range": [0, 90]}, True)],
 )
-def test_a_rerun_on_another_push_analyses_again_if_the_map_does_not_hold(
-    database: Database, file: str, change: dict[str, Any], *, again: bool
-) -> None:
+def test_a_rerun_analyses_again_if_no_map_holds(database: Database, file: str, change: dict[str, Any], *, again: bool) -> None:
     first = _ended_with_a_map(database)
     digest = _push(database, file, {"cost": SCORES["cost"] | change})
     changes = RerunSpecification.model_validate({"weights": {}, "problem": "python-function"})

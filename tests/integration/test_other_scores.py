@@ -83,9 +83,7 @@ def test_the_ranking_under_another_score_is_that_of_a_campaign_with_it(asked: As
         assert gain[0]["objective"] == max(solution["objective"] for solution in gain)
 
 
-def test_importance_explains_the_objective_of_the_ranking_under_its_weights_and_score(
-    asked: Asked, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_importance_explains_the_objective_of_its_ranking(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivecal.analysis.importance.LEAST_SETS", 30)
 
     def importance(campaign: str, **query: str) -> dict[str, Any]:

@@ -176,9 +176,7 @@ def test_few_cells_are_asked_for_ahead_so_that_sets_can_be_cancelled(sqlite: Run
 
 
 @pytest.mark.slow("postgresql")
-def test_a_set_that_is_cancelled_while_its_round_is_planned_is_not_asked_for(
-    api: RunningApi, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_set_cancelled_during_planning_is_not_asked_for(api: RunningApi, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign, work = submitted(api), dispatcher(api.database, ComputedBackend())
     propose(api, campaign, sets(0, 6))
     late, waiting = ["k0", "k3"], outside_sets.waiting
@@ -263,9 +261,7 @@ def test_a_request_may_wait_for_an_answer(sqlite: RunningApi) -> None:
     until(lambda: "drivecal_http_event_streams 0.0" in sqlite.http.get("/metrics").text, "the end of its wait", 30)
 
 
-def test_a_set_costs_one_transaction_of_the_api_and_four_of_the_dispatcher(
-    sqlite: RunningApi, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_set_costs_five_transactions(sqlite: RunningApi, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivecal.dispatch.dispatcher.TIDY_SECONDS", math.inf)
     campaign, work, written = submitted(sqlite), dispatcher(sqlite.database, ComputedBackend(1)), list[Database]()
     propose(sqlite, campaign, sets(0, 1))
@@ -329,9 +325,7 @@ def test_a_dispatcher_that_is_killed_at_any_moment_loses_and_doubles_nothing(tmp
 
 @pytest.mark.slow("optuna", "scipy")
 @pytest.mark.parametrize("name", ["optuna", "cma", "scipy"])
-def test_the_example_of_an_optimizer_uses_its_budget_and_the_same_again_is_free(
-    sqlite: RunningApi, tmp_path: Path, name: str
-) -> None:
+def test_the_example_of_an_optimizer_uses_its_budget(sqlite: RunningApi, tmp_path: Path, name: str) -> None:
     file = tmp_path / "spec.json"
     file.write_text(json.dumps(SPEC | {"optimizer": {"kind": "external", "infeasible": "repair"}}))
     example = PROJECT / "deploy" / "examples" / "optimizers" / f"with_{name}.py"

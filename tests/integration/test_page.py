@@ -60,9 +60,7 @@ def test_files_of_the_page_are_kept_by_browsers_and_sent_compressed(api: Running
     assert plain.content == answer.content
 
 
-def test_the_documentation_is_served_to_everybody_under_the_policy_of_the_page(
-    guarded: RunningApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_documentation_is_served_to_everybody(guarded: RunningApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(page, "MANUAL", tmp_path)
     (tmp_path / "missing.txt").write_text("there is no generator <here>\n")
     assert "no generator &lt;here&gt;" in guarded.http.get("/help/").text

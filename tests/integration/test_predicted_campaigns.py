@@ -222,9 +222,7 @@ def test_released_predictions_are_simulated_afterwards_by_a_study(predicted: tup
     assert get(database, study).cells.requested == 0
 
 
-def test_a_simulation_that_confirms_a_predicted_set_is_explained_by_its_prediction(
-    predicted: tuple[Database, StoredCampaign],
-) -> None:
+def test_a_confirming_simulation_is_explained_by_its_prediction(predicted: tuple[Database, StoredCampaign]) -> None:
     database, campaign = predicted
     believed = next(row for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED)
     place = believed.stage, ITERATIONS, 0, believed.scenario, believed.setup_id, believed.parameter_set_id

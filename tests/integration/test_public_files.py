@@ -108,9 +108,7 @@ def by_another(fetched: Path, folder: Path, content: bytes) -> list[list[Any]]:
     ("name", "scalars", "faults"),
     list(zip([name for name in FILES if name.endswith(".a2l")], (49, 37, 3, 43), (7, 2, 0, 0), strict=True)),
 )
-def test_another_reader_has_the_same_characteristics_of_an_a2l(
-    fetched: Path, tmp_path: Path, name: str, scalars: int, faults: int
-) -> None:
+def test_another_reader_reads_the_same_a2l(fetched: Path, tmp_path: Path, name: str, scalars: int, faults: int) -> None:
     content = files.read(public(fetched, name), name)
     rows = by_another(fetched, tmp_path, public(fetched, name))
     theirs = {
@@ -163,9 +161,7 @@ def expected_in_xml(row: Characteristic, own: Collection[str]) -> list[Any]:
 
 
 @pytest.mark.parametrize("name", [name for name in FILES if name.startswith("asamint") and name.endswith(".a2l")])
-def test_curves_and_maps_of_a_public_a2l_keep_values_and_axes_in_other_readers(
-    fetched: Path, tmp_path: Path, name: str
-) -> None:
+def test_curves_and_maps_of_a_public_a2l_suit_other_readers(fetched: Path, tmp_path: Path, name: str) -> None:
     described = files.read(public(fetched, name), name).characteristics
     if name.startswith(CDF20_DEMO):
         held = files.read(public(fetched, f"{CDF20_DEMO}.cdfx"), "demo.cdfx").characteristics

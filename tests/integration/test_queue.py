@@ -199,9 +199,7 @@ def test_a_result_whose_lease_was_lost_changes_nothing_and_the_cell_is_simulated
     assert leased(database) == 0
 
 
-def test_a_cell_that_another_process_answered_is_taken_from_the_rows(
-    database: Database, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_answer_of_another_process_is_taken_over(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign = submit(database, **TINY)
     held = Silent()
     working = dispatcher(database, held)

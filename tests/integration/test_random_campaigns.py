@@ -134,9 +134,7 @@ def test_a_budget_too_small_for_a_further_set_is_no_stagnation(database: Databas
     assert present(ended.search).ended_by == "budget"
 
 
-def test_all_sets_meet_the_same_seeds_and_a_search_by_the_cell_asks_further_ones_where_they_tell_more(
-    database: Database,
-) -> None:
+def test_all_sets_meet_the_same_seeds_and_good_ones_more_of_them(database: Database) -> None:
     ended = carried_out(database, budget={"simulations": 120})
     by_set: dict[float, set[int]] = {}
     rows = [row for row in rows_of(database, ended) if row.seed <= 12]

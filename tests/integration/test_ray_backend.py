@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import psutil
 import pytest
 from tests.support.fake_backend import Behaviour
-from tests.support.misbehaviour import misbehaving_cells, misbehaving_setup
+from tests.support.misbehaviour import misbehaving_setup
 from tests.support.pooled import MemoryLeases, drain
+from tests.support.pooled import cells as behaving
 from tests.support.setups import changed
 
 from drivecal.contracts.work import Batch, Cell
@@ -27,7 +28,7 @@ def pool(ray_backend: RayBackend) -> Iterator[WorkPool]:
 
 
 def test_two_workers_share_the_cells_and_agree(pool: WorkPool) -> None:
-    cells = misbehaving_cells([Behaviour.WELL] * 200)
+    cells = behaving([Behaviour.WELL] * 200)
     pool.submit(Work(misbehaving_setup(), cells), tag="test")
     completed = drain(pool)
     assert sorted(entry.result.id for entry in completed) == [cell.id for cell in cells]
@@ -37,7 +38,7 @@ def test_two_workers_share_the_cells_and_agree(pool: WorkPool) -> None:
 
 
 def test_workers_killed_from_outside_cost_no_cell(pool: WorkPool) -> None:
-    pool.submit(Work(misbehaving_setup(), misbehaving_cells([Behaviour.WELL] * 400)), tag="test")
+    pool.submit(Work(misbehaving_setup(), behaving([Behaviour.WELL] * 400)), tag="test")
     completed = pool.poll(30.0)
     victim = next(worker for worker in pool.workers() if worker.pid is not None)
     assert victim.pid is not None
@@ -65,14 +66,14 @@ def test_an_answer_that_cannot_be_read_is_an_error_of_its_batch_only(ray_backend
 def test_another_version_at_the_coordinator_costs_no_cell_and_names_both_versions(pool: WorkPool) -> None:
     good = misbehaving_setup()
     other = changed(good, controller="misbehaving 0.9")
-    pool.submit(Work(other, misbehaving_cells([Behaviour.WELL] * 20)), tag="test")
+    pool.submit(Work(other, behaving([Behaviour.WELL] * 20)), tag="test")
     completed: list[Completed] = []
     for _ in range(1200):
         completed += pool.poll(0.1)
         if "2 workers refuse S1" in (pool.trouble() or ""):
             break
     assert "is misbehaving 0.9 at the coordinator and misbehaving 1 at the worker" in (pool.trouble() or "")
-    pool.submit(Work(good, misbehaving_cells([Behaviour.WELL] * 20, first=101)), tag="others")
+    pool.submit(Work(good, behaving([Behaviour.WELL] * 20, first=101)), tag="others")
     while pool.held("others"):
         completed += pool.poll(0.5)
     assert sorted(cell.result.id for cell in completed) == list(range(101, 121))

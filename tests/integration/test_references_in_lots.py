@@ -89,9 +89,7 @@ def test_counts_of_lots_cells_and_campaign_agree(inspected: tuple[Database, Stor
     assert [check for check in verify(database) if check.problems] == []
 
 
-def test_a_sample_is_compared_with_its_references_and_its_lot_released_or_simulated_whole(
-    inspected: tuple[Database, StoredCampaign],
-) -> None:
+def test_a_lot_of_references_is_released_or_simulated_whole(inspected: tuple[Database, StoredCampaign]) -> None:
     database, campaign = inspected
     rows = rows_of(database, campaign)
     by_id = {row.id: row for row in rows}

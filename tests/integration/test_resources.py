@@ -4,12 +4,12 @@ from typing import Any
 
 import pytest
 from tests.support.problems import store
+from tests.support.values import faults_of
 
 from drivecal.api import expectation, submission
 from drivecal.api.dependencies import Limits
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
-from drivecal.domain.errors import InvalidInputError
 from drivecal.storage.engine.database import Database
 
 MANIFEST: dict[str, Any] = {
@@ -34,9 +34,7 @@ def test_a_campaign_that_needs_more_than_exists_is_refused_with_the_field(databa
         lambda: expectation.expected(database, few, campaign),
         lambda: submission.evaluate(database, few, one, None),
     ):
-        with pytest.raises(InvalidInputError) as error:
-            refused()
-        [problem] = error.value.problems
+        [problem] = faults_of(refused)
         assert problem.field == "problem"
         assert "city needs 2 carmaker" in problem.message
     assert submission.submit(database, enough, campaign, None).state == "queued"
@@ -49,6 +47,4 @@ def test_resources_are_read_from_text_and_passed_to_the_servers_processes(monkey
     assert settings.resources == {"carmaker": 4, "vtd": 2}
     assert settings.environment["DRIVECAL_RESOURCES"] == "carmaker=4,vtd=2"
     for faulty in ("carmaker", "carmaker=many", "a b=1", "carmaker=-1"):
-        with pytest.raises(InvalidInputError) as error:
-            load_settings(resources=faulty)
-        assert error.value.problems[0].field.startswith("resources")
+        assert faults_of(load_settings, resources=faulty)[0].field.startswith("resources")

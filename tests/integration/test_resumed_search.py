@@ -77,9 +77,7 @@ def test_others_can_write_while_a_search_is_restored(tmp_path: Path, monkeypatch
     assert len(writes) > created
 
 
-def test_a_dispatcher_that_lost_its_leadership_during_a_restore_writes_nothing(
-    database: Database, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dispatcher_superseded_during_a_restore_writes_nothing(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign = _begun(database, 3)
     before = _rows(database, campaign), get(database, campaign)
     superseded = dispatcher(database)

@@ -1,13 +1,17 @@
 """Explanations, contradictions and accounts of whole campaigns, with a formula in the place of the simulation."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from tests.support.computed import IGNORED, ComputedBackend, computed
-from tests.support.runs import EXPERT_SPACE, SMALL, nothing_matters, post_map, rows_of, run, submit
+from tests.support.runs import EXPERT_SPACE, SMALL, influenced, nothing_matters, post_map, rows_of, run, submit
 
+from drivecal.api.expectation import expected
 from drivecal.campaigns.results.explanation import explain
+from drivecal.configuration.settings import Settings
 from drivecal.contracts.explanation import Explanation
+from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage.engine.database import Database
@@ -41,11 +45,10 @@ def test_every_reused_cell_is_explained_by_its_donor_and_what_differs(database: 
 @pytest.mark.parametrize(
     ("changes", "with_map"), [({"reduction": {"mode": "off"}}, True), ({"reduction": {"mode": "exact"}}, True), ({}, False)]
 )
-def test_without_reuse_every_difference_from_the_nearest_set_blocks(
-    database: Database, changes: dict[str, Any], with_map: bool
-) -> None:
+def test_without_reuse_every_difference_blocks(database: Database, changes: dict[str, Any], with_map: bool) -> None:
     used = post_map(database, TRUE_MAP) if with_map else None
-    campaign = run(database, submit(database, stored_map=used, **changes))
+    small = {"optimizer": SMALL["optimizer"] | {"population": 8, "iterations": 2}}
+    campaign = run(database, submit(database, stored_map=used, **small | changes))
     cell = next(row for row in rows_of(database, campaign) if row.outcome is Outcome.SIMULATED and row.iteration == 1)
     explanation = _explain(database, cell)
     assert explanation.reason == "simulated"
@@ -104,3 +107,19 @@ def test_contradictions_of_a_wrong_map_are_counted_and_those_of_a_true_one_are_n
     true = run(database, submit(database, stored_map=post_map(database, TRUE_MAP), **other))
     assert [rate.contradictions for rate in true.error_rate.values()] == [0, 0, 0]
     assert any(rate.audited for rate in true.error_rate.values())
+
+
+def test_the_preview_of_a_campaign_warns_as_well(database: Database) -> None:
+    stored = post_map(database, nothing_matters())
+    validation = {"samples": 20, "references": 3, "largest": 20}
+    study = submit(database, stored_map=stored, catalogue=["S1", "S3"], optimizer=None, validation=validation)
+    run(database, study, ComputedBackend(answer=influenced))
+    document = {**study.spec, "optimizer": {"kind": "random"}, "validation": None}
+    assert document["sensitivity"] == {"map": stored}
+    limits: Any = SimpleNamespace(settings=Settings(largest_campaign=10**9))
+    warned = [{"mode": "influence"}, {"mode": "both", "max_error": 1}]
+    for reduction in warned:
+        notes = expected(database, limits, CampaignSpecification.model_validate(document | {"reduction": reduction})).notes
+        assert any(study.id in note for note in notes)
+    predicted = CampaignSpecification.model_validate(document | {"reduction": {"mode": "predicted"}})
+    assert not any(study.id in note for note in expected(database, limits, predicted).notes)

@@ -4,6 +4,7 @@ import pytest
 from tests.support.computed import ComputedBackend, rating_of
 from tests.support.runs import rows_of, run, submit
 from tests.support.scales import COST, by_score
+from tests.support.values import faulty_fields
 
 from drivecal.api.responses import campaign_answer
 from drivecal.bundles.manifest import ScoreEntry
@@ -12,7 +13,6 @@ from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import InvalidInputError
 from drivecal.storage import events, generations, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -58,6 +58,4 @@ def test_the_search_minimises_and_a_failed_run_never_wins(database: Database) ->
 
 def test_differences_of_scores_cannot_exceed_their_range() -> None:
     given = {"sensitivity": None, "reduction": {"tolerance": 101.0}, "robustness": {"eta": 250.0}}
-    with pytest.raises(InvalidInputError) as raised:
-        resolve(CampaignSpecification.model_validate(given))
-    assert [problem.field for problem in raised.value.problems] == ["robustness.eta", "reduction.tolerance"]
+    assert faulty_fields(resolve, CampaignSpecification.model_validate(given)) == ["robustness.eta", "reduction.tolerance"]

@@ -108,9 +108,7 @@ def _environment(process: psutil.Process) -> str:
 
 
 @pytest.mark.slow
-def test_the_password_of_the_database_stays_in_the_processes_of_the_server(
-    tmp_path: Path, postgres_url: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_databases_password_stays_in_the_server(tmp_path: Path, postgres_url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is not in simulators, logs, tables, lists of processes, and answers about health, metrics and workers."""
     url = make_url(postgres_url).set(password=MINE).render_as_string(hide_password=False)
     (tmp_path / "temporary").mkdir()

@@ -11,7 +11,7 @@ import libsumo
 import numpy as np
 import pytest
 from tests.support.roads import to_cartesian
-from tests.support.values import faults_of
+from tests.support.values import faults_of, present
 
 from drivecal.bundles.highway import Scenario, TrafficVehicle
 from drivecal.campaigns.resolve.problem import resolve
@@ -261,8 +261,7 @@ def test_an_overshoot_is_the_same_at_any_step(step: float, monkeypatch: pytest.M
 
 def test_a_trace_has_its_road_the_others_and_the_plans() -> None:
     answer = runner(S1).run(changes_lane(S1), series=True)
-    assert answer.replay is not None
-    series, replay = answer.series, answer.replay.model_dump(mode="json")
+    series, replay = answer.series, present(answer.replay).model_dump(mode="json")
     steps = round(S1.duration / S1.step)
     assert len(series["time_s"]) == len(series["speed_mps"]) == steps
     assert {other["id"] for other in replay["others"]} == {vehicle.id for vehicle in S1.traffic}

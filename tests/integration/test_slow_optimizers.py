@@ -81,9 +81,7 @@ def test_a_campaign_whose_optimizer_computes_is_cancelled(database: Database, do
 @pytest.mark.slow("1-pause", "1-death")
 @pytest.mark.parametrize("how", ["pause", "death"])
 @pytest.mark.parametrize("iteration", [0, 1])
-def test_a_campaign_that_stops_while_its_optimizer_computes_ends_as_if_nothing_had_been(
-    database: Database, doors: Doors, tmp_path: Path, iteration: int, how: str
-) -> None:
+def test_a_stop_while_computing_is_clean(database: Database, doors: Doors, tmp_path: Path, iteration: int, how: str) -> None:
     working = dispatcher(database)
     slow = thinking(database, doors, working, iteration=iteration)
     if how == "pause":

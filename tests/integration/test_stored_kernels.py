@@ -190,9 +190,7 @@ def test_a_controller_changes_no_kernel_and_has_a_place_for_its_own(folders: lis
 
 
 @pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
-def test_a_driver_with_threads_that_could_change_kernels_loads_no_controller(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_driver_with_threads_loads_no_controller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
     with (
         pytest.raises(UnsuitableError, match=r"simulator\.environment"),

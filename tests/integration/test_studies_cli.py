@@ -106,9 +106,7 @@ def test_a_campaign_without_a_map_has_nothing_to_validate(run: Run, api: Running
         client.wait(posted, progress=False)
 
 
-def test_the_optima_are_the_best_solutions_with_their_regions(
-    api: RunningApi, ended: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_optima_are_the_best_sets_with_regions(api: RunningApi, ended: str, monkeypatch: pytest.MonkeyPatch) -> None:
     url = f"/api/v1/campaigns/{ended}"
     optima = api.http.get(f"{url}/optima?limit=1000").json()["items"]
     ranked = api.http.get(f"{url}/solutions?limit=1000").json()["items"]

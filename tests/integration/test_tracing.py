@@ -18,9 +18,7 @@ from drivecal.client import Client
 from drivecal.cluster import tracing
 
 
-def test_without_opentelemetry_the_log_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_without_opentelemetry_the_log_says_so(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setitem(sys.modules, "opentelemetry.sdk.resources", None)
     with caplog.at_level(logging.WARNING):
         tracing.configure("api")
@@ -57,9 +55,7 @@ def receiver() -> Iterator[tuple[str, list[bytes]]]:
 @pytest.mark.packages
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("backend", ["processes", "ray"])
-def test_spans_of_a_campaign_have_its_id_and_their_places(
-    backend: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_spans_have_their_campaigns_id(backend: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     packages = tmp_path / "packages"
     subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", "--target", packages, *tracing.PACKAGES], check=True)
     monkeypatch.syspath_prepend(str(packages))

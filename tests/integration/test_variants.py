@@ -38,9 +38,7 @@ def carried_out(database: Database, workers: int = 1, deaths: Sequence[int] = ()
 
 
 @pytest.mark.parametrize(("search", "common"), [(SURROGATE, "mean"), (GENETIC, "worst")], ids=["cells", "population"])
-def test_each_variant_has_its_best_set_and_the_common_one_its_cost(
-    database: Database, search: dict[str, Any], common: str
-) -> None:
+def test_each_variant_has_its_best_set(database: Database, search: dict[str, Any], common: str) -> None:
     ended = carried_out(database, common=common, **search)
     resolved = resolved_spec(ended)
     stored = StoredRanking(database, ended, resolved)

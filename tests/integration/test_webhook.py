@@ -104,9 +104,7 @@ def test_what_is_not_marked_is_posted_again(database: Database) -> None:
         assert [each["campaign"]["id"] for each in posted] == [campaign] * 2
 
 
-def test_a_listener_that_never_takes_an_event_holds_nothing_up_and_stays_secret(
-    database: Database, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_refusing_listener_holds_nothing_up_and_stays_secret(database: Database, caplog: pytest.LogCaptureFixture) -> None:
     with listening(*[500] * 2) as (url, posted):
         hook = Webhook(database, url, pauses=(0.0,))
         hook.post()
@@ -152,9 +150,7 @@ def test_posting_goes_on_after_an_unexpected_fault(database: Database, monkeypat
         assert again.wait(60)
 
 
-def test_after_the_election_of_another_dispatcher_nothing_is_posted_or_logged(
-    database: Database, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_superseded_dispatcher_posts_and_logs_nothing(database: Database, caplog: pytest.LogCaptureFixture) -> None:
     before = database.fenced(Leadership.begin(database).fence)
     Leadership.begin(database)
     with listening() as (url, posted), caplog.at_level(logging.INFO), Webhook(before, url):
@@ -189,9 +185,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("short")
-def test_a_campaign_whose_cells_wait_without_a_result_stalls_once_and_streams_see_it(
-    database: Database, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_campaign_without_results_stalls_once_in_streams(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     carrying_out = dispatcher(database, FakeBackend(2))
     campaign = submit(database)
     carrying_out.step()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection
 from tests.support.storage import new_evaluation, simulate
-from tests.support.values import numbers
+from tests.support.values import numbers, present
 
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.maps import analysis_to_document, smallest_s_rel
@@ -109,8 +109,7 @@ def analyse(database: Database, campaign_id: str, score: Callable[[str, Mapping[
     with database.transaction() as connection:
         campaign = campaigns.get(connection, campaign_id)
         problem = resolve(validated(CampaignSpecification, campaign.spec))
-        analysis = problem.analysis()
-        assert analysis is not None
+        analysis = present(problem.analysis())
         while phase := analysis.ask():
             told = {
                 scenario: np.array(

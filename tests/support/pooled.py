@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from tests.support.fake_backend import Behaviour
@@ -15,7 +16,7 @@ from drivecal.execution.scheduling.in_flight import Completed
 def cells(behaviours: Sequence[Behaviour], first: int = 1) -> list[Cell]:
     """No two are identical: they would be simulated once."""
     return [
-        Cell(first + index, {"behaviour": float(behaviour), "number": float(first + index)})
+        Cell(first + index, {"behaviour": float(behaviour), "value": float(first + index)})
         for index, behaviour in enumerate(behaviours)
     ]
 
@@ -25,11 +26,13 @@ TAGS = ("a", "b", "c", "test", "others", "campaign-7")
 
 
 def drain(pool: WorkPool, patience: int = 100_000) -> list[Completed]:
+    """All answers; goes on while the database does not answer."""
     completed: list[Completed] = []
     for _ in range(patience):
         if not any(pool.held(tag) for tag in TAGS):
             return completed
-        completed += pool.poll(1.0)
+        with suppress(UnavailableError):
+            completed += pool.poll(1.0)
     raise AssertionError(
         f"cells never came back: { ({tag: pool.held(tag) for tag in TAGS}) }; {pool.workers()}; {pool.trouble()}"
     )

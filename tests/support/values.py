@@ -31,3 +31,8 @@ def faults_of(call: Callable[..., object], *arguments: Any, **named: Any) -> tup
     with pytest.raises(InvalidInputError) as refused:
         call(*arguments, **named)
     return refused.value.problems
+
+
+def faulty_fields(call: Callable[..., object], *arguments: Any, **named: Any) -> list[str]:
+    """The fields of these faults."""
+    return [problem.field for problem in faults_of(call, *arguments, **named)]

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
-from tests.support.misbehaviour import ARCHIVES, misbehaving_cells, misbehaving_setup
+from tests.support.misbehaviour import ARCHIVES, misbehaving_setup
 from tests.support.pooled import MemoryLeases
+from tests.support.pooled import cells as behaving
 
 from drivecal.bundles import archives
 from drivecal.contracts.work import Batch, Cell, SetupRequest
@@ -39,7 +40,7 @@ def wait_for_idle(backend: Backend) -> None:
 
 
 def batch(*behaviours: Behaviour, first: int = 1) -> Batch:
-    return Batch(misbehaving_setup(), misbehaving_cells(behaviours, first))
+    return Batch(misbehaving_setup(), tuple(behaving(behaviours, first)))
 
 
 def send(backend: Backend, batch_id: int, batch: Batch, expected: float | None = PLENTY, *, alone: bool = False) -> str:
@@ -131,9 +132,7 @@ COMMANDS = {"command": ["sh", "./sim", "{results}"], "process": [sys.executable,
 @pytest.mark.slow("ray")
 @pytest.mark.parametrize("kind", BUSY)
 @pytest.mark.parametrize("real", ["processes", "ray"])
-def test_a_cell_waits_for_a_busy_simulator_and_loses_no_attempt(
-    real: str, kind: str, request: pytest.FixtureRequest, tmp_path: Path
-) -> None:
+def test_a_busy_simulator_costs_no_attempt(real: str, kind: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     backend = request.getfixturevalue(f"{real}_backend")
     wait_for_idle(backend)
     folder, free = tmp_path / "bundle", tmp_path / "free"

@@ -64,9 +64,7 @@ def test_a_donor_of_the_campaigns_own_counts_as_it_was_answered_whatever_is_stor
 
 
 @pytest.mark.parametrize(("scores", "expected"), [((5, 5), {}), ((5, 4), {"S1": 1}), ((5, 4, 3), {"S1": 1})])
-def test_different_scores_under_one_key_contradict_each_other_once(
-    database: Database, scores: tuple[int, ...], expected: dict[str, int]
-) -> None:
+def test_scores_under_one_key_contradict_once(database: Database, scores: tuple[int, ...], expected: dict[str, int]) -> None:
     with database.transaction() as connection:
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         sets = sample_set_ids(connection, len(scores) + 2)

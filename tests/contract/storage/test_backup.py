@@ -100,9 +100,7 @@ def as_file(database: Database, tmp_path: Path) -> Database:
 
 @pytest.mark.slow("postgresql-postgresql", "sqlite-postgresql")
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
-def test_what_is_restored_is_what_was_backed_up(
-    used: Database, target_url: Callable[[str], str], kind: str, tmp_path: Path
-) -> None:
+def test_restored_rows_are_equal(used: Database, target_url: Callable[[str], str], kind: str, tmp_path: Path) -> None:
     file = tmp_path / "backup.db"
     written = backup.write(used, file, silent)
     assert written.rows["runs"] > 200
@@ -121,9 +119,7 @@ def test_what_is_restored_is_what_was_backed_up(
 
 
 @pytest.mark.slow("postgresql")
-def test_a_campaign_that_ran_when_it_was_backed_up_ends_alike_in_the_restored_database(
-    used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
-) -> None:
+def test_a_restored_campaign_goes_on(used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str) -> None:
     backup.write(used, tmp_path / "backup.db", silent)
     target = Database.open(target_url(backend))
     backup.restore(tmp_path / "backup.db", target, silent)
@@ -144,9 +140,7 @@ def test_a_campaign_that_ran_when_it_was_backed_up_ends_alike_in_the_restored_da
 
 
 @pytest.mark.slow("sqlite")
-def test_a_backup_holds_one_moment_however_much_is_written_meanwhile(
-    used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_backup_holds_one_moment_of_a_used_database(used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivecal.storage.maintenance.backup.PAGES", 16)
     monkeypatch.setattr("drivecal.storage.maintenance.backup.CHUNK", 200)
     written = []
@@ -247,9 +241,7 @@ def test_a_database_with_rows_is_not_restored_into(used: Database, tmp_path: Pat
 
 
 @pytest.mark.slow("postgresql")
-def test_empty_tables_of_another_program_beside_drivecals_outlive_a_restore(
-    database: Database, empty_url: str, tmp_path: Path
-) -> None:
+def test_tables_of_another_program_outlive_a_restore(database: Database, empty_url: str, tmp_path: Path) -> None:
     file = tmp_path / "backup.db"
     backup.write(database, file, silent)
     target = Database.open(empty_url.replace("drivecal.db", "target.db"))
@@ -266,9 +258,7 @@ def test_empty_tables_of_another_program_beside_drivecals_outlive_a_restore(
 
 
 @pytest.mark.slow("postgresql")
-def test_a_database_that_a_server_has_made_and_nobody_used_counts_as_empty(
-    used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
-) -> None:
+def test_an_unused_database_is_empty(used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str) -> None:
     target = Database.open(target_url(backend))
     target.upgrade()
     with target.transaction() as connection:
@@ -292,9 +282,7 @@ def test_what_is_no_backup_is_not_restored(empty_url: str, tmp_path: Path, conte
 
 
 @pytest.mark.slow("postgresql")
-def test_a_damaged_backup_is_not_restored(
-    used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
-) -> None:
+def test_a_damaged_backup_is_refused(used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str) -> None:
     file = tmp_path / "backup.db"
     backup.write(used, file, silent)
     with closing(sqlite3.connect(file)) as plain:
@@ -310,9 +298,7 @@ def test_a_damaged_backup_is_not_restored(
         target.check()
 
 
-def test_a_backup_of_a_newer_release_is_not_restored(
-    database: Database, target_url: Callable[[str], str], tmp_path: Path
-) -> None:
+def test_a_newer_releases_backup_is_refused(database: Database, target_url: Callable[[str], str], tmp_path: Path) -> None:
     file = tmp_path / "backup.db"
     backup.write(database, file, silent)
     with closing(sqlite3.connect(file)) as plain, plain:
@@ -323,9 +309,7 @@ def test_a_backup_of_a_newer_release_is_not_restored(
 
 
 @pytest.mark.slow
-def test_a_killed_restore_leaves_the_database_empty(
-    used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
-) -> None:
+def test_a_killed_restore_has_no_rows(used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str) -> None:
     file = tmp_path / "backup.db"
     written = backup.write(used, file, silent)
     url = target_url(backend)

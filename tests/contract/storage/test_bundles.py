@@ -93,9 +93,7 @@ def copied_portions(database: Database, folder: Path, name: str) -> list[int]:
 
 
 @pytest.mark.parametrize("table", ["bundles", "campaigns"])
-def test_large_rows_are_copied_in_portions_of_bounded_size(
-    database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, table: str
-) -> None:
+def test_large_rows_come_in_portions(database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, table: str) -> None:
     monkeypatch.setattr(backup, "CHUNK_BYTES", 1000)
     for digest in (A, B, C):
         push(database, digest, archive=bytes(1001))

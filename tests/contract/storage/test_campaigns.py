@@ -191,17 +191,6 @@ def test_a_request_that_comes_too_late_is_a_conflict(database: Database, state: 
                 campaigns.request_action(connection, stored.id, action)
 
 
-def test_resuming_takes_back_a_pause_that_was_not_executed_yet(database: Database) -> None:
-    with database.transaction() as connection:
-        stored = campaign(connection)
-        campaigns.start(connection, stored.sequence)
-        campaigns.request_action(connection, stored.id, "pause")
-        assert campaigns.request_action(connection, stored.id, "resume").requested_action is None
-        campaigns.request_action(connection, stored.id, "cancel")
-        with pytest.raises(ConflictError):
-            campaigns.request_action(connection, stored.id, "resume")
-
-
 def test_a_campaign_never_shows_a_negative_time(database: Database) -> None:
     with database.transaction() as connection:
         sequence = campaign(connection).sequence

@@ -73,7 +73,7 @@ def test_a_reader_cannot_write(database: Database) -> None:
 def test_fifty_requests_get_their_turns_beside_a_process_that_writes_without_a_pause(database: Database) -> None:
     url = database.url.render_as_string(hide_password=False)
     begun, ends = PROCESSES.Event(), PROCESSES.Event()
-    writer = PROCESSES.Process(target=_write_without_a_pause, args=(url, 1.0, begun, ends))
+    writer = PROCESSES.Process(target=_write_without_a_pause, args=(url, 0.3, begun, ends))
     writer.start()
     prompt = Database.open(url, replace(PROMPT, lock=300))
 
@@ -111,9 +111,7 @@ def test_processes_with_many_writers_keep_none_from_writing(tmp_path: Path) -> N
         assert database._turns._locked is None, "the queue is left"
 
 
-def test_a_process_that_stands_still_in_the_queue_holds_up_no_other_for_long(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_process_that_stands_still_holds_up_no_other(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     database = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}", replace(PROMPT, lock=0.2))
     database.upgrade()
     queue = tmp_path / "drivecal.db.queue"

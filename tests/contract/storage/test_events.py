@@ -9,6 +9,7 @@ from sqlalchemy import Connection, text
 from tests.support.storage import campaign
 
 from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import ConflictError
 from drivecal.domain.events import EventKind
 from drivecal.storage import campaigns, events
 from drivecal.storage.engine.database import Database
@@ -76,6 +77,8 @@ def test_every_change_of_state_is_told_once_and_asking_twice_tells_nothing_more(
         assert campaigns.change_state(connection, sequence, [CampaignState.PAUSED], CampaignState.RUNNING)
         for _ in range(2):
             campaigns.request_action(connection, stored.id, "cancel")
+        with pytest.raises(ConflictError):
+            campaigns.request_action(connection, stored.id, "resume")
         assert campaigns.change_state(connection, sequence, [CampaignState.RUNNING], CampaignState.CANCELLING)
         assert campaigns.end(connection, sequence, CampaignState.CANCELLED)
         assert not campaigns.end(connection, sequence, CampaignState.CANCELLED)

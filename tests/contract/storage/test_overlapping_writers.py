@@ -95,7 +95,7 @@ def first(postgres: Database) -> StoredCampaign:
 
 @pytest.mark.slow("study", "comparison_on_map")
 @USES
-def test_a_submission_waits_for_the_deletion_of_what_it_names_and_is_refused(
+def test_submissions_wait_for_deletions(
     postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor, use: Use
 ) -> None:
     with postgres.transaction() as connection:
@@ -172,9 +172,7 @@ def request_trace(database: Database, evaluation: int) -> None:
     read_trace(str(evaluation), Request({"type": "http", "state": {"token": ANYBODY}}), database, LIMITS)
 
 
-def test_a_trace_that_is_requested_while_its_cell_is_removed_is_refused_and_the_removal_goes_on(
-    postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor
-) -> None:
+def test_a_trace_of_a_removed_cell_is_refused(postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor) -> None:
     with postgres.read() as connection:
         copied = [row.id for row in results.stream(connection, first.sequence) if row.outcome == Outcome.REUSED]
     requested: list[Future[None]] = []

@@ -2,12 +2,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 
 import pytest
 from tests.contract.storage.conftest import Backend
+from tests.support.serve import until
 from tests.support.values import present
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
@@ -58,15 +59,14 @@ def test_a_killed_server_leaves_no_lock_behind(empty_url: str) -> None:
 
 def eventually(take: Callable[[], None]) -> None:
     """Takes a lock as soon as PostgreSQL has noticed that the connection of its last holder is closed."""
-    deadline = time.monotonic() + 300
-    while True:
-        try:
+
+    def taken() -> bool:
+        with suppress(DatabaseError):
             take()
-        except DatabaseError:
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        else:
-            return
+            return True
+        return False
+
+    until(taken, "the end of its last holder")
 
 
 def test_a_lost_lock_is_taken_again_unless_another_server_has_it(backend: Backend, empty_url: str) -> None:

@@ -46,9 +46,7 @@ def random_runs(chance: random.Random, count: int, setup: int, set_ids: Sequence
 
 
 @pytest.mark.parametrize("seed", range(tries(3, 12)))
-def test_every_watermark_sees_the_first_run_in_the_order_of_campaigns_whenever_the_keys_were_computed(
-    database: Database, seed: int
-) -> None:
+def test_every_watermark_sees_the_first_run_whenever_keys_were_computed(database: Database, seed: int) -> None:
     chance = random.Random(seed)
     sets = [ParameterSet.of({"P1": decimal(p1) / 10, "P2": decimal(p2)}) for p1 in range(10) for p2 in range(20)]
     chance.shuffle(sets)

@@ -1,15 +1,20 @@
+from contextlib import suppress
 from dataclasses import replace
+from math import isfinite
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from sqlalchemy import func, select, update
+from tests.support.databases import migrated
 from tests.support.storage import EVALUATOR, new_run, sample_set_ids, setup_id
 
 from drivecal.api.live.worker_time import RecentWork
 from drivecal.domain.evaluations import Donor, Rating
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
-from drivecal.storage.references import ratings, runs, setups
+from drivecal.storage.references import metrics, ratings, runs, setups
 from drivecal.storage.references.runs import NewRun, StoredRun
 
 
@@ -96,9 +101,7 @@ def test_a_later_simulation_adds_no_rating_to_a_run_that_campaigns_may_see_alrea
         assert runs.insert_results(connection, [replace(again, score=4)]) == [replace(stored, agrees=False)]
 
 
-def test_what_was_seen_in_the_series_of_a_run_simulated_again_is_kept_for_campaigns_that_begin_afterwards(
-    database: Database,
-) -> None:
+def test_ratings_from_series_of_a_repeated_run_are_for_later_campaigns(database: Database) -> None:
     with database.transaction() as connection:
         setup, sets = setup_id(connection), sample_set_ids(connection, 5)
         stored = runs.insert_results(connection, [new_run(setup, element) for element in sets[:4]])
@@ -136,3 +139,39 @@ def test_metrics_without_a_number_are_stored_as_null_and_agree_with_themselves(d
         assert stored.agrees
         assert runs.insert_results(connection, [odd])[0].agrees
         assert runs.metrics(connection, [stored.id]) == {stored.id: {"peak": None, "other": None}}
+
+
+NUMBERS = {"peak_mps2": 0.1 + 0.2, "offset_m": -0.0, "missing": float("nan")}
+STORED = "hgqY8lRBl_bY:NDMzMzMz0z8AAAAAAAAAgAAAAAAAAPh/"
+
+
+def test_the_stored_form_of_a_run_stays_as_it_is(database: Database) -> None:
+    with database.transaction() as connection:
+        assert metrics.pack(connection, [NUMBERS, NUMBERS]) == [STORED, STORED]
+        assert connection.scalars(select(tables.metric_names.c.names)).all() == [list(NUMBERS)]
+
+
+def test_every_bit_comes_back(tmp_path_factory: pytest.TempPathFactory) -> None:
+    database = migrated(f"sqlite:///{tmp_path_factory.mktemp('metrics') / '1.db'}")
+
+    @given(st.dictionaries(st.text(max_size=20), st.floats() | st.integers(-9, 9), max_size=8))
+    def comes_back(given: dict[str, float]) -> None:
+        with database.transaction() as connection:
+            [stored] = metrics.pack(connection, [given])
+            read = metrics.reader(connection)(stored)
+        assert list(read) == list(given)
+        assert [repr(value) for value in read.values()] == [
+            repr(value) if isfinite(value) else "None" for value in given.values()
+        ]
+
+    comes_back()
+
+
+def test_names_that_a_transaction_took_back_are_stored_by_the_next(database: Database) -> None:
+    with suppress(ZeroDivisionError), database.transaction() as connection:
+        [stored] = metrics.pack(connection, [NUMBERS])
+        assert metrics.reader(connection)(stored)["offset_m"] == 0.0
+        raise ZeroDivisionError
+    with database.transaction() as connection:
+        metrics.pack(connection, [NUMBERS])
+        assert connection.scalars(select(tables.metric_names.c.names)).all() == [list(NUMBERS)]

@@ -1,4 +1,4 @@
-"""Authors of the studies of a campaign."""
+"""Influence maps, and authors of the studies of a campaign."""
 
 from typing import Any
 
@@ -6,6 +6,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.storage import campaigns, studies
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
+from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
 
 def test_the_studies_about_a_campaign_are_found_whoever_made_them(database: Database) -> None:
@@ -40,3 +41,20 @@ def test_the_studies_about_a_campaign_are_found_whoever_made_them(database: Data
     ]
     assert result[2].spec == {"robustness": {"of": first, "eta": 1}}
     assert [each.name for each in without_map] == ["of the sets again", "of its sets", "first", "first"]
+
+
+def test_maps_are_listed_newest_first(database: Database) -> None:
+    with database.transaction() as connection:
+        for number in range(3):
+            influence_maps.insert(
+                connection, name=str(number), source="expert", driving_function="frenet", parameters="highway", scenarios={}
+            )
+    result: list[StoredInfluenceMap] = []
+    cursor = None
+    with database.read() as connection:
+        while True:
+            page, cursor = influence_maps.page(connection, limit=2, cursor=cursor)
+            result.extend(page)
+            if cursor is None:
+                break
+    assert [item.name for item in result] == ["2", "1", "0"]

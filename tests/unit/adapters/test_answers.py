@@ -1,5 +1,6 @@
-"""Replays in answers: read of simulators that drive on roads, ignored of others, and refused if a page could not draw them."""
+"""Answers of simulators: replays, and what a failed run has."""
 
+from math import inf, nan
 from typing import Any
 
 import pytest
@@ -27,3 +28,23 @@ def test_a_replay_of_another_form_costs_its_cell(wrong: object) -> None:
     with pytest.raises(NoMeasuresError) as caught:
         outcome(ANSWER | {"replay": wrong}, DECLARED, series=True, replay=True)
     assert caught.value.breakdown is Breakdown.ERROR
+
+
+@pytest.mark.parametrize(
+    ("measures", "series", "kept"),
+    [
+        ({}, {}, ({}, {})),
+        (None, {"t": [0.0, nan]}, ({}, {})),
+        ({"a": None, "b": inf}, {"t": [0.0, inf]}, ({}, {})),
+        ({"a": 1.5, "b": None}, {"t": [0, 1], "u": [None]}, ({"a": 1.5}, {"t": [0.0, 1.0]})),
+    ],
+)
+def test_a_failed_run_keeps_the_numbers_that_it_has(measures: object, series: object, kept: object) -> None:
+    declared, answer = Declared("trial", ("a", "b"), series=("t", "u")), {"measures": measures, "series": series}
+    failed = outcome(answer | {"failure": "collision", "error": None}, declared, series=True)
+    assert (failed.failure, (failed.measures, failed.series)) == ("collision", kept)
+
+
+def test_a_failure_that_is_not_declared_is_refused_if_any_is() -> None:
+    with pytest.raises(NoMeasuresError, match="declared: off_road"):
+        outcome({"failure": "collision"}, Declared("trial", ("a",), failures=("off_road",)), series=False)

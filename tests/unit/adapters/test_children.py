@@ -85,13 +85,6 @@ def test_a_child_that_ends_between_two_looks_is_reported(tmp_path: Path, monkeyp
             assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
 
 
-def test_grandchildren_end_with_the_session(tmp_path: Path, mark: str) -> None:
-    with served(tmp_path, f"subprocess.Popen({SLEEPER.format(mark=mark)})") as session:
-        session.evaluate({"x": 1.0})
-        eventually(lambda: len(running(mark)) == 1)  # a program that was just executed has no command yet
-    assert running(mark) == []
-
-
 def test_daemons_that_leave_the_group_end_too(tmp_path: Path, mark: str) -> None:
     body = f"subprocess.run([sys.executable, '-S', '-c', {DAEMON!r}, {mark!r}])"
     with served(tmp_path, body) as session:
@@ -126,16 +119,6 @@ def patient(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(keeper, "__file__", str(file))
 
 
-@pytest.mark.usefixtures("patient")
-def test_a_child_that_is_asked_to_end_may_clean_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    out = tmp_path / "out"
-    monkeypatch.setenv(GRANTED, str(tmp_path))
-    body = f"signal.signal(15, lambda *_: (open({str(out)!r}, 'w').write('cleaned'), os._exit(1)))\ntime.sleep(600)"
-    with served(tmp_path, body) as session:
-        hung(session, {"x": 1.0}, 5.0)
-    assert out.read_text() == "cleaned"
-
-
 CLEANING = """
 import os, signal, sys, time
 signal.signal(15, lambda *_: (time.sleep(0.2), open({out!r}, 'a').write('cleaned;'), os._exit(0)))
@@ -148,9 +131,7 @@ time.sleep(600)
 
 
 @pytest.mark.usefixtures("patient")
-def test_programs_behind_a_shell_and_in_groups_of_their_own_may_clean_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_programs_behind_a_shell_may_clean_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     monkeypatch.setenv(GRANTED, str(tmp_path))
     (tmp_path / "clean.py").write_text(CLEANING.format(out=str(out)))
@@ -382,9 +363,7 @@ def test_descendants_are_found_and_none_besides(mark: str) -> None:
     assert keeper.seen(process.pid) is None
 
 
-def test_folders_of_sessions_whose_worker_and_keeper_were_killed_are_removed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_folders_of_killed_workers_and_keepers_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     living, kept, dead = (Scratch(tmp_path) for _ in range(3))
     family = Children(Launch(["true"], 500), kept)

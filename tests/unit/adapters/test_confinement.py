@@ -227,9 +227,7 @@ def test_the_folder_of_sessions_is_private_and_not_another_users(tmp_path: Path,
 
 
 @confining
-def test_a_refusal_names_the_folders_that_may_be_changed_and_the_owner_can_grant_more(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_refusal_names_writable_folders_and_owners_grant_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tools = tmp_path / "tools"
     tools.mkdir()
     body = f"open({str(tools / 'cache')!r}, 'w').write('1')"

@@ -36,9 +36,7 @@ def test_a_controller_that_is_not_reset_has_a_child_for_each_run(
 
 
 @pytest.mark.parametrize(("package", "extra"), kinds.EXTRAS.items())
-def test_a_machine_without_a_library_names_what_installs_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str, extra: str
-) -> None:
+def test_a_missing_library_names_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str, extra: str) -> None:
     monkeypatch.setattr(kinds, "find_spec", lambda name: None if name == package else name)
     for name in ("acc.fmu", "road.net.xml"):
         (tmp_path / name).touch()

@@ -77,9 +77,7 @@ def test_sets_that_are_believed_to_be_better_and_were_not_tried_are_named(believ
     believed=st.lists(st.tuples(st.integers(0, 7), st.booleans()), min_size=1, max_size=12),
     off=st.lists(st.integers(-3, 1), min_size=12, max_size=12),
 )
-def test_the_confirmed_best_is_the_best_of_those_that_have_scores_of_their_own(
-    believed: list[tuple[int, bool]], off: list[int]
-) -> None:
+def test_the_confirmed_best_has_scores_of_its_own(believed: list[tuple[int, bool]], off: list[int]) -> None:
     answers = [copied(number, score, own=own) for number, (score, own) in enumerate(believed)]
     truth: dict[int, int | None] = {number: max(0, score + off[number]) for number, (score, _) in enumerate(believed)}
     ranking, confirmation = confirmed(answers, truth, limit=100)

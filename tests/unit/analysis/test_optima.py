@@ -1,4 +1,4 @@
-"""Regions of equal optima."""
+"""Regions of equal optima, and the sets that share the best objective."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -7,6 +7,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from tests.support.effort import examples
 
 from drivecal.analysis.optima import one_per_region_first, regions, to_nearest
+from drivecal.campaigns.results.optima import Alternatives
 
 
 @given(seed=st.integers(0, 500), n=st.integers(2, 25))
@@ -35,3 +36,12 @@ def test_every_region_is_seen_before_any_is_seen_twice() -> None:
     assert one_per_region_first(labels, 3) == [0, 3, 5]
     assert one_per_region_first(labels, 5) == [0, 3, 5, 1, 2]
     assert one_per_region_first(labels, 50) == [0, 3, 5, 1, 2, 4]
+
+
+def test_slices_of_many_optima_are_those_of_all() -> None:
+    generator = np.random.default_rng(2)
+    best, worse = generator.random((9, 3)), generator.random((5, 3))
+    known = Alternatives(best, worse, regions(best))
+    assert len(known) == 9
+    assert [*known.shown(0, 4), *known.shown(4, 8), *known.shown(8, 12)] == known.shown(0, 9)
+    assert known.shown(20, 30) == []

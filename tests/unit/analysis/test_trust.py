@@ -226,9 +226,7 @@ def test_a_campaign_without_a_search_has_no_answers() -> None:
         ([6.0], 200, None, None),
     ],
 )
-def test_a_search_with_a_budget_says_what_more_would_bring(
-    course: list[float | None], used: int, gain: float | None, light: str | None
-) -> None:
+def test_a_search_says_what_more_brings(course: list[float | None], used: int, gain: float | None, light: str | None) -> None:
     subject = campaign(budget={"simulations": 200}, ended_by="budget", spent=Spent(simulations=used))
     subject = subject.model_copy(update={"spec": subject.spec | {"optimizer": {"kind": "surrogate"}}})
     known = Evidence(search=SearchCourse(stalled(*((best, None) for best in course)), {}))

@@ -1,4 +1,4 @@
-"""Whole tables as files."""
+"""Whole tables as files: their formats, which one a client asks for, and rows by conditions on columns."""
 
 import asyncio
 import csv
@@ -12,9 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
+from tests.support.values import faults_of
 
-from drivecal.api.http.queries import TableQuery
+from drivecal.api.http.queries import TableOf, TableQuery, form_of
 from drivecal.api.tables.paging import ROWS_AT_A_TIME, ROWS_AT_FIRST, download, slices, table_answer
+from drivecal.api.tables.selection import selection
 from drivecal.calibration_data.characteristics import Characteristic
 from drivecal.calibration_data.files import write_table
 from drivecal.contracts.tables import (
@@ -195,3 +197,70 @@ def test_the_first_rows_of_a_long_csv_come_before_most_of_them_are_read() -> Non
 
     assert len(asyncio.run(first()).splitlines()) == 1 + ROWS_AT_FIRST
     assert asked[0] == (0, ROWS_AT_FIRST)
+
+
+@pytest.mark.parametrize(
+    ("accept", "form"),
+    [
+        ("*/*", "json"),
+        ("", "json"),
+        ("text/csv", "csv"),
+        ("TEXT/CSV; charset=utf-8", "csv"),
+        ("application/vnd.apache.parquet", "parquet"),
+        ("application/json, text/csv", "json"),
+        ("text/csv, */*;q=0.1", "csv"),
+        ("text/csv;q=0.5, application/json;q=0.9", "json"),
+        ("text/html,application/xhtml+xml,*/*;q=0.8", "json"),
+        ("text/csv;q=x, application/json", "json"),
+        (",;q=,", "json"),
+    ],
+)
+def test_the_accept_header_chooses_the_format(accept: str, form: str) -> None:
+    assert form_of(TableOf(), accept) == form
+
+
+def test_the_query_beats_the_accept_header() -> None:
+    assert form_of(TableOf(format="json"), "text/csv") == "json"
+
+
+CHOSEN_FROM = [
+    Column("outcome", "text"),
+    Column("mode", "text"),
+    Column("P1", "number"),
+    Column("id", "integer"),
+    Column("audited", "truth"),
+    Column("histogram", "numbers"),
+]
+ROWS: list[dict[str, Any]] = [
+    {"id": 1, "outcome": "reused", "mode": "a=b", "P1": 0.5, "audited": False, "histogram": []},
+    {"id": 2, "outcome": "failed", "mode": "eco", "P1": None, "audited": True, "histogram": []},
+    {"id": 3, "outcome": "simulated", "mode": "eco", "P1": 2.0, "audited": True, "histogram": []},
+    {"id": 4, "outcome": None, "mode": "eco", "P1": -1.5, "audited": False, "histogram": []},
+]
+
+
+def kept(*conditions: str) -> list[int]:
+    keeps = selection(conditions, CHOSEN_FROM)
+    return [row["id"] for row in ROWS if keeps(row)]
+
+
+def test_several_values_of_a_column_are_alternatives_and_everything_else_has_to_hold() -> None:
+    assert kept() == [1, 2, 3, 4]
+    assert kept("outcome=reused", "outcome=simulated") == [1, 3]
+    assert kept("outcome=simulated", "mode=eco", "audited=true") == [3]
+    assert kept("mode=a=b") == kept("mode = a=b ") == [1]
+    assert kept("outcome=") == []
+
+
+def test_a_range_holds_its_ends_and_no_missing_value() -> None:
+    assert kept("P1>=0.5") == [1, 3]
+    assert kept("P1>=-1.5", "P1<=0.5") == [1, 4]
+    assert kept("id=3") == kept("id = 3") == [3]
+
+
+@pytest.mark.parametrize(
+    "condition",
+    ["", "P1", "=3", "unknown=1", "histogram=1", "P1=much", "outcome>=a", "audited=1", "P1>=", "P1>2", "P1>=nan", "P1<=inf"],
+)
+def test_a_condition_that_cannot_be_read_is_named(condition: str) -> None:
+    assert [problem.field for problem in faults_of(selection, ["outcome=reused", condition], CHOSEN_FROM)] == ["where[1]"]

@@ -171,9 +171,10 @@ def test_a_constraint_holds_or_not_in_a_set_and_in_a_population(text: str, value
     ],
 )
 def test_a_faulty_constraint_is_refused(text: str) -> None:
-    with pytest.raises(InvalidInputError) as refusal:
-        Constraint(text, PARAMETERS, "constraints[0]")
-    assert all(problem.field == "constraints[0]" and problem.remedy for problem in refusal.value.problems)
+    assert all(
+        problem.field == "constraints[0]" and problem.remedy
+        for problem in faults_of(Constraint, text, PARAMETERS, "constraints[0]")
+    )
 
 
 SIGNS = ". , + - * / ** ( ) < <= == != >= > = [ ] { } : := @ # \\ % _ ' \" \x00 ; \n"

@@ -11,6 +11,7 @@ import yaml
 from tests.support.changes import with_change
 from tests.support.networks import crossing, entrance
 from tests.support.opendrive_files import exit_ramp, two_way
+from tests.support.values import faults_of, faulty_fields
 
 from drivecal.bundles import highway_roads
 from drivecal.bundles.archives import BundleFile, content_digest, files_of, with_files
@@ -60,10 +61,9 @@ def changed(path: str, value: Any) -> dict[str, Any]:
 
 
 def fields(document: dict[str, Any], files: dict[str, BundleFile] | None = None) -> list[str]:
-    with pytest.raises(InvalidInputError) as error:
-        check_roads(checked(document), networks() if files is None else files)
-    assert all(problem.message and problem.remedy for problem in error.value.problems)
-    return [problem.field for problem in error.value.problems]
+    error = faults_of(check_roads, checked(document), networks() if files is None else files)
+    assert all(problem.message and problem.remedy for problem in error)
+    return [problem.field for problem in error]
 
 
 def test_a_scenario_that_fits_its_network_passes() -> None:
@@ -172,9 +172,7 @@ def folder(path: Path, road: bytes, **others: bytes) -> Path:
 
 def test_a_refusal_of_a_place_on_a_converted_road_comes_with_the_notes_that_may_explain_it(tmp_path: Path) -> None:
     turned = re.sub(rb'<lane id="(-\d+)" type="driving"', rb'<lane id="\1" type="driving" direction="reversed"', exit_ramp())
-    with pytest.raises(InvalidInputError) as error:
-        read_bundle(folder(tmp_path, turned))
-    problem = next(problem for problem in error.value.problems if ".route" in problem.field)
+    problem = next(problem for problem in faults_of(read_bundle, folder(tmp_path, turned)) if ".route" in problem.field)
     assert 'direction="reversed"' in problem.remedy
 
 
@@ -190,9 +188,7 @@ def test_an_archive_holds_the_converted_network_and_the_folder_does_not(tmp_path
 def test_a_route_without_limits_needs_the_field_of_its_scenario_and_notes_name_the_file(tmp_path: Path) -> None:
     road = exit_ramp().replace(b"<speed ", b"<velocity ")
     path = folder(tmp_path, road)
-    with pytest.raises(InvalidInputError) as error:
-        read_bundle_with_notes(path)
-    (problem,) = error.value.problems
+    (problem,) = faults_of(read_bundle_with_notes, path)
     assert "scenarios.merge.default_limit" in problem.field
     assert "road 1, 3" in problem.message
     document = yaml.safe_load((path / "problem.yaml").read_text())
@@ -242,18 +238,12 @@ def test_a_file_that_cannot_be_converted_is_named(tmp_path: Path) -> None:
     path = folder(tmp_path, exit_ramp().replace(b'revMajor="1"', b'revMajor="2"'))
     document = yaml.safe_load((path / "problem.yaml").read_text())
     files = {"maps/road.xodr": BundleFile((path / "maps" / "road.xodr").read_bytes(), executable=False)}
-    with pytest.raises(InvalidInputError) as error:
-        conversions(checked(document), files)
-    (problem,) = error.value.problems
+    (problem,) = faults_of(conversions, checked(document), files)
     assert problem.field == "scenarios.merge.network"
     assert "maps/road.xodr" in problem.message
-    with pytest.raises(InvalidInputError) as located:
-        read_bundle(tmp_path)
-    assert [problem.field.startswith("problem.yaml: line ") for problem in located.value.problems] == [True]
+    assert [problem.field.startswith("problem.yaml: line ") for problem in faults_of(read_bundle, tmp_path)] == [True]
 
 
 def test_files_that_take_too_long_to_read_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(highway_roads, "MOST_SECONDS", -1.0)
-    with pytest.raises(InvalidInputError) as refusal:
-        check_roads(checked(MANIFEST), networks())
-    assert [problem.field for problem in refusal.value.problems] == ["scenarios"]
+    assert faulty_fields(check_roads, checked(MANIFEST), networks()) == ["scenarios"]

@@ -5,6 +5,7 @@ import contextlib
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.values import faults_of, faulty_fields, present
 
 from drivecal.calibration_data import a2l
 from drivecal.calibration_data.characteristics import Characteristic
@@ -111,9 +112,7 @@ def test_curves_have_their_axes_and_fixed_points_are_physical() -> None:
     ],
 )
 def test_the_first_fault_is_named_with_its_line(content: bytes, line: int) -> None:
-    with pytest.raises(InvalidInputError) as refused:
-        a2l.read(content, "a.a2l")
-    assert [problem.field for problem in refused.value.problems] == [f"a.a2l, line {line}"]
+    assert faulty_fields(a2l.read, content, "a.a2l") == [f"a.a2l, line {line}"]
 
 
 def test_a_missing_conversion_concerns_its_own_characteristics_only() -> None:
@@ -122,9 +121,7 @@ def test_a_missing_conversion_concerns_its_own_characteristics_only() -> None:
     valued = Characteristic("bad", 0.5)
     assert list(sections_of([good], {}, 0.5).parameters) == ["good"]
     for chosen in ([good, bad], joined([[bad], [valued]]), joined([[valued], [bad]])):
-        with pytest.raises(InvalidInputError) as refused:
-            sections_of(chosen, {}, 0.5)
-        assert [problem.field for problem in refused.value.problems] == ["a.a2l, line 7"]
+        assert faulty_fields(sections_of, chosen, {}, 0.5) == ["a.a2l, line 7"]
     with pytest.raises(InvalidInputError, match="2 numbers after COEFFS_LINEAR"):
         sections_of(a2l.read(short, "a.a2l").characteristics, {}, 0.5)
 
@@ -132,8 +129,7 @@ def test_a_missing_conversion_concerns_its_own_characteristics_only() -> None:
 def test_a_limit_that_is_no_number_concerns_its_own_characteristic_only() -> None:
     good, bad = read('good "" VALUE 0x10 _U16 0 speed 0x0 0xFF', 'bad "" VALUE 0x12 _U16 0 speed zero 1')
     assert (good.lower, good.upper, good.fault) == (0.0, 255.0, None)
-    assert bad.fault is not None
-    assert bad.fault.field == "a.a2l, line 7"
+    assert present(bad.fault).field == "a.a2l, line 7"
 
 
 def test_limits_beyond_all_numbers_are_none() -> None:
@@ -206,10 +202,9 @@ def test_a_table_of_numbers_makes_no_choices() -> None:
 def test_an_enumeration_that_no_texts_describe_concerns_its_own_characteristic_only(conversion: str) -> None:
     good, bad = read('good "" VALUE 0x10 _U16 0 speed 0 1', f'bad "" VALUE 0x12 _U16 0 {conversion}')
     assert list(sections_of([good], {}, 0.5).parameters) == ["good"]
-    with pytest.raises(InvalidInputError) as refused:
-        sections_of([good, bad], {}, 0.5)
-    assert [problem.field for problem in refused.value.problems] == ["a.a2l, line 7"]
-    assert all(problem.remedy for problem in refused.value.problems)
+    refused = faults_of(sections_of, [good, bad], {}, 0.5)
+    assert [problem.field for problem in refused] == ["a.a2l, line 7"]
+    assert all(problem.remedy for problem in refused)
 
 
 TOKENS = [

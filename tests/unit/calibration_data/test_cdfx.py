@@ -3,11 +3,11 @@
 from xml.etree import ElementTree as ET
 
 import pytest
+from tests.support.values import faulty_fields, present
 from tests.unit.calibration_data.test_curves import QUALITY
 
 from drivecal.calibration_data import cdfx
 from drivecal.calibration_data.characteristics import Characteristic
-from drivecal.domain.errors import InvalidInputError
 
 
 def test_values_and_history_are_where_other_tools_look_for_them() -> None:
@@ -15,8 +15,7 @@ def test_values_and_history_are_where_other_tools_look_for_them() -> None:
     (instance,) = root.findall("./SW-SYSTEMS/SW-SYSTEM/SW-INSTANCE-SPEC/SW-INSTANCE-TREE/SW-INSTANCE")
     value, kind = instance.findtext("SW-VALUE-CONT/SW-VALUES-PHYS/V", ""), instance.findtext("CATEGORY")
     assert (float(value), kind) == (1 / 7e5, "VALUE")
-    entry = instance.find("SW-CS-HISTORY/CS-ENTRY")
-    assert entry is not None
+    entry = present(instance.find("SW-CS-HISTORY/CS-ENTRY"))
     assert [child.tag for child in entry] == ["STATE", "DATE", "CSUS", "CSPR", "CSWP", "CSTO", "CSPI", "CSDI", "SD"]
     assert (entry.findtext("STATE"), entry.findtext("CSPI")) == ("calibrated", "c" * 32)
     assert [(figure.get("GID"), figure.text) for figure in entry.findall("SD")] == [("score city", "6")]
@@ -92,6 +91,4 @@ def test_members_of_arrays_have_the_names_of_an_a2l_and_truths_their_category() 
     ],
 )
 def test_the_first_fault_is_named_with_its_line(file: bytes, line: int) -> None:
-    with pytest.raises(InvalidInputError) as refused:
-        cdfx.read(file, "a.cdfx")
-    assert [problem.field for problem in refused.value.problems] == [f"a.cdfx, line {line}"]
+    assert faulty_fields(cdfx.read, file, "a.cdfx") == [f"a.cdfx, line {line}"]

@@ -3,11 +3,11 @@
 from typing import Any
 
 import pytest
+from tests.support.values import faulty_fields
 
 from drivecal.analysis.goals import weighted_mean
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.contracts.specification import CampaignSpecification
-from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.vehicles import CLOSED_LOOP_MEASURES
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET
@@ -22,9 +22,7 @@ def resolved(**document: Any) -> CalibrationProblem:
 
 
 def fields(**document: Any) -> list[str]:
-    with pytest.raises(InvalidInputError) as caught:
-        resolved(**document)
-    return [problem.field for problem in caught.value.problems]
+    return faulty_fields(resolved, **document)
 
 
 def test_no_goals_and_the_weighted_mean_are_the_default() -> None:

@@ -66,9 +66,7 @@ FIRST, SECOND = "jerk >= 2*deceleration", "trigger_ttc >= 0.1*confirmations"
         ([FIRST], [], False),
     ],
 )
-def test_a_map_does_not_hold_for_sets_that_its_constraints_forbade(
-    made_under: list[str], searched_under: list[str], *, holds: bool
-) -> None:
+def test_a_map_does_not_hold_for_forbidden_sets(made_under: list[str], searched_under: list[str], *, holds: bool) -> None:
     made, problem = stored(resolved(bundle(constraints=made_under))), resolved(bundle(constraints=searched_under))
     assert does_hold(made, problem) == holds
 

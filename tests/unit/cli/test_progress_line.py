@@ -1,12 +1,19 @@
-"""The progress of a campaign on a terminal."""
+"""The progress of a campaign on a terminal, and time limits of waiting."""
 
 from collections.abc import Iterator
+from contextlib import nullcontext
 from io import StringIO
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from rich.console import Console
+from typer.testing import CliRunner
 
+from drivecal.cli.commands import evaluate
+from drivecal.cli.main import app
+from drivecal.cli.views import progress
 from drivecal.cli.views.progress import Bar, progress_line, show_until_ended
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign, CellCounts, Progress
@@ -72,3 +79,14 @@ def test_why_nothing_is_simulated_is_told_once_if_workers_are_starting(
     assert show_until_ended(client, "1" * 32).state == "succeeded"
     assert capsys.readouterr().err.count("waiting for workers") == told
     assert len(client.replies) == len(workers) + 9 - asked
+
+
+def test_an_evaluation_and_its_time_series_have_one_time_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paused: list[float] = []
+    answers = iter([SimpleNamespace(id="e", state=state) for state in ("running", "running", "succeeded")])
+    client = SimpleNamespace(evaluate=lambda _: next(answers), evaluation=lambda _: next(answers), trace=lambda _: None)
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: sum(paused), sleep=paused.append))
+    monkeypatch.setattr(evaluate, "connect", lambda _: nullcontext(client))
+    given = ["evaluate", "x=1", "--scenario", "s", "--trace", str(tmp_path / "run.csv"), "--timeout", "0.8"]
+    assert CliRunner().invoke(app, given).exit_code == 6
+    assert sum(paused) < 1.2

@@ -2,13 +2,18 @@
 
 import json
 import time
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
+from hypothesis import given
+from hypothesis import strategies as st
 from tests.support.scripted import Answer, campaign, problem, server
 
 from drivecal.client import following, transport
+from drivecal.client.following import EventParser
 from drivecal.domain.errors import UnavailableError
 
 
@@ -97,3 +102,24 @@ def test_watching_ends_at_its_deadline() -> None:
 def test_waiting_returns_the_ended_campaign() -> None:
     with server(campaign("succeeded")) as (client, _):
         assert client.wait("c1", timeout=300).state == "succeeded"
+
+
+def parsed(*chunks: bytes) -> list[tuple[str, str, str | None]]:
+    parser = EventParser()
+    return [(item.event, item.data, item.id) for chunk in chunks for item in parser.feed(chunk)]
+
+
+def test_what_is_incomplete_or_no_text_ends_no_stream() -> None:
+    assert parsed(b"data: \xff\n\nid: 1\n\n: nothing\n\ndata: begun\n") == [("message", "\ufffd", None)]
+
+
+@given(st.lists(st.tuples(st.text(max_size=20), st.integers(0, 2**63 - 1)), max_size=5), st.lists(st.integers(0, 200)))
+def test_what_the_server_writes_comes_out_however_it_is_cut(events: list[tuple[str, int]], cuts: list[int]) -> None:
+    written = b"".join(
+        KEEPALIVE_COMMENT + format_sse_event(event="note", id=str(number), data_str=json.dumps({"text": text}))
+        for text, number in events
+    )
+    places = [0, *sorted(min(cut, len(written)) for cut in cuts), len(written)]
+    pieces = [written[begin:end] for begin, end in pairwise(places)]
+    expected = [("note", json.dumps({"text": text}), str(number)) for text, number in events]
+    assert parsed(*pieces) == expected

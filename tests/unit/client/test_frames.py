@@ -95,9 +95,7 @@ def test_series_of_different_lengths_are_saved(tmp_path: Path, suffix: str) -> N
 FULL = "5050a77ddf5e42199c25aff35a3b4568"
 
 
-def test_answers_show_themselves_as_tables_in_notebooks(
-    downloaded: tuple[DownloadedTable, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_answers_are_tables_in_notebooks(downloaded: tuple[DownloadedTable, str], monkeypatch: pytest.MonkeyPatch) -> None:
     shown = Campaign.model_validate({"id": FULL, "name": "<mine>", "state": "running", "best": None})._repr_html_()
     assert "&lt;mine&gt;" in shown
     assert FULL in shown

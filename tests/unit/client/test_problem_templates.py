@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
+from tests.support.values import faults_of, faulty_fields
 
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.fmus.description import parse_description, read_fmu
@@ -130,9 +131,7 @@ def test_the_shell_example_runs(tmp_path: Path) -> None:
 
 def test_an_fmu_problem_without_an_fmu_says_what_to_put_where(tmp_path: Path) -> None:
     write_problem("fmu", "my-system", tmp_path / "folder")
-    with pytest.raises(InvalidInputError) as refusal:
-        read_bundle(tmp_path / "folder")
-    assert [problem.field.split(": ")[-1] for problem in refusal.value.problems] == ["simulator.file"]
+    assert [problem.field.split(": ")[-1] for problem in faults_of(read_bundle, tmp_path / "folder")] == ["simulator.file"]
 
 
 @pytest.mark.parametrize(
@@ -177,9 +176,7 @@ def test_a_damaged_description_is_refused_or_read(position: int, text: str) -> N
     [("processes", "a", "kind"), ("python", "no name", "name"), ("python", "../a", "name"), ("python", "highway", "problem")],
 )
 def test_a_faulty_request_is_refused_before_anything_is_written(kind: str, name: str, field: str, tmp_path: Path) -> None:
-    with pytest.raises(InvalidInputError) as refusal:
-        write_problem(kind, name, tmp_path / "folder")
-    assert [problem.field for problem in refusal.value.problems] == [field]
+    assert faulty_fields(write_problem, kind, name, tmp_path / "folder") == [field]
     assert not (tmp_path / "folder").exists()
 
 

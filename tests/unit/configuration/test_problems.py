@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
+from tests.support.values import faults_of, faulty_fields
 
 from drivecal.bundles.archives import content_digest, files_of, pack
 from drivecal.configuration.problems import read_archived, read_bundle, read_manifest
@@ -35,9 +36,7 @@ scores:
 
 
 def fields(content: str) -> list[str]:
-    with pytest.raises(InvalidInputError) as refusal:
-        read_manifest(content.encode(), {"model.py": False})
-    return [problem.field for problem in refusal.value.problems]
+    return faulty_fields(read_manifest, content.encode(), {"model.py": False})
 
 
 def test_a_folder_is_read_into_a_manifest_and_an_archive() -> None:
@@ -63,9 +62,7 @@ def test_a_script_with_line_ends_of_windows_is_refused(tmp_path: Path, ends: str
     if not is_refused:
         assert read_bundle(tmp_path)[0].problem == "braking"
         return
-    with pytest.raises(InvalidInputError) as refusal:
-        read_bundle(tmp_path)
-    assert ["simulator.command[0]" in problem.field for problem in refusal.value.problems] == [True]
+    assert ["simulator.command[0]" in problem.field for problem in faults_of(read_bundle, tmp_path)] == [True]
     with pytest.raises(InvalidInputError):
         read_archived(files_of(pack(tmp_path)))
 

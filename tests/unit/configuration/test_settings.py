@@ -20,9 +20,7 @@ def test_the_database_lies_in_the_home_folder_unless_it_is_named(tmp_path: Path)
     assert load_settings(home="elsewhere", database_url="sqlite:///a.db").database_url == "sqlite:///a.db"
 
 
-def test_flags_win_over_environment_over_the_file_here_over_the_file_at_home(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_flags_win_over_environment_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     home = tmp_path / "home"
     home.mkdir()
     monkeypatch.setenv("DRIVECAL_HOME", str(home))
@@ -88,9 +86,7 @@ def test_a_config_file_of_a_cloned_repository_gets_no_secret_of_the_user(
     assert "elsewhere" in getattr(load_settings(), name)
 
 
-def test_a_secret_of_the_users_home_folder_goes_to_its_own_address_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_secret_of_the_home_folder_goes_to_its_own_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     home = tmp_path / "home"
     home.mkdir()
     monkeypatch.setenv("DRIVECAL_HOME", str(home))
@@ -168,9 +164,7 @@ def test_a_wrong_database_url_is_refused_without_its_password() -> None:
     assert "hunter2" not in str(error.value)
 
 
-def test_the_password_of_the_database_may_lie_in_a_file_and_stays_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_databases_password_may_lie_in_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "password").write_text("a/b@c d\n")
     monkeypatch.setenv("DRIVECAL_DATABASE_URL", "postgresql://me@db:5432/drivecal?sslmode=require")
     monkeypatch.setenv("DRIVECAL_DATABASE_PASSWORD_FILE", str(tmp_path / "password"))

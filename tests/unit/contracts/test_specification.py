@@ -1,4 +1,4 @@
-"""The campaign file against the interface's example, and against everything that must not get in."""
+"""The campaign file against the interface's example, and against everything that must not get in; what a campaign answers."""
 
 import copy
 import json
@@ -8,6 +8,7 @@ import pytest
 import yaml
 from pydantic import BaseModel, ValidationError
 
+from drivecal.contracts.campaign import Campaign, CellCounts, ErrorRate
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import (
     CampaignSpecification,
@@ -15,6 +16,7 @@ from drivecal.contracts.specification import (
     InfluenceMapSpecification,
     RerunSpecification,
 )
+from drivecal.domain.evaluations import Outcome
 from drivecal.domain.scales import COMFORT
 
 EXAMPLE = """
@@ -103,9 +105,7 @@ def test_an_empty_file_is_the_papers_problem() -> None:
 
 @pytest.mark.parametrize("reduction", [{}, {"reduction": {}}, {"reduction": {"audit": 0.1}}])
 @pytest.mark.parametrize(("sensitivity", "mode"), [(None, "predicted"), ({"map": "0f3b"}, "both"), ({"samples": 4}, "both")])
-def test_a_map_is_used_by_default_if_the_file_asks_for_one(
-    sensitivity: dict[str, Any] | None, mode: str, reduction: dict[str, Any]
-) -> None:
+def test_a_map_in_the_file_is_used(sensitivity: dict[str, Any] | None, mode: str, reduction: dict[str, Any]) -> None:
     settled = CampaignSpecification.model_validate({"sensitivity": sensitivity} | reduction)
     assert settled.reduction.mode == mode
     stored = settled.model_dump(mode="json")
@@ -213,9 +213,7 @@ def test_a_listed_parameter_needs_its_name() -> None:
         (InfluenceMapSpecification, {"scenarios": {"S1": {"P1": {"influential": False}}}}),
     ],
 )
-def test_the_other_bodies_are_closed_and_need_only_what_they_are_about(
-    model: type[BaseModel], smallest: dict[str, Any]
-) -> None:
+def test_the_other_bodies_are_closed(model: type[BaseModel], smallest: dict[str, Any]) -> None:
     model.model_validate(smallest)
     assert refused_at(model, smallest | {"surprise": 1}) == ["surprise"]
     assert refused_at(model, {}) == [next(iter(smallest))]
@@ -225,3 +223,28 @@ def test_the_other_bodies_are_closed_and_need_only_what_they_are_about(
 def test_posted_bounds_are_checked_field_by_field(wrong: dict[str, object]) -> None:
     result = refused_at(InfluenceMapSpecification, {"scenarios": {"S1": {"P1": wrong}}})
     assert result == [f"scenarios.S1.P1.{next(iter(wrong))}"]
+
+
+def test_a_campaign_has_every_field_of_the_interface() -> None:
+    promised = {
+        "id", "name", "state", "degraded", "stage", "progress", "cells", "sensitivity_cells", "error_rate", "best", "seconds",
+        "error", "spec", "links",
+    }  # fmt: skip
+    shown = Campaign(id="1", name="n", state="queued").model_dump(mode="json")
+    assert promised <= set(shown)
+    assert shown["progress"] == {"done": 0, "total": 0, "eta_seconds": None}
+    assert shown["seconds"] == {"wall": 0.0, "simulating": 0.0}
+
+
+def test_cells_are_counted_under_the_names_of_the_interface() -> None:
+    assert set(CellCounts.model_fields) >= {
+        "proposed", "carried_over", "pending", "requested", "repeated", "reused", "predicted", "certified", "simulated", "failed",
+        "audited", "sampled",
+    }  # fmt: skip
+    assert CellCounts.model_fields.keys() >= {outcome.value for outcome in Outcome}
+    assert set(ErrorRate.model_fields) >= {"audited", "different", "wrong", "upper_95", "stopped"}
+
+
+def test_a_client_reads_answers_of_a_newer_server() -> None:
+    result = Campaign.model_validate({"id": "1", "name": "n", "state": "running", "new_field": {"x": 1}})
+    assert result.state == "running"

@@ -55,9 +55,7 @@ def with_character(value: Any, character: str) -> Any:
 
 
 @pytest.mark.parametrize(("model", "document", "field"), DOCUMENTS)
-def test_what_steers_a_terminal_or_reverses_text_is_refused_at_its_field(
-    model: type[BaseModel], document: dict[str, Any], field: str
-) -> None:
+def test_what_steers_a_terminal_is_refused_at_its_field(model: type[BaseModel], document: dict[str, Any], field: str) -> None:
     for character in STEERING:
         caught = faults_of(validated, model, with_character(document, character))
         assert [problem.field for problem in caught] == [field]
@@ -83,9 +81,7 @@ def test_letters_of_any_script_are_taken(model: type[BaseModel], document: dict[
         (RerunSpecification, {"name": "*", "weights": {}}, "name"),
     ],
 )
-def test_a_name_that_shows_nothing_is_refused_at_its_field(
-    model: type[BaseModel], document: dict[str, Any], field: str, text: str
-) -> None:
+def test_an_invisible_name_is_refused(model: type[BaseModel], document: dict[str, Any], field: str, text: str) -> None:
     caught = faults_of(validated, model, with_character(document, text))
     assert [problem.field for problem in caught] == [field]
     assert all(str(problem).isprintable() for problem in caught)

@@ -71,9 +71,7 @@ populations: st.SearchStrategy[Indices] = st.lists(
 @every
 @given(population=populations, data=st.data())
 @settings(deadline=None, max_examples=examples(10))
-def test_repair_is_feasible_idempotent_and_a_pure_function_of_the_row(
-    region: FeasibleRegion, population: Indices, data: st.DataObject
-) -> None:
+def test_repair_is_feasible_idempotent_and_pure(region: FeasibleRegion, population: Indices, data: st.DataObject) -> None:
     repaired = region.repair(population)
     assert region.feasible(repaired).all()
     assert ((repaired >= 0) & (repaired < MIXED.n_values)).all()

@@ -1,4 +1,8 @@
+import json
+
+from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import WorkerInfo
+from drivecal.execution.measures import Measures
 from drivecal.execution.observing import Activity
 
 WORKER = WorkerInfo("worker-1", "here", 7, "busy", 30)
@@ -30,3 +34,17 @@ def test_late_and_unknown_batches_and_workers_change_nothing() -> None:
     assert activity.describe([WORKER])[0].scenario == "S1"
     activity.describe([])
     assert activity.describe([WORKER]) == [WORKER]
+
+
+def test_a_snapshot_is_a_document_that_later_events_leave_alone() -> None:
+    measures = Measures()
+    measures.breakdowns.labels("crash").inc()
+    before = measures.snapshot()
+    measures.breakdowns.labels("crash").inc()
+    measures.batch.observe(1.0)
+    assert json.loads(json.dumps(before)) == before
+    samples = {name: each for name, _, _, each in before}
+    assert samples["drivecal_breakdowns"] == [
+        ["_total", {"kind": kind}, float(kind == "crash")] for kind in (*Breakdown, "departed")
+    ]
+    assert samples["drivecal_batch_seconds"][-1] == ["_sum", {}, 0.0]

@@ -135,9 +135,7 @@ _costs = st.fixed_dictionaries({scenario: st.floats(0.0005, 0.6) for scenario in
 @example(3, {"S1": 0.5, "S2": 0.5, "S3": 0.001}, ["S1", "S3", "S3"], 2)
 @example(3, {"S1": 0.0005, "S2": 0.5, "S3": 0.001}, ["S1", "S1", "S2"], 2)
 @given(st.integers(1, 6), _costs, st.lists(st.sampled_from(["S1", "S2", "S3"]), min_size=2, max_size=4), st.integers(2, 4))
-def test_two_campaigns_that_always_wait_differ_by_one_batch_at_most(
-    workers: int, cost: dict[str, float], scenarios: list[str], tags: int
-) -> None:
+def test_waiting_campaigns_differ_by_one_batch(workers: int, cost: dict[str, float], scenarios: list[str], tags: int) -> None:
     assume(tags <= len(scenarios))
     plant = Plant(workers, cost)
     for number, scenario in enumerate(dict.fromkeys(scenarios)):  # so that every cost is known

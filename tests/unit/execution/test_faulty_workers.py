@@ -16,9 +16,7 @@ from drivecal.execution.scheduling.refusals import PATIENCE_WITH_REFUSALS, SHARE
 from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
 
 
-def test_an_exception_is_tried_once_more_alone_on_another_worker(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_exception_is_tried_on_another_worker(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
     backend = FakeBackend()
     sent: list[tuple[str, list[int]]] = []
     submit = backend.submit

@@ -10,21 +10,8 @@ from tests.support.setups import bare as setup
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.backend import DEADLINE_SECONDS
 from drivecal.execution.pool import WorkPool
-from drivecal.execution.scheduling.in_flight import Completed, Work
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
-
-
-def patient_drain(pool: WorkPool, tags: tuple[str, ...] = ("a", "b")) -> list[Completed]:
-    """Goes on where the database does not answer."""
-    completed: list[Completed] = []
-    for _ in range(20_000):
-        if not any(pool.held(tag) for tag in tags):
-            return completed
-        try:
-            completed += pool.poll(1.0)
-        except UnavailableError:
-            continue
-    raise AssertionError("cells never came back")
 
 
 def test_one_exchange_leases_all_that_is_sent_at_a_time() -> None:
@@ -70,7 +57,7 @@ def test_a_database_that_comes_and_goes_costs_no_result_and_no_attempt(seed: int
             pool.submit(Work(setup(), cells(behaviours, first)), tag=tag)
         except UnavailableError:
             continue
-    completed = patient_drain(pool)
+    completed = drain(pool)
     assert len({element.result.id for element in completed}) == len(completed) == 402
     assert sum(member.result.breakdown is not None for member in completed) == 2
     assert all(item.lease == leases.numbers[item.result.id] for item in completed)

@@ -75,9 +75,7 @@ def short(workers: int) -> float:
 @pytest.mark.faults("8-0", "8-100")
 @pytest.mark.parametrize("before", [0, 100], ids=["0", "100"])
 @pytest.mark.parametrize("workers", [1, 2, 8])
-def test_a_small_campaign_in_generations_beside_a_large_one_takes_three_times_its_time_and_little_more(
-    workers: int, before: int
-) -> None:
+def test_a_small_campaign_in_generations_takes_little_more_than_three_times(workers: int, before: int) -> None:
     """Also if it had far more cells `before`, in an analysis for instance."""
     alone = seconds_of_generations(warm(workers, COST), "small", 500_001)
     plant = warm(workers, COST)

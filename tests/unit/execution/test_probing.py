@@ -179,9 +179,7 @@ def test_a_problem_that_no_worker_can_run_is_hopeless_at_once(workers: int, node
     ],
     ids=["worker", "machine"],
 )
-def test_one_worker_or_machine_of_several_that_blames_a_problem_is_not_believed(
-    refusing: dict[int, str], blaming: set[int], nodes: dict[int, str]
-) -> None:
+def test_one_of_several_that_blames_is_not_believed(refusing: dict[int, str], blaming: set[int], nodes: dict[int, str]) -> None:
     backend = FakeBackend(3, refusing=refusing, blaming=blaming, nodes=nodes)
     pool = pool_on(backend)
     pool.submit(Work(setup(), [Cell(number, {"value": float(number)}) for number in range(1, 500)]), tag="a")

@@ -1,9 +1,16 @@
 import threading
 from collections.abc import Callable
 
+import pytest
 from tests.support.serve import until
 
+from drivecal.execution.ray import watch
 from drivecal.execution.ray.watch import GIVEN_UP_AFTER, PATIENCE_SECONDS, ClusterWatch, StartedAnewError
+
+
+@pytest.fixture(autouse=True)
+def _often(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watch, "EVERY_SECONDS", 0.02)
 
 
 class Store:
@@ -22,11 +29,11 @@ class Store:
 
 def watched(use: Callable[[Store, ClusterWatch], None]) -> None:
     store = Store()
-    watch = ClusterWatch("the Ray cluster at home", store.ask, clock=lambda: store.now)
+    watching = ClusterWatch("the Ray cluster at home", store.ask, clock=lambda: store.now)
     try:
-        use(store, watch)
+        use(store, watching)
     finally:
-        watch.stop()
+        watching.stop()
 
 
 def asked_again(store: Store) -> None:
@@ -38,50 +45,50 @@ def asked_again(store: Store) -> None:
 
 
 def test_silence_is_told_after_a_while_and_forgotten_with_an_answer() -> None:
-    def use(store: Store, watch: ClusterWatch) -> None:
+    def use(store: Store, watching: ClusterWatch) -> None:
         asked_again(store)
-        assert watch.trouble() is None
+        assert watching.trouble() is None
         store.error = TimeoutError("Deadline Exceeded")
         asked_again(store)
         store.now += PATIENCE_SECONDS + 0.1
-        assert (watch.trouble() or "").startswith("the Ray cluster at home has not answered since ")
-        assert watch.trouble() == watch.trouble(), "words that change every second would be told as news every second"
-        assert watch.lost() is None
+        assert (watching.trouble() or "").startswith("the Ray cluster at home has not answered since ")
+        assert watching.trouble() == watching.trouble(), "words that change every second would be told as news every second"
+        assert watching.lost() is None
         store.error = None
         asked_again(store)
-        assert watch.trouble() is None
+        assert watching.trouble() is None
 
     watched(use)
 
 
 def test_who_is_silent_for_long_is_given_up() -> None:
-    def use(store: Store, watch: ClusterWatch) -> None:
+    def use(store: Store, watching: ClusterWatch) -> None:
         store.error = TimeoutError()
         asked_again(store)
         store.now += GIVEN_UP_AFTER + 0.1
-        assert "has not answered since" in (watch.lost() or "")
+        assert "has not answered since" in (watching.lost() or "")
 
     watched(use)
 
 
 def test_a_store_that_began_anew_is_lost_at_once() -> None:
-    def use(store: Store, watch: ClusterWatch) -> None:
+    def use(store: Store, watching: ClusterWatch) -> None:
         store.error = StartedAnewError("was restarted")
-        until(lambda: watch.lost() is not None, "the loss of the cluster", 30)
-        assert watch.lost() == "the Ray cluster at home was restarted"
+        until(lambda: watching.lost() is not None, "the loss of the cluster", 30)
+        assert watching.lost() == "the Ray cluster at home was restarted"
 
     watched(use)
 
 
 def test_an_answer_counts_for_what_was_before_it() -> None:
-    def use(store: Store, watch: ClusterWatch) -> None:
+    def use(store: Store, watching: ClusterWatch) -> None:
         store.now = 10.0
         asked_again(store)
-        assert watch.answered_since(5.0)
+        assert watching.answered_since(5.0)
         store.error = TimeoutError()
         asked_again(store)
         store.now = 20.0
         asked_again(store)
-        assert not watch.answered_since(15.0)
+        assert not watching.answered_since(15.0)
 
     watched(use)

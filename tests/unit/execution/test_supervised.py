@@ -176,9 +176,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return clock
 
 
-def test_a_worker_that_compiles_for_longer_than_the_limit_gets_twice_as_long_until_it_is_ready(
-    tmp_path: Path, clock: Clock
-) -> None:
+def test_a_worker_that_compiles_for_long_gets_twice_as_long(tmp_path: Path, clock: Clock) -> None:
     backend = WorkersThatCompile([tmp_path], clock, compiling=1500.0)
     backend.wait(700.0)
     assert backend.trouble() == "1 of 1 workers do not start: worker-1 was not ready after 600 s"

@@ -37,9 +37,7 @@ def refusal(network: Path, routes: Path) -> str:
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_network_that_sumo_refuses_is_refused_in_its_words(
-    damage: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_network_is_refused_in_the_words_of_sumo(damage: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     change, cause, place = DAMAGES[damage]
     network, routes = tmp_path / "road.net.xml", tmp_path / "traffic.rou.xml"
     network.write_text(change(NETWORK.read_text()))
@@ -64,9 +62,7 @@ def test_routes_that_sumo_refuses_are_refused_in_its_words(damage: str, tmp_path
 
 
 @pytest.mark.parametrize(("seconds", "loads"), [(1.0, 2), (40.0, 1)])
-def test_a_slow_refusal_is_not_repeated_within_the_same_start(
-    seconds: float, loads: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_slow_refusal_is_not_repeated(seconds: float, loads: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now, arguments = [0.0], []
 
     def refused(given: list[str]) -> None:

@@ -84,9 +84,7 @@ def test_an_evaluation_names_why_its_simulator_is_busy(tmp_path: Path, monkeypat
         ((3.0, 3.0), (0, 100_000), False),  # one value says nothing about its spread
     ],
 )
-def test_a_range_is_doubtful_far_from_the_scores_or_much_wider(
-    scores: tuple[float, float], span: tuple[float, float], *, doubtful: bool
-) -> None:
+def test_a_range_far_from_scores_is_doubtful(scores: tuple[float, float], span: tuple[float, float], *, doubtful: bool) -> None:
     manifest = checked(DOCUMENT | {"scores": {"y": {"formula": "y", "direction": "minimise", "range": span}}})
     runs = [CheckedScenario(scenario=name, scores={"y": score}) for name, score in zip(("a", "b"), scores, strict=True)]
     assert bool(doubtful_ranges(manifest, runs)) is doubtful

@@ -56,9 +56,7 @@ def test_operators_leave_their_arguments_alone() -> None:
     ("population", "selection", "recombination", "children"),
     [(1000, 0.8, 0.7, 280), (500, 0.8, 0.7, 140), (350, 0.8, 0.7, 98), (10, 0.8, 0.7, 3), (2, 0.8, 0.7, 1), (100, 1, 1, 50)],
 )
-def test_a_generation_has_half_as_many_children_as_parents(
-    population: int, selection: float, recombination: float, children: int
-) -> None:
+def test_half_as_many_children_as_parents(population: int, selection: float, recombination: float, children: int) -> None:
     assert pairs_per_generation(population, selection, recombination) == children
 
 

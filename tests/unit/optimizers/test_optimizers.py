@@ -1,6 +1,8 @@
-"""Promises of every optimizer, of optimizers that replace sets, and of the genetic algorithm."""
+"""Promises of every optimizer, of optimizers that replace sets, of the genetic algorithm, and of CMA-ES, whose answers are replayed."""
 
+import importlib
 import json
+import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -13,13 +15,14 @@ from pydantic import BaseModel, ValidationError
 from scipy import stats
 from tests.support.effort import examples
 
-from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.errors import InvalidInputError, ReplayError
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM, GeneticSettings, RandomSettings
 from drivecal.optimizers.cma_es import CMA_ES
 from drivecal.optimizers.genetic import BitEncoding
 from drivecal.optimizers.population import ranking
 from drivecal.optimizers.repair import checked_proposal
+from drivecal.plugins import registry
 from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin, Proposal
 
 HIGHWAY = np.array([59, 201, 201, 2001, 1501, 101, 201, 2001, 101, 201, 201])
@@ -71,9 +74,7 @@ def assert_same(one: Told, other: Told) -> None:
 @unreplayed
 @given(seed=st.integers(0, 2**63 - 1), stop=st.integers(0, 6), asked=st.booleans(), population=st.integers(2, 30))
 @settings(max_examples=examples(60))
-def test_a_resumed_run_equals_an_uninterrupted_one(
-    plugin: OptimizerPlugin, seed: int, stop: int, asked: bool, population: int
-) -> None:
+def test_a_resumed_run_equals_a_whole_one(plugin: OptimizerPlugin, seed: int, stop: int, asked: bool, population: int) -> None:
     options = chosen(plugin, population=population, seed=seed)
     whole = drive(plugin.create(options, SMALL), 9, patchy)
     first = plugin.create(options, SMALL)
@@ -258,9 +259,7 @@ GOOD = np.array([[0, 1], [2, 3], [4, 0]])
         (GOOD, SOME, np.array([[0, 1], [2, 2], [4, 0]])),
     ],
 )
-def test_a_proposal_that_no_campaign_can_take_is_refused_by_the_plug_ins_name(
-    population: Any, changed: Any, before: Any
-) -> None:
+def test_an_impossible_proposal_is_refused_by_its_plug_in(population: Any, changed: Any, before: Any) -> None:
     with pytest.raises(InvalidInputError, check=lambda error: "mine" in error.problems[0].field):
         checked_proposal("mine", Proposal(population, changed), 3, np.array([5, 4]), before)
 
@@ -268,3 +267,44 @@ def test_a_proposal_that_no_campaign_can_take_is_refused_by_the_plug_ins_name(
 def test_a_proposal_may_keep_individuals() -> None:
     proposal = Proposal(GOOD, SOME)
     assert checked_proposal("mine", proposal, 3, np.array([5, 4]), GOOD) is proposal
+
+
+SETTINGS = CMA_ES.settings(population=12)
+
+
+@pytest.mark.parametrize("since", [0, 1, 2, 3])
+@pytest.mark.parametrize("asked", [False, True])
+def test_a_refused_replay_names_the_first_iteration_that_differs(since: int, asked: bool) -> None:
+    saved = CMA_ES.create(SETTINGS, SMALL)
+    drive(saved, 3, patchy)
+    if asked:
+        saved.ask()
+    state = saved.state()
+    digests = [digest if place < since else "other" for place, digest in enumerate(state["digests"])]
+    changed = state | {"library": "cma 1.0", "digests": digests}
+    if digests == state["digests"]:
+        CMA_ES.restore(SETTINGS, SMALL, changed)
+        return
+    with pytest.raises(ReplayError) as refused:
+        CMA_ES.restore(SETTINGS, SMALL, changed)
+    assert (refused.value.iteration, refused.value.saved, refused.value.installed) == (since, "cma 1.0", state["library"])
+
+
+def test_a_strategy_that_draws_otherwise_is_refused() -> None:
+    saved = CMA_ES.create(SETTINGS, SMALL)
+    drive(saved, 3, patchy)
+    with pytest.raises(ReplayError) as refused:
+        CMA_ES.restore(CMA_ES.settings(population=12, seed=8), SMALL, saved.state())
+    assert refused.value.iteration == 1
+
+
+def test_one_whose_library_is_missing_says_which_extra_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = "drivecal.optimizers.cma_es"
+    registry._load.cache_clear()
+    monkeypatch.delitem(sys.modules, module)
+    with monkeypatch.context() as patched:
+        patched.setattr("importlib.util.find_spec", lambda _: None)
+        with pytest.raises(InvalidInputError, match=r"\[cma\]"):
+            registry.optimizer("cma_es")
+    importlib.import_module(module)
+    assert registry.optimizer("cma_es").name == "cma_es"

@@ -149,9 +149,7 @@ windows = st.integers(1, 4)
 
 @settings(max_examples=examples(2), deadline=None)
 @given(seed=st.integers(0, 1000), room=rooms, window=windows, steps=st.booleans(), data=st.data())
-def test_cells_are_new_feasible_and_within_room_and_budget_and_a_resumed_search_asks_for_the_same(
-    seed: int, room: int, window: int, steps: bool, data: st.DataObject
-) -> None:
+def test_asked_cells_are_new_and_feasible(seed: int, room: int, window: int, steps: bool, data: st.DataObject) -> None:
     task, value = task_of(mean_of(POINTS if steps else COST, 3), 60, window), points if steps else cost
     whole = Played(task, value, room).play(begun(task, seed))
     assert len(set(whole.cells)) == len(whole.cells) <= 60

@@ -1,16 +1,18 @@
-"""Every built-in plug-in satisfies its port, and describing itself costs the coordinator no simulator and no compiler."""
+"""Plug-ins are found by their entry points. Every built-in one satisfies its port and describes itself without simulator and compiler."""
 
 import inspect
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 import pytest
 
+from drivecal.domain.errors import InvalidInputError
 from drivecal.optimizers.external import External
-from drivecal.plugins import ports, simulators
+from drivecal.plugins import ports, registry, simulators
 from drivecal.plugins.search import SearchPlugin
 
 PORTS: dict[str, type] = {
@@ -84,3 +86,26 @@ def test_loading_them_imports_neither_simulator_nor_compiler() -> None:
     needs_scipy, imported = json.loads(process.stdout)
     assert not needs_scipy, "before the scenarios"
     assert not set(imported) & {"libsumo", "numba", "ray", "sqlalchemy", "fastapi"}
+
+
+def test_an_unknown_group_is_empty() -> None:
+    assert registry.names("drivecal.nonsense") == []
+
+
+@pytest.mark.parametrize(
+    ("find", "field", "installed"),
+    [
+        (registry.driving_function, "driving_function", "frenet"),
+        (registry.vehicle, "vehicle.model", "single_track"),
+        (registry.evaluator, "evaluator", "reference"),
+        (registry.optimizer, "optimizer.kind", "genetic"),
+        (registry.catalogue, "catalogue", "highway"),
+        (registry.simulator, "simulator", "highway"),
+    ],
+)
+def test_an_unknown_name_is_refused_with_the_installed_ones(find: Callable[[str], object], field: str, installed: str) -> None:
+    with pytest.raises(InvalidInputError, match="'nonsense'") as refused:
+        find("nonsense")
+    (problem,) = refused.value.problems
+    assert problem.field == field
+    assert installed in problem.remedy

@@ -73,9 +73,7 @@ _cells = st.lists(st.tuples(st.integers(0, 20), _keys, _keys, st.sampled_from(["
 
 
 @given(_cells, st.sampled_from(["off", "exact", "influence"]), st.floats(0, 1), st.integers(0, 99))
-def test_every_leader_stands_earlier_and_is_simulated(
-    raw: list[tuple[int, str, str, str]], mode: str, audit: float, seed: int
-) -> None:
+def test_leaders_are_earlier_and_simulated(raw: list[tuple[int, str, str, str]], mode: str, audit: float, seed: int) -> None:
     # the class of a set is a function of the set: equal sets share their reference key
     cells = [_cell(individual, key + reference, reference, scenario) for individual, key, reference, scenario in raw]
     policy = Policy(mode, audit, seed)  # type: ignore[arg-type]  # sampled from the literal's values

@@ -66,9 +66,7 @@ def _scan(influence_map: InfluenceMap, cell: tuple[int, ...], table: list[tuple[
 
 
 @given(maps, values, tables)
-def test_the_nearest_is_the_one_that_a_scan_by_hand_finds(
-    influence_map: InfluenceMap, cell: tuple[int, ...], table: list[tuple[int, ...]]
-) -> None:
+def test_the_nearest_set_is_found(influence_map: InfluenceMap, cell: tuple[int, ...], table: list[tuple[int, ...]]) -> None:
     places = np.arange(len(table))[:, np.newaxis]
     result = _compare(influence_map, cell).nearest(_stored(table), places, np.arange(len(table)) + 100)
     if not table:
@@ -78,9 +76,7 @@ def test_the_nearest_is_the_one_that_a_scan_by_hand_finds(
 
 
 @given(maps, values, tables)
-def test_nothing_blocks_exactly_where_the_reference_keys_are_equal(
-    influence_map: InfluenceMap, cell: tuple[int, ...], table: list[tuple[int, ...]]
-) -> None:
+def test_equal_keys_block_nothing(influence_map: InfluenceMap, cell: tuple[int, ...], table: list[tuple[int, ...]]) -> None:
     keys = ReferenceKeys(influence_map, "S1", NAMES)
     own = keys.keys(_stored([cell]))[0]
     blocked = _compare(influence_map, cell).blocking(_stored(table)).any(axis=1).tolist()

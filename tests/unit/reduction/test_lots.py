@@ -44,9 +44,7 @@ def test_a_smallest_plan_keeps_the_limit_and_one_cell_less_does_not(size: int, l
         assert plan.sample == 1 or outgoing_errors(SamplingPlan(size, plan.sample - 1, acceptance)).max() > limit
 
 
-def test_the_plan_of_a_large_lot_is_found_with_fewer_numbers_of_errors_than_it_has_cells(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_plan_of_a_large_lot_tries_few_numbers_of_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     numbers: list[int] = []
 
     def counted(plan: SamplingPlan, wrong: Positions) -> Floats:

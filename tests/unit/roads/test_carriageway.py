@@ -1,5 +1,7 @@
 """Roads of equal lanes, measured from networks."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from tests.support.networks import entrance
@@ -7,6 +9,8 @@ from tests.support.networks import entrance
 from drivecal.domain.errors import InvalidInputError
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.roads.carriageway import SPACING, carriageway
+from drivecal.roads.corridor import corridor
+from drivecal.roads.network import read_network
 
 S5 = HIGHWAY.scenarios["S5"]
 
@@ -59,3 +63,24 @@ WAY = b'<connection from="e0" to="e1" fromLane="0" toLane="0" dir="s" state="M"/
 def test_what_is_no_carriageway_is_refused(content: bytes, route: list[str]) -> None:
     with pytest.raises(InvalidInputError, match=r"road\.net\.xml"):
         carriageway(content, route, "road.net.xml")
+
+
+NEAR = 0.1
+"""Metres."""
+
+
+@pytest.mark.parametrize("length", [100, 1_000, 9_000])
+def test_lanes_of_two_points_follow_one_another_at_any_length(length: int) -> None:
+    ends = (0, length, 2 * length)
+    edges = "".join(
+        f'<edge id="e{number}" from="j{number}" to="j{number + 1}"><lane id="e{number}_0" index="0" speed="30" length="{length}" '
+        f'width="3.5" shape="{begin},0 {end},0"/></edge>'
+        for number, (begin, end) in enumerate(pairwise(ends))
+    )
+    junctions = "".join(f'<junction id="j{number}" type="priority" x="{x}" y="0"/>' for number, x in enumerate(ends))
+    connection = '<connection from="e0" to="e1" fromLane="0" toLane="0" dir="s" state="M"/>'
+    network = read_network(f'<net version="1.20">{edges}{junctions}{connection}</net>'.encode(), "long.net.xml")
+    road = corridor(network, ["e0", "e1"], "long.net.xml")
+    assert road.length == pytest.approx(2 * length, abs=0.01)
+    [track] = road.tracks
+    assert (track.begin, track.end) == pytest.approx((0.0, road.length))

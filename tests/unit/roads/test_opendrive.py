@@ -14,6 +14,7 @@ from tests.support.networks import program
 from tests.support.opendrive_files import FILES, edited
 from tests.support.opendrive_reader import Floats, lane_centres, lane_width, roads
 from tests.support.roads import to_cartesian
+from tests.support.values import faults_of, present
 
 from drivecal.domain.errors import InvalidInputError, UnavailableError
 from drivecal.roads import conversion
@@ -108,8 +109,7 @@ def test_every_lane_of_the_file_beside_the_drive_is_a_track(route: tuple[str, st
                         point = np.array([entry.centre(section, index, s)])
                         at = nearest(road, point)
                         assert at is not None, (entry.id, index, s)
-                        track = road.lane_at(*at)
-                        assert track is not None
+                        track = present(road.lane_at(*at))
                         row = round(at[0] / road.line[1, 0])
                         assert road.widths[row, track] == pytest.approx(lane_width(lane, s - begin), abs=0.05)
                         assert road.centres[row, track] == pytest.approx(at[1], abs=NEAR)
@@ -152,9 +152,7 @@ def test_limits_of_lanes_stand_above_those_of_roads() -> None:
 
 @pytest.mark.parametrize("limit", ["601", "1e9", "fast", "nan", ""])
 def test_absurd_limits_are_refused_by_their_line(limit: str) -> None:
-    with pytest.raises(InvalidInputError) as error:
-        read_opendrive(edited("two_way", r'max="33.5"', f'max="{limit}"'), NAME)
-    (problem,) = error.value.problems
+    (problem,) = faults_of(read_opendrive, edited("two_way", r'max="33.5"', f'max="{limit}"'), NAME)
     assert (problem.field, bool(problem.remedy)) == (NAME, True)
     assert re.search(r"line \d+, <speed>", problem.message)
 
@@ -172,8 +170,7 @@ def test_a_conversion_repeats_itself_and_names_its_source() -> None:
     network = converted(content, NAME).network
     assert network == converted(content, NAME).network
     assert b"generated on" not in network
-    source = source_of(network)
-    assert source is not None
+    source = present(source_of(network))
     assert len(source) == 64
     assert source != source_of(conversion_of("entrance").network)
     assert network_file("a/b.xodr") == "a/b.xodr.net.xml"
@@ -234,9 +231,8 @@ def test_sumo_takes_the_network(file: str, tmp_path: Any) -> None:
 )
 def test_what_cannot_be_driven_is_refused(pattern: str, replacement: str) -> None:
     content = edited("two_way", pattern, replacement, count=0)
-    with pytest.raises(InvalidInputError) as error:
-        corridor(read_network(converted(content, NAME).network, NAME), ROUTES["two_way", "along"], NAME)
-    (problem,) = error.value.problems
+    route = ROUTES["two_way", "along"]
+    (problem,) = faults_of(lambda: corridor(read_network(converted(content, NAME).network, NAME), route, NAME))
     assert problem.remedy
     assert NAME in problem.field + problem.message
 
@@ -245,9 +241,7 @@ def test_what_cannot_be_driven_is_refused(pattern: str, replacement: str) -> Non
 def test_a_file_that_includes_another_is_refused_even_if_that_one_is_there(place: str, tmp_path: Path) -> None:
     (tmp_path / "other.xml").write_text("<userData/>")
     content = edited("two_way", place, f'<include file="{tmp_path / "other.xml"}"/>{place}')
-    with pytest.raises(InvalidInputError) as error:
-        converted(content, NAME)
-    (problem,) = error.value.problems
+    (problem,) = faults_of(converted, content, NAME)
     assert problem.field == NAME
     assert "<include>" in problem.message
 

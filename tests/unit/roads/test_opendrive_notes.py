@@ -92,9 +92,7 @@ def test_a_lane_that_is_not_in_the_file_is_noted_and_no_route_leads_over_it(monk
     assert corridor(network, ["5#1", "5#0"], NAME).length > 10.0
 
 
-def test_a_way_through_a_junction_that_the_file_does_not_have_is_noted_and_refused_on_a_route(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_missing_way_through_a_junction_is_noted_and_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """netconvert names a lane of the connecting road that is not there: its own arc would be driven."""
     netconvert_writes(monkeypatch, lambda network: network.replace(b'value="10_-1"', b'value="10_-7"'))
     result = converted(FILES["entrance"](), NAME)

@@ -79,9 +79,7 @@ def test_netconvert_has_limits_of_memory_and_processor_time(tmp_path: Path, monk
 
 
 @pytest.mark.parametrize(("code", "said"), [(-24, ""), (1, "Error: std::bad_alloc\nQuitting (on error)."), (-9, "")])
-def test_a_file_that_takes_more_than_the_limits_is_refused_with_them(
-    code: int, said: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_beyond_the_limits_is_refused_with_them(code: int, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
     answer = subprocess.CompletedProcess(["netconvert"], code, "", said)
     monkeypatch.setattr(conversion, "run_netconvert", lambda *_: answer)
     message = refused(document(road())).message

@@ -67,9 +67,7 @@ def test_the_centre_of_a_lane_is_in_its_track(name: str, which: float, share: fl
     st.lists(st.floats(-0.05, 0.05), min_size=2, max_size=30),
     st.floats(5.0, 60.0),
 )
-def test_a_line_stays_near_any_polyline_with_small_corners(
-    x: float, y: float, heading: float, turns: list[float], step: float
-) -> None:
+def test_a_line_stays_near_any_polyline(x: float, y: float, heading: float, turns: list[float], step: float) -> None:
     headings = heading + np.cumsum(turns)
     steps = step * np.column_stack([np.cos(headings), np.sin(headings)])
     points = np.array([x, y]) + np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)])

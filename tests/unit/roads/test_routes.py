@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from tests.support.networks import built, crossing, edge, entrance, generated, node, roundabout
+from tests.support.values import faults_of, faulty_fields
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.corridor import Corridor, corridor
@@ -19,9 +20,7 @@ def drive(content: bytes, *route: str) -> Corridor:
 
 def refused(content: bytes, *route: str) -> tuple[str, str]:
     """Field and message of the refusal, which names the file and has a remedy."""
-    with pytest.raises(InvalidInputError) as error:
-        drive(content, *route)
-    (problem,) = error.value.problems
+    (problem,) = faults_of(drive, content, *route)
     assert problem.remedy
     assert NAME in problem.field + problem.message
     return problem.field, problem.message
@@ -77,13 +76,9 @@ def test_positions_on_lanes_inside_of_junctions_are_known_too() -> None:
 def test_a_lane_or_position_that_is_not_there_is_refused() -> None:
     road = drive(entrance(), "before", "beside", "after")
     for place, field in ((("before", 2, 0.0), "lane"), (("ramp", 0, 0.0), "edge"), (("before", 0, 5000.0), "s")):
-        with pytest.raises(InvalidInputError) as error:
-            road.position(*place)
-        assert [problem.field for problem in error.value.problems] == [field]
+        assert faulty_fields(road.position, *place) == [field]
     for (s, lane), field in (((100.0, 2), "lane"), ((5000.0, 0), "s"), ((-1.0, 0), "s")):
-        with pytest.raises(InvalidInputError) as error:
-            road.piece(s, lane)
-        assert [problem.field for problem in error.value.problems] == [field]
+        assert faulty_fields(road.piece, s, lane) == [field]
     assert road.piece(100.0, 1).edge == "before"
     assert road.piece(550.0, 0).edge == "beside"
 

@@ -28,9 +28,7 @@ def test_numba_gets_a_folder_of_its_own_only_where_it_would_find_none(tmp_path: 
     assert Path(os.environ["NUMBA_CACHE_DIR"]) == folder
 
 
-def test_a_folder_for_kernels_begins_with_those_that_an_image_brought_along(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kernels_folder_begins_with_those_of_the_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shipped, folder = tmp_path / "shipped", tmp_path / "mine" / "numba"
     (shipped / "planner").mkdir(parents=True)
     (shipped / "planner" / "kernel.nbi").write_text("compiled")

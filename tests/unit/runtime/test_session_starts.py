@@ -25,9 +25,7 @@ from drivecal.runtime.worker import Worker
 
 
 @pytest.mark.parametrize("fault", [UnavailableError("no licence"), OSError(errno.ENOMEM, "no memory")])
-def test_a_start_that_fails_beside_idle_sessions_is_tried_without_them(
-    worker: Callable[..., Worker], request_: SetupRequest, fault: Exception
-) -> None:
+def test_a_start_is_tried_without_sessions(worker: Callable[..., Worker], request_: SetupRequest, fault: Exception) -> None:
     class Licensed(ScriptedSimulator):
         most = 2
 
@@ -63,9 +61,7 @@ atexit.register(os.remove, licence)
         assert opened.run(setup, Cell(1, {"x": 2.0})).metrics == {"a": 2.0}
 
 
-def test_sessions_are_not_closed_again_for_a_start_that_fails_alone_as_well(
-    sessions: Callable[..., BundleSessions], request_: SetupRequest
-) -> None:
+def test_sessions_are_closed_once_for_a_failing_start(sessions: Callable[..., BundleSessions], request_: SetupRequest) -> None:
     now, simulator = [0.0], ScriptedSimulator()
     opened = sessions(simulator, clock=lambda: now[0])
     broken = replace(request_, scenario="broken", data={"missing": True})
@@ -87,9 +83,7 @@ def test_another_adapter_is_refused_without_closing_anything(worker: Callable[..
 
 
 @pytest.mark.parametrize("kind", [UnavailableError, UnsuitableError])
-def test_a_simulator_that_no_longer_starts_refuses_the_cells_from_there_on(
-    worker: Callable[..., Worker], request_: SetupRequest, kind: type[UnavailableError]
-) -> None:
+def test_a_lost_simulator_refuses(worker: Callable[..., Worker], request_: SetupRequest, kind: type[UnavailableError]) -> None:
     class Upgraded(ScriptedSession):
         def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = 1) -> RunOutcome:
             if parameters["x"] == 3.0 and len(self.simulator.opened) == 1:
@@ -112,9 +106,7 @@ def test_a_simulator_that_no_longer_starts_refuses_the_cells_from_there_on(
 
 
 @pytest.mark.parametrize("fault", [UnavailableError("no licence"), OSError(errno.ENOSPC, "no disk")])
-def test_a_checked_cell_whose_second_start_is_refused_keeps_its_first_outcome(
-    worker: Callable[..., Worker], request_: SetupRequest, fault: Exception
-) -> None:
+def test_a_refused_check_keeps_the_outcome(worker: Callable[..., Worker], request_: SetupRequest, fault: Exception) -> None:
     class Once(ScriptedSession):
         runs = 0
 
@@ -137,9 +129,7 @@ def test_a_checked_cell_whose_second_start_is_refused_keeps_its_first_outcome(
     assert (len(simulator.opened), len(simulator.closed)) == (3, 3), "the next cell begins with all checks"
 
 
-def test_a_scenario_that_no_machine_can_run_closes_no_other_session(
-    worker: Callable[..., Worker], request_: SetupRequest
-) -> None:
+def test_an_impossible_scenario_closes_no_other_session(worker: Callable[..., Worker], request_: SetupRequest) -> None:
     class Unsuitable(ScriptedSimulator):
         def open(self, section: Mapping[str, Any], scenario: str, *rest: Any) -> SimulatorSession:
             if scenario == "broken":

@@ -156,9 +156,7 @@ def test_a_plug_in_that_cannot_be_imported_here_is_the_worker_s_fault(monkeypatc
     assert "OSError: frenet: no space left on device" in (result.refusal or "")
 
 
-def test_a_plug_in_that_cannot_be_put_together_is_the_cell_s_fault(
-    function: FailingFunction, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plug_in_that_cannot_be_built_is_the_cells_fault(function: FailingFunction, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(function, "create", lambda _: 1 / 0)
     result = Worker("w").run(Batch(misbehaving_setup(), (Cell(1, {"value": 2.0, "behaviour": 0.0}),)))
     assert result.refusal is None

@@ -192,9 +192,7 @@ def test_where_every_parameter_is_fixed_there_is_nothing_to_analyse() -> None:
     st.integers(0, 10_000),
 )
 @settings(max_examples=examples(60))
-def test_whatever_the_scores_are_the_analysis_ends_within_what_was_announced(
-    sizes: list[int], intervals: int, design: Literal["lines", "paper"], seed: int
-) -> None:
+def test_an_analysis_ends_as_announced(sizes: list[int], intervals: int, design: Literal["lines", "paper"], seed: int) -> None:
     generator = np.random.default_rng(seed)
 
     def noise(points: Indices) -> Floats:

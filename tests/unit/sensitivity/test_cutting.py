@@ -31,9 +31,7 @@ def cut_values(influential: list[bool], edges: list[int]) -> set[int]:
         ("##..", [("above", 2)]),
     ],
 )
-def test_intervals_are_cut_from_both_ends_until_the_first_influential_one(
-    influential: str, regions: list[tuple[str, int]]
-) -> None:
+def test_intervals_are_cut_up_to_the_first_influential_one(influential: str, regions: list[tuple[str, int]]) -> None:
     result = cut(3, [mark == "#" for mark in influential])
     assert [(region.side, region.intervals) for region in result] == regions
     assert all(region.column == 3 for region in result)

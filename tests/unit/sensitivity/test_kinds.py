@@ -50,9 +50,7 @@ def analysed(design: Literal["lines", "paper"], *, sequential: bool) -> Sensitiv
 
 @designs
 @sequentially
-def test_bounds_of_numbers_are_cut_and_choices_matter_as_a_whole_or_not_at_all(
-    design: Literal["lines", "paper"], sequential: bool
-) -> None:
+def test_bounds_of_numbers_are_cut_and_choices_are_whole(design: Literal["lines", "paper"], sequential: bool) -> None:
     analysis = analysed(design, sequential=sequential)
     drive(analysis, {"S1": score})
     result = analysis.result()["S1"].parameters

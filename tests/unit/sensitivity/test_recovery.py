@@ -47,9 +47,7 @@ def misses(found: dict[str, dict[str, Influence]], space: ParameterSpace) -> lis
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("threshold", [0.02, "auto"])
 @pytest.mark.parametrize("design", ["lines", "paper"])
-def test_boxes_of_eleven_parameters_in_three_scenarios_are_found(
-    design: Literal["lines", "paper"], threshold: Threshold, seed: int
-) -> None:
+def test_boxes_of_eleven_parameters_are_found(design: Literal["lines", "paper"], threshold: Threshold, seed: int) -> None:
     analysis = SensitivityAnalysis(
         SPACE,
         list(BOXES),

@@ -170,9 +170,7 @@ effects_of = st.floats(-1, 1).map(lambda change: round(7 * change))
     st.integers(0, 10_000),
 )
 @settings(max_examples=examples(150))
-def test_what_is_surely_influential_stays_so_whatever_comes(
-    pairs: list[tuple[int, float, bool]], made: int, threshold: Threshold, seed: int
-) -> None:
+def test_what_is_influential_stays_so(pairs: list[tuple[int, float, bool]], made: int, threshold: Threshold, seed: int) -> None:
     generator = np.random.default_rng(seed)
     made = min(made, len(pairs))
     steps = np.array([step * generator.choice([-1, 1]) for _, step, _ in pairs])

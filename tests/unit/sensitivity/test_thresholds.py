@@ -103,8 +103,6 @@ def test_with_equal_steps_auto_tolerates_exactly_so_many_changes_of_one_point(n:
 
 
 @given(st.lists(st.floats(0.01, 1), min_size=2, max_size=40).map(np.array), st.floats(0.01, 1))
-def test_the_automatic_threshold_scales_with_the_box_and_does_not_know_the_direction_of_steps(
-    steps: Floats, width: float
-) -> None:
+def test_the_automatic_threshold_scales_with_the_box_not_the_direction(steps: Floats, width: float) -> None:
     assert automatic(width * steps) == pytest.approx(automatic(steps) / width)
     assert automatic(-steps) == automatic(steps)

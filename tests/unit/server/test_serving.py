@@ -31,9 +31,7 @@ def elect(database: Database) -> None:
 
 
 @pytest.mark.parametrize("jump", [timedelta(hours=-2), timedelta(hours=2)])
-def test_a_dispatcher_is_known_by_its_term_whatever_the_clock_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jump: timedelta
-) -> None:
+def test_a_dispatcher_is_known_by_its_term(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jump: timedelta) -> None:
     database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
     elect(database)
     report(database, "idle")

@@ -42,9 +42,7 @@ def wrapped(error: Exception) -> DBAPIError:
         (psycopg.OperationalError(), UnavailableError, "does not answer: OperationalError"),
     ],
 )
-def test_the_state_of_the_database_is_told_in_drivecals_own_errors(
-    error: Exception, expected: type[Exception], message: str
-) -> None:
+def test_a_databases_state_is_one_of_drivecals_errors(error: Exception, expected: type[Exception], message: str) -> None:
     for raised in (error, wrapped(error)):
         with pytest.raises(expected, match=message) as caught, translated("the file"):
             raise raised

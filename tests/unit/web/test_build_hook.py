@@ -30,9 +30,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, folder: Path, script: str) -> None
     monkeypatch.setenv("PATH", f"{folder}:/bin:/usr/bin")
 
 
-def test_without_node_it_says_so_and_installs_the_rest(
-    hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_node_it_installs_the_rest(hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     monkeypatch.setenv("PATH", str(tmp_path))
     reason = hook.build()
@@ -51,9 +49,7 @@ def test_an_old_node_is_not_tried(hook: ModuleType, tmp_path: Path, monkeypatch:
         hook._node()
 
 
-def test_libraries_that_cannot_be_fetched_are_the_reason(
-    hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_libraries_are_the_reason(hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stand_in(monkeypatch, tmp_path, "echo 'npm error network no such host' >&2; exit 1")
     assert "no such host" in hook.build()
 
@@ -64,9 +60,7 @@ def test_a_build_that_hangs_is_given_up(hook: ModuleType, tmp_path: Path, monkey
     assert "longer than 0.2 s" in hook.build()
 
 
-def test_a_page_is_built_once_and_again_when_its_sources_change(
-    hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_is_built_when_its_sources_change(hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     runs = tmp_path / "runs"
     stand_in(monkeypatch, tmp_path, f'echo "$1" >> {runs}; echo page > {hook.TARGET}/index.html')
     assert hook.build() is None
@@ -78,9 +72,7 @@ def test_a_page_is_built_once_and_again_when_its_sources_change(
     assert len(runs.read_text().split()) == 4
 
 
-def test_a_page_that_fails_leaves_nothing_of_the_one_before(
-    hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_page_leaves_nothing_behind(hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stand_in(monkeypatch, tmp_path, f"echo page > {hook.TARGET}/index.html")
     hook.build()
     (hook.WEB / "src" / "main.ts").write_text("export const other = ;")
@@ -89,9 +81,7 @@ def test_a_page_that_fails_leaves_nothing_of_the_one_before(
     assert [path.name for path in hook.TARGET.iterdir()] == ["missing.txt"]
 
 
-def test_without_its_sources_the_documentation_is_left_out(
-    hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_sources_no_documentation_is_built(hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hook, "DOCS", tmp_path / "build.py")
     assert "missing" in hook.build_documentation()
     (tmp_path / "build.py").write_text("def build():\n    return 'no generator'\n")

@@ -27,9 +27,7 @@ def limit(monkeypatch: pytest.MonkeyPatch, **limits: int) -> None:
 
 
 @pytest.mark.parametrize("most", [{"MOST_DISK_MB": 100}, {"MOST_FILES": 50}])
-def test_files_that_fill_the_disk_cost_their_run_and_are_removed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: dict[str, int]
-) -> None:
+def test_files_that_fill_the_disk_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: dict[str, int]) -> None:
     limit(monkeypatch, **most, NOTICED_MB=ALWAYS)
     size = 2_000_000 if "MOST_DISK_MB" in most else 1
     fill = f"[open(os.path.join(os.environ['TMPDIR'], 'f%d' % n), 'wb').write(bytes({size})) for n in range(100)]"
@@ -88,9 +86,7 @@ def test_files_without_a_name_fill_no_disk(tmp_path: Path, monkeypatch: pytest.M
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
 
 
-def test_a_session_that_hides_its_open_files_is_ended_when_a_full_disk_loses_more(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_session_with_hidden_files_is_ended_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Other users than root see no files of a process that may not be debugged."""
     limit(monkeypatch, NOTICED_MB=5)
     shown = files.find_nameless

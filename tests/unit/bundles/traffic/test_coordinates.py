@@ -62,9 +62,7 @@ CROSSING = (701.6, -1.6)
         (0.5 * pi, [], "bridge"),
     ],
 )
-def test_of_roads_above_each_other_that_of_the_heading_counts_and_then_the_route(
-    heading: float | None, route: list[str], edge_there: str
-) -> None:
+def test_of_roads_above_each_other_the_heading_decides(heading: float | None, route: list[str], edge_there: str) -> None:
     assert placed(*CROSSING, heading, route).edge == edge_there
 
 

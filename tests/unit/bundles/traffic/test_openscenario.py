@@ -126,12 +126,10 @@ def test_a_cut_in_has_the_file_s_speeds_lanes_and_conditions() -> None:
     assert isinstance(change, CutIn)
     assert isinstance(brake, Brake)
     assert (change.by, change.beside, change.seconds) == (0, "ego", 3.0)
-    assert change.when is not None
-    (condition,) = change.when
+    (condition,) = present(change.when)
     assert (condition.quantity, condition.vehicle, condition.to) == ("headway", "ego", "Other")
     assert (condition.above, condition.centres, condition.rising) == (0.8, True, True)
-    assert brake.when is not None
-    assert [(entry.done, entry.delay) for entry in brake.when] == [(change.id, 1.0)]
+    assert [(entry.done, entry.delay) for entry in present(brake.when)] == [(change.id, 1.0)]
     assert (brake.speed, brake.rate) == (15.0, 4.0)
 
 
@@ -185,16 +183,14 @@ def speed(name: str, value: float, *conditions: str, rate: float = 2) -> str:
 
 def test_conditions_on_several_vehicles_hold_at_once() -> None:
     (change,) = actions(with_events(event("in", IN, when_all("none"))))
-    assert change.when is not None
-    assert [(entry.vehicle, entry.rising) for entry in change.when] == [("Other", False), ("ego", False)]
+    assert [(entry.vehicle, entry.rising) for entry in present(change.when)] == [("Other", False), ("ego", False)]
 
 
 def test_what_waits_for_several_actions_waits_for_the_last_of_them() -> None:
     """Edges of each alone would have to rise in the same step."""
     both = speed("slow", 20, when_time(1)).replace("</Event>", "").replace("</Action>", "</Action>" + ACTION)
     result = actions(with_events(both + "</Event>", speed("then", 30, when_done("event", "slow"))))
-    assert result[-1].when is not None
-    assert [(entry.done, entry.rising) for entry in result[-1].when] == [(result[0].id, False), (result[1].id, False)]
+    assert [(entry.done, entry.rising) for entry in present(result[-1].when)] == [(result[0].id, False), (result[1].id, False)]
 
 
 def test_what_waits_for_an_action_without_effect_remembers_that_it_is_done() -> None:
@@ -254,8 +250,7 @@ def test_an_obstacle_stands_and_a_leader_leaves_before_it() -> None:
     (change,) = leader.actions
     assert isinstance(change, CutIn)
     assert (change.by, change.beside, change.metres) == (1, None, 60.0)
-    assert change.when is not None
-    (reach,) = change.when
+    (reach,) = present(change.when)
     assert (reach.quantity, reach.vehicle, reach.below) == ("distance", "Other", 1.0)
 
 
@@ -265,8 +260,7 @@ def test_a_place_to_be_reached_is_on_its_own_lane_of_the_route() -> None:
         reach = f'<ReachPositionCondition tolerance="2">{position}</ReachPositionCondition>'
         (change,) = actions(with_events(event("in", IN, when("Other", reach, "none"))))
         assert change.when is not None
-        assert change.when[0].s is not None
-        places.append((change.when[0].s, change.when[0].d))
+        places.append((present(change.when[0].s), change.when[0].d))
     assert places[0][0] == pytest.approx(300, abs=0.5)
     assert [s - places[0][0] for s, _ in places] == pytest.approx([0, 0, 20], abs=0.05)
     assert [d - places[0][1] for _, d in places] == pytest.approx([0, 3.5, 7.6], abs=0.05)
@@ -391,8 +385,7 @@ def two_of_a_name(reference: str, kind: str = "event", state: str = "completeSta
 )
 def test_a_reference_may_have_names_of_parts_around_before_its_own(kind: str, reference: str) -> None:
     brake, change = actions(two_of_a_name(reference, kind))
-    assert change.when is not None
-    assert [condition.done for condition in change.when] == [brake.id]
+    assert [condition.done for condition in present(change.when)] == [brake.id]
 
 
 @pytest.mark.parametrize("reference", ["go", "act::go", "story::group::go"])
@@ -414,8 +407,7 @@ def test_a_part_with_the_ego_vehicle_is_another_one_too() -> None:
     )
     assert "story::act::own::first::go" in refused(content)
     brake, change = actions(content.replace(b'Ref="go"', b'Ref="group::first::go"'))
-    assert change.when is not None
-    assert [condition.done for condition in change.when] == [brake.id]
+    assert [condition.done for condition in present(change.when)] == [brake.id]
     assert "with actions of the traffic" in refused(content.replace(b'Ref="go"', b'Ref="own::first::go"'))
 
 
@@ -423,8 +415,7 @@ def test_what_waits_inside_of_a_part_for_its_begin_waits_for_nothing_else() -> N
     _, inside = actions(two_of_a_name("second", "maneuver", "runningState"))
     assert inside.when == []
     brake, outside = actions(two_of_a_name("first", "maneuver", "runningState"))
-    assert outside.when is not None
-    assert [condition.begun for condition in outside.when] == [brake.id]
+    assert [condition.begun for condition in present(outside.when)] == [brake.id]
 
 
 @pytest.mark.slow

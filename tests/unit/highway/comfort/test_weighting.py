@@ -38,9 +38,7 @@ def digital_gain(weighting: Weighting, frequency: float) -> float:
 
 
 @pytest.mark.parametrize(("weighting", "frequency", "factor"), POINTS)
-def test_the_analogue_weighting_has_the_values_of_the_standards_table(
-    weighting: Weighting, frequency: float, factor: float
-) -> None:
+def test_analogue_weighting_has_the_standards_values(weighting: Weighting, frequency: float, factor: float) -> None:
     assert 1000.0 * analogue_gain(weighting, frequency) == pytest.approx(factor, rel=0.004)
 
 
@@ -52,9 +50,7 @@ def test_the_digital_weighting_has_them_too(weighting: Weighting, frequency: flo
 
 
 @pytest.mark.parametrize(("weighting", "most"), [(WD, 1.05), (WF, 2.2)], ids=["Wd", "Wf"])
-def test_between_the_tables_frequencies_the_digital_weighting_exceeds_the_tolerance_only_near_half_the_sampling_rate(
-    weighting: Weighting, most: float
-) -> None:
+def test_digital_weighting_is_within_tolerance_but_near_half_the_rate(weighting: Weighting, most: float) -> None:
     """Wd by 0.04 dB from 34.5 to 40.6 Hz; Wf far above 0.63 Hz, where it ends."""
     frequencies = np.geomspace(0.02, 0.499 * RATE, 500)
     ratios = [digital_gain(weighting, f) / analogue_gain(weighting, f) for f in frequencies]

@@ -174,9 +174,7 @@ def test_a_cut_in_that_is_due_in_a_junction_waits_for_the_next_edge(sumo: Sumo) 
         ({"like": "ego", "continuous": True, "seconds": 0.0}, [24, 22, 20]),
     ],
 )
-def test_a_speed_is_reached_in_a_time_or_a_distance_or_as_another_s(
-    sumo: Sumo, change: dict[str, Any], speeds: list[float]
-) -> None:
+def test_a_speed_is_reached_in_a_time_or_a_distance(sumo: Sumo, change: dict[str, Any], speeds: list[float]) -> None:
     these = of({"do": "brake", "time": 0} | change, model="constant")
     for step in range(3):
         act(these, step, Moving(0.0, 0.0, 24.0 - 2.0 * step, 2.5))
@@ -194,9 +192,7 @@ def test_a_speed_that_is_already_another_s_is_kept_to_it(sumo: Sumo) -> None:
     ("target", "d", "way"),
     [({"by": 1}, 0.0, 3.5), ({"by": 0, "beside": "ego"}, 3.4, 3.5), ({"by": -1, "beside": "ego"}, 3.4, 0.0)],
 )
-def test_a_vehicle_changes_to_the_lane_beside_its_own_or_another_s(
-    sumo: Sumo, target: dict[str, Any], d: float, way: float
-) -> None:
+def test_a_vehicle_changes_to_the_lane_beside(sumo: Sumo, target: dict[str, Any], d: float, way: float) -> None:
     these = of({"do": "cut_in", "time": 0, "seconds": 1.0} | target, model="constant")
     act(these, 0, Moving(0.0, d, 30.0, 2.5))
     assert sumo.offsets == [pytest.approx(0.5 * way)]  # half of the way after half of the time

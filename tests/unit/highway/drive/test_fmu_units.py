@@ -76,9 +76,7 @@ def controller(file: Path, units: dict[str, str] | None = None, **section: Any) 
         ('unit="1"', 'unit="-"', 'unit="1"'),
     ],
 )
-def test_variables_in_the_units_of_their_signals_pass(
-    described: Callable[..., Path], gap: str, speed: str, acceleration: str
-) -> None:
+def test_variables_in_their_units_pass(described: Callable[..., Path], gap: str, speed: str, acceleration: str) -> None:
     assert controller(described(u1=gap, u2=speed, y=acceleration))
 
 

@@ -160,9 +160,7 @@ def test_a_lane_that_ends_is_no_road_any_more() -> None:
     st.floats(-3.0, 3.0),
     st.floats(-4.0, 4.0),
 )
-def test_the_ego_vehicle_s_motion_is_the_domain_s(
-    s: float, d: float, slip: float, speed: float, along: float, across: float
-) -> None:
+def test_the_motion_is_the_domains(s: float, d: float, slip: float, speed: float, along: float, across: float) -> None:
     line = LINE[:, :5]
     x, y, road = to_cartesian(line, s, d)
     heading = road + 0.1
@@ -359,9 +357,7 @@ def test_rectangles_hit_where_points_of_one_lie_in_the_other(
         ((7.5, 0.0, 0.0), (np.nan, np.nan, 0.0), False),
     ],
 )
-def test_vehicles_that_pass_each_other_within_a_step_collide_if_they_touch_on_the_way(
-    begin: tuple[float, float, float], end: tuple[float, float, float], struck: bool
-) -> None:
+def test_collisions_within_a_step(begin: tuple[float, float, float], end: tuple[float, float, float], struck: bool) -> None:
     far = [300.0, 0.0, 0.0, 2.0, 0.9]
     before, after = (np.array([far, [*place, 2.0, 0.9]]) for place in (begin, end))
     assert (swept(before, after, np.zeros(3), np.zeros(8), SIZE) == 1) is struck

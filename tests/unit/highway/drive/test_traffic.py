@@ -9,9 +9,9 @@ import pytest
 from tests.support.motorways import NETWORK, ROUTE
 from tests.support.networks import built, edge, entrance, link, node
 from tests.support.opendrive_files import edited
+from tests.support.values import faulty_fields
 
 from drivecal.bundles.highway import HighwayScenario
-from drivecal.domain.errors import InvalidInputError
 from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
 from drivecal.highway.drive.road import HighwayRoad, LanePlace, SumoLanes
@@ -61,9 +61,7 @@ def written(content: bytes, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("metres", [0.2, 1.0, 2.0, 3.1])
-def test_others_see_the_ego_vehicle_s_speed_also_if_it_is_placed_anew_behind_the_begin_of_an_edge(
-    metres: float, tmp_path: Path
-) -> None:
+def test_others_see_the_ego_vehicles_speed_when_it_is_placed_anew(metres: float, tmp_path: Path) -> None:
     """SUMO places the ego vehicle anew every `CHECKED_STEPS` steps, here with its front `metres` behind the edge's begin."""
     drive = Drive(NETWORK, ROUTE, tmp_path, ("e0", 0))
     begin = drive.road.corridor.places["e1", 0][0, 1]
@@ -92,15 +90,11 @@ def test_sumo_has_the_ego_vehicle_in_its_lane_behind_a_split(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("place", [{"edge": "before"}, {}])
-def test_a_vehicle_whose_front_would_be_inside_of_a_junction_is_refused_and_not_moved_back(
-    place: dict[str, Any], tmp_path: Path
-) -> None:
+def test_a_vehicle_whose_front_is_inside_a_junction_is_refused(place: dict[str, Any], tmp_path: Path) -> None:
     network, route = written(entrance(), tmp_path), ["before", "beside", "after"]
     end = corridor(read_network(network.read_bytes(), "n"), route, "n").places["before", 0].item(-1, 0)
     vehicle = {"speed": 20.0, "length": 4.0} | place
-    with pytest.raises(InvalidInputError) as error:
-        traffic(network, route, tmp_path, vehicle | {"s": end - 1.5})
-    assert [problem.field for problem in error.value.problems] == ["scenarios.s.traffic[0].s"]
+    assert faulty_fields(traffic, network, route, tmp_path, vehicle | {"s": end - 1.5}) == ["scenarios.s.traffic[0].s"]
     _, allowed = traffic(network, route, tmp_path, vehicle | {"s": end - 2.0})
     allowed.reset()
     assert sumo.vehicle.getLanePosition("vehicle0") == pytest.approx(end, abs=0.1)
@@ -167,9 +161,7 @@ def crossing(road: HighwayRoad, s: float, d: float, reach: float) -> list[list[f
 @pytest.mark.parametrize(
     ("reach", "final", "steady"), [(6.0, 1.39, 5.0), (6.0, 1.39, 0.0), (30.0, 4.17, 10.0), (20.0, None, 0.0)]
 )
-def test_a_vehicle_on_a_path_meets_the_ego_vehicle_where_it_should(
-    reach: float, final: float | None, steady: float, tmp_path: Path
-) -> None:
+def test_a_vehicle_on_a_path_meets_the_ego_vehicle(reach: float, final: float | None, steady: float, tmp_path: Path) -> None:
     """A pedestrian, who waits and starts in time, and a rider, on no lane and of their true size."""
     road, _ = traffic(NETWORK, ROUTE, tmp_path)
     place, steps = 100.0 + SPEED * 6.0, 60

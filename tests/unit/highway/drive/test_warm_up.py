@@ -188,9 +188,7 @@ def test_a_vehicle_that_changes_into_the_lane_of_the_ego_vehicle_leaves_it_room(
         (110.0, float("nan"), 30.0, -1.2, False),
     ],
 )
-def test_vehicles_without_room_for_one_that_starts_are_removed(
-    s: float, d: float, speed: float, sideways: float, is_removed: bool
-) -> None:
+def test_vehicles_that_block_a_start_are_removed(s: float, d: float, speed: float, sideways: float, is_removed: bool) -> None:
     ego = np.array([100.0, 0.0, 30.0, 0.0, 5.0, 2.0])
     neighbours = np.array([[1000.0, 0.0, 30.0, 0.0, 5.0, 2.0], [s, d, speed, 0.0, 5.0, 2.0]])
     outlines = np.array([[x, y, 0.0, 2.5, 1.0, speed] for x, y in neighbours[:, :2]])

@@ -21,9 +21,7 @@ def speeds_along(*knots: tuple[float, float]) -> list[float]:
 
 
 @pytest.mark.parametrize(("wanted", "other"), [(0, 0), (1, 1), (1, 0), (0, 1)])
-def test_there_are_enough_candidates_and_the_first_ends_in_the_wanted_lane_at_the_desired_speed(
-    wanted: int, other: int
-) -> None:
+def test_there_are_enough_candidates_and_the_first_is_the_wanted_one(wanted: int, other: int) -> None:
     lateral, longitudinal = lateral_ends(3.5, wanted, other), LONGITUDINAL_ENDS
     assert lateral.shape[1] * longitudinal.shape[1] >= 150
     assert lateral[0, 0] == wanted * 3.5

@@ -121,9 +121,7 @@ parameters_of_table6 = st.tuples(*(values_of(parameter) for parameter in HIGHWAY
 
 
 @given(parameters_of_table6, parameters_of_table6, st.integers(0, 10_000))
-def test_features_depend_on_no_parameter_and_costs_are_linear_in_the_weights(
-    some: tuple[float, ...], others: tuple[float, ...], seed: int
-) -> None:
+def test_costs_are_linear_in_the_weights(some: tuple[float, ...], others: tuple[float, ...], seed: int) -> None:
     observation = random_drive(np.random.default_rng(seed), CHANGING, plans=1)[0]
     planner = planner_of(CHANGING)
     planner.reset(some)
@@ -151,9 +149,7 @@ extreme_weights = st.lists(st.sampled_from([0.0, 1e-3, 1.0, 40.0, 1e6, -2.0]), m
 
 
 @given(st.integers(0, 10_000), st.sampled_from([KEEPING, CHANGING, BENDING]), st.one_of(parameters_of_table6, extreme_weights))
-def test_bounds_leave_out_no_candidate_that_looking_at_all_of_them_chooses(
-    seed: int, scenario: Scenario, parameters: tuple[float, ...] | Floats
-) -> None:
+def test_bounds_leave_out_no_chosen_candidate(seed: int, scenario: Scenario, parameters: tuple[float, ...] | Floats) -> None:
     planner = planner_of(scenario)
     planner.reset(MIDDLE)
     planner._weights = parameters if isinstance(parameters, np.ndarray) else weights(parameters)

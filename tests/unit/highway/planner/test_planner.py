@@ -162,9 +162,7 @@ def test_the_consistency_term_compares_with_the_plan_before() -> None:
     ],
     ids=["far away", "far ahead", "ahead", "behind in the lane", "beside", "follower", "in the gap", "nearing", "left behind"],
 )
-def test_a_neighbour_changes_only_the_features_it_is_meant_for(
-    scenario: Scenario, d: float, neighbour: list[float], changed: set[int]
-) -> None:
+def test_a_neighbour_changes_its_own_features(scenario: Scenario, d: float, neighbour: list[float], changed: set[int]) -> None:
     planner = planner_for(scenario)
     alone = features_of(planner, seen(d=d, time=2.0))
     together = features_of(planner, seen(neighbour, d=d, time=2.0))

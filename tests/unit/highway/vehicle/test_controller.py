@@ -54,9 +54,7 @@ def test_every_corner_of_the_box_that_is_stable_alone_is_stable_in_the_loop(spee
 
 
 @pytest.mark.parametrize("speed", SPEEDS)
-def test_every_corner_of_the_box_that_is_stable_alone_completes_a_lane_change(
-    lane_change: Callable[..., Floats], drive: type[Any], speed: float
-) -> None:
+def test_every_stable_corner_changes_lanes(lane_change: Callable[..., Floats], drive: type[Any], speed: float) -> None:
     trajectory = lane_change(speed, 5.0, 20.0)
     for corner in CORNERS:
         if stable_without_controller(corner, speed):
@@ -82,9 +80,7 @@ def test_a_lane_change_is_kept_within_centimetres(
 
 
 @pytest.mark.parametrize("speed", SPEEDS)
-def test_a_constant_radius_is_kept_within_centimetres_without_any_ripple(
-    curve: Callable[..., Floats], drive: type[Any], speed: float
-) -> None:
+def test_a_constant_radius_is_kept_without_ripple(curve: Callable[..., Floats], drive: type[Any], speed: float) -> None:
     run = drive(curve(speed, 2.0, 25.0))
     assert run.stable
     assert np.abs(run.across).max() < 0.05
@@ -96,9 +92,7 @@ def test_a_constant_radius_is_kept_within_centimetres_without_any_ripple(
 
 
 @pytest.mark.parametrize("speed", SPEEDS)
-def test_an_initial_offset_decays_without_noticeable_overshoot(
-    straight: Callable[..., Floats], drive: type[Any], speed: float
-) -> None:
+def test_an_initial_offset_decays_without_overshoot(straight: Callable[..., Floats], drive: type[Any], speed: float) -> None:
     run = drive(straight(speed, 15.0), start=np.array([0.0, 0.5, 0.0, speed]))
     assert run.across.min() > -0.03
     assert np.abs(run.across[-10:]).max() < 0.005

@@ -155,9 +155,7 @@ def test_a_mirrored_drive_is_the_mirror_image_to_the_bit(
 
 @settings(max_examples=examples(30), deadline=None)
 @given(st.floats(-3.1, 3.1), st.floats(-5000.0, 5000.0), st.floats(-5000.0, 5000.0))
-def test_where_the_road_lies_and_points_does_not_matter(
-    lane_change: Callable[..., Floats], angle: float, east: float, north: float
-) -> None:
+def test_the_roads_place_does_not_matter(lane_change: Callable[..., Floats], angle: float, east: float, north: float) -> None:
     trajectory = lane_change(25.0, 4.0, 6.0)
     moved = trajectory.copy()
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])

@@ -74,9 +74,7 @@ def theirs(p: Any, speed: float, acceleration: float, rates: Floats, piece: floa
 
 @pytest.mark.parametrize("acceleration", [1.0, -1.0])
 @pytest.mark.parametrize(("vehicle", "speed"), [(NOMINAL, 20.0), (NOMINAL, 35.0), (TAIL_HEAVY, 20.0)])
-def test_with_acceleration_the_vehicles_of_table_8_move_alike(
-    vehicle: SingleTrackParameters, speed: float, acceleration: float
-) -> None:
+def test_accelerated_vehicles_of_table_8_move_alike(vehicle: SingleTrackParameters, speed: float, acceleration: float) -> None:
     rates = steering_rates(np.random.default_rng(8), 20)
     expected = theirs(commonroad(vehicle, acceleration), speed, acceleration, rates, 0.4)
     assert ours(vehicle, speed, acceleration, rates, 0.4) == pytest.approx(expected, abs=2e-6)
