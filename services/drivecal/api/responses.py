@@ -1,5 +1,6 @@
 """Builds answers from stored rows."""
 
+import re
 import zlib
 from collections.abc import Mapping, Sequence
 from datetime import datetime
@@ -117,11 +118,20 @@ def matches(if_none_match: str | None, tag: str) -> bool:
 
 def takes_gzip(accept_encoding: str) -> bool:
     """Returns whether a client accepts gzip (RFC 9110, Section 12.5.3)."""
-    for part in accept_encoding.lower().split(","):
-        name, *parameters = (word.strip() for word in part.split(";"))
-        if name == "gzip":
-            return not any(parameter.replace(" ", "").rstrip("0.") == "q=" for parameter in parameters)
-    return False
+    return qualities(accept_encoding).get("gzip", 0.0) > 0
+
+
+def qualities(header: str) -> dict[str, float]:
+    """Returns the quality of each name in a header such as `Accept` (RFC 9110, Section 12.4.2), 0 for an unusable quality."""
+    listed: dict[str, float] = {}
+    for part in header.split(","):
+        name, *options = (piece.strip().lower() for piece in part.split(";"))
+        quality = next((option[2:] for option in options if option.startswith("q=")), "1")
+        listed[name] = float(quality) if _QUALITY.fullmatch(quality) else 0.0
+    return listed
+
+
+_QUALITY = re.compile(r"0(\.\d*)?|1(\.0*)?", re.ASCII)
 
 
 def _links(stored: StoredCampaign) -> dict[str, str]:

@@ -7,7 +7,7 @@ from fastapi.routing import APIRoute
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 from starlette.requests import HTTPConnection
 
-from drivecal.api.responses import ROOT
+from drivecal.api.responses import ROOT, qualities
 from drivecal.contracts.strict_json import Tag, shown
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -188,18 +188,5 @@ def form_of(query: FormOf, accept: str) -> Form:
     """Returns the requested format: of the query, else of the `Accept` header, else JSON."""
     if query.format is not None:
         return query.format
-    wanted: list[tuple[float, Form]] = []
-    for part in accept.split(","):
-        media_type, *options = (piece.strip().lower() for piece in part.split(";"))
-        quality = next((option[2:] for option in options if option.startswith("q=")), "1")
-        if media_type in FORMS:
-            wanted.append((_quality(quality), FORMS[media_type]))
+    wanted = [(quality, FORMS[media_type]) for media_type, quality in qualities(accept).items() if media_type in FORMS]
     return max(wanted, key=lambda choice: choice[0], default=(0.0, "json"))[1]
-
-
-def _quality(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        return 0.0
-    return value if 0 <= value <= 1 else 0.0

@@ -47,13 +47,10 @@ def ready(request: Request, response: Response, database: DatabaseDependency) ->
 def metrics(request: Request) -> Response:
     """Metrics in Prometheus' text format, or in OpenMetrics on request."""
     meters: Meters = request.app.state.meters
+    content, media_type = exposition.generate_latest(meters.registry), exposition.CONTENT_TYPE_PLAIN_0_0_4
     if OPEN_METRICS in request.headers.get("accept", ""):
-        content: bytes = openmetrics.generate_latest(meters.registry)  # type: ignore[no-untyped-call]  # it has no types
-        return _metrics_answer(content, openmetrics.CONTENT_TYPE_LATEST)
-    return _metrics_answer(exposition.generate_latest(meters.registry), exposition.CONTENT_TYPE_PLAIN_0_0_4)
-
-
-def _metrics_answer(content: bytes, media_type: str) -> Response:
+        content = openmetrics.generate_latest(meters.registry)  # type: ignore[no-untyped-call]  # it has no types
+        media_type = openmetrics.CONTENT_TYPE_LATEST
     return Response(content, headers={"Content-Type": media_type, "Vary": "Accept"})
 
 
