@@ -58,7 +58,13 @@ def write_runs(client: Client, campaign_id: str, folder: Path) -> int:
 
 def _write_set(experiment: Path, parent: str, campaign: Campaign, solution: Solution) -> None:
     scores = {f"score_{name}": score for name, score in solution.scores.items() if score is not None}
-    metrics = {"objective": solution.objective, "rating": solution.rating, "rank": solution.rank, **scores}
+    metrics = {
+        "objective": solution.objective,
+        "rating": solution.rating,
+        "rank": solution.rank,
+        "violation": solution.violation,
+        **scores,
+    }
     tags = {"mlflow.parentRunId": parent, "drivecal.copied": " ".join(solution.reused)}
     _write_run(
         experiment, _run_id(campaign, solution.rank), campaign, f"rank {solution.rank}", solution.parameters, metrics, tags

@@ -17,7 +17,7 @@ from typing import Any
 import typer
 
 from drivecal.cli.application import ExitCode, JsonOption, app, say
-from drivecal.cli.views.output import duration, print_answer, print_blocks, print_cells, print_columns, print_solutions, saved
+from drivecal.cli.views.output import cells_text, duration, print_answer, print_blocks, print_columns, print_solutions, saved
 from drivecal.cli.views.progress import show_until_ended
 from drivecal.cli.views.sections import trust_blocks
 from drivecal.client.client import Client
@@ -202,7 +202,6 @@ def _first(client: Client, as_json: bool) -> Campaign:
     campaign = _carried_out(client, client.submit(CAMPAIGN))
     if not as_json:
         _print_best(client, campaign, "The best parameter sets, with the comfort score (0 to 7) in each scenario")
-        _print_comparison(campaign)
         _print_course(client, campaign)
         results = client.results(campaign.id)
         _print_answers("How its cells were answered", campaign=campaign)
@@ -230,7 +229,8 @@ def _print_best(client: Client, campaign: Campaign, title: str) -> None:
 
 def _print_answers(title: str, **campaigns: Campaign) -> None:
     typer.echo(f"\n{title}:\n")
-    print_cells([(name, campaign.cells) for name, campaign in campaigns.items()])
+    for name, campaign in campaigns.items():
+        typer.echo(f"{name}: {cells_text(campaign.cells)}")
 
 
 def _carried_out(client: Client, campaign: Campaign) -> Campaign:
@@ -238,16 +238,6 @@ def _carried_out(client: Client, campaign: Campaign) -> Campaign:
     if ended.state != "succeeded":
         raise DrivecalError(f"the campaign ended as {ended.state}: {ended.error or 'it was cancelled'}")
     return ended
-
-
-def _print_comparison(campaign: Campaign) -> None:
-    if campaign.best is None or campaign.baseline is None or campaign.baseline.objective is None:
-        return
-    better = campaign.best.objective - campaign.baseline.objective
-    typer.echo(
-        f"\nThe middle of all ranges scores {campaign.baseline.objective:.3f}; the best is {better:.3f} better, "
-        f"and {campaign.best.alternatives} sets share it."
-    )
 
 
 def _print_course(client: Client, campaign: Campaign) -> None:

@@ -153,9 +153,11 @@ def _uncertainty_texts(best: Best, aggregate: str | Mapping[str, float]) -> Iter
 
 def _search_text(campaign: Campaign) -> str:
     """Returns what the search has used of its budget, and its end."""
-    limit = (campaign.budget or {}).get("simulations")
-    most = "" if limit is None else f" of {limit:,.0f}"
-    text = f"{campaign.spent.simulations:,}{most} simulations, {campaign.spent.minutes:.1f} min of the wall clock"
+    limits = {name: f" of {limit:,.10g}" for name, limit in (campaign.budget or {}).items() if limit is not None}
+    simulations, minutes = limits.get("simulations", ""), limits.get("minutes", "")
+    text = (
+        f"{campaign.spent.simulations:,}{simulations} simulations, {campaign.spent.minutes:.1f}{minutes} min of the wall clock"
+    )
     text += f"; {campaign.cells.discarded:,} cells of given-up sets left out" if campaign.cells.discarded else ""
     return text if campaign.ended_by is None else f"{text}; ended by: {campaign.ended_by}"
 
@@ -260,13 +262,6 @@ def cells_text(cells: CellCounts) -> str:
     """Returns the cells by outcome, on one line: `1,200 requested = 800 simulated + 300 reused + 100 repeated`."""
     kept = f"; {cells.carried_over:,} more carried over from the iteration before" if cells.carried_over else ""
     return f"{cells.requested:,} requested = {_sum(cells)}{kept}"
-
-
-def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
-    """Prints how the cells of campaigns were answered, one line each."""
-    fields = ("proposed", "carried_over", "requested", *OUTCOMES, "audited")
-    rows = [[name, *(f"{getattr(cells, field):,}" for field in fields), f"{100 * saved(cells):.1f} %"] for name, cells in runs]
-    print_columns(["", *(field.replace("_", " ") for field in fields), "saved"], rows)
 
 
 def _sum(cells: CellCounts) -> str:

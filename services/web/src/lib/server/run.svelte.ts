@@ -39,14 +39,14 @@ export class Run {
 
   constructor(readonly id: string) {}
 
-  /** Reads what is missing. Throws a Refusal without a result. */
+  /** Reads what is missing, and the row until it has its answer. Throws a Refusal without a row. */
   async load(signal: AbortSignal): Promise<void> {
-    this.row ??= await get<Row>(`/evaluations/${this.id}`, signal);
-    const { campaign } = this.row;
+    if (!this.row?.outcome) this.row = await get<Row>(`/evaluations/${this.id}`, signal);
+    const { campaign, outcome } = this.row;
     this.problem ??= await problemOf(campaign.problem, signal);
     if (Object.keys(this.problem.series).length === 0 && !replays(this.problem)) {
       this.untraced = "The problem declares no time series: its results are the measures.";
-    } else if (this.reported === null) {
+    } else if (this.reported === null && outcome !== null) {
       this.waiting = SIMULATING;
       try {
         await this.simulate(isDriven(this.problem), signal);

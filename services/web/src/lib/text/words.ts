@@ -3,9 +3,8 @@
 import type { Best, Campaign, CellCounts, Difference, Moving } from "../server/types";
 import { number, percent } from "./format";
 
-export type Outcome = "repeated" | "reused" | "predicted" | "simulated" | "failed";
-
-export const OUTCOMES: readonly Outcome[] = ["repeated", "reused", "predicted", "simulated", "failed"];
+export const OUTCOMES = ["repeated", "reused", "predicted", "simulated", "failed"] as const;
+export type Outcome = (typeof OUTCOMES)[number];
 
 export const MEANING: Record<Outcome | "pending" | "carried_over", string> = {
   carried_over: "individuals that the optimizer left unchanged: not asked for again",
