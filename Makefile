@@ -1,6 +1,6 @@
 # drivecal: `make help` lists what can be made. Everything runs in .venv, which is installed on first use.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-faults test-compose test-packages check bench train page docs format lock audit sbom clean
+.PHONY: help demo test test-slow test-faults test-compose test-packages check check-code check-page bench train page docs format lock audit sbom clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 # Four processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
@@ -42,10 +42,15 @@ test-packages: $(INSTALLED) ## build the wheel, install its three layers into fr
 	@$(BIN)/pytest tests/integration/test_wheels.py tests/integration/test_public_files.py tests/integration/test_public_roads.py tests/integration/test_tracing.py -m packages -s
 
 check: $(INSTALLED) ## lint, formatting, types, import rules, the page, the documentation
+	@$(MAKE) --no-print-directory --jobs 2 --output-sync check-code check-page
+
+check-code:
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+
+check-page:
 	@$(BIN)/python services/web/build_hook.py check
 	@$(BIN)/python docs/build.py check
 	@if docker compose version >/dev/null 2>&1; then docker compose config -q; else echo "no docker compose here: docker-compose.yml is not checked"; fi
