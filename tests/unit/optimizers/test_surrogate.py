@@ -198,8 +198,10 @@ def test_a_search_that_stands_still_explores() -> None:
     fails, neighbour = np.where(draws < 0.3, -np.inf, -2.5), -2.05 + 0.04 * draws
     below = np.stack([-6.0 + 0.1 * draws, -4.0 + 0.1 * draws, -4.5 + 2.0 * draws, fails, neighbour], axis=1)
     assert not merit.improvements(below).any()
-    assert merit.best_first(below).tolist() == [2, 4, 1, 0, 3]
+    assert merit.best_first(below).tolist() == [4, 2, 1, 0, 3]
     assert merit.best_first(np.column_stack([below, -6.0 + 5.0 * draws]))[0] == 5, "improvements count first"
+    merit.least_gain = 0.1
+    assert merit.best_first(below).tolist() == [2, 4, 1, 0, 3]
 
 
 def test_a_rare_large_gain_counts_where_small_gains_do_not() -> None:

@@ -13,8 +13,6 @@ from drivecal.plugins.search import Aim
 
 AUGMENTATION = 0.05
 """Weight of the sum, which is added to the largest distance, so that every objective counts (Knowles 2006, ParEGO)."""
-NOTABLE = 0.01
-"""Gain that is worth a search, as a share of what the complete sets range over."""
 
 
 @dataclass(frozen=True)
@@ -108,19 +106,17 @@ class Merit:
     def best_first(self, merits: Floats) -> Indices:
         """Returns the places of sets by their expected improvement, the largest first, shape (n,).
 
-        In a search that stands still no draw improves on the best set. Then the probability of a notable gain counts, by the deviations
-        that the mean misses it by (Kushner 1964). Mean plus deviation would take one neighbour of the best set after the other; it counts
-        before there is a best set. Sets that probably fail come last.
+        In a search that stands still no draw improves on the best set. Then mean plus deviation counts (an upper confidence bound, Srinivas
+        et al. 2010), which takes one neighbour of the best set after the other; or, where a least gain is wanted, the probability of it, by
+        the deviations that the mean misses it by (Kushner 1964). Sets that probably fail come last.
 
         Args:
             merits: Draws, shape (n_draws, n).
         """
         mean, spread = _mean_and_spread(merits)
-        if np.isneginf(self.best):
-            chances = mean + spread
-        else:
-            gain = max(self.least_gain, NOTABLE * self.unit)
-            chances = (mean - self.best - gain) / np.maximum(spread, 1e-9 * self.unit)
+        chances = mean + spread
+        if self.least_gain > 0:
+            chances = (mean - self.best - self.least_gain) / np.maximum(spread, 1e-9 * self.unit)
         chances = np.where(2 * np.isfinite(merits).sum(axis=0) > len(merits), chances, -np.inf)
         order: Indices = np.lexsort((-chances, -self.improvements(merits)))
         return order

@@ -16,7 +16,7 @@ from drivecal.domain.parameters import Indices
 from drivecal.optimizers.surrogate.answers import Answers, BegunSet
 from drivecal.optimizers.surrogate.gaussian_process import Encoding
 from drivecal.optimizers.surrogate.giving_up import beaten, improbable, without_result
-from drivecal.optimizers.surrogate.merits import NOTABLE, Merit, Standing
+from drivecal.optimizers.surrogate.merits import Merit, Standing
 from drivecal.optimizers.surrogate.models import Bools, ScenarioModel
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, AskedCell, CellAnswer, SearchTask
@@ -44,9 +44,9 @@ REFINEMENTS, REFINED, REFINING = 2, 8, 150
 """How often the most promising candidates have children, how many of them, and how many children."""
 TOGETHER = 8
 """Most sets that are chosen from the same candidates: all but the first by a draw each."""
-STANDING_STILL = 20
-"""Sets without a notable gain after which every other set must promise one: small gains near the best set would otherwise hide for long
-that a distant region is better."""
+STANDING_STILL, NOTABLE = 20, 0.01
+"""Sets without a notable gain, a share of what the complete sets range over, after which every other set must promise one: small gains
+near the best set would otherwise hide for long that a distant region is better."""
 TURNS = 3
 """Steps of asking a set when many cells are under way; with one cell at a time there is a step for each scenario."""
 GROUPS = 4
