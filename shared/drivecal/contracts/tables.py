@@ -362,7 +362,7 @@ result; a user who posted the map; the campaign's space, which holds none of the
 
 class InfluenceRow(Answer):
     """A parameter in a scenario. `lower` and `upper` are the inclusive influential bounds in parameter units, the space's own
-    if nothing is cut, null if nothing is influential. Results of an analysis are null in maps that a user posted."""
+    if nothing is cut, null if nothing is influential, and of a choice. Results of an analysis are null in maps that a user posted."""
 
     scenario: str
     parameter: str

@@ -5,7 +5,8 @@ import csv
 import io
 import json
 from collections.abc import Sequence
-from typing import Any, Literal
+from types import SimpleNamespace
+from typing import Any, Literal, cast
 
 import pyarrow.parquet as pq
 import pytest
@@ -15,10 +16,14 @@ from pydantic import BaseModel
 from tests.support.values import faults_of
 
 from drivecal.api.http.queries import TableOf, TableQuery, form_of
+from drivecal.api.tables.influence import map_rows
 from drivecal.api.tables.paging import ROWS_AT_A_TIME, ROWS_AT_FIRST, download, slices, table_answer
 from drivecal.api.tables.selection import selection
 from drivecal.calibration_data.characteristics import Characteristic
 from drivecal.calibration_data.files import write_table
+from drivecal.campaigns.resolve.maps import map_to_document
+from drivecal.campaigns.resolve.spaces import space_to_document
+from drivecal.cli.commands.influence import bounds_text
 from drivecal.contracts.tables import (
     Column,
     EvaluationRow,
@@ -31,6 +36,9 @@ from drivecal.contracts.tables import (
     file_row,
     spreadsheet_text,
 )
+from drivecal.domain.influence import Influence, InfluenceMap
+from drivecal.domain.parameters import Parameter
+from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
 COLUMNS = [
     Column("id", "integer"),
@@ -264,3 +272,12 @@ def test_a_range_holds_its_ends_and_no_missing_value() -> None:
 )
 def test_a_condition_that_cannot_be_read_is_named(condition: str) -> None:
     assert [problem.field for problem in faults_of(selection, ["outcome=reused", condition], CHOSEN_FROM)] == ["where[1]"]
+
+
+def test_a_choice_has_no_influential_bounds() -> None:
+    space = Parameter.choice("mode", ["eco", "sport"]), Parameter.declared("P1", lower=0, upper=2)
+    known = InfluenceMap({"S1": {each.name: Influence(influential=True) for each in space}})
+    stored = SimpleNamespace(scenarios=map_to_document(known), parameters=space_to_document(space), basis=None)
+    rows = map_rows(cast("StoredInfluenceMap", stored))
+    assert [(row.lower, row.upper) for row in rows] == [(None, None), (0.0, 2.0)]
+    assert [bounds_text(row) for row in rows] == ["everywhere", "0 .. 2"]

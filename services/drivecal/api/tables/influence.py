@@ -78,9 +78,9 @@ def _decided_by(stored: StoredInfluenceMap, entry: Mapping[str, Any] | None, *, 
 
 
 def _bounds(influence: Influence, parameter: Parameter | None) -> tuple[bool, Decimal | None, Decimal | None]:
-    """Returns P_sens and PB_sens within the parameter's bounds. Nothing is influential if these lie outside the influential region."""
+    """Returns P_sens and PB_sens within the parameter's bounds; a choice has none. Nothing is influential if both lie outside."""
     lower, upper = influence.lower, influence.upper
-    if parameter is not None:
+    if parameter is not None and not parameter.choices:
         lower = parameter.lower if lower is None else max(lower, parameter.lower)
         upper = parameter.upper if upper is None else min(upper, parameter.upper)
     if not influence.influential or (lower is not None and upper is not None and lower > upper):

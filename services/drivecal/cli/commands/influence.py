@@ -79,11 +79,12 @@ def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | Non
 
 
 def bounds_text(row: InfluenceRow) -> str:
-    """Returns influential bounds as `0.2 .. 0.8`, or `nowhere`."""
+    """Returns influential bounds as `0.2 .. 0.8`, `everywhere` without any, or `nowhere`."""
     if not row.influential:
         return "nowhere"
     ends = ["its bound" if bound is None else f"{bound:g}" for bound in (row.lower, row.upper)]
-    return " .. ".join(ends) + (" (unknown)" if row.unknown else "")
+    known = "everywhere" if row.lower is row.upper is None else " .. ".join(ends)
+    return known + (" (unknown)" if row.unknown else "")
 
 
 def _line(row: InfluenceRow, measured: bool, decided: bool) -> list[object]:
