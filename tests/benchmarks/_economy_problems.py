@@ -22,9 +22,10 @@ from drivecal.bundles.checks import checked, choices_of
 from drivecal.bundles.expressions import Constraint, Formula
 from drivecal.bundles.shapes import with_points
 from drivecal.domain.constraints import Constraints
-from drivecal.domain.parameters import Parameter, ParameterSpace, decimal
+from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.domain.regions import FeasibleRegion
 from drivecal.domain.scales import COMFORT, Direction, Scale
+from drivecal.domain.values import decimal
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import AskedCell, CellAnswer, SearchTask
 

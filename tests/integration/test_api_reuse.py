@@ -10,7 +10,7 @@ from tests.support.runs import WITH_ANALYSIS, influenced, run
 from tests.support.server import RunningApi, new_database, serving
 from tests.support.values import present
 
-from drivecal.contracts.explanation import Explanation
+from drivecal.contracts.evaluation import Explanation
 from drivecal.contracts.results import CampaignResults, ResultTrust
 from drivecal.storage import campaigns
 

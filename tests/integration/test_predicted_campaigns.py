@@ -34,8 +34,8 @@ from drivecal.analysis.verdicts import confirmation_verdict
 from drivecal.api import submission
 from drivecal.campaigns.cells.predicting import LotPlanner, slice_size
 from drivecal.campaigns.results.explanation import explain
-from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.results import Accounting
 from drivecal.contracts.specification import RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName

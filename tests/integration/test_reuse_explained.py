@@ -10,7 +10,7 @@ from tests.support.runs import EXPERT_SPACE, SMALL, influenced, nothing_matters,
 from drivecal.api.expectation import expected
 from drivecal.campaigns.results.explanation import explain
 from drivecal.configuration.settings import Settings
-from drivecal.contracts.explanation import Explanation
+from drivecal.contracts.evaluation import Explanation
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Outcome

@@ -15,8 +15,7 @@ from drivecal.contracts.specification import CampaignSpecification, InfluenceMap
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
-from drivecal.domain.actions import Action
-from drivecal.domain.campaigns import StageName
+from drivecal.domain.campaigns import Action, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.backend import Backend
 from drivecal.execution.pool import Leases, WorkPool

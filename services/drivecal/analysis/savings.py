@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 
-from drivecal.contracts.accounting import Accounting, BalanceItem, BreakEven, MapCost, ScenarioAccount, SensitivityCost
+from drivecal.contracts.results import Accounting, BalanceItem, BreakEven, MapCost, ScenarioAccount, SensitivityCost
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, OutcomeCosts
 

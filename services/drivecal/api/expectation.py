@@ -12,7 +12,6 @@ from drivecal.api.tables.ranking import solution_pages
 from drivecal.campaigns.cells.earlier import earlier_versions, sample, unclaimed
 from drivecal.campaigns.comparison import ComparisonProblem, resolve_comparison
 from drivecal.campaigns.resolve.bench import Bench
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import check_basis, warnings_of
 from drivecal.campaigns.resolve.outside import indices_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
@@ -25,7 +24,7 @@ from drivecal.contracts.campaign import STUDIES, ExpectedRuns
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
 from drivecal.contracts.outside.sets import ProposedSet
 from drivecal.contracts.specification import CampaignSpecification, GoalSpecification, MapReference, Values
-from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, TooLargeError, restated
+from drivecal.domain.errors import Diagnostics, InvalidInputError, NotFoundError, Problem, TooLargeError, restated
 from drivecal.storage import campaigns, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now

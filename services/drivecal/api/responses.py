@@ -17,8 +17,9 @@ from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.contracts.tables import PLACE, CampaignTable, EvaluationRow, parameter_column
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
-from drivecal.domain.parameters import ParameterSet, Setting
+from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.setups import digest
+from drivecal.domain.values import Setting
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.results import StoredEvaluation
 from drivecal.storage.revision_queries import CampaignRevision, ProgressSnapshot

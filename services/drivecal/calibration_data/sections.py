@@ -9,8 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 from drivecal.calibration_data.characteristics import Axis, Characteristic, index
-from drivecal.contracts.input_errors import nearest
-from drivecal.contracts.strict_json import shown
+from drivecal.contracts.strict_json import nearest, shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
 LARGEST = 1e6

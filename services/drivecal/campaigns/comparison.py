@@ -17,17 +17,16 @@ from sqlalchemy import Connection
 
 from drivecal.analysis import comparison as analysis
 from drivecal.analysis.comparison import Conditions, Course
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.optimizer import BEGINNINGS, WITHOUT_POPULATIONS
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.resolve.workbench import BundleSource, installed_bundles
 from drivecal.contracts.comparison import LARGEST_RUNS, ComparedOptimizer, ComparedRun, Comparison, ComparisonSpecification
-from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, ReductionSpecification
+from drivecal.contracts.strict_json import validated
 from drivecal.contracts.tables import Generation
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
+from drivecal.domain.errors import Diagnostics, InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import digest
 from drivecal.optimizers.external import EXTERNAL
 from drivecal.plugins import registry

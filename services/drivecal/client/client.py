@@ -20,11 +20,17 @@ from drivecal.client.outside import AskTell
 from drivecal.client.report import report_of
 from drivecal.client.transport import KINDS, Answer, Transport, harmless, named, path_of, raise_for, unreachable
 from drivecal.configuration.settings import load_settings
-from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
+from drivecal.contracts.campaign import (
+    PROGRESS,
+    Campaign,
+    CampaignEvent,
+    CampaignPage,
+    CampaignProgress,
+    ExpectedRuns,
+    StudyPage,
+)
 from drivecal.contracts.comparison import Comparison, ExpectedComparison
-from drivecal.contracts.evaluation import CellNumber, Evaluation, SeriesAnswer
-from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
-from drivecal.contracts.explanation import Explanation
+from drivecal.contracts.evaluation import CellNumber, Evaluation, Explanation, SeriesAnswer
 from drivecal.contracts.inventory import (
     InfluenceMapAnswer,
     InfluenceMapPage,
@@ -33,8 +39,7 @@ from drivecal.contracts.inventory import (
     ScenarioPage,
     WorkerPage,
 )
-from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedRow
-from drivecal.contracts.outside.results import StoredCells
+from drivecal.contracts.outside.results import ImportAnswer, ImportDeleted, ImportedRow, StoredCells
 from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet
 from drivecal.contracts.results import CampaignResults, FrontSummary
 from drivecal.contracts.setup import CampaignSetup

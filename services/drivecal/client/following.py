@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Protocol
 
-from drivecal.contracts.campaign import Best, Campaign
-from drivecal.contracts.events import CampaignEvent, CampaignProgress
-from drivecal.domain.campaigns import CampaignState
+from drivecal.contracts.campaign import Best, Campaign, CampaignEvent, CampaignProgress
+from drivecal.domain.campaigns import CampaignState, EventKind
 from drivecal.domain.errors import InvalidInputError, NotFoundError, OverloadError, UnavailableError
-from drivecal.domain.events import EventKind
 
 SILENCE_SECONDS = 60.0
 """Tolerated silence of a server, s; a restart takes less."""
@@ -126,8 +124,7 @@ class Following:
                 self._campaign = self._campaign.model_copy(update={"best": Best.model_validate(sent.data)})
             return None
         self._tells = True  # what had happened before comes before the first progress
-        moved = {name: getattr(sent, name) for name in CampaignProgress.model_fields if name in Campaign.model_fields}
-        self._campaign = self._campaign.model_copy(update=moved)
+        self._campaign = self._campaign.model_copy(update=dict(sent))
         return self._campaign
 
     def _pause(self) -> None:

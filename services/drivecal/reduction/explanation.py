@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.contracts.assignments import value_text
-from drivecal.contracts.explanation import Difference, Explanation, InspectedLot, Prediction, Reference, Region
+from drivecal.contracts.evaluation import Difference, Explanation, InspectedLot, Prediction, Reference, Region
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.scales import score_text
 from drivecal.domain.values import TEXTS

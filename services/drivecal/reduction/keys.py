@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.parameters import ParameterSet, billionths, code
+from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.values import billionths, code
 
 BELOW, ANY, ABOVE = SHARED = np.iinfo(np.int64).min, np.iinfo(np.int64).min + 1, np.iinfo(np.int64).max
 """Codes that neither a value in billionths nor a text can take."""

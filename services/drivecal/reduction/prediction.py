@@ -12,8 +12,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.domain.parameters import ParameterSet, ParameterSpace, billionths
+from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.rounding import grains
+from drivecal.domain.values import billionths
 from drivecal.reduction.lots import SamplingPlan, best_plan
 
 Floats = npt.NDArray[np.float64]

@@ -36,7 +36,6 @@ from drivecal.sensitivity.designs import (
     radial_design,
     regions_design,
 )
-from drivecal.sensitivity.effects import measures
 from drivecal.sensitivity.scenario import (
     ScenarioInfluence,
     ScenarioState,
@@ -46,7 +45,7 @@ from drivecal.sensitivity.scenario import (
     most_confirmations,
     tells_nothing,
 )
-from drivecal.sensitivity.thresholds import Threshold, is_surely_influential, verdict
+from drivecal.sensitivity.thresholds import Threshold, is_surely_influential, measures, verdict
 
 PARTS = 2
 """Equal parts of an interval's samples, each followed by a check. More parts save little more and make rounds smaller (decision 026)."""

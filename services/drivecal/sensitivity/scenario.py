@@ -19,8 +19,7 @@ from drivecal.domain.influence import EVERYWHERE, Influence
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.sensitivity.designs import Floats
-from drivecal.sensitivity.effects import EffectStatistics, measures, smallest_nonzero
-from drivecal.sensitivity.thresholds import Threshold, Verdict, verdict
+from drivecal.sensitivity.thresholds import EffectStatistics, Threshold, Verdict, measures, smallest_nonzero, verdict
 
 
 def interval_edges(n_values: int, intervals: int) -> Indices:

@@ -1,4 +1,5 @@
-"""Thresholds from which a parameter counts: on s_rel, on |mu| and sigma, or derived (`auto`).
+"""Statistics of elementary effects (Morris 1991; Campolongo et al. 2007), and thresholds from which a parameter counts: on s_rel, on |mu|
+and sigma, or derived (`auto`).
 
 `auto` starts from the effect of a score with steps on s_rel. Take a tolerance of one step and a range of r steps. A change by the tolerance
 between two runs is then an effect of 1/(r d) for a step d of the parameter, even if the rating behind it hardly moved. s_rel is about the
@@ -23,10 +24,10 @@ misses: at a rate of 10 %, a parameter counts as non-influential with a probabil
 (`miss_probability`). If misses cost more than runs, take more samples or a small number as the threshold.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from math import sqrt
+from math import nan, sqrt
 from typing import Any, Literal
 
 import numpy as np
@@ -34,8 +35,40 @@ import numpy as np
 from drivecal.contracts.specification import SeparateThresholds
 from drivecal.domain.rounding import SHARE
 from drivecal.domain.scales import COMFORT, Scale
-from drivecal.sensitivity.designs import Floats
-from drivecal.sensitivity.effects import EffectStatistics
+from drivecal.plugins.ports import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class EffectStatistics:
+    """Statistics of r elementary effects of a parameter: mean, mean of magnitudes, standard deviation, and number.
+
+    Fewer than two effects have no standard deviation: all figures are NaN then.
+    """
+
+    mu: float
+    mu_star: float
+    sigma: float
+    n_effects: int
+
+    @property
+    def s_rel(self) -> float:
+        """The relative sensitivity sqrt(mu^2 + sigma^2), which is about the root mean square of the effects."""
+        return sqrt(self.mu**2 + self.sigma**2)
+
+
+def measures(effects: Floats) -> EffectStatistics:
+    """Returns the statistics of an analysis' effects, shape (r,); NaN effects of failed runs do not count."""
+    known = effects[~np.isnan(effects)]
+    if known.size < 2:
+        return EffectStatistics(nan, nan, nan, known.size)
+    mean, magnitude = float(known.mean()), float(np.abs(known).mean())
+    return EffectStatistics(mean, magnitude, float(known.std(ddof=1)), known.size)
+
+
+def smallest_nonzero(statistics: Sequence[EffectStatistics]) -> float | None:
+    """The smallest s_rel that is not zero, None if all are: with few samples a threshold below it means any change at all."""
+    return min((effect.s_rel for effect in statistics if effect.s_rel > 0), default=None)
+
 
 TOLERATED_RATE = 0.01
 """Changes by the tolerance, per step, that count as negligible; the largest error ratio in Table 2 is 0.0108."""

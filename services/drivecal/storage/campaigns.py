@@ -34,11 +34,9 @@ from sqlalchemy.types import TypeDecorator
 
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, Confirmation, ErrorRate, Progress, Released, SearchState
 from drivecal.contracts.specification import CampaignChanges
-from drivecal.domain.actions import Action
-from drivecal.domain.actions import change as change_by
-from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.campaigns import Action, CampaignState, EventKind, StageName
+from drivecal.domain.campaigns import change as change_by
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
-from drivecal.domain.events import EventKind
 from drivecal.storage import admission, events, leases
 from drivecal.storage.engine.bulk import insert as insert_into
 from drivecal.storage.engine.bulk import rows_among
@@ -363,12 +361,8 @@ def change_state(connection: Connection, sequence: int, expected: Collection[Cam
     """Moves a campaign from one of the `expected` states; False if it was in none of them. Takes back the request that this
     executes (cancelling: cancel, paused: pause, running: resume), but not a newer one."""
     executed = campaigns.c.requested_action == _EXECUTES.get(state, "")
-    statement = (
-        _of(sequence)
-        .where(campaigns.c.state.in_(list(expected)))
-        .values(state=state, requested_action=case((executed, None), else_=campaigns.c.requested_action))
-    )
-    changed = connection.execute(statement).rowcount == 1
+    left = case((executed, None), else_=campaigns.c.requested_action)
+    changed = _change(connection, sequence, expected, state=state, requested_action=left)
     if changed and state is not CampaignState.CANCELLING:  # whose event was recorded when it was asked for
         _record_event(connection, sequence, EventKind.RESUMED if state is CampaignState.RUNNING else EventKind(state), state)
     return changed
@@ -377,12 +371,8 @@ def change_state(connection: Connection, sequence: int, expected: Collection[Cam
 def start(connection: Connection, sequence: int) -> StoredCampaign | None:
     """Takes a queued campaign up: it is running, with its watermark. None if it is not queued any more."""
     watermark = func.coalesce(campaigns.c.watermark, runs.largest_id(connection))
-    statement = (
-        _of(sequence)
-        .where(campaigns.c.state == CampaignState.QUEUED)
-        .values(state=CampaignState.RUNNING, started_at=now(), watermark=watermark)
-    )
-    if connection.execute(statement).rowcount == 0:
+    started = {"state": CampaignState.RUNNING, "started_at": now(), "watermark": watermark}
+    if not _change(connection, sequence, [CampaignState.QUEUED], **started):
         return None
     _record_event(connection, sequence, EventKind.RUNNING, CampaignState.RUNNING)
     return by_sequence(connection, sequence)
@@ -411,12 +401,9 @@ def set_resolution(connection: Connection, sequence: int, resolution: Mapping[st
 
 def pause(connection: Connection, sequence: int) -> bool:
     """Pauses a running campaign if this is still requested; False if the request was withdrawn or replaced by a cancel."""
-    statement = (
-        _of(sequence)
-        .where(campaigns.c.state == CampaignState.RUNNING, campaigns.c.requested_action == "pause")
-        .values(state=CampaignState.PAUSED, requested_action=None, degraded=None)
-    )
-    paused = connection.execute(statement).rowcount == 1
+    asked = campaigns.c.requested_action == "pause"
+    kept = {"state": CampaignState.PAUSED, "requested_action": None, "degraded": None}
+    paused = _change(connection, sequence, [CampaignState.RUNNING], asked, **kept)
     if paused:
         _record_event(connection, sequence, EventKind.PAUSED, CampaignState.PAUSED)
     return paused
@@ -468,13 +455,8 @@ def waits(connection: Connection) -> list[tuple[str, str, CampaignState, str]]:
 
 def end(connection: Connection, sequence: int, state: CampaignState, error: str | None = None) -> bool:
     """Ends a campaign as `state`; False if it has ended already."""
-    open_states = [state for state in CampaignState if not state.ended]
-    statement = (
-        _of(sequence)
-        .where(campaigns.c.state.in_(open_states))
-        .values(state=state, error=error, ended_at=now(), requested_action=None, degraded=None, waiting=None)
-    )
-    ended = connection.execute(statement).rowcount == 1
+    left = {"error": error, "ended_at": now(), "requested_action": None, "degraded": None, "waiting": None}
+    ended = _change(connection, sequence, [each for each in CampaignState if not each.ended], state=state, **left)
     if ended:
         _forget_leases(connection, by_sequence(connection, sequence))
         _record_event(connection, sequence, EventKind(state), state, **({} if error is None else {"error": error}))
@@ -495,6 +477,14 @@ def _forget_leases(connection: Connection, campaign: StoredCampaign) -> None:
 def _record_event(connection: Connection, sequence: int, kind: EventKind, state: CampaignState, **more: Any) -> None:
     """Adds the event of a changed state."""
     events.add(connection, sequence, kind, {"state": state, **more})
+
+
+def _change(
+    connection: Connection, sequence: int, expected: Collection[CampaignState], *conditions: ColumnElement[bool], **values: Any
+) -> bool:
+    """Changes a campaign in one of the `expected` states; False if it was in none of them."""
+    statement = _of(sequence).where(campaigns.c.state.in_(list(expected)), *conditions)
+    return connection.execute(statement.values(values)).rowcount == 1
 
 
 def _of(sequence: int) -> Update:

@@ -1,7 +1,7 @@
 """Lots of predicted or reused answers: a batch of a scenario with its sampling plan and, once its sample is simulated, its verdict."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from hashlib import sha256
 from typing import Any
@@ -11,6 +11,7 @@ from sqlalchemy import Connection, Row, case, func, select, update
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet
+from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import campaigns, evaluations, lots, parameter_sets
 from drivecal.storage.evaluations import SAMPLED, stored_after
 from drivecal.storage.results import parsed
@@ -87,9 +88,8 @@ def by_id(connection: Connection, number: int) -> StoredLot:
 
 
 def _lot(row: Row[Any]) -> StoredLot:
-    columns = {field.name: getattr(row, field.name) for field in fields(StoredLot)}
     verdict = None if row.verdict is None else LotVerdict(row.verdict)
-    return StoredLot(**columns | {"kind": Outcome(row.kind), "verdict": verdict})
+    return record(StoredLot, row, kind=Outcome(row.kind), verdict=verdict)
 
 
 def verdicts(connection: Connection, campaign_sequence: int, kind: Outcome) -> dict[str, tuple[int, int]]:

@@ -8,8 +8,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, bindparam, select
 
 from drivecal.contracts.campaign import Best, Progress
-from drivecal.domain.actions import Action
-from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.campaigns import Action, CampaignState, StageName
 from drivecal.storage.campaigns import CountsByStage, Kind, by_stage, listed
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.records import identified, page_by, record

@@ -1,11 +1,11 @@
-"""Answers about campaigns."""
+"""Answers about campaigns, and messages of their event streams."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from html import escape
 from typing import Any, Generic, Literal, Self, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, computed_field
+from pydantic import BaseModel, ConfigDict, Field, computed_field
 
 from drivecal.domain.scales import COMFORT, Scale
 
@@ -294,12 +294,28 @@ class Seconds(Answer):
     simulating: float = 0.0
 
 
-class Campaign(CellsByStage):
-    """A campaign as `GET /campaigns/{id}` shows it."""
+PROGRESS = "progress"
+"""The name of what is sent between events, without an id: how far the campaign is now."""
 
-    id: str
-    name: str
-    kind: str = "calibration"
+
+class CampaignEvent(Answer):
+    """Something that happened to a campaign; what more it holds depends on its `kind`.
+
+    `id` is what the stream can be resumed after; null for what is not stored: that the dispatcher is silent, and that it speaks again.
+    """
+
+    id: int | None = None
+    kind: str
+    campaign: str
+    at: datetime
+    text: str = ""
+    """The event as a line for readers; its wording may change."""
+    data: dict[str, Any] = Field(default_factory=dict)
+
+
+class CampaignProgress(CellsByStage):
+    """Fields of `Campaign` that change while it runs."""
+
     state: str
     requested_action: str | None = None
     """`pause`, `resume` or `cancel` if requested and not done yet."""
@@ -307,13 +323,22 @@ class Campaign(CellsByStage):
     """Reason why it is slow or stands still for now."""
     waiting: str | None = None
     """Reason why it waits to be started or to go on, with its place in the queue, or why some of its cells wait: for a licence, say."""
-    owner: str | None = None
-    """Name of the token that submitted it; null without tokens."""
-    priority: int = 0
     stage: str | None = None
     iteration: int | None = None
     """Iteration of the search, counted from 0."""
     progress: Progress = Progress()
+    seconds: Seconds = Seconds()
+
+
+class Campaign(CampaignProgress):
+    """A campaign as `GET /campaigns/{id}` shows it."""
+
+    id: str
+    name: str
+    kind: str = "calibration"
+    owner: str | None = None
+    """Name of the token that submitted it; null without tokens."""
+    priority: int = 0
     scale: Scale = COMFORT
     """Scale of the scores: direction, usual range, tolerance, unit. Before a campaign starts, the scale of the comfort score."""
     objective: FirstObjective | None = None
@@ -333,7 +358,6 @@ class Campaign(CellsByStage):
     curves: dict[str, dict[str, Any]] = {}
     """Curves and maps of the best set: `names` of coefficients, `axes`, `values`; of an ended campaign alone the range of `good` sets."""
     repaired: Repaired = Repaired()
-    seconds: Seconds = Seconds()
     error: str | None = None
     notes: list[str] = []
     """Remarks for the reader: scenarios left out by weight 0, rejected lots."""

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.parameters import BILLION, Indices, ParameterSet, ParameterSpace, billionths
+from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace
 from drivecal.domain.regions import ANCHORS, FeasibleRegion, HalfSpace, Polytope
+from drivecal.domain.values import BILLION, billionths
 
 Columns = Mapping[str, npt.NDArray[Any]]
 """Values of n sets by parameter, shape (n,): floats, or the texts of choices."""

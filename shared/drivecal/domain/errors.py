@@ -1,4 +1,4 @@
-"""Exceptions that drivecal raises on purpose.
+"""Exceptions that drivecal raises on purpose, and the collector of all problems of an input.
 
 Each message states in one sentence what is wrong and, if a remedy exists, how to fix it. Exceptions carry plain strings only, so that
 they survive pickling between processes.
@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 LONGEST_DETAIL = 500
 """Largest length of an error's description in characters."""
@@ -154,3 +154,41 @@ def describe(error: BaseException) -> str:
     message = " ".join(message.split())
     text = message[: LONGEST_DETAIL - len(location)] + location
     return "".join(character if character.isprintable() else "?" for character in text)
+
+
+T = TypeVar("T")
+MOST_FINDINGS = 1_000
+"""A hostile megabyte of start sets has a hundred times as many."""
+
+
+class Diagnostics:
+    """Problems in order of discovery, and notes."""
+
+    def __init__(self) -> None:
+        self.problems: list[Problem] = []
+        self.notes: list[str] = []
+
+    def add(self, field: str, message: str, remedy: str = "") -> None:
+        """Adds a problem, up to a limit."""
+        if len(self.problems) < MOST_FINDINGS:
+            self.problems.append(Problem(field, message, remedy))
+
+    def attempt(self, make: Callable[[], T]) -> T | None:
+        """Returns what `make` returns; None if it raises InvalidInputError, whose problems are added."""
+        try:
+            return make()
+        except InvalidInputError as error:
+            self.problems.extend(error.problems)
+            return None
+
+    def found(self, part: T | None) -> T:
+        """Returns a part that is there if there are no problems. Raises InvalidInputError with all problems."""
+        self.raise_if_any()
+        if part is None:
+            raise AssertionError("a part is missing without a finding")
+        return part
+
+    def raise_if_any(self) -> None:
+        """Raises InvalidInputError with all problems."""
+        if self.problems:
+            raise InvalidInputError(*self.problems)

@@ -36,26 +36,6 @@ from drivecal.domain.values import (
     text,
 )
 
-__all__ = [
-    "BILLION",
-    "LARGEST_GRID",
-    "LARGEST_VALUE",
-    "Indices",
-    "Kind",
-    "Parameter",
-    "ParameterSet",
-    "ParameterSpace",
-    "Setting",
-    "Value",
-    "billionths",
-    "code",
-    "decimal",
-    "entry",
-    "from_billionths",
-    "shown",
-    "text",
-]
-
 LARGEST_GRID = 1_000_000
 """Most values of a grid. Continuous parameters have up to 2e15: no code may make a table of all values."""
 Indices = npt.NDArray[np.int64]

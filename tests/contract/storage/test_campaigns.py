@@ -6,8 +6,7 @@ from tests.support.storage import campaign, new_run, sample_set_ids, setup_id
 
 from drivecal.api.responses import campaign_answer
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress
-from drivecal.domain.actions import Action
-from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.campaigns import Action, CampaignState, StageName
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import CampaignHeading, Snapshot

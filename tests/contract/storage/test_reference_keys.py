@@ -12,7 +12,8 @@ from tests.support.storage import EVALUATOR, new_run, setup_id
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.influence import Influence, InfluenceMap
-from drivecal.domain.parameters import ParameterSet, billionths, decimal
+from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.values import billionths, decimal
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets, reference_keys, runs

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from tests.support.values import present
 
 from drivecal.analysis.savings import MapOrigin, account, break_even
-from drivecal.contracts.accounting import BreakEven
+from drivecal.contracts.results import BreakEven
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, OutcomeCosts
 

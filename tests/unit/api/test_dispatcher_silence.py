@@ -7,8 +7,7 @@ import pytest
 
 from drivecal.api.live.dispatcher_health import AHEAD, SILENT_SECONDS, degraded, judge, silence, silent_seconds
 from drivecal.api.responses import etag, list_etag, matches
-from drivecal.domain.actions import Action
-from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.campaigns import Action, CampaignState
 from drivecal.storage.processes import StoredProcess
 from drivecal.storage.revision_queries import CampaignRevision
 

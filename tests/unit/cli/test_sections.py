@@ -9,14 +9,12 @@ from drivecal.analysis.verdicts import answers, verdict
 from drivecal.cli.commands.influence import print_influence
 from drivecal.cli.commands.serve import doing, remarks
 from drivecal.cli.views import sections
-from drivecal.cli.views.fronts import front_blocks, front_lines, shown_of_front
 from drivecal.cli.views.output import print_blocks
-from drivecal.cli.views.sections import Table
-from drivecal.contracts.accounting import Accounting, BalanceItem
+from drivecal.cli.views.sections import Table, front_blocks, front_lines, shown_of_front
 from drivecal.contracts.campaign import ErrorRate, Released
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.inventory import WaitingAnswer, WorkerAnswer, WorkerPage
-from drivecal.contracts.results import FrontBaseline, FrontObjective, FrontSummary, ResultTrust
+from drivecal.contracts.results import Accounting, BalanceItem, FrontBaseline, FrontObjective, FrontSummary, ResultTrust
 from drivecal.contracts.tables import FrontRow, InfluenceRow, ValidationRow
 from drivecal.domain.scales import COMFORT
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.values import faults_of, faulty_fields
 
-from drivecal.domain.parameters import BILLION, Parameter, ParameterSet, ParameterSpace, code, from_billionths
-from drivecal.domain.values import TEXTS
+from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace
+from drivecal.domain.values import BILLION, TEXTS, code, from_billionths
 
 LARGEST = 1_000_000 * BILLION
 TEXT = st.text(alphabet=st.characters(exclude_categories=["Cs"]), min_size=1, max_size=20)

@@ -9,16 +9,8 @@ from hypothesis import strategies as st
 from tests.support.values import faults_of
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.parameters import (
-    BILLION,
-    Parameter,
-    ParameterSet,
-    ParameterSpace,
-    billionths,
-    decimal,
-    from_billionths,
-    text,
-)
+from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace
+from drivecal.domain.values import BILLION, billionths, decimal, from_billionths, text
 
 largest = 1_000_000 * BILLION
 amounts = st.integers(-largest, largest)

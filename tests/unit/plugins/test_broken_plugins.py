@@ -41,7 +41,7 @@ print(json.dumps({
 """
 BY_ID = """
 import json
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.domain.errors import Diagnostics
 from drivecal.campaigns.resolve.resolvers import find_scenarios
 diagnostics = Diagnostics()
 find_scenarios(["S2", "S1"], ["S2", "S1"], diagnostics)

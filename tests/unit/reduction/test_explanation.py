@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.values import present
 
-from drivecal.contracts.explanation import Explanation, Reason, Reference
+from drivecal.contracts.evaluation import Explanation, Reason, Reference
 from drivecal.domain.influence import EVERYWHERE, Influence, InfluenceMap
-from drivecal.domain.parameters import BILLION
+from drivecal.domain.values import BILLION
 from drivecal.reduction.explanation import CellComparison, Nearest, sentence
 from drivecal.reduction.keys import ReferenceKeys
 

@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from drivecal.sensitivity.designs import COLUMNS, SHORTEST, Floats, SobolRows, radial_design
-from drivecal.sensitivity.effects import EffectStatistics, measures
+from drivecal.sensitivity.thresholds import EffectStatistics, measures
 
 SAMPLES = 4096
 A = np.array([0.0, 1.0, 4.5, 9.0])

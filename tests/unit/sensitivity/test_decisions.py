@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from drivecal.domain.influence import EVERYWHERE, Influence
-from drivecal.sensitivity.effects import EffectStatistics, measures
 from drivecal.sensitivity.scenario import ParameterInfluence, Region, RegionConfirmation, decided_by
-from drivecal.sensitivity.thresholds import Verdict
+from drivecal.sensitivity.thresholds import EffectStatistics, Verdict, measures
 
 NOWHERE = Influence(influential=False)
 

@@ -15,9 +15,8 @@ from drivecal.domain.parameters import Indices
 from drivecal.domain.scales import Scale
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.designs import COLUMNS, Design, Floats, SobolRows, radial_design
-from drivecal.sensitivity.effects import measures, smallest_nonzero
 from drivecal.sensitivity.scenario import ScenarioInfluence, tells_nothing
-from drivecal.sensitivity.thresholds import Threshold, automatic
+from drivecal.sensitivity.thresholds import Threshold, automatic, measures, smallest_nonzero
 
 effect_lists = st.lists(st.floats(-100, 100), min_size=2, max_size=30).map(np.array)
 factors = st.floats(0.01, 100)

@@ -11,7 +11,7 @@ from scipy.stats import qmc
 
 from drivecal.domain.parameters import Indices
 from drivecal.sensitivity.designs import COLUMNS, Design, Floats, SobolRows, radial_design, snapped
-from drivecal.sensitivity.effects import measures
+from drivecal.sensitivity.thresholds import measures
 
 DIMENSIONS, SAMPLES = 6, 64
 A = np.array([0.0, 1.0, 4.5, 9.0, 99.0, 0.5])

@@ -15,8 +15,7 @@ from drivecal.domain.influence import EVERYWHERE
 from drivecal.domain.parameters import Indices
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.designs import Floats
-from drivecal.sensitivity.effects import measures
-from drivecal.sensitivity.thresholds import Threshold, is_surely_influential, verdict
+from drivecal.sensitivity.thresholds import Threshold, is_surely_influential, measures, verdict
 
 SPACE = space_of(41, 101, 61)
 BOXES: dict[str, Box] = {"S1": {0: (0.4, 0.9)}, "S2": {1: (0, 0.5), 2: (0.25, 0.7)}}

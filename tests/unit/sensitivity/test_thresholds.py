@@ -8,11 +8,11 @@ from scipy import stats
 
 from drivecal.contracts.specification import SeparateThresholds
 from drivecal.sensitivity.designs import Floats
-from drivecal.sensitivity.effects import measures
 from drivecal.sensitivity.thresholds import (
     Threshold,
     automatic,
     caveats,
+    measures,
     miss_probability,
     tolerance_text,
     tolerated_changes,

@@ -18,7 +18,6 @@ from drivecal.api.responses import campaign_answer
 from drivecal.api.results.curves import shapes_with_good_sets
 from drivecal.api.tables.front import bound_text, summary
 from drivecal.api.tables.ranking import variants_of
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of, stored_scale
 from drivecal.campaigns.resolve.spaces import Function
@@ -26,16 +25,17 @@ from drivecal.campaigns.resolve.workbench import bundles_of, find_workbench
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.campaigns.results.front import CampaignFront, StoredRanking, baseline_of, front_of
 from drivecal.campaigns.results.optima import alternatives
-from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Study
-from drivecal.contracts.results import CampaignResults, ResultTrust, StudyResult
+from drivecal.contracts.results import Accounting, CampaignResults, ResultTrust, StudyResult
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
 from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.errors import Diagnostics
 from drivecal.domain.evaluations import Outcome
-from drivecal.domain.parameters import Parameter, Value
+from drivecal.domain.parameters import Parameter
 from drivecal.domain.setups import Setup
+from drivecal.domain.values import Value
 from drivecal.storage import campaigns, evaluations, generations, lots, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.types import now

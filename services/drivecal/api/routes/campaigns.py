@@ -16,7 +16,7 @@ from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.specification import CampaignChanges, CampaignSpecification, RerunSpecification
-from drivecal.domain.actions import Action
+from drivecal.domain.campaigns import Action
 from drivecal.storage import campaigns, revision_queries
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database

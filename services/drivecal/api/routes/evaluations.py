@@ -20,10 +20,10 @@ from drivecal.contracts.evaluation import (
     EvaluatedCell,
     Evaluation,
     EvaluationDetail,
+    Explanation,
     PendingTrace,
     SeriesAnswer,
 )
-from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.storage import admission, campaigns, evaluations, results, traces

@@ -16,8 +16,8 @@ from drivecal.api.dependencies import DatabaseDependency, EventStreamPlace
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import Parameters
 from drivecal.api.live.streams import EventHub, Message
-from drivecal.contracts.events import CampaignEvent, CampaignProgress
-from drivecal.domain.events import EventKind
+from drivecal.contracts.campaign import CampaignEvent, CampaignProgress
+from drivecal.domain.campaigns import EventKind
 from drivecal.storage import events, revision_queries
 from drivecal.storage.engine.database import Database
 

@@ -15,13 +15,13 @@ from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import Parameters
 from drivecal.api.live.streams import EventHub
 from drivecal.api.routes.campaigns import accepted
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.outside import indices_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
 from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet, ProposedSets
+from drivecal.domain.errors import Diagnostics
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 from drivecal.storage.outside import answers as outside_answers

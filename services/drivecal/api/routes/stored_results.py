@@ -12,15 +12,23 @@ from drivecal.api.http.queries import Parameters, TableOf
 from drivecal.api.tables.paging import listed, page_or_file
 from drivecal.bundles.units import same
 from drivecal.campaigns.resolve.bench import Bench
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.workbench import bench_of, stored_bundles
 from drivecal.campaigns.results.stored import given_sets, stored_simulations
-from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedResults, ImportedRow, Source
-from drivecal.contracts.outside.results import MOST_CELLS, ResultLookup, StoredCell, StoredCells
+from drivecal.contracts.outside.results import (
+    MOST_CELLS,
+    ImportAnswer,
+    ImportDeleted,
+    ImportedResults,
+    ImportedRow,
+    ResultLookup,
+    Source,
+    StoredCell,
+    StoredCells,
+)
 from drivecal.contracts.specification import ProblemSpecification
 from drivecal.contracts.strict_json import ProblemName
 from drivecal.contracts.tables import Kind, columns_of
-from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
+from drivecal.domain.errors import ConflictError, Diagnostics, InvalidInputError, Problem
 from drivecal.storage.engine.database import Database
 from drivecal.storage.outside import imported
 from drivecal.storage.outside.imported import ImportedValues

@@ -12,7 +12,6 @@ from drivecal.analysis.goals import SCORE, Aggregate, CellValue, Goals, Objectiv
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.fingerprints import score_id
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of
 from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
 from drivecal.campaigns.results.front import StoredRanking
@@ -21,7 +20,7 @@ from drivecal.contracts.results import VariantResult
 from drivecal.contracts.strict_json import shown
 from drivecal.contracts.tables import Solution
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
+from drivecal.domain.errors import Diagnostics, InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.scales import Scale, plain

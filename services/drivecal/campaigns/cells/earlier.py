@@ -14,7 +14,8 @@ from drivecal.campaigns.resolve.bench import Bench
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Donor
-from drivecal.domain.parameters import ParameterSet, ParameterSpace, Setting, Value, decimal
+from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.domain.values import Setting, Value, decimal
 from drivecal.storage import bundles
 from drivecal.storage.references import parameter_sets, runs, setups
 from drivecal.storage.references.runs import RatedRun

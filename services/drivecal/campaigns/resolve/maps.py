@@ -8,7 +8,6 @@ from typing import Any
 from pydantic import TypeAdapter
 from sqlalchemy import Connection
 
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.spaces import (
     covers,
@@ -26,10 +25,11 @@ from drivecal.contracts.specification import (
     ProblemSpecification,
     ReductionSpecification,
 )
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import Diagnostics, InvalidInputError, Problem
 from drivecal.domain.influence import Influence, InfluenceMap
-from drivecal.domain.parameters import Parameter, decimal, shown, text
+from drivecal.domain.parameters import Parameter
 from drivecal.domain.scales import Scale
+from drivecal.domain.values import decimal, shown, text
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.sensitivity.scenario import ScenarioInfluence, decided_by
 from drivecal.storage.engine.types import finite

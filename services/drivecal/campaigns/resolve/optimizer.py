@@ -8,16 +8,16 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from drivecal.analysis.goals import Goals
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.contracts.campaign import STUDIES
-from drivecal.contracts.input_errors import nearest, problem
 from drivecal.contracts.specification import (
     BudgetSpecification,
     CampaignSpecification,
     OptimizerSection,
     SensitivitySpecification,
 )
+from drivecal.contracts.strict_json import nearest, problem
 from drivecal.domain.constraints import Constraints
+from drivecal.domain.errors import Diagnostics
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.external import External
 from drivecal.optimizers.repair import RepairingOptimizer

@@ -5,11 +5,12 @@ from functools import partial
 
 import numpy as np
 
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.spaces import coefficients_in
 from drivecal.contracts.outside.sets import ProposedSet
-from drivecal.domain.parameters import Indices, ParameterSpace, Setting, Value, decimal
+from drivecal.domain.errors import Diagnostics
+from drivecal.domain.parameters import Indices, ParameterSpace
+from drivecal.domain.values import Setting, Value, decimal
 from drivecal.optimizers.external import ExternalSettings
 
 

@@ -16,7 +16,6 @@ from drivecal.analysis.goals import Goals
 from drivecal.analysis.replicates import choosing, fewest, kept_back, rate_bounds
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.goals import check_reuse, find_goals, normalise_weights
 from drivecal.campaigns.resolve.optimizer import Optimization, check_abilities, choose_optimizer, note_search, settled_search
 from drivecal.campaigns.resolve.spaces import (
@@ -40,7 +39,7 @@ from drivecal.contracts.specification import (
 )
 from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.constraints import Constraints
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import Diagnostics, InvalidInputError, Problem
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
 from drivecal.reduction.assignment import LIKELY, Policy
 from drivecal.sensitivity.analysis import SensitivityAnalysis

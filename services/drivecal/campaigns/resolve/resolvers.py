@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 
 from drivecal.bundles.highway import Scenario
 from drivecal.bundles.shapes import Shapes
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Function, given_set
 from drivecal.contracts.specification import CampaignSpecification, Given, SensitivitySpecification
 from drivecal.domain.constraints import Constraints
+from drivecal.domain.errors import Diagnostics
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.vehicles import VehicleParameter

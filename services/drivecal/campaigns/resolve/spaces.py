@@ -8,11 +8,11 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from drivecal.bundles.shapes import Shapes, with_coefficients
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.contracts.specification import CampaignSpecification, Given, ParameterSpecification
 from drivecal.domain.constraints import Constraint, Constraints
-from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, Setting, Value, billionths, decimal, text
+from drivecal.domain.errors import Diagnostics, InvalidInputError, Problem
+from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace
+from drivecal.domain.values import Setting, Value, billionths, decimal, text
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from drivecal.analysis.goals import Goals, normalised
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.workbench import Workbench
-from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.specification import CampaignSpecification, VariantSpecification
+from drivecal.contracts.strict_json import nearest
+from drivecal.domain.errors import Diagnostics
 
 
 @dataclass(frozen=True)

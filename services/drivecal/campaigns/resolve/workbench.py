@@ -16,7 +16,6 @@ from drivecal.bundles.installed import Bundle, installed
 from drivecal.bundles.manifest import Manifest
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.goals import KnownValues
 from drivecal.campaigns.resolve.spaces import Function
 from drivecal.contracts.specification import (
@@ -27,7 +26,7 @@ from drivecal.contracts.specification import (
     VehicleSpecification,
 )
 from drivecal.domain.constraints import Constraint as Allows
-from drivecal.domain.errors import NotFoundError
+from drivecal.domain.errors import Diagnostics, NotFoundError
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.setups import base_of
 from drivecal.domain.vehicles import VehicleParameter

@@ -9,18 +9,18 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.resolve.maps import stored_map
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
-from drivecal.contracts.explanation import Check, Difference, Explanation, InspectedLot, Prediction, Reason, Reference
+from drivecal.contracts.evaluation import Check, Difference, Explanation, InspectedLot, Prediction, Reason, Reference
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import INSPECTED, Outcome, Purpose
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.parameters import billionths
+from drivecal.domain.values import billionths
 from drivecal.reduction.explanation import CellComparison, Nearest, ParameterDifference, sentence
 from drivecal.storage import campaigns, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.lots import StoredLot
-from drivecal.storage.references import candidates, influence_maps, parameter_sets, runs
+from drivecal.storage.references import influence_maps, parameter_sets, runs
 from drivecal.storage.results import StoredEvaluation
 
 
@@ -119,8 +119,8 @@ def _nearest(case: _Case) -> tuple[Nearest | None, int]:
     stored = 0
     place = (cell.stage, cell.iteration, cell.individual)
     sources = (
-        candidates.stored_sets(case.connection, cell.setup_id, case.pinned.evaluator, watermark, names),
-        candidates.own_sets(case.connection, cell.campaign_sequence, cell.scenario, place, names),
+        parameter_sets.stored_sets(case.connection, cell.setup_id, case.pinned.evaluator, watermark, names),
+        parameter_sets.own_sets(case.connection, cell.campaign_sequence, cell.scenario, place, names),
     )
     for rank, source in enumerate(sources):
         for sets in source:

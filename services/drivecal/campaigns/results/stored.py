@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from sqlalchemy import Connection
 
 from drivecal.campaigns.resolve.bench import Bench
-from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Function, free_values
 from drivecal.contracts.outside.results import StoredCell
 from drivecal.contracts.specification import Values
+from drivecal.domain.errors import Diagnostics
 from drivecal.domain.evaluations import Donor, Rating
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.references import parameter_sets, runs, setups

@@ -13,7 +13,8 @@ from drivecal.campaigns.stages.stage import Round, StudyStage, exact_policy
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore, RequestedCell
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.parameters import Parameter, ParameterSpace, code
+from drivecal.domain.parameters import Parameter, ParameterSpace
+from drivecal.domain.values import code
 from drivecal.reduction.keys import SHARED, MapColumns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database

@@ -12,8 +12,7 @@ from drivecal.cli.views.output import parameters_text, print_answer, print_colum
 from drivecal.cli.views.progress import attached, pauses
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments, settings
-from drivecal.contracts.evaluation import Evaluation, SeriesAnswer
-from drivecal.contracts.explanation import Difference, Explanation
+from drivecal.contracts.evaluation import Difference, Evaluation, Explanation, SeriesAnswer
 from drivecal.contracts.setup import ShapeAnswer
 from drivecal.contracts.specification import DEFAULT_PROBLEM
 from drivecal.contracts.tables import csv_text

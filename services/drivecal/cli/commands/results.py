@@ -15,8 +15,8 @@ import typer
 from drivecal.calibration_data.files import CalibrationFormat, labels_of
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, say
 from drivecal.cli.commands.problem import NamesOption
-from drivecal.cli.views.fronts import front_blocks, shown_of_front
 from drivecal.cli.views.output import print_answer, print_json, print_ranked, print_solutions
+from drivecal.cli.views.sections import front_blocks, shown_of_front
 from drivecal.client.client import Client
 from drivecal.client.mlflow import write_runs
 from drivecal.client.transport import harmless_text

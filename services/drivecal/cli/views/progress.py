@@ -15,8 +15,7 @@ from drivecal.cli.application import ExitCode, WaitTimedOutError, say
 from drivecal.cli.views.output import by_outcome, duration
 from drivecal.cli.views.sections import judged_text
 from drivecal.client.client import Client
-from drivecal.contracts.campaign import Campaign
-from drivecal.contracts.events import CampaignEvent
+from drivecal.contracts.campaign import Campaign, CampaignEvent
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError
 

@@ -32,7 +32,7 @@ def identified(connection: Connection, query: Select[Any], kind: str, identifier
     return row
 
 
-def record(kind: type[Record], row: Row[Any], **parsed: Any) -> Record:
+def record(kind: type[Record], row: Row[Any], /, **parsed: Any) -> Record:
     """Returns a record with the row's columns of the same names, and the fields that were `parsed` already."""
     return kind(**{field.name: getattr(row, field.name) for field in fields(kind) if field.name not in parsed}, **parsed)
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from posixpath import dirname, join, normpath
 
 from drivecal.bundles.traffic.elements import Element, Notes, declare, read_tree, substituted
-from drivecal.contracts.input_errors import nearest
-from drivecal.contracts.strict_json import shown
+from drivecal.contracts.strict_json import nearest, shown
 from drivecal.domain.errors import InvalidInputError
 
 CATEGORIES: Mapping[str, str] = {

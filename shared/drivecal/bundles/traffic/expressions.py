@@ -9,8 +9,7 @@ import operator
 import re
 from collections.abc import Callable, Mapping
 
-from drivecal.contracts.input_errors import nearest
-from drivecal.contracts.strict_json import shown
+from drivecal.contracts.strict_json import nearest, shown
 
 LONGEST, DEEPEST = 2000, 100
 """Characters of an expression, and its levels."""

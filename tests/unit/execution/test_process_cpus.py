@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from tests.support.changes import replace_in
 
-from drivecal.cluster import machine
+from drivecal.execution.processes import backend as machine
 
 
 @pytest.fixture(autouse=True)
