@@ -86,8 +86,8 @@ def test_each_variant_has_a_best_set_that_is_reported(database: Database) -> Non
         return noisy(setup, replace(cell, parameters={"x": (cell.parameters["x"] + shift) % 1.0}))
 
     variants = {"town": {"scenarios": ["city"]}, "land": {"scenarios": ["road"]}}
-    ended = carried_out(database, driven=apart, variants=variants, budget={"simulations": 200})
-    assert ended.cells.runs == 200
+    ended = carried_out(database, driven=apart, variants=variants, budget={"simulations": 120})
+    assert ended.cells.runs == 120
     rows = {each.name: each for each in variants_of(StoredRanking(database, ended, resolved_spec(ended)))}
     for name, x in (("town", 0.2), ("land", 0.6)):
         best = present(rows[name].best)
@@ -243,7 +243,7 @@ def test_a_set_whose_failures_are_rare_enough_is_the_best(database: Database) ->
 def test_the_values_of_a_front_have_intervals_and_sets_that_may_belong_to_it_are_counted(database: Database) -> None:
     names = ("city", "road")
     objectives = [{"name": name, "measure": "y", "direction": "minimise", "scenarios": [name]} for name in names]
-    ended = carried_out(database, objectives=objectives)
+    ended = carried_out(database, objectives=objectives, budget={"simulations": 88})
     front = front_of(StoredRanking(database, ended, resolved_spec(ended)))
     rows, known = front_table(database, ended, front), summary(front)
     for row, name in product(rows, names):
