@@ -3,7 +3,7 @@
 from typing import Any
 
 from tests.support.computed import ComputedBackend
-from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, rows_of, run
+from tests.support.runs import SHORT, WITH_ANALYSIS, dispatcher, get, influenced, rows_of, run
 from tests.support.values import present
 
 from drivecal.contracts.specification import CampaignSpecification
@@ -18,16 +18,16 @@ def told(database: Database, campaign: StoredCampaign) -> list[tuple[str, dict[s
         return [(item.kind, dict(item.data)) for item in events.since(connection, campaign.sequence, 0, 1_000)]
 
 
-def analysed(database: Database) -> StoredCampaign:
+def analysed(database: Database, settings: dict[str, Any] = SHORT) -> StoredCampaign:
     """A campaign with a sensitivity stage and a baseline."""
-    document = WITH_ANALYSIS | {"baseline": {"P1": 0.5, "P2": 0.5, "P3": 0.5, "P4": 0.5}, "weights": {"S2": 0.5}}
+    document = settings | {"baseline": {"P1": 0.5, "P2": 0.5, "P3": 0.5, "P4": 0.5}, "weights": {"S2": 0.5}}
     specification = CampaignSpecification.model_validate(document)
     with database.transaction() as connection:
         return campaigns.insert(connection, name="analysed", spec=specification.model_dump(mode="json"))
 
 
 def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(database: Database) -> None:
-    campaign = analysed(database)
+    campaign = analysed(database, WITH_ANALYSIS)
     ended = run(database, campaign, ComputedBackend(answer=influenced))
     kinds = [kind for kind, _ in told(database, campaign)]
     by_kind: dict[str, list[dict[str, Any]]] = {}
