@@ -26,8 +26,8 @@ from drivecal.cli.main import app
 from drivecal.configuration.documents import located_yaml, read_document
 from drivecal.configuration.problems import read_bundle
 from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
-from drivecal.contracts.strict_json import validated
 from drivecal.domain.errors import InvalidInputError
 from drivecal.highway.planner.plugin import RANGES
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import yaml
 
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import (
     CampaignSpecification,
     OptimizerSpecification,
@@ -14,7 +15,6 @@ from drivecal.contracts.specification import (
     SensitivitySpecification,
     ValidationSpecification,
 )
-from drivecal.contracts.strict_json import validated
 from drivecal.plugins import registry
 
 TEXT = (Path(__file__).parents[2] / "deploy" / "examples" / "highway.yaml").read_text()

@@ -11,8 +11,8 @@ from tests.support.values import present
 
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking, front_of
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification
-from drivecal.contracts.strict_json import validated
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import InvalidInputError

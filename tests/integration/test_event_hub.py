@@ -10,8 +10,9 @@ from tests.support.storage import campaign
 
 from drivecal.api.live import streams
 from drivecal.api.live.streams import EventHub
-from drivecal.domain.campaigns import CampaignState, EventKind
+from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import UnavailableError
+from drivecal.domain.events import EventKind
 from drivecal.storage import campaigns, events
 from drivecal.storage.engine.database import Database
 

@@ -17,7 +17,8 @@ from tests.support.server import RunningApi, new_database, serving
 from drivecal.api.live import dispatcher_health, streams
 from drivecal.client.following import EventParser, ServerSentEvent
 from drivecal.contracts.campaign import CampaignProgress
-from drivecal.domain.campaigns import CampaignState, EventKind
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.events import EventKind
 from drivecal.storage import campaigns, events, processes
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database

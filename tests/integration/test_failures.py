@@ -14,8 +14,9 @@ from drivecal.campaigns.results.failures import causes_of
 from drivecal.campaigns.stages.stage import ALL_FAILED
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.domain.campaigns import CampaignState, EventKind
+from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Outcome
+from drivecal.domain.events import EventKind
 from drivecal.storage import campaigns, evaluations, events, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database

@@ -12,7 +12,8 @@ from tests.support.runs import WITH_ANALYSIS, influenced, run
 from tests.support.values import numbers, present
 
 from drivecal.api import submission
-from drivecal.campaigns.cells.planning import View, rate_stored_runs
+from drivecal.campaigns.cells.planning import View
+from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification

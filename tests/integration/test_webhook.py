@@ -22,7 +22,8 @@ from drivecal.dispatch import webhook
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
 from drivecal.dispatch.webhook import NAME, Webhook
-from drivecal.domain.campaigns import CampaignState, EventKind
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.events import EventKind
 from drivecal.execution.pool import Leases, WorkPool
 from drivecal.execution.scheduling.resources import Resources
 from drivecal.storage import campaigns, events, processes

@@ -14,8 +14,8 @@ from drivecal.campaigns.resolve.maps import analysis_to_document, smallest_s_rel
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.spaces import fixed_to_document, space_to_document
 from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
-from drivecal.contracts.strict_json import validated
 from drivecal.contracts.tables import Generation
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome

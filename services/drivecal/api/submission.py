@@ -15,8 +15,8 @@ from drivecal.campaigns.resolve.optimizer import BEGINNINGS
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve_evaluation
 from drivecal.campaigns.resolve.workbench import moved, stored_bundles
 from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
-from drivecal.contracts.strict_json import validated
 from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.storage import admission, campaigns

@@ -11,7 +11,8 @@ from xml.sax.saxutils import escape  # writes only
 from drivecal.calibration_data import cdfx, dcm, files
 from drivecal.calibration_data.characteristics import INDEX, Characteristic, on_one_line
 from drivecal.calibration_data.sections import AXES, SINGLE, joined
-from drivecal.contracts.strict_json import nearest, shown
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem, file_faults
 
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"

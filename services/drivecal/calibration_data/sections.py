@@ -9,7 +9,8 @@ from itertools import pairwise
 from typing import Any
 
 from drivecal.calibration_data.characteristics import Axis, Characteristic, index
-from drivecal.contracts.strict_json import nearest, shown
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
 LARGEST = 1e6

@@ -39,7 +39,8 @@ from drivecal.contracts.inventory import (
     ScenarioPage,
     WorkerPage,
 )
-from drivecal.contracts.outside.results import ImportAnswer, ImportDeleted, ImportedRow, StoredCells
+from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedRow
+from drivecal.contracts.outside.results import StoredCells
 from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet
 from drivecal.contracts.results import CampaignResults, FrontSummary
 from drivecal.contracts.setup import CampaignSetup

@@ -8,8 +8,9 @@ from importlib import import_module
 from typing import Any, Protocol
 
 from drivecal.contracts.campaign import Best, Campaign, CampaignEvent, CampaignProgress
-from drivecal.domain.campaigns import CampaignState, EventKind
+from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import InvalidInputError, NotFoundError, OverloadError, UnavailableError
+from drivecal.domain.events import EventKind
 
 SILENCE_SECONDS = 60.0
 """Tolerated silence of a server, s; a restart takes less."""

@@ -14,8 +14,8 @@ from drivecal.campaigns.resolve.problem import resolve_evaluation
 from drivecal.campaigns.resolve.workbench import installed_bundles, with_tools
 from drivecal.configuration.problems import read_bundle
 from drivecal.contracts.campaign import html_table
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import DEFAULT_PROBLEM, EvaluationSpecification, Given
-from drivecal.contracts.strict_json import validated
 from drivecal.contracts.work import Batch, BatchResult, Cell
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.scales import plain

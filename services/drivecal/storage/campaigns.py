@@ -34,9 +34,10 @@ from sqlalchemy.types import TypeDecorator
 
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, Confirmation, ErrorRate, Progress, Released, SearchState
 from drivecal.contracts.specification import CampaignChanges
-from drivecal.domain.campaigns import Action, CampaignState, EventKind, StageName
+from drivecal.domain.campaigns import Action, CampaignState, StageName
 from drivecal.domain.campaigns import change as change_by
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
+from drivecal.domain.events import EventKind
 from drivecal.storage import admission, events, leases
 from drivecal.storage.engine.bulk import insert as insert_into
 from drivecal.storage.engine.bulk import rows_among

@@ -12,7 +12,7 @@ from typing import Any
 
 from sqlalchemy import Connection, case, delete, func, insert, select, update
 
-from drivecal.domain.campaigns import EventKind
+from drivecal.domain.events import EventKind
 from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import campaigns, events
 from drivecal.storage.engine.types import now

@@ -30,7 +30,8 @@ from drivecal.bundles.manifest import (
 )
 from drivecal.bundles.shapes import with_coefficients
 from drivecal.contracts import strict_json
-from drivecal.contracts.strict_json import nearest, shown, validated
+from drivecal.contracts.input_errors import nearest, validated
+from drivecal.contracts.strict_json import shown
 from drivecal.contracts.tables import parameter_column
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, Problem

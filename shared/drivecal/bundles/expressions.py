@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.bundles.arithmetic import ARRAY, COMPARISONS, SCALAR, Arithmetic, compared, joined
-from drivecal.contracts.strict_json import nearest, shown
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
 from drivecal.domain.constraints import Inequality
 from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem
 

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterator, Sequence
 
 from drivecal.bundles.highway import TrafficEntry
 from drivecal.bundles.highway_actions import EGO, Action, Brake, Condition, CutIn, Drift, Meet, Trigger
-from drivecal.contracts.strict_json import nearest
+from drivecal.contracts.input_errors import nearest
 from drivecal.domain.errors import Problem
 
 RELATIVE = frozenset({"gap", "headway", "ttc"})

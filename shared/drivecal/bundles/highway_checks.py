@@ -32,7 +32,8 @@ from drivecal.bundles.highway_catalogue import (
     TYPE_PARAMETERS,
     Quantity,
 )
-from drivecal.contracts.strict_json import nearest, shown, validated
+from drivecal.contracts.input_errors import nearest, validated
+from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.vehicles import CLOSED_LOOP_MEASURES

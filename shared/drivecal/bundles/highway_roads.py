@@ -26,7 +26,8 @@ from drivecal.bundles.manifest import Manifest
 from drivecal.bundles.traffic.description import Description, described, map_of, network_of, with_origin
 from drivecal.bundles.traffic.entities import Files
 from drivecal.bundles.traffic.places import Map
-from drivecal.contracts.strict_json import nearest, shown
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem, restated
 from drivecal.roads.carriageway import carriageway
 from drivecal.roads.conversion import converted

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from drivecal.contracts.strict_json import nearest, shown
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import Floats
 from drivecal.roads.documents import Attributes, read_elements

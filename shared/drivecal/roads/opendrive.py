@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from drivecal.contracts.strict_json import nearest, shown
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import GAUSS_POINTS, GAUSS_WEIGHTS, Floats
 from drivecal.roads.documents import Attributes, JoinedNotes, read_elements

@@ -18,8 +18,9 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import SHORT, dispatcher, finish, get, influenced, post_map, run, submit
 from tests.support.storage import PROCESSES, campaign
 
-from drivecal.domain.campaigns import CampaignState, EventKind
+from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DatabaseError, UnavailableError
+from drivecal.domain.events import EventKind
 from drivecal.storage import campaigns, events, generations, results
 from drivecal.storage.engine import schema
 from drivecal.storage.engine.database import Database

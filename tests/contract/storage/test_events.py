@@ -8,8 +8,9 @@ import pytest
 from sqlalchemy import Connection, text
 from tests.support.storage import campaign
 
-from drivecal.domain.campaigns import CampaignState, EventKind
+from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
+from drivecal.domain.events import EventKind
 from drivecal.storage import campaigns, events
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now

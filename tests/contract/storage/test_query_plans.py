@@ -20,8 +20,9 @@ from sqlalchemy import Connection, event, make_url, text
 from tests.support.server import new_database
 from tests.support.storage import EVALUATOR, campaign, new_evaluation, new_run, sample_set_ids, sample_sets, setup_id
 
-from drivecal.domain.campaigns import EventKind, StageName
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, Purpose
+from drivecal.domain.events import EventKind
 from drivecal.storage import audits, campaigns, evaluations, events, leases, lots, results, revision_queries, studies
 from drivecal.storage.engine.bulk import LARGEST_IN
 from drivecal.storage.engine.database import Database
@@ -29,7 +30,7 @@ from drivecal.storage.engine.types import now
 from drivecal.storage.evaluations import AnsweredCell
 from drivecal.storage.maintenance import deletion
 from drivecal.storage.references import parameter_sets, reference_keys, runs
-from drivecal.storage.references.parameter_sets import Integers
+from drivecal.storage.references.candidates import Integers
 
 ROWS = 4_000
 SMALL = {"reference_indexes", "leases", "processes", "traces", "lots"}

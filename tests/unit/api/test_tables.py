@@ -17,7 +17,8 @@ from tests.support.values import faults_of
 
 from drivecal.api.http.queries import TableOf, TableQuery, form_of
 from drivecal.api.tables.influence import map_rows
-from drivecal.api.tables.paging import ROWS_AT_A_TIME, ROWS_AT_FIRST, download, selection, slices, table_answer
+from drivecal.api.tables.paging import ROWS_AT_A_TIME, ROWS_AT_FIRST, download, slices, table_answer
+from drivecal.api.tables.selection import selection
 from drivecal.calibration_data.characteristics import Characteristic
 from drivecal.calibration_data.files import write_table
 from drivecal.campaigns.resolve.maps import map_to_document

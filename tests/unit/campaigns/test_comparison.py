@@ -11,7 +11,8 @@ from tests.support.values import faults_of, present
 
 from drivecal.campaigns.comparison import CONFIRMED, resolve_comparison, runs_of, tag_of
 from drivecal.contracts.comparison import ComparisonSpecification
-from drivecal.contracts.strict_json import Tag, validated
+from drivecal.contracts.input_errors import validated
+from drivecal.contracts.strict_json import Tag
 from drivecal.optimizers.genetic import pairs_per_generation
 from drivecal.plugins import registry
 from drivecal.plugins.search import SearchPlugin

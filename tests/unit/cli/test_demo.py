@@ -19,8 +19,8 @@ from drivecal.cli.commands.demo import (
     fresh_folder,
     url_when_ready,
 )
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification
-from drivecal.contracts.strict_json import validated
 from drivecal.domain.errors import ConflictError, DatabaseError, DrivecalError
 from drivecal.server.serving import ANSWERING
 from drivecal.storage.engine import server_lock

@@ -22,7 +22,7 @@ from drivecal.cli.views.output import cells_text, duration, print_campaign, prin
 from drivecal.cli.views.progress import Bar, Lines
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
 from drivecal.contracts.evaluation import Difference
-from drivecal.contracts.outside.results import ImportedRow
+from drivecal.contracts.outside.imported import ImportedRow
 from drivecal.domain.scales import objective_text
 
 CELLS = CellCounts(proposed=100, carried_over=40, requested=60, repeated=6, reused=9, simulated=44, failed=1, audited=2)

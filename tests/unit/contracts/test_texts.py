@@ -8,13 +8,13 @@ from tests.support.values import faults_of
 
 from drivecal.bundles.manifest import Manifest
 from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import (
     CampaignChanges,
     CampaignSpecification,
     InfluenceMapSpecification,
     RerunSpecification,
 )
-from drivecal.contracts.strict_json import validated
 
 STEERING = ["\x7f", "\x80", "\x9b", "\x9f", "\u2028", "\u2029", "\u202a", "\u202e", "\u2066", "\u2069"]
 CHOICES = {"parameters": [{"name": "x", "choices": ["one", "two *"]}]}

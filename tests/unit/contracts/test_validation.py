@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 from tests.support.values import faults_of
 
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
-from drivecal.contracts.strict_json import validated
 from drivecal.domain.errors import InvalidInputError
 
 

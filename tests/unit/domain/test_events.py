@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from drivecal.domain.campaigns import EventKind, event_text
+from drivecal.domain.events import EventKind, event_text
 
 FIGURES: list[tuple[EventKind, dict[str, Any], list[str]]] = [
     (EventKind.STAGE, {"stage": "calibration", "cells": 120_000}, ["calibration", "120,000"]),

@@ -14,7 +14,7 @@ from starlette.requests import ClientDisconnect
 from drivecal.api.dependencies import Limits
 from drivecal.configuration.memory import give_back
 from drivecal.contracts import strict_json
-from drivecal.contracts.strict_json import validated
+from drivecal.contracts.input_errors import validated
 from drivecal.domain.errors import DrivecalError
 
 LARGE = 16_384

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 
-from drivecal.contracts import strict_json
+from drivecal.contracts import input_errors
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import (
     ConflictError,
@@ -122,7 +122,7 @@ async def _validation_error(request: Request, error: Exception) -> Response:
     if not isinstance(error, RequestValidationError):
         raise error
     problems = [
-        strict_json.problem(".".join(shown(part) for part in detail["loc"][1:]), detail)
+        input_errors.problem(".".join(shown(part) for part in detail["loc"][1:]), detail)
         for detail in error.errors()[: MOST_PROBLEMS + 1]
     ]
     return problem_response(request, 422, "\n".join(map(str, problems)), problems)

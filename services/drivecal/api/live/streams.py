@@ -17,8 +17,8 @@ from typing import Any
 from drivecal.api.live.dispatcher_health import degraded, silence
 from drivecal.api.responses import seconds_of, state_of
 from drivecal.contracts.campaign import PROGRESS, CampaignEvent, CampaignProgress
-from drivecal.domain.campaigns import EventKind, event_text
 from drivecal.domain.errors import DrivecalError
+from drivecal.domain.events import EventKind, event_text
 from drivecal.storage import events, revision_queries
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now

@@ -17,7 +17,7 @@ from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import Parameters
 from drivecal.api.live.streams import EventHub, Message
 from drivecal.contracts.campaign import CampaignEvent, CampaignProgress
-from drivecal.domain.campaigns import EventKind
+from drivecal.domain.events import EventKind
 from drivecal.storage import events, revision_queries
 from drivecal.storage.engine.database import Database
 

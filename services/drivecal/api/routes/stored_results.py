@@ -14,17 +14,8 @@ from drivecal.bundles.units import same
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.workbench import bench_of, stored_bundles
 from drivecal.campaigns.results.stored import given_sets, stored_simulations
-from drivecal.contracts.outside.results import (
-    MOST_CELLS,
-    ImportAnswer,
-    ImportDeleted,
-    ImportedResults,
-    ImportedRow,
-    ResultLookup,
-    Source,
-    StoredCell,
-    StoredCells,
-)
+from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedResults, ImportedRow, Source
+from drivecal.contracts.outside.results import MOST_CELLS, ResultLookup, StoredCell, StoredCells
 from drivecal.contracts.specification import ProblemSpecification
 from drivecal.contracts.strict_json import ProblemName
 from drivecal.contracts.tables import Kind, columns_of

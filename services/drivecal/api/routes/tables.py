@@ -12,8 +12,9 @@ from drivecal.api.http.queries import CellQuery, EvaluationsQuery, FrontQuery, S
 from drivecal.api.responses import calibration, evaluation_row
 from drivecal.api.tables import influence
 from drivecal.api.tables.front import front_table, judged_sets, summary, weighted
-from drivecal.api.tables.paging import Row, listed, page_or_file, slices, table_answer
+from drivecal.api.tables.paging import listed, page_or_file, slices, table_answer
 from drivecal.api.tables.ranking import solution_pages
+from drivecal.api.tables.selection import Row
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
 from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
 from drivecal.campaigns.results.front import CampaignFront, StoredRanking, baseline_of, front_of

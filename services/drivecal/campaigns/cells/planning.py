@@ -1,6 +1,5 @@
-"""Rates and looks up stored results for a population's cells, and plans how each cell is answered."""
+"""Looks up stored results for a population's cells and plans how each cell is answered."""
 
-import logging
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,7 +19,7 @@ from drivecal.reduction.assignment import Policy, assign
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix, keys_under
 from drivecal.storage import evaluations
 from drivecal.storage.engine.database import Database
-from drivecal.storage.references import parameter_sets, ratings, reference_keys, runs, setups
+from drivecal.storage.references import parameter_sets, reference_keys, runs, setups
 
 
 @dataclass(slots=True)
@@ -76,7 +75,7 @@ def ensure_setups(connection: Connection, bench: Bench) -> dict[str, int]:
 def sync_reference_keys(database: Database, view: View) -> None:
     """Stores the reference key of every visible run under the campaign's influence map: in bulk, once, resumable.
 
-    The campaign's evaluator must have rated the runs before (`rate_stored_runs`): unrated runs have no key.
+    The campaign's evaluator must have rated the runs before (`rerating`): unrated runs have no key.
     """
     if view.influence_map_sequence is None:
         return
@@ -158,50 +157,3 @@ def _references(
     return own | reference_keys.look_up(
         connection, view.influence_map_sequence, setup_id, keys, view.bench.evaluator_id, view.watermark
     )
-
-
-log = logging.getLogger(__name__)
-
-CHUNK = 10_000
-"""Runs per transaction: some 20 MB of metrics."""
-
-
-def rate_stored_runs(database: Database, view: View, only: ParameterSet | None = None, chunk: int = CHUNK) -> int:
-    """Rates the metrics of every visible run that the campaign's evaluator has not rated; returns the number of new ratings.
-
-    `only` limits this to one parameter set. Call it before planning: the campaign then sees every possible rating, and other campaigns add
-    none. Failed runs are worth the scale's `failed` with every evaluator. Runs that lack the evaluator's metrics stay unrated and are
-    simulated when needed; so do successful runs if it needs time series. Resumable: rated runs are skipped.
-    """
-    fingerprints = [setup.fingerprint for setup in view.bench.setups.values()]
-    with database.transaction() as connection:
-        if ratings.are_all_by(connection, view.bench.evaluator_id, fingerprints):
-            return 0
-        setup_ids = ensure_setups(connection, view.bench)
-        number = None if only is None else parameter_sets.ensure(connection, [only])[0]
-    bench, evaluator_id = view.bench, view.bench.evaluator_id
-    total = missing = 0
-    for scenario, setup_id in setup_ids.items():
-        reached = 0
-        while True:
-            with database.read() as connection:
-                unrated = ratings.unrated(
-                    connection,
-                    setup_id,
-                    evaluator_id,
-                    after=reached,
-                    upto=view.watermark,
-                    limit=chunk,
-                    parameter_set_id=number,
-                    only_failed=bench.needs_series,
-                )
-            if not unrated:
-                break
-            ratings_of = [(run.id, bench.rate(scenario, run.metrics, run.failure)) for run in unrated]
-            rated = [(run, rating) for run, rating in ratings_of if rating is not None]
-            with database.transaction() as connection:
-                ratings.insert(connection, evaluator_id, rated)
-            total, missing, reached = total + len(rated), missing + len(unrated) - len(rated), unrated[-1].id
-    if total or missing:
-        log.info("%s rated %d stored runs; %d lack what it asks for", evaluator_id, total, missing)
-    return total

@@ -7,8 +7,8 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.resolve.problem import resolve_evaluation
 from drivecal.campaigns.resolve.workbench import bundles_of, with_tools
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import EvaluationSpecification
-from drivecal.contracts.strict_json import validated
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.evaluations import Breakdown

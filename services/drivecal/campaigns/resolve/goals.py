@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from drivecal.analysis.goals import FAILED, SCORE, Aggregate, Bound, CellValue, Goals, Objective, normalised, weighted_mean
 from drivecal.bundles.shapes import Shapes
 from drivecal.campaigns.resolve.spaces import given_set
+from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.specification import (
     CampaignSpecification,
     ConstraintSpecification,
@@ -14,7 +15,6 @@ from drivecal.contracts.specification import (
     Quantile,
     ReductionSpecification,
 )
-from drivecal.contracts.strict_json import nearest
 from drivecal.domain.constraints import ChangeFrom, Constraints
 from drivecal.domain.errors import Diagnostics
 from drivecal.domain.parameters import ParameterSet

@@ -9,13 +9,13 @@ from pydantic import BaseModel, ValidationError
 
 from drivecal.analysis.goals import Goals
 from drivecal.contracts.campaign import STUDIES
+from drivecal.contracts.input_errors import nearest, problem
 from drivecal.contracts.specification import (
     BudgetSpecification,
     CampaignSpecification,
     OptimizerSection,
     SensitivitySpecification,
 )
-from drivecal.contracts.strict_json import nearest, problem
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import Diagnostics
 from drivecal.domain.parameters import Indices

@@ -10,8 +10,9 @@ from drivecal.analysis.goals import Goals, weighted_mean
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.spaces import fixed_from_document, space_from_document
 from drivecal.campaigns.resolve.workbench import BundleSource, installed_bundles
+from drivecal.contracts.input_errors import nearest, validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, ReplicatesSpecification
-from drivecal.contracts.strict_json import nearest, shown, validated
+from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import ParameterSpace
 from drivecal.domain.scales import COMFORT, Scale

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 from drivecal.analysis.goals import Goals, normalised
 from drivecal.campaigns.resolve.workbench import Workbench
+from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.specification import CampaignSpecification, VariantSpecification
-from drivecal.contracts.strict_json import nearest
 from drivecal.domain.errors import Diagnostics
 
 

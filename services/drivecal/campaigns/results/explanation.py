@@ -20,7 +20,7 @@ from drivecal.reduction.explanation import CellComparison, Nearest, ParameterDif
 from drivecal.storage import campaigns, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.lots import StoredLot
-from drivecal.storage.references import influence_maps, parameter_sets, runs
+from drivecal.storage.references import candidates, influence_maps, parameter_sets, runs
 from drivecal.storage.results import StoredEvaluation
 
 
@@ -119,8 +119,8 @@ def _nearest(case: _Case) -> tuple[Nearest | None, int]:
     stored = 0
     place = (cell.stage, cell.iteration, cell.individual)
     sources = (
-        parameter_sets.stored_sets(case.connection, cell.setup_id, case.pinned.evaluator, watermark, names),
-        parameter_sets.own_sets(case.connection, cell.campaign_sequence, cell.scenario, place, names),
+        candidates.stored_sets(case.connection, cell.setup_id, case.pinned.evaluator, watermark, names),
+        candidates.own_sets(case.connection, cell.campaign_sequence, cell.scenario, place, names),
     )
     for rank, source in enumerate(sources):
         for sets in source:

@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from drivecal.campaigns.cells.earlier import bench_of, checked_cells, earlier_versions, unclaimed
-from drivecal.campaigns.cells.planning import View, rate_stored_runs
+from drivecal.campaigns.cells.planning import View
+from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.maps import check_basis, stored_map, warnings_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem
 from drivecal.campaigns.stages.cell_search import CellSearch

@@ -6,7 +6,8 @@ from dataclasses import replace
 from typing import Any
 
 from drivecal.campaigns.cells.earlier import EarlierVersion, answers_of, bench_of, present_version, sample
-from drivecal.campaigns.cells.planning import View, rate_stored_runs
+from drivecal.campaigns.cells.planning import View
+from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.stage import Round, Stage

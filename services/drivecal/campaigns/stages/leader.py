@@ -5,7 +5,7 @@ from sqlalchemy import Connection
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.contracts.campaign import Baseline, Best
-from drivecal.domain.campaigns import EventKind
+from drivecal.domain.events import EventKind
 from drivecal.domain.rounding import same
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.storage import events

@@ -20,8 +20,8 @@ from drivecal.campaigns.stages.asking import AskedRound, PopulationAsker, popula
 from drivecal.campaigns.stages.search import ComputedSearch
 from drivecal.campaigns.stages.stage import Round, Wait
 from drivecal.contracts.campaign import Released
-from drivecal.domain.campaigns import EventKind
 from drivecal.domain.evaluations import RequestedCell
+from drivecal.domain.events import EventKind
 from drivecal.storage import events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database

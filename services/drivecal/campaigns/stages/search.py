@@ -25,9 +25,10 @@ from drivecal.campaigns.stages.replication import Replication, SeededBenches
 from drivecal.campaigns.stages.stage import Round, Stage, Wait
 from drivecal.contracts.campaign import CellCounts, ErrorRate, GenerationCounts, SearchEnd, SearchState
 from drivecal.contracts.tables import Generation
-from drivecal.domain.campaigns import EventKind, StageName
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import Purpose, RequestedCell
+from drivecal.domain.events import EventKind
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.reduction.assignment import Policy
 from drivecal.storage import evaluations, events, generations, results

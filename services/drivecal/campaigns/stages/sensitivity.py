@@ -14,8 +14,9 @@ from drivecal.campaigns.resolve.spaces import space_to_document
 from drivecal.campaigns.stages.replication import SeededBenches
 from drivecal.campaigns.stages.stage import Round, Stage, exact_policy
 from drivecal.contracts.campaign import CellCounts
-from drivecal.domain.campaigns import EventKind, StageName
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import RequestedCell
+from drivecal.domain.events import EventKind
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet
 from drivecal.plugins.ports import Floats

@@ -20,10 +20,11 @@ from drivecal.cli.views.progress import pauses
 from drivecal.client.client import Client
 from drivecal.configuration.documents import read_document
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.inventory import ProblemAnswer
 from drivecal.contracts.setup import ShapeAnswer
 from drivecal.contracts.specification import DECIDING, DEFAULT_PROBLEM, Given, GoalSpecification, Model
-from drivecal.contracts.strict_json import Number, validated
+from drivecal.contracts.strict_json import Number
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, file_faults
 from drivecal.domain.scales import score_text
 

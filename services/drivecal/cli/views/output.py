@@ -32,7 +32,8 @@ from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.results import CampaignResults
 from drivecal.contracts.setup import ShapeAnswer
 from drivecal.contracts.tables import Solution
-from drivecal.domain.campaigns import ASKED, CampaignState
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.events import ASKED
 from drivecal.domain.scales import objective_text, score_text
 
 Shapes = Mapping[str, ShapeAnswer]

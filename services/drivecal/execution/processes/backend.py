@@ -2,7 +2,6 @@
 
 import errno
 import itertools
-import math
 import os
 import queue
 import signal
@@ -12,13 +11,13 @@ import sys
 import tempfile
 import threading
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import IO, Any
 
+from drivecal.cluster.machine import cpus
 from drivecal.cluster.pulse import Pipe
 from drivecal.contracts.work import Batch
 from drivecal.domain.evaluations import Breakdown
@@ -183,38 +182,3 @@ def _cause(process: subprocess.Popen[bytes]) -> WorkerDiedError:
     number = -code
     name = signal.Signals(number).name if number in set(signal.Signals) else f"signal {number}"
     return WorkerDiedError(Breakdown.CRASH, f"died of {name}", departed=number in _FROM_OUTSIDE)
-
-
-CONTROL_GROUPS = Path("/sys/fs/cgroup")
-OWN_GROUPS = Path("/proc/self/cgroup")
-"""Control groups of this process, a line each: `number:controllers:path`. Version 2 names no controllers."""
-
-
-def cpus() -> int:
-    """Returns the number of CPUs that this process may use, with a quota of CPU time rounded up."""
-    number = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    for folder in _groups():
-        quota, _, period = _content(folder / "cpu.max").partition(" ")
-        if not quota:
-            quota, period = _content(folder / "cpu.cfs_quota_us"), _content(folder / "cpu.cfs_period_us")
-        if quota.isdecimal() and period.isdecimal() and int(period):  # else `max`, or -1
-            number = min(number, max(1, math.ceil(int(quota) / int(period))))
-    return number
-
-
-def _groups() -> Iterator[Path]:
-    """Yields the folders of the control group of this process and of those around it: each may hold a limit."""
-    for line in _content(OWN_GROUPS).splitlines():
-        _, controllers, path = line.split(":", 2)
-        if controllers and "cpu" not in controllers.split(","):
-            continue
-        root = CONTROL_GROUPS / "cpu" if controllers else CONTROL_GROUPS
-        own = root / path.lstrip("/")
-        yield from (folder for folder in (own, *own.parents) if folder.is_relative_to(root))
-
-
-def _content(file: Path) -> str:
-    try:
-        return file.read_text().strip()
-    except OSError:
-        return ""

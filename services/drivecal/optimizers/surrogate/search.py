@@ -2,7 +2,7 @@
 
 The probability that a set beats the best one comes from draws of all its scenarios, which `Aim.judge` rounds and adds up as it does with
 answers. New sets have the largest expected improvement among candidates spread over the space and near the best sets. A set is asked
-scenario by scenario, first where the draws decide most, and given up early (`merits.beaten`).
+scenario by scenario, first where the draws decide most, and given up early (`giving_up`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,8 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]  
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.surrogate.answers import Answers, BegunSet
 from drivecal.optimizers.surrogate.gaussian_process import Encoding
-from drivecal.optimizers.surrogate.merits import Merit, Standing, beaten, improbable, without_result
+from drivecal.optimizers.surrogate.giving_up import beaten, improbable, without_result
+from drivecal.optimizers.surrogate.merits import Merit, Standing
 from drivecal.optimizers.surrogate.models import Bools, ScenarioModel
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, AskedCell, CellAnswer, SearchTask

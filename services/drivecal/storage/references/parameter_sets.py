@@ -1,20 +1,16 @@
-"""Parameter sets, each stored once, with exact values; sets which might have answered a cell are read in chunks."""
+"""Parameter sets, each stored once, with exact values."""
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sqlalchemy import Connection, Row, Select, SmallInteger, literal, select, tuple_, type_coerce
+from sqlalchemy import Connection, select
 
-from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.values import BILLION, code
 from drivecal.storage.engine.bulk import insert, rows_among
-from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, runs
+from drivecal.storage.engine.tables import parameter_sets
 
 
 def ensure(connection: Connection, given: Sequence[ParameterSet]) -> list[int]:
@@ -66,80 +62,3 @@ def ids(connection: Connection, keys: Sequence[bytes]) -> dict[bytes, int]:
     """Returns the ids of stored sets, by key."""
     query = select(parameter_sets.c.key, parameter_sets.c.id)
     return dict(rows_among(connection, query, parameter_sets.c.key, keys))
-
-
-Integers = npt.NDArray[np.int64]
-SETS_AT_A_TIME = 20_000
-"""Some 20 MB of memory."""
-
-
-@dataclass(frozen=True, slots=True)
-class Candidates:
-    """Parameter sets that have a result in one setup, all of the same parameters.
-
-    `values` are in billionths, shape (n, n_p), with columns in the requested order. `places` (campaign, stage, iteration, individual),
-    shape (n, 4), order references. `evaluations` are the ids of the evaluations that simulated the sets, shape (n,).
-    """
-
-    values: Integers
-    places: Integers
-    evaluations: Integers
-
-
-def stored_sets(
-    connection: Connection, setup_id: int, evaluator: str, watermark: int, names: Sequence[str]
-) -> Iterator[Candidates]:
-    """The sets of a setup's runs that `evaluator` rated, both up to `watermark`. Sets of other parameters than `names` are left out: they
-    are of another function."""
-    origin = (runs.c.campaign_sequence, type_coerce(runs.c.stage, SmallInteger), runs.c.iteration, runs.c.individual)
-    query = (
-        select(runs.c.evaluation_id, *origin, parameter_sets.c.parameter_values)
-        .join(parameter_sets)
-        .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
-        .where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
-        .order_by(runs.c.id)
-    )
-    yield from _chunks(connection, query, names)
-
-
-def own_sets(
-    connection: Connection, campaign_sequence: int, scenario: str, before: tuple[StageName, int, int], names: Sequence[str]
-) -> Iterator[Candidates]:
-    """The sets that the campaign itself has simulated in a scenario before a (stage, iteration, individual)."""
-    place = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual)
-    # Typed one by one: a tuple does not hand its types on, and stages are stored as numbers.
-    limit = tuple_(*(literal(value, column.type) for value, column in zip(before, place, strict=True)))
-    query = (
-        select(
-            evaluations.c.id,
-            evaluations.c.campaign_sequence,
-            type_coerce(evaluations.c.stage, SmallInteger),
-            evaluations.c.iteration,
-            evaluations.c.individual,
-            parameter_sets.c.parameter_values,
-        )
-        .join(parameter_sets)
-        .where(
-            evaluations.c.campaign_sequence == campaign_sequence,
-            evaluations.c.scenario == scenario,
-            evaluations.c.plan == Outcome.SIMULATED,
-            evaluations.c.outcome == Outcome.SIMULATED,
-            evaluations.c.run_id.is_not(None),
-            tuple_(*place) < limit,
-        )
-    )
-    yield from _chunks(connection, query, names)
-
-
-def _chunks(connection: Connection, query: Select[Any], names: Sequence[str]) -> Iterator[Candidates]:
-    streamed = connection.execute(query.execution_options(yield_per=SETS_AT_A_TIME))
-    for rows in streamed.partitions():
-        yield from _parsed(rows, names)
-
-
-def _parsed(rows: Sequence[Row[Any]], names: Sequence[str]) -> Iterator[Candidates]:
-    heads = np.array([row[:-1] for row in rows], dtype=np.int64)
-    for present, positions, values in parse([row[-1] for row in rows]):
-        if set(present) == set(names):
-            order = [present.index(name) for name in names]
-            yield Candidates(values[:, order], heads[positions, 1:], heads[positions, 0])

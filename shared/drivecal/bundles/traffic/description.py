@@ -17,7 +17,7 @@ from drivecal.bundles.traffic.entities import Files
 from drivecal.bundles.traffic.openscenario import ScenarioFile, VehicleNames
 from drivecal.bundles.traffic.places import Map
 from drivecal.bundles.traffic.route_files import RouteTraffic, read_routes
-from drivecal.contracts.strict_json import validated
+from drivecal.contracts.input_errors import validated
 from drivecal.domain.errors import InvalidInputError, Problem, restated
 from drivecal.roads.corridor import corridor
 from drivecal.roads.network import FIELD, network_file, read_network

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 from drivecal.bundles.traffic.expressions import ExpressionError, evaluated
-from drivecal.contracts.strict_json import nearest, shown
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.roads.documents import Attributes, cut, read_elements
 

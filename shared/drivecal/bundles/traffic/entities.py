@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from posixpath import dirname, join, normpath
 
 from drivecal.bundles.traffic.elements import Element, Notes, declare, read_tree, substituted
-from drivecal.contracts.strict_json import nearest, shown
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError
 
 CATEGORIES: Mapping[str, str] = {

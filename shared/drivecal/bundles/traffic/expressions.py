@@ -9,7 +9,8 @@ import operator
 import re
 from collections.abc import Callable, Mapping
 
-from drivecal.contracts.strict_json import nearest, shown
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
 
 LONGEST, DEEPEST = 2000, 100
 """Characters of an expression, and its levels."""

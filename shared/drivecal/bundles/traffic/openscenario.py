@@ -19,7 +19,8 @@ from drivecal.bundles.traffic.entities import Catalogs, Entity, Files, bundle_pa
 from drivecal.bundles.traffic.places import FilePlace, Map, along
 from drivecal.bundles.traffic.storyboard import Storyboard, Ways, ignore_controller, ignore_global, target_speed
 from drivecal.bundles.traffic.ways import FREE, Polyline, Pose, WayReader, is_turned
-from drivecal.contracts.strict_json import nearest, shown
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.roads.corridor import Corridor
 from drivecal.roads.lines import project

@@ -18,7 +18,8 @@ from drivecal.bundles.highway import CLASSES, Surroundings
 from drivecal.bundles.highway_actions import EGO
 from drivecal.bundles.highway_catalogue import TYPE_PARAMETERS
 from drivecal.bundles.traffic.elements import Element, Notes, finite, read_tree
-from drivecal.contracts.strict_json import nearest, shown
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.roads.network import Network
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from tests.support.changes import replace_in
 
-from drivecal.execution.processes import backend as machine
+from drivecal.cluster import machine
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,76 @@
+"""Results from elsewhere: of a vehicle, a test bench or another tool."""
+
+from datetime import date as Date  # noqa: N812  a field has this name
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, StringConstraints, model_validator
+
+from drivecal.contracts.campaign import Answer
+from drivecal.contracts.specification import Model, Values
+from drivecal.contracts.strict_json import Identifier, Number, ProblemName
+from drivecal.contracts.tables import Spread
+
+MOST_ROWS = 10_000
+"""Cells of a request."""
+
+Source = Annotated[str, StringConstraints(min_length=1, max_length=200, strip_whitespace=True)]
+"""Name of a vehicle, test bench or tool."""
+
+
+class ImportedCell(Model):
+    """Values of a set in a scenario: scores, measures, or both."""
+
+    parameters: Annotated[Values, Field(min_length=1)]
+    scenario: Identifier
+    scores: Annotated[dict[Identifier, Number], Field(max_length=200, default_factory=dict)]
+    measures: Annotated[dict[Identifier, Number], Field(max_length=200, default_factory=dict)]
+
+    @model_validator(mode="after")
+    def _has_values(self) -> Self:
+        if not self.scores and not self.measures:
+            raise ValueError("it has neither scores nor measures")
+        return self
+
+
+class ImportedResults(Model):
+    """Results of one source and day. Drivecal compares them with simulations, and never uses them in place of one."""
+
+    problem: ProblemName
+    source: Source
+    date: Annotated[Date, Field(strict=False)]
+    units: Annotated[dict[Identifier, str], Field(max_length=600, default_factory=dict)]
+    """Units of parameters and measures; they have to be the problem's own."""
+    rows: Annotated[list[ImportedCell], Field(min_length=1, max_length=MOST_ROWS)]
+
+
+class ImportAnswer(Answer):
+    """How many cells are new, and how many were stored before with the same values; `notes` on lists that coefficients give only nearly."""
+
+    stored: int
+    known: int
+    notes: list[str]
+
+
+class ImportDeleted(Answer):
+    """How many cells were deleted."""
+
+    deleted: int
+
+
+class ImportedRow(Answer):
+    """A score or measure from elsewhere, and its value in the stored simulation of the same cell.
+
+    `simulated` and `difference`, the imported value less the simulated one, are null without such a simulation.
+    """
+
+    source: str
+    date: str
+    owner: str | None
+    scenario: str
+    parameters: Annotated[dict[str, float | str], Spread()]
+    kind: Literal["score", "measure"]
+    name: str
+    unit: str | None
+    value: float
+    simulated: float | None
+    difference: float | None
