@@ -189,6 +189,7 @@ def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples(tmp_path: Path
         working = dispatcher(database, ComputedBackend(answer=answer))
         step_until(database, campaign, 1, working)
         while milliseconds > 1 and not any(lot.size for lot in lots_of(database, campaign)):
+            assert not get(database, campaign).state.ended, "it ended without a lot"
             working.step()
         return campaign
 
