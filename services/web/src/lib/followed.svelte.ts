@@ -9,7 +9,7 @@ interface Chosen { rank: string; set: string }
 /** What a table tells of its sets: null for a rank, or a set, that it does not have. */
 export interface Ranked { setOf: (rank: string) => string | null; rankOf: (set: string) => string | null }
 
-/** The ranks that chosen sets have in a table, and these sets. Ranks of no set that is known from `before` name those of this table. */
+/** The ranks that chosen sets have in a table, and these sets. A rank that is not in `before` names a set of this table. */
 export function followed(ranks: readonly string[], before: readonly Chosen[], { setOf, rankOf }: Ranked): { ranks: string[]; chosen: Chosen[] } {
   const chosen = ranks.map((rank) => {
     const set = before.find((entry) => entry.rank === rank)?.set ?? setOf(rank);
