@@ -65,7 +65,7 @@ class Campaign:
                 self.run(place)
 
 
-@pytest.mark.slow("3.0-40")
+@pytest.mark.faults("3.0-40")
 @pytest.mark.parametrize(("noise", "campaigns"), [(0.5, 40), (1.0, 40), (3.0, 40)])
 def test_the_best_set_is_found_with_fewer_runs_than_equal_ones(noise: float, campaigns: int) -> None:
     right, runs, equal = 0, 0, 0
