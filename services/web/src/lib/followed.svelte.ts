@@ -13,22 +13,23 @@ export interface Ranked { setOf: (rank: string) => string | null; rankOf: (set: 
 export function followed(ranks: readonly string[], before: readonly Chosen[], { setOf, rankOf }: Ranked): { ranks: string[]; chosen: Chosen[] } {
   const chosen = ranks.map((rank) => {
     const set = before.find((entry) => entry.rank === rank)?.set ?? setOf(rank);
-    return { rank: (set === null ? null : rankOf(set)) ?? rank, set };
+    // A set that kept its rank is not searched for in a long table.
+    return { rank: set === null || setOf(rank) === set ? rank : (rankOf(set) ?? rank), set };
   });
   return { ranks: chosen.map(({ rank }) => rank), chosen: chosen.filter((entry): entry is Chosen => entry.set !== null) };
 }
 
-/** Keeps `row` and `with` of the address at the sets that were chosen. `table` returns null while there is none, or another ranking. */
-export function followChosen(table: () => Ranked | null): void {
+/** Keeps `row` and `with` of the address at the sets that were chosen. `ranking` returns null while there is none, or another one. */
+export function followChosen(ranking: () => Ranked | null): void {
   let chosen: Chosen[] = [];
   $effect(() => {
-    const now = table();
+    const table = ranking();
     const row = route.query["row"] === undefined ? [] : [route.query["row"]];
     const before = [...row, ...wordsOf(route.query["with"])];
-    const found = now === null ? { ranks: before, chosen: [] } : followed(before, chosen, now);
-    chosen = found.chosen;
-    if (found.ranks.some((rank, place) => rank !== before[place])) {
-      amend({ row: found.ranks.slice(0, row.length)[0] ?? null, with: wordsText(found.ranks.slice(row.length)) });
+    const after = table === null ? { ranks: before, chosen: [] } : followed(before, chosen, table);
+    chosen = after.chosen;
+    if (after.ranks.some((rank, place) => rank !== before[place])) {
+      amend({ row: after.ranks.slice(0, row.length)[0] ?? null, with: wordsText(after.ranks.slice(row.length)) });
     }
   });
 }
