@@ -155,9 +155,12 @@ def test_best_sets_of_campaigns_are_compared_under_one_weighting(shown: Shown, o
         "weights": {},
         "optimizer": {"kind": "random", "population": 6, "iterations": 2},
     }
-    less = run(database, submit(database, **small), ComputedBackend(answer=influenced))
+    less = submit(database, **small)
     page = opening(f"{shown.api.url}/#/compare?ids={shown.campaign.id},{less.id}&weights=S1=1,S2=0")
     results = page.get_by_role("region", name="Results of each")
+    expect(results).to_contain_text("queued")
+    run(database, less, ComputedBackend(answer=influenced))
+    expect(results).not_to_contain_text("queued", timeout=15_000)
     for campaign, weights in ((shown.campaign, "S1=1,S2=0"), (less, "S1=1")):
         best = get(f"/api/v1/campaigns/{campaign.id}/solutions?weights={weights}").json()["items"][0]
         expect(results.get_by_role("row", name="weighted score")).to_contain_text(told(best["objective"]))
