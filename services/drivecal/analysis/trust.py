@@ -8,6 +8,8 @@ converged, or saw nearly everything. There are no lights before the end, but red
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
+from math import inf
+from statistics import median
 from typing import Any, Literal
 
 from drivecal.analysis.convergence import (
@@ -39,7 +41,8 @@ NEARLY = 80
 LARGEST_COUNT = 10**9
 """Largest number of a grid's sets that is written out."""
 LITTLE = 0.01
-"""Largest gain of as many simulations again that is no reason to go on, as a share of the whole gain of the search."""
+"""Largest gain of as many simulations again that is no reason to go on, as a share of the gain of the whole search over its first set, and
+over the usual set of its first half."""
 AT_END = 0.005
 """Largest distance of a value at the end of its range, as a share of the range."""
 LEAST_RECORDED = 150
@@ -340,7 +343,10 @@ def _ended(campaign: Campaign, course: Course) -> Iterator[ResultVerdict]:
         if _has_outlook(campaign) and (gain := expected_gain(best)) is not None:
             known = [value for value in best if value is not None]
             tolerance = 0.0 if campaign.objective else campaign.scale.tolerance
-            whole, few = abs(known[-1] - known[0]), campaign.spent.simulations < LEAST_RECORDED
+            usual = [each.mean for each in course[: -(-len(course) // 2)] if each.mean is not None]
+            # the first set may have failed, or break constraints: better than that is soon found
+            whole = min(abs(known[-1] - known[0]), abs(known[-1] - median(usual)) if usual else inf)
+            few = campaign.spent.simulations < LEAST_RECORDED
             light: Light = "green" if gain <= max(tolerance, LITTLE * whole) and whole > 0 and not few else "amber"
             yield verdict("outlook", light, gain=gain, record=RECORD)
 

@@ -239,6 +239,14 @@ def test_a_search_says_what_more_brings(course: list[float | None], used: int, g
     assert "outlook" not in verdicts(campaign(), search=SearchCourse(stalled((4.0, None), (6.0, None)), {}))
 
 
+def test_a_first_set_that_failed_makes_no_later_gain_small() -> None:
+    subject = campaign(budget={"simulations": 200}, ended_by="budget", spent=Spent(simulations=200))
+    subject = subject.model_copy(update={"spec": subject.spec | {"optimizer": {"kind": "surrogate"}}})
+    best, means = (-900.0, 4.0, 4.0, 4.0, 4.5, 5.0, 5.5, 6.0), (-900.0, -3.0, -2.0, 1.0, 2.0, 3.0, 3.0, 4.0)
+    course = [point(each, None).model_copy(update={"mean": mean}) for each, mean in zip(best, means, strict=True)]
+    assert trust(subject, Evidence(search=SearchCourse(course, {}))).light("search") == "amber"
+
+
 @pytest.mark.parametrize(
     ("course", "given", "is_doubted"),
     [
