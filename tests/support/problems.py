@@ -12,10 +12,10 @@ import yaml
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
-from drivecal.bundles.archives import content_digest, executables, files_of, manifest_text, pack
+from drivecal.bundles.archives import content_digest, files_of, pack
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway_catalogue import MEASURES as CATALOGUE
-from drivecal.configuration.problems import read_manifest
+from drivecal.configuration.problems import read_archived
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -109,7 +109,7 @@ def push(database: Database, folder: Path, **changes: Any) -> StoredBundle:
     (folder / "run.sh").write_text("exit 1\n")
     archive = pack(folder)
     files = files_of(archive, 2**20)
-    manifest = read_manifest(manifest_text(files), executables(files))
+    manifest = read_archived(files)
     digest = content_digest(archive)
     with database.transaction() as connection:
         admission.admit_problem(connection, digest, 1000)

@@ -58,20 +58,15 @@ def _with_notes(problem: Problem, notes: Sequence[str]) -> Problem:
 
 
 def read_archived(files: Mapping[str, BundleFile]) -> Manifest:
-    """Returns the manifest among the files of an archive, checked with their content. Raises InvalidInputError as `read_manifest`."""
-    return _read_archived(files)[0]
-
-
-def read_manifest(content: bytes, files: Mapping[str, bool] | None = None) -> Manifest:
-    """Returns the manifest in the text of a `problem.yaml`. `files` says which files of the bundle are executable, None if unknown.
+    """Returns the manifest among the files of an archive, checked with their content.
 
     Raises InvalidInputError with the lines of all faults.
     """
-    return _read(content, lambda document: checked(document, files))
+    return _read_archived(files)[0]
 
 
 def _read_archived(files: Mapping[str, BundleFile]) -> tuple[Manifest, tuple[str, ...]]:
-    """Returns manifest and notes on the roads of its scenarios. Raises InvalidInputError as `read_manifest`."""
+    """Returns manifest and notes on the roads of its scenarios. Raises InvalidInputError as `read_archived`."""
 
     def whole(document: Any) -> tuple[Manifest, tuple[str, ...]]:
         manifest, _ = _whole_with_fmus(document, files)

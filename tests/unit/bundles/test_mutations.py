@@ -14,8 +14,8 @@ from tests.support import effort
 from tests.support.effort import tries
 from tests.support.mutations import at_home, soon
 
-from drivecal.bundles.archives import executables, files_of, manifest_text, pack, remove, unpack
-from drivecal.configuration.problems import read_manifest
+from drivecal.bundles.archives import files_of, pack, remove, unpack
+from drivecal.configuration.problems import read_archived
 from drivecal.domain.errors import InvalidInputError
 
 MUTATIONS = tries(200, 10_000)
@@ -104,7 +104,7 @@ def test_mutated_archives_are_refused_or_unpacked_inside_of_their_folder(tmp_pat
             files = files_of(damaged, LARGEST)
             assert sum(len(file.content) for file in files.values()) <= LARGEST
             with suppress(InvalidInputError):
-                read_manifest(manifest_text(files), executables(files))
+                read_archived(files)
             unpack(damaged, target)
 
         results.append(taken(attempt))

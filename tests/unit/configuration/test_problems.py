@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from tests.support.effort import examples
 from tests.support.values import faults_of, faulty_fields
 
-from drivecal.bundles.archives import content_digest, files_of, pack
-from drivecal.configuration.problems import read_archived, read_bundle, read_manifest
+from drivecal.bundles.archives import BundleFile, content_digest, files_of, pack
+from drivecal.configuration.problems import read_archived, read_bundle
 from drivecal.domain.errors import InvalidInputError
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples" / "problems"
@@ -35,8 +35,12 @@ scores:
 """
 
 
+def files(content: bytes) -> dict[str, BundleFile]:
+    return {name: BundleFile(text, executable=False) for name, text in (("problem.yaml", content), ("model.py", b""))}
+
+
 def fields(content: str) -> list[str]:
-    return faulty_fields(read_manifest, content.encode(), {"model.py": False})
+    return faulty_fields(read_archived, files(content.encode()))
 
 
 def test_a_folder_is_read_into_a_manifest_and_an_archive() -> None:
@@ -68,7 +72,7 @@ def test_a_script_with_line_ends_of_windows_is_refused(tmp_path: Path, ends: str
 
 
 def test_the_valid_text_is_valid() -> None:
-    assert read_manifest(VALID.encode()).constraints == ("v0 >= 10*T",)
+    assert read_archived(files(VALID.encode())).constraints == ("v0 >= 10*T",)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +110,7 @@ def test_a_folder_without_a_manifest_is_refused(tmp_path: Path) -> None:
 
 def test_a_very_large_manifest_is_refused() -> None:
     with pytest.raises(InvalidInputError):
-        read_manifest(VALID.encode() + b"#" * 2**20)
+        read_archived(files(VALID.encode() + b"#" * 2**20))
 
 
 @settings(deadline=None, max_examples=examples(200))
@@ -114,7 +118,7 @@ def test_a_very_large_manifest_is_refused() -> None:
 def test_a_damaged_manifest_is_refused_with_its_place_or_read(position: int, text: str) -> None:
     damaged = (VALID[:position] + text + VALID[position + 1 :]).encode("utf-8", errors="surrogatepass")
     try:
-        read_manifest(damaged)
+        read_archived(files(damaged))
     except InvalidInputError as error:
         places = [problem.field for problem in error.problems]
         assert all(place.startswith("problem.yaml") for place in places)  # several outcomes are right
