@@ -312,14 +312,14 @@ def places(connection: Connection, campaign_sequence: int, stage: StageName) -> 
 
 
 def counts(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> GenerationCounts:
-    """Returns the answered cells of an iteration by outcome, and inspected ones."""
+    """Returns the answered cells of an iteration by outcome, and the simulated ones that were inspected."""
     table = evaluations.c
     group = table.outcome, table.purpose
     query = select(*group, func.count().label("cells")).where(*of_iteration(campaign_sequence, stage, iteration))
     counted: Counter[str] = Counter()
     for row in connection.execute(query.where(table.outcome.is_not(None)).group_by(*group)):
         counted.update({"requested": row.cells, row.outcome: row.cells})
-        if row.purpose in INSPECTED:
+        if row.outcome == Outcome.SIMULATED and row.purpose in INSPECTED:
             counted[INSPECTED[row.purpose]] += row.cells
     return GenerationCounts(**counted)
 

@@ -52,6 +52,18 @@ def test_a_copy_of_a_stored_result_has_its_answer_at_once(database: Database) ->
     ]
 
 
+def test_an_inspected_cell_without_a_result_is_no_simulated_one(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 2)
+        drawn = [cell(number, setup, one, purpose=Purpose.SAMPLE) for number, one in enumerate(sets)]
+        done, broken = evaluations.insert(connection, sequence, drawn)
+        simulated = AnsweredCell(done, SIMULATED, 6, 5.75, None)
+        evaluations.answer(connection, [simulated, AnsweredCell(broken, FAILED, None, None, None, "crash")])
+        counts = evaluations.counts(connection, sequence, StageName.CALIBRATION, 0)
+    assert (counts.requested, counts.simulated, counts.failed, counts.sampled) == (2, 1, 1, 1)
+
+
 def test_a_cell_that_waits_for_another_of_its_population_names_it(database: Database) -> None:
     with database.transaction() as connection:
         sequence, setup = campaign(connection).sequence, setup_id(connection)
