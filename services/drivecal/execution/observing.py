@@ -42,26 +42,19 @@ class Activity:
             desk.since = self._clock()
         desk.batches[batch_id] = scenario
 
-    def finished(self, worker: str, batch_id: int, cells: int, seconds: float) -> None:
-        """Notes a returned batch and its duration."""
-        if self._take(worker, batch_id) and cells and seconds > 0:
-            self._desks[worker].recent.append((cells, seconds))
-
-    def lost(self, worker: str, batch_id: int) -> None:
-        """Notes a lost batch."""
-        self._take(worker, batch_id)
+    def came_back(self, worker: str, batch_id: int, cells: int, seconds: float) -> None:
+        """Notes a returned or lost batch, with the number of its results and its duration."""
+        desk = self._desks.get(worker)
+        if desk is None or desk.batches.pop(batch_id, None) is None:
+            return
+        desk.since = self._clock()
+        if cells and seconds > 0:
+            desk.recent.append((cells, seconds))
 
     def describe(self, workers: Collection[WorkerInfo]) -> list[WorkerInfo]:
         """Returns the workers with their activity, and forgets workers that have left."""
         self._desks = {worker.id: self._desks[worker.id] for worker in workers if worker.id in self._desks}
         return [self._describe(worker) for worker in workers]
-
-    def _take(self, worker: str, batch_id: int) -> bool:
-        desk = self._desks.get(worker)
-        if desk is None or desk.batches.pop(batch_id, None) is None:
-            return False
-        desk.since = self._clock()
-        return True
 
     def _describe(self, worker: WorkerInfo) -> WorkerInfo:
         desk = self._desks.get(worker.id)
@@ -112,7 +105,7 @@ class Observer:
             )
         if isinstance(event, Finished):
             result = event.result
-            self._activity.finished(dispatch.worker, dispatch.batch_id, len(result.results), result.seconds)
+            self._activity.came_back(dispatch.worker, dispatch.batch_id, len(result.results), result.seconds)
             if result.refusal is None and dispatch.batch.cells:
                 MEASURES.batch.observe(result.seconds)
             if result.busy is not None:
@@ -123,7 +116,7 @@ class Observer:
             for kind in broken.values():
                 MEASURES.breakdowns.labels(kind).inc()
         else:
-            self._activity.lost(dispatch.worker, dispatch.batch_id)
+            self._activity.came_back(dispatch.worker, dispatch.batch_id, 0, 0.0)
             MEASURES.breakdowns.labels(DEPARTED if event.departed else event.breakdown).inc()
         final = {completion.result.id for completion in completed}
         for cell, kind in broken.items():

@@ -17,10 +17,10 @@ def test_a_worker_does_the_first_of_what_it_was_sent_since_the_one_before_came_b
     activity.sent("worker-1", 2, "S2")
     (first,) = activity.describe([WORKER])
     assert (first.scenario, first.since, first.cells_per_second) == ("S1", "1970-01-01T00:00:00.000+00:00", None)
-    activity.finished("worker-1", 1, 30, 15.0)
+    activity.came_back("worker-1", 1, 30, 15.0)
     (second,) = activity.describe([WORKER])
     assert (second.scenario, second.since, second.cells_per_second) == ("S2", "1970-01-01T00:01:00.000+00:00", 2.0)
-    activity.lost("worker-1", 2)
+    activity.came_back("worker-1", 2, 0, 0.0)
     (idle,) = activity.describe([WORKER])
     assert (idle.scenario, idle.since, idle.cells_per_second) == (None, None, 2.0)
 
@@ -28,9 +28,9 @@ def test_a_worker_does_the_first_of_what_it_was_sent_since_the_one_before_came_b
 def test_late_and_unknown_batches_and_workers_change_nothing() -> None:
     activity = Activity()
     activity.sent("worker-1", 1, "S1")
-    activity.finished("ghost", 1, 1, 1.0)
-    activity.finished("worker-1", 9, 1, 1.0)
-    activity.lost("worker-1", 9)
+    activity.came_back("ghost", 1, 1, 1.0)
+    activity.came_back("worker-1", 9, 1, 1.0)
+    activity.came_back("worker-1", 9, 0, 0.0)
     assert activity.describe([WORKER])[0].scenario == "S1"
     activity.describe([])
     assert activity.describe([WORKER]) == [WORKER]
