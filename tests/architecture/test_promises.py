@@ -11,7 +11,7 @@ from drivecal.api.http.protocol import MOST_CONNECTIONS
 from drivecal.api.live.streams import KEEPALIVE_SECONDS
 from drivecal.configuration.settings import Settings
 from drivecal.contracts.specification import ReductionSpecification
-from drivecal.execution.scheduling.batching import BatchPolicy, batch_size
+from drivecal.execution.scheduling.batching import TARGET_SECONDS, batch_size
 from drivecal.execution.scheduling.in_flight import WITNESSES
 from drivecal.execution.scheduling.refusals import PATIENCE_WITH_REFUSALS
 from drivecal.execution.scheduling.reservation import LONG_SECONDS, SMALL_SECONDS
@@ -88,7 +88,7 @@ def test_numbers_in_promises_are_those_of_the_code() -> None:
         ("loses ten workers", 10, MOST_LOSSES),
         ("if two workers", 2, WITNESSES),
         ("after half a minute", 30.0, PATIENCE_WITH_REFUSALS),
-        ("each of 0.5 s", 0.5, BatchPolicy().target_seconds),
+        ("each of 0.5 s", 0.5, TARGET_SECONDS),
         ("at most 2 s of its work", 2.0, SMALL_SECONDS),
         ("cells above 5 s", 5.0, LONG_SECONDS),
         ("At most eight campaigns", 8, LIMITS["running_campaigns"]),
@@ -105,12 +105,12 @@ def test_numbers_in_promises_are_those_of_the_code() -> None:
         assert actual == promised, text
 
 
-def test_batches_beside_a_small_campaign_are_as_short_as_promised() -> None:
+def test_batches_beside_a_small_campaign_are_as_short_as_promised(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "0.1 s with up to six workers, 0.13 s with eight, 0.5 s with 32" in PROMISES
     cost = 0.001  # of a cell: small enough that no other limit counts
-    policy = BatchPolicy(largest=10_000)
+    monkeypatch.setattr("drivecal.execution.scheduling.batching.LARGEST", 10_000)
     for workers, seconds in ((1, 0.1), (6, 0.1), (8, 0.13), (32, 0.5)):
-        assert round(batch_size(policy, cost, 1e6, workers, beside_small=True) * cost, 2) == seconds
+        assert round(batch_size(cost, 1e6, workers, beside_small=True) * cost, 2) == seconds
 
 
 def test_the_api_gives_up_on_a_database_before_it_has_to_say_so() -> None:

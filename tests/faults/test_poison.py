@@ -20,7 +20,6 @@ from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.ray.backend import RayBackend
-from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import LOSSES_TOGETHER, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.storage.engine.tables import evaluations
@@ -29,7 +28,6 @@ CAUSES = {POISON.SEGFAULT: Breakdown.CRASH, POISON.HANG: Breakdown.HANG, POISON.
 LOSSES = 5  # each takes the start of a worker; `test_resources.py` shows the ten
 RUNS = {POISON.SEGFAULT: LOSSES, POISON.HANG: ATTEMPTS, POISON.MEMORY: ATTEMPTS}
 """Ray does not tell a crash from a worker that was killed, which takes no attempt."""
-ALL_AT_ONCE = BatchPolicy(target_seconds=600, shortest_seconds=600, largest=POISON.DOSES)
 SHORTEST_DEADLINE_SECONDS = 10.0
 PATIENCE_FACTOR = 20.0
 """A cell hangs that takes this many times longer than the first one, which loads what the others find loaded."""
@@ -57,7 +55,9 @@ def test_poison_in_a_batch_of_sixteen_costs_its_own_cells(healed: RayBackend, mo
 
     monkeypatch.setattr(healed, "submit", noting)
     monkeypatch.setattr("drivecal.execution.scheduling.scheduler.MOST_LOSSES", LOSSES)
-    pool = WorkPool(healed, MemoryLeases(), policy=ALL_AT_ONCE)
+    for name in ("TARGET_SECONDS", "SHORTEST_SECONDS"):  # all at once
+        monkeypatch.setattr(f"drivecal.execution.scheduling.batching.{name}", 600.0)
+    pool = WorkPool(healed, MemoryLeases())
     setup = misbehaving_setup(function=POISON)
     begin = time.monotonic()
     pool.submit(Work(setup, [Cell(1, {"dose": 0.0})]), tag="test")  # tells what a cell costs, without which batches are of one

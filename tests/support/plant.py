@@ -9,11 +9,8 @@ from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import BatchResult, Cell, CellResult
 from drivecal.execution.backend import LONGEST_QUEUED
-from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Completed, Dispatch, Work
 from drivecal.execution.scheduling.scheduler import Scheduler
-
-TARGET = BatchPolicy().target_seconds
 
 W, V = "worker 1", "worker 2"
 
@@ -49,7 +46,7 @@ class Plant:
 
     workers: int = 1
     cost: dict[str, float] = field(default_factory=dict)
-    scheduler: Scheduler = field(default_factory=lambda: Scheduler(BatchPolicy()))
+    scheduler: Scheduler = field(default_factory=Scheduler)
     of_users: bool = False
     """True if the scenarios belong to user problems: the scheduler then queues nothing behind cells of unknown cost."""
     now: float = 0.0

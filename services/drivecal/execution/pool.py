@@ -12,7 +12,6 @@ from drivecal.execution.backend import DEADLINE_FACTOR, DEADLINE_SECONDS, Backen
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.observing import Observer, breakdowns
 from drivecal.execution.probing import Questions
-from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Completed, Dispatch, RunBudget, Work
 from drivecal.execution.scheduling.resources import Resources
 from drivecal.execution.scheduling.scheduler import Scheduler
@@ -51,25 +50,19 @@ class WorkPool:
     """Simulates cells on a backend's workers, in batches, and retries lost cells. Not thread-safe. Results are in order of arrival."""
 
     def __init__(
-        self,
-        backend: Backend,
-        leases: Leases,
-        policy: BatchPolicy | None = None,
-        clock: Callable[[], float] = time.monotonic,
-        resources: Resources | None = None,
+        self, backend: Backend, leases: Leases, clock: Callable[[], float] = time.monotonic, resources: Resources | None = None
     ) -> None:
         """Makes a pool.
 
         Args:
             backend: the workers.
             leases: leases the cells before they are sent.
-            policy: sizes of batches.
             clock: returns seconds.
             resources: licences and other scarce things, by default none.
         """
         self._backend = backend
         self._leases = leases
-        self._scheduler = Scheduler(policy or BatchPolicy(), resources)
+        self._scheduler = Scheduler(resources)
         self._clock = clock
         self._sent: dict[int, Dispatch] = {}
         self._numbers: dict[int, int] = {}
@@ -165,12 +158,8 @@ class WorkPool:
             self._take_answer(event)
             return []
         dispatch = self._sent.pop(event.batch_id, None)
-        if isinstance(event, Finished):
-            finished = self._scheduler.finished(event.batch_id, event.result)
-        else:
-            lost = event.batch_id, event.worker, event.breakdown, event.detail, event.seconds
-            blamed = None if dispatch is None else event.blamed(dispatch.breakdowns)
-            finished = self._scheduler.lost(*lost, blamed=blamed, starts=event.starts, departed=event.departed)
+        scheduler = self._scheduler
+        finished = scheduler.finished(event.batch_id, event.result) if isinstance(event, Finished) else scheduler.lost(event)
         if dispatch is None:  # it came back before, and the scheduler ignored it too
             return []
         numbers = {cell: self._numbers.pop(cell, None) for cell in dispatch.breakdowns}
@@ -256,11 +245,10 @@ class WorkPool:
         return self._scheduler.drop(dispatch.batch_id, refused)
 
     def _replace_if_needed(self, worker: str) -> None:
-        replacement = self._scheduler.replacement(worker)
-        if replacement is not None:
-            self._backend.replace(worker, replacement.fault)
-        elif self._questions.is_kept_from(worker) and self._scheduler.refusals.is_overdue(worker, [None]):
-            self._backend.replace(worker, None)
+        fault, refusals = self._scheduler.fault(worker), self._scheduler.refusals
+        gives_no_versions = self._questions.is_kept_from(worker) and refusals.is_overdue(worker, [None])
+        if fault is not None or self._scheduler.is_stuck(worker) or gives_no_versions:
+            self._backend.replace(worker, fault)
 
 
 def _unstarted(dispatch: Dispatch, event: Finished | Lost) -> dict[int, int]:

@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-from tests.support.plant import TARGET, V, W, answers, cells, ids, send
+from tests.support.plant import V, W, answers, cells, ids, send
 from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import BatchResult, CellResult
-from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.batching import TARGET_SECONDS
 from drivecal.execution.scheduling.in_flight import Dispatch, Work
 from drivecal.execution.scheduling.scheduler import MOST_PASSED_OVER, Scheduler
 from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
@@ -17,7 +17,7 @@ SMALL = 0.0001
 
 def scheduler(known: float | None = None) -> Scheduler:
     """Returns a scheduler of two workers; `known` is the cost of a cell of S1 in seconds."""
-    made = Scheduler(BatchPolicy())
+    made = Scheduler()
     made.meet([W, V])
     for worker in (W, V) if known is not None else ():
         made.add(Work(setup(), cells(1, first=999)), "before", 0)
@@ -42,7 +42,7 @@ def test_a_cell_with_earlier_breakdowns_is_sent_alone_from_the_start() -> None:
 
 
 def test_the_only_worker_is_replaced_for_a_suspect_after_others_were_let_past_it_for_a_while() -> None:
-    one = Scheduler(BatchPolicy())
+    one = Scheduler()
     one.meet([W])
     one.add(Work(setup(), cells(20 * MOST_PASSED_OVER)), "many", 0)
     first = MOST_PASSED_OVER * 20 + 1
@@ -56,7 +56,7 @@ def test_the_only_worker_is_replaced_for_a_suspect_after_others_were_let_past_it
             passed += 1
             one.finished(sent_past.batch_id, answers(sent_past, 1.0))
         assert passed == MOST_PASSED_OVER
-        assert one.replacement(worker) is not None
+        assert one.is_stuck(worker)
         one.meet([f"the next {worker}"])
         again = send(one, f"the next {worker}")
         assert ids(again) == [first + number]
@@ -88,7 +88,7 @@ def test_a_dispatch_that_was_not_sent_is_not_charged() -> None:
 
 
 def test_a_batch_of_which_everything_is_dropped_is_none_and_costs_nothing() -> None:
-    one = scheduler(TARGET)
+    one = scheduler(TARGET_SECONDS)
     one.add(Work(setup(), cells(3)), "a", 0)
     one.add(Work(setup(), cells(3, first=11)), "b", 0)
     for number in (1, 2):
@@ -111,4 +111,4 @@ def test_breakdowns_in_children_of_a_worker_say_nothing_about_the_worker() -> No
             one.finished(
                 sent.batch_id, replace(result, results=tuple(replace(each, contained=contained) for each in result.results))
             )
-        assert (one.replacement(W) is None) == contained
+        assert (one.fault(W) is None) == contained

@@ -7,11 +7,12 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
-from tests.support.plant import TARGET, Plant, answers, cells, send
+from tests.support.plant import Plant, answers, cells, send
 from tests.support.setups import bare as setup
 
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts
+from drivecal.execution.backend import Lost
+from drivecal.execution.scheduling.batching import TARGET_SECONDS, CellCosts
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Scheduler
 
@@ -46,12 +47,12 @@ def test_a_campaign_that_asked_for_nothing_neither_makes_up_for_it_nor_waits_unt
     given = dict(plant.given)
     plant.add("lazy", "S1", cells(1000, first=200_001))
     plant.run(until=120.0)
-    assert plant.given["lazy"] - given.get("lazy", 0.0) == pytest.approx(20.0, abs=3 * TARGET)
-    assert plant.given["busy"] - given["busy"] == pytest.approx(20.0, abs=3 * TARGET)
+    assert plant.given["lazy"] - given.get("lazy", 0.0) == pytest.approx(20.0, abs=3 * TARGET_SECONDS)
+    assert plant.given["busy"] - given["busy"] == pytest.approx(20.0, abs=3 * TARGET_SECONDS)
 
 
 def test_a_campaign_whose_cells_hang_pays_for_the_time_that_they_take() -> None:
-    scheduler = Scheduler(BatchPolicy())
+    scheduler = Scheduler()
     scheduler.meet(["w"])
     scheduler.add(Work(setup("S1"), cells(10)), "hangs", 0)
     scheduler.add(Work(setup("S2"), cells(1000, first=101)), "good", 0)
@@ -61,7 +62,7 @@ def test_a_campaign_whose_cells_hang_pays_for_the_time_that_they_take() -> None:
         assert sent is not None
         if sent.batch.setup.scenario == "S1":
             time["hangs"] += 60.0
-            scheduler.lost(sent.batch_id, "w", Breakdown.HANG, "it hung", seconds=60.0)
+            scheduler.lost(Lost(sent.batch_id, "w", Breakdown.HANG, "it hung", 60.0))
         else:
             time["good"] += len(sent.batch.cells)
             scheduler.finished(sent.batch_id, answers(sent, float(len(sent.batch.cells))))
@@ -69,7 +70,7 @@ def test_a_campaign_whose_cells_hang_pays_for_the_time_that_they_take() -> None:
 
 
 def test_a_campaign_whose_batches_end_in_refusals_pays_for_the_results_before_them() -> None:
-    scheduler = Scheduler(BatchPolicy())
+    scheduler = Scheduler()
     scheduler.meet(["w"])
     scheduler.add(Work(setup("S1"), cells(1000)), "refused", 0)
     scheduler.add(Work(setup("S2"), cells(1000, first=1001)), "good", 0)
@@ -81,7 +82,7 @@ def test_a_campaign_whose_batches_end_in_refusals_pays_for_the_results_before_th
         if scenario == "S1":
             result = replace(result, results=result.results[:1], refusal="no licence")
         scheduler.finished(sent.batch_id, result)
-        scheduler.refusals.ask_again("w", setup("S1").key)
+        scheduler.refusals.note("w", setup("S1").key, None)
     assert seconds["S1"] <= 11.0
 
 
@@ -147,10 +148,10 @@ def test_waiting_campaigns_differ_by_one_batch(workers: int, cost: dict[str, flo
     for number, name in enumerate(names):
         for position in range(2):
             scenario = scenarios[(number + position) % len(scenarios)]
-            enough = 30 * min(64, int(TARGET / cost[scenario]) + 1)  # batches and more
+            enough = 30 * min(64, int(TARGET_SECONDS / cost[scenario]) + 1)  # batches and more
             supply[name] += enough * cost[scenario]
             plant.add(name, scenario, cells(enough, first=100_001 + 10_000 * number + 4000 * position))
-    longest = max(TARGET, *cost.values()) + 1e-9
+    longest = max(TARGET_SECONDS, *cost.values()) + 1e-9
     for _ in range(40):
         plant.step()
         if any(plant.given[name] > supply[name] - workers * longest for name in names):

@@ -3,9 +3,9 @@
 from collections import Counter
 
 import pytest
-from tests.support.plant import TARGET, Plant, cells
+from tests.support.plant import Plant, cells
 
-from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.batching import BESIDE_SMALL_SECONDS, DISPATCH_SECONDS, TARGET_SECONDS
 
 MANY = 2_500
 """Cells of the large campaign for each worker that wait at a time."""
@@ -13,8 +13,7 @@ SMALL = 100
 """Cells of a small campaign for each worker: ten times the work that workers hold when it comes."""
 COST = {"S1": 0.05, "S2": 0.05}
 GENERATIONS, POPULATION = 4, 12
-POLICY = BatchPolicy()
-WAIT = 2 * TARGET
+WAIT = 2 * TARGET_SECONDS
 """Seconds that the cells of the first two generations wait at most for their first turn: for the running batch of a worker and the one
 behind it, which are long if they were sent before the campaign came."""
 
@@ -69,7 +68,7 @@ def seconds_of_generations(plant: Plant, tag: str, first: int) -> float:
 
 def short(workers: int) -> float:
     """Returns the seconds of a batch while a small campaign runs: dispatching takes at most half of a core."""
-    return max(POLICY.beside_small_seconds, 2 * workers * POLICY.dispatch_seconds)
+    return max(BESIDE_SMALL_SECONDS, 2 * workers * DISPATCH_SECONDS)
 
 
 @pytest.mark.faults("8-0", "8-100")
@@ -101,7 +100,7 @@ def cells_of_batches(plant: Plant, tag: str) -> set[int]:
 @pytest.mark.parametrize("workers", [1, 2, 8])
 def test_batches_are_short_beside_a_small_campaign_only(workers: int) -> None:
     """A short batch costs the dispatcher as much as a long one."""
-    long, brief = int(TARGET / COST["S1"]), int(short(workers) / COST["S1"])
+    long, brief = int(TARGET_SECONDS / COST["S1"]), int(short(workers) / COST["S1"])
     plant = warm(workers, COST)
     plant.scheduler.withdraw("first")
     plant.add("large", "S1", cells(MANY * workers))
@@ -124,7 +123,7 @@ def test_small_campaigns_shorten_no_batches_of_each_other() -> None:
     plant.scheduler.withdraw("first")
     for tag, first in (("small", 500_001), ("as small", 600_001)):
         plant.add(tag, "S2", cells(40, first=first))
-    assert max(cells_of_batches(plant, "small")) == int(TARGET / COST["S2"])
+    assert max(cells_of_batches(plant, "small")) == int(TARGET_SECONDS / COST["S2"])
 
 
 def test_a_newcomer_waits_for_one_slow_cell_at_most() -> None:
@@ -169,7 +168,7 @@ def test_slow_problems_of_many_scenarios_and_campaigns_leave_a_worker_to_quick_c
     for number in range(8):
         plant.add(f"campaign {number}", f"slow {number}", cells(20, first=1 + 100 * number))
     began = plant.now
-    assert seconds_until_done(plant, "fast") <= 40_000 * 0.02 + TARGET
+    assert seconds_until_done(plant, "fast") <= 40_000 * 0.02 + TARGET_SECONDS
     assert plant.now > began + 200.0, "slow cells had workers"
 
 
@@ -183,7 +182,7 @@ def test_a_quick_campaign_in_generations_waits_for_no_slow_cell() -> None:
         seconds_until_done(plant, "quick")
         plant.add("quick", "fast", cells(12, first=500_001 + 12 * number))
     seconds_until_done(plant, "quick")
-    assert plant.now - began <= 50 * 12 * 0.02 + TARGET
+    assert plant.now - began <= 50 * 12 * 0.02 + TARGET_SECONDS
     assert running(plant)["slow"] == 2
 
 

@@ -14,8 +14,8 @@ from tests.support.setups import bare
 
 from drivecal.contracts.work import BatchResult, SetupRequest
 from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.backend import Lost
 from drivecal.execution.pool import WorkPool
-from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Completed, Work
 from drivecal.execution.scheduling.resources import KEPT_SECONDS, Resources
 from drivecal.execution.scheduling.scheduler import MOST_LOSSES, Scheduler
@@ -29,7 +29,7 @@ def licensed(scenario: str = "S1", count: int = 1, *, keeps: bool = False) -> Se
 
 
 def scheduler(total: dict[str, int], **options: float) -> Scheduler:
-    made = Scheduler(BatchPolicy(), Resources(total, **options))
+    made = Scheduler(Resources(total, **options))
     made.meet([W, V], 0.0)
     return made
 
@@ -202,7 +202,7 @@ def test_workers_that_leave_take_no_attempt_until_a_cell_lost_many_alone() -> No
     for number in range(1, 100):
         sent = send(one)
         assert sent.alone == (number > 2)
-        done = one.lost(sent.batch_id, W, Breakdown.CRASH, "it was killed", departed=True)
+        done = one.lost(Lost(sent.batch_id, W, Breakdown.CRASH, "it was killed", departed=True))
         if done:
             break
     assert number == MOST_LOSSES

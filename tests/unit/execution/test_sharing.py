@@ -10,13 +10,12 @@ from tests.support.plant import Plant, V, W, answers, cells, ids, send
 from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import Cell, SetupRequest
-from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Completed, Dispatch, Work
 from drivecal.execution.scheduling.scheduler import Scheduler
 
 
 def scheduler() -> Scheduler:
-    made = Scheduler(BatchPolicy())
+    made = Scheduler()
     made.meet([W, V])
     return made
 

@@ -17,7 +17,7 @@ from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import BatchResult, Cell, CellResult
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.backend import Lost
 from drivecal.execution.scheduling.in_flight import WITNESSES, Completed, Dispatch, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, Scheduler
 
@@ -91,7 +91,7 @@ class Turmoil(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.now = 0.0
-        self.scheduler = Scheduler(BatchPolicy())
+        self.scheduler = Scheduler()
         self.places = [Place(number) for number in range(PLACES)]
         self.rows: dict[int, Row] = {}
         self.paused: list[Row] = []
@@ -166,7 +166,7 @@ class Turmoil(RuleBasedStateMachine):
         place = data.draw(st.sampled_from(self._busy()))
         sent = self._take_first(place)
         if unreadable:
-            completed = self.scheduler.lost(sent.batch_id, place.name, Breakdown.ERROR, "it speaks in tongues")
+            completed = self.scheduler.lost(Lost(sent.batch_id, place.name, Breakdown.ERROR, "it speaks in tongues"))
         else:
             results = tuple(broken_result(cell, Breakdown.ERROR) for cell in sent.batch.cells)
             completed = self.scheduler.finished(sent.batch_id, BatchResult(place.name, results, 0.1))
@@ -187,7 +187,7 @@ class Turmoil(RuleBasedStateMachine):
         """The result of a batch that was lost, or came back before, changes nothing."""
         sent, result = data.draw(st.sampled_from(self.returned))
         assert self.scheduler.finished(sent.batch_id, result) == []
-        assert self.scheduler.lost(sent.batch_id, sent.worker, Breakdown.CRASH, "it died long ago") == []
+        assert self.scheduler.lost(Lost(sent.batch_id, sent.worker, Breakdown.CRASH, "it died long ago")) == []
 
     @rule(tag=st.sampled_from(TAGS), pause=st.booleans())
     def withdraw(self, tag: str, pause: bool) -> None:
@@ -218,7 +218,7 @@ class Turmoil(RuleBasedStateMachine):
     def restart(self) -> None:
         """The dispatcher dies and takes its workers along. The next one reads what was written down."""
         self.since_restart = 0
-        self.scheduler = Scheduler(BatchPolicy())
+        self.scheduler = Scheduler()
         self.returned.clear()
         for place in self.places:
             place.batches.clear()
@@ -293,7 +293,7 @@ class Turmoil(RuleBasedStateMachine):
         sent = self.scheduler.next_batch(place.name, idle=not place.batches)
         if sent is not None:
             self._check_dispatch(place, sent)
-        elif not place.batches and self.scheduler.replacement(place.name) is not None:
+        elif not place.batches and (self.scheduler.fault(place.name) or self.scheduler.is_stuck(place.name)):
             self._replace(place)
         return sent
 
@@ -361,7 +361,7 @@ class Turmoil(RuleBasedStateMachine):
         name = place.name
         while place.batches:
             sent = self._take_first(place)
-            completed = self.scheduler.lost(sent.batch_id, name, breakdown, "it died", seconds=1.0)
+            completed = self.scheduler.lost(Lost(sent.batch_id, name, breakdown, "it died", seconds=1.0))
             blame = {
                 cell.id: (breakdown, "outside" if poison is None else "itself" if cell.id == poison else "a neighbour")
                 for cell in sent.batch.cells

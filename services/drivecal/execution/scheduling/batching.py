@@ -3,27 +3,20 @@
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TypeVar
 
 from drivecal.contracts.work import Kind, SetupKey
 
-
-@dataclass(frozen=True, slots=True)
-class BatchPolicy:
-    """Target sizes. Batches of 0.5 s for two workers cost the dispatcher less than 2 % of two cores."""
-
-    target_seconds: float = 0.5
-    beside_small_seconds: float = 0.1
-    """Target while a small campaign runs, which waits for running batches in each generation. With many workers, the target is longer."""
-    dispatch_seconds: float = 0.008
-    """The dispatcher's time for a batch without its cells. While a small campaign runs, batches may take half a core of the dispatcher."""
-    shortest_seconds: float = 0.04
-    """Batches shrink to this towards the end of the queue."""
-    largest: int = 128
-    """Cells per batch."""
-
-
+TARGET_SECONDS = 0.5
+"""Time of a batch. For two workers, such batches cost the dispatcher less than 2 % of two cores."""
+BESIDE_SMALL_SECONDS = 0.1
+"""The same while a small campaign runs, which waits for running batches in each generation. With many workers, it is longer."""
+DISPATCH_SECONDS = 0.008
+"""The dispatcher's time for a batch without its cells. While a small campaign runs, batches may take half a core of the dispatcher."""
+SHORTEST_SECONDS = 0.04
+"""Batches shrink to this towards the end of the queue."""
+LARGEST = 128
+"""Cells per batch."""
 MOST_SETUPS = 1_000
 """Setups with remembered costs; a study of vehicle parameters uses hundreds."""
 K = TypeVar("K")
@@ -74,15 +67,13 @@ def _note(known: dict[K, V], key: K, value: V) -> None:
         del known[next(iter(known))]
 
 
-def batch_size(
-    policy: BatchPolicy, seconds_per_cell: float | None, waiting_seconds: float, workers: int, *, beside_small: bool = False
-) -> int:
+def batch_size(seconds_per_cell: float | None, waiting_seconds: float, workers: int, *, beside_small: bool) -> int:
     """Returns the size of the next batch: the target's seconds of work, at most half a worker's share of the waiting work (guided
     self-scheduling), and a single cell before the first measurement. `beside_small`: a small campaign needs workers as well."""
     if seconds_per_cell is None:
         return 1
-    target = policy.target_seconds
+    target = TARGET_SECONDS
     if beside_small:
-        target = min(target, max(policy.beside_small_seconds, 2 * workers * policy.dispatch_seconds))
-    share = max(waiting_seconds / (2 * max(workers, 1)), policy.shortest_seconds)
-    return max(1, min(math.floor(min(target, share) / seconds_per_cell), policy.largest))
+        target = min(target, max(BESIDE_SMALL_SECONDS, 2 * workers * DISPATCH_SECONDS))
+    share = max(waiting_seconds / (2 * max(workers, 1)), SHORTEST_SECONDS)
+    return max(1, min(math.floor(min(target, share) / seconds_per_cell), LARGEST))

@@ -206,10 +206,3 @@ class Dispatch:
     alone: bool
     breakdowns: Mapping[int, int]
     """Breakdowns so far of the batch's cells, by id."""
-
-
-@dataclass(frozen=True, slots=True)
-class Replacement:
-    """A worker to replace; see `Backend.replace`."""
-
-    fault: str | None

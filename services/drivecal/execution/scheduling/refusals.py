@@ -97,16 +97,13 @@ class Refusals:
         """Returns the workers that refused a setup, and were not asked again since."""
         return [worker for worker, refusal in self._by_setup.get(setup, {}).items() if not refusal.is_asked]
 
-    def ask_again(self, worker: str, setup: SetupKey | None) -> None:
-        """Lets a worker try a setup again that it refused; the reason is shown until it answers."""
-        self._by_setup[setup][worker].is_asked = True
-
     def ask_busy(self, idle: Collection[str]) -> None:
-        """Lets busy workers try setups again that they refused long ago. Idle workers are replaced, which finds more that was mended."""
+        """Lets busy workers try setups again that they refused long ago. The reasons are shown until they answer. Idle workers are
+        replaced, which finds more that was mended."""
         for setup, refusing in self._by_setup.items():
             for worker, refusal in refusing.items() if setup is not None else ():
                 if worker in self._nodes and worker not in idle and self.now >= refusal.ask_at:
-                    self.ask_again(worker, setup)
+                    refusal.is_asked = True
 
     def is_overdue(self, worker: str, setups: Iterable[SetupKey | None]) -> bool:
         """Returns whether a worker has refused one of the setups for long."""

@@ -20,18 +20,10 @@ from drivecal.cluster import tracing
 from drivecal.contracts.inventory import ResourceAnswer
 from drivecal.contracts.work import Batch, BatchResult, CellResult, SetupKey, SetupRequest
 from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.backend import Lost
 from drivecal.execution.scheduling.affinity import SetupAffinity
-from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, batch_size
-from drivecal.execution.scheduling.in_flight import (
-    WITNESSES,
-    Claim,
-    Completed,
-    Dispatch,
-    InFlightCells,
-    Replacement,
-    RunBudget,
-    Work,
-)
+from drivecal.execution.scheduling.batching import TARGET_SECONDS, CellCosts, batch_size
+from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, Completed, Dispatch, InFlightCells, RunBudget, Work
 from drivecal.execution.scheduling.queue import ClaimGroup, FairQueue, Line
 from drivecal.execution.scheduling.refusals import Refusals
 from drivecal.execution.scheduling.reservation import Reservation
@@ -61,9 +53,8 @@ class _Sent:
 class Scheduler:
     """Completes every added cell exactly once, unless it is withdrawn before it is sent or while it is lost."""
 
-    def __init__(self, policy: BatchPolicy, resources: Resources | None = None) -> None:
+    def __init__(self, resources: Resources | None = None) -> None:
         """`resources`: the scarce things of the server, by default none."""
-        self._policy = policy
         self._resources = resources or Resources({})
         self._is_scarce = False
         """True once a setup needed resources, or was busy."""
@@ -124,7 +115,7 @@ class Scheduler:
         """Returns the batch for a free slot of a worker, or None. A suspect is sent alone and never behind a running batch; until then its
         worker gets nothing. A worker to be replaced gets nothing either. A worker with resources closes their setup before another.
         Resources that a campaign lacks when its turn comes are kept for it: it would wait for a second licence for ever."""
-        if self._worker_health.fault(worker) is not None:
+        if self.fault(worker) is not None:
             return None
         only_short = False
         self._resources.kept_back = set()
@@ -185,12 +176,14 @@ class Scheduler:
         changed, self._changed = self._changed, {}
         return changed
 
-    def replacement(self, worker: str) -> Replacement | None:
-        """Returns how to replace an idle worker without a batch: it never has results, no other can try a cell that broke down at it, or it
-        has refused waiting cells for long."""
-        fault = self._worker_health.fault(worker)
-        is_needed = fault is not None or self._is_alone(worker) or self.refusals.is_overdue(worker, self._queue.setups())
-        return Replacement(fault) if is_needed else None
+    def fault(self, worker: str) -> str | None:
+        """Returns the reason to replace a worker that never has results, or None."""
+        return self._worker_health.fault(worker)
+
+    def is_stuck(self, worker: str) -> bool:
+        """Returns whether an idle worker keeps cells waiting: no other can try a cell that broke down at it, or it has refused waiting
+        cells for long."""
+        return self._is_alone(worker) or self.refusals.is_overdue(worker, self._queue.setups())
 
     def hopeless(self, tag: str) -> str | None:
         """Returns the reasons if no worker will run a setup of `tag`, else None."""
@@ -245,52 +238,32 @@ class Scheduler:
                 completed += self._broke_down(leader, answer, result.worker, alone=sent.alone)
         return completed
 
-    def lost(
-        self,
-        batch_id: int,
-        worker: str,
-        breakdown: Breakdown,
-        detail: str,
-        seconds: float | None = None,
-        *,
-        blamed: Collection[int] | None = None,
-        starts: Mapping[int, int] | None = None,
-        departed: bool = False,
-    ) -> list[Completed]:
-        """Takes the loss of a batch: the blamed cells are tried again one by one, and fail without attempts left,
-        or without a budget for another one.
-
-        Args:
-            batch_id: number of the batch.
-            worker: name of its worker.
-            breakdown: `ERROR` if the worker lives, else the cause of its end.
-            detail: the cause in words.
-            seconds: the worker's time, if known, which is charged to the campaign.
-            blamed: cells that may have ended the worker, by default all.
-            starts: starts of the simulator by cell, if known; a cell without any takes nothing from a budget.
-            departed: the worker left: that takes no attempt from the cells.
-        """
-        if breakdown is not Breakdown.ERROR:
+    def lost(self, event: Lost) -> list[Completed]:
+        """Takes the loss of a batch: the blamed cells are tried again one by one, and fail without attempts left, or without a budget for
+        another one. A cell without a start takes nothing from a budget. The breakdown is `ERROR` if the worker lives."""
+        worker = event.worker
+        if event.breakdown is not Breakdown.ERROR:
             self._resources.leave(worker)
-        sent = self._sent.pop(batch_id, None)
+        sent = self._sent.pop(event.batch_id, None)
         if sent is None:
-            self._is_closed(batch_id, done=False)
+            self._is_closed(event.batch_id, done=False)
             return []
         self._resources.end(worker, sent.leaders[0].simulation.setup)
-        self._charge(sent, sent.charged if seconds is None else seconds)
+        self._charge(sent, sent.charged if event.seconds is None else event.seconds)
         self._affinity.came_back(sent.leaders[0].simulation.key, failed=True)
-        answers = [(leader, _broken(leader, breakdown, detail)) for leader in sent.leaders]
-        if breakdown is not Breakdown.ERROR:  # the worker is gone as well
+        answers = [(leader, _broken(leader, event.breakdown, event.detail)) for leader in sent.leaders]
+        if event.breakdown is not Breakdown.ERROR:  # the worker is gone as well
             completed: list[Completed] = []
+            blamed = event.blamed([leader.cell.id for leader in sent.leaders])
             for leader, answer in answers:
-                is_blamed = blamed is None or leader.cell.id in blamed
-                if departed or not is_blamed:
+                is_blamed = leader.cell.id in blamed
+                if event.departed or not is_blamed:
                     completed += self._after_departure(leader, answer, worker, alone=sent.alone, blamed=is_blamed)
                 else:
-                    begun = starts is None or leader.cell.id in starts
+                    begun = event.starts is None or leader.cell.id in event.starts
                     completed += self._again_or_failed(leader, answer, worker, alone=sent.alone, begun=begun)
             return completed
-        self._worker_health.failed(worker, detail)
+        self._worker_health.failed(worker, event.detail)
         return [done for answer in answers for done in self._broke_down(*answer, worker, alone=sent.alone)]
 
     def withdraw(self, tag: str) -> int:
@@ -416,7 +389,7 @@ class Scheduler:
 
     def _to_do(self, group: ClaimGroup) -> float:
         cost = self._costs.seconds_per_cell(group.setup)
-        return group.waiting * (self._policy.target_seconds if cost is None else cost)
+        return group.waiting * (TARGET_SECONDS if cost is None else cost)
 
     def _size(self, worker: str, group: ClaimGroup) -> int:
         if self._worker_health.on_probation(worker) or self._affinity.is_fruitless(group.setup):
@@ -425,7 +398,7 @@ class Scheduler:
         waiting = self._costs.seconds(self._queue.simulations(group.line.priority))
         workers = self._worker_health.ready
         beside_small = self._reservation.is_beside_small(group.line, workers)
-        return batch_size(self._policy, cost, waiting, workers, beside_small=beside_small)
+        return batch_size(cost, waiting, workers, beside_small=beside_small)
 
     def _dispatch(self, worker: str, group: ClaimGroup, most: int) -> Dispatch:
         sent = _Sent(worker, group.line, self._queue.take(group, most), alone=group.avoid is not None)
@@ -443,7 +416,7 @@ class Scheduler:
         first = sent.leaders[0].simulation
         cost = self._costs.seconds_per_cell(first.key)
         expected = None if cost is None else cost * len(sent.leaders)
-        self._charge(sent, self._policy.target_seconds if expected is None else expected)
+        self._charge(sent, TARGET_SECONDS if expected is None else expected)
         campaign = tracing.root(sent.line.tag)
         trace = None if campaign is None else tracing.child(campaign)
         batch = Batch(first.setup, tuple(leader.cell for leader in sent.leaders), trace=trace)
