@@ -68,13 +68,13 @@ def is_stored(connection: Connection, digest: str) -> bool:
 
 def by_digest(connection: Connection, digest: str) -> StoredBundle:
     """Returns a bundle by its digest. Raises NotFoundError."""
-    return _only(connection, bundles.c.digest == bindparam("given"), digest, possible=_DIGEST.fullmatch(digest) is not None)
+    return _only(connection, bundles.c.digest == bindparam("given"), digest)
 
 
 def by_name(connection: Connection, name: str) -> StoredBundle:
     """Returns the bundle that a name means. Raises NotFoundError."""
     try:
-        return _only(connection, (bundles.c.name == bindparam("given")) & _latest, name, possible=name.isprintable())
+        return _only(connection, (bundles.c.name == bindparam("given")) & _latest, name)
     except NotFoundError as error:
         names = connection.scalars(select(bundles.c.name).where(_latest).order_by(bundles.c.pushed.desc()).limit(MOST_NAMES))
         close = get_close_matches(name, names.all(), n=1)
@@ -95,12 +95,8 @@ def manifests(connection: Connection, name: str) -> dict[str, Mapping[str, Any]]
 
 def archive(connection: Connection, digest: str) -> bytes:
     """Returns the archive of a bundle. Raises NotFoundError."""
-    content = (
-        connection.scalar(select(bundles.c.archive).where(bundles.c.digest == digest)) if _DIGEST.fullmatch(digest) else None
-    )
-    if content is None:
-        raise NotFoundError(KIND, digest)
-    return bytes(content)
+    by_digest(connection, digest)
+    return bytes(connection.scalars(select(bundles.c.archive).where(bundles.c.digest == digest)).one())
 
 
 def listing(
@@ -117,10 +113,10 @@ def listing(
     return [record(BundleHeading, row) for row in rows], following
 
 
-def _only(connection: Connection, condition: ColumnElement[bool], given: str, *, possible: bool) -> StoredBundle:
+def _only(connection: Connection, condition: ColumnElement[bool], given: str) -> StoredBundle:
     """Returns the bundle of a condition on `given`. Anything may come in a URL: PostgreSQL refuses to compare a NUL."""
     query: Select[Any] = select(*_HEADING, bundles.c.manifest, _latest.label("latest")).where(condition)
-    row = connection.execute(query, {"given": given}).one_or_none() if possible else None
+    row = connection.execute(query, {"given": given}).one_or_none() if given.isprintable() else None
     if row is None:
         raise NotFoundError(KIND, given)
     return record(StoredBundle, row)
