@@ -7,7 +7,7 @@ campaign's evaluator: the evaluation that made the run may have been rated by an
 from collections import Counter
 from collections.abc import Sequence
 
-from sqlalchemy import ColumnElement, Connection, FromClause, case, func, select, update
+from sqlalchemy import Connection, FromClause, case, func, select, update
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Donor, Outcome
@@ -41,9 +41,11 @@ def settle(
 def count(connection: Connection, campaign_sequence: int, evaluator: str, scale: Scale = COMFORT) -> list[AuditCount]:
     """Returns the audit of a campaign so far, by scenario: simulated scores against the donors' scores, if these are
     known."""
-    return _by_scenario(
-        connection, scale, _audited(evaluator), evaluations.c.campaign_sequence == campaign_sequence, *_COMPARED
-    )
+    scenario, different, wrong = evaluations.c.scenario, scale.rounding < _CHANGE, scale.largest_agreeing < _CHANGE
+    counts = func.count(), func.count(case((different, 1))), func.count(case((wrong, 1)))
+    compared = evaluations.c.campaign_sequence == campaign_sequence, *_SETTLED, _TRUSTED.is_not(None)
+    query = select(scenario, *counts).select_from(_audited(evaluator)).where(*compared).group_by(scenario).order_by(scenario)
+    return [AuditCount(*row) for row in connection.execute(query)]
 
 
 def wrong_in_lots(
@@ -133,20 +135,6 @@ _OWN = _donor.c.campaign_sequence == evaluations.c.campaign_sequence
 _TRUSTED = case((_OWN, _donor.c.score), else_=_trusted.c.score)
 _CHANGE = func.abs(evaluations.c.score - _TRUSTED)
 _SETTLED = AUDITED, evaluations.c.outcome == Outcome.SIMULATED
-_COMPARED = *_SETTLED, _TRUSTED.is_not(None)
-"""Audited cells whose donor has a score; without one, there is nothing to compare."""
-
-
-def _changes(scale: Scale) -> tuple[ColumnElement[int], ...]:
-    """Returns the compared, different and wrong cells."""
-    different, wrong = scale.rounding < _CHANGE, scale.largest_agreeing < _CHANGE
-    return func.count(), func.count(case((different, 1))), func.count(case((wrong, 1)))
-
-
-def _by_scenario(connection: Connection, scale: Scale, cells: FromClause, *conditions: ColumnElement[bool]) -> list[AuditCount]:
-    scenario = evaluations.c.scenario
-    query = select(scenario, *_changes(scale)).select_from(cells).where(*conditions).group_by(scenario).order_by(scenario)
-    return [AuditCount(*row) for row in connection.execute(query)]
 
 
 def _audited(evaluator: str) -> FromClause:
