@@ -73,18 +73,17 @@ _UP = "1 if the database answers; else 0, and metrics read from it are left out"
 
 
 def _of_database(totals: Statistics) -> Iterator[Any]:
-    sums = totals.sums
     campaigns = GaugeMetricFamily("drivecal_campaigns", "Campaigns and single evaluations by state", labels=["kind", "state"])
     for kind in ("calibration", "evaluation"):
         for state in CampaignState:
-            campaigns.add_metric([kind, state.value], sums.campaigns[CampaignKey(kind, state)])
+            campaigns.add_metric([kind, state.value], totals.campaigns[CampaignKey(kind, state)])
     yield campaigns
     cells = CounterMetricFamily("drivecal_cells", "Answered cells of all campaigns", labels=["stage", "outcome"])
     pending = GaugeMetricFamily("drivecal_cells_pending", "Cells of open campaigns without an answer", labels=["stage"])
     for stage in (*StageName, "evaluation"):
         for outcome in Outcome:
-            cells.add_metric([stage, outcome.value], sums.cells[CellKey(stage, outcome)])
-        pending.add_metric([stage], sums.pending[stage])
+            cells.add_metric([stage, outcome.value], totals.cells[CellKey(stage, outcome)])
+        pending.add_metric([stage], totals.pending[stage])
     yield cells
     yield pending
     waiting = GaugeMetricFamily("drivecal_campaigns_waiting", "Campaigns that wait, by what they wait for", labels=["for"])
@@ -94,7 +93,7 @@ def _of_database(totals: Statistics) -> Iterator[Any]:
     yield GaugeMetricFamily("drivecal_leases", "Cells that are at workers", totals.leases)
     newest = "Number of the newest run in the reference table: how many there are, or on PostgreSQL a little more"
     yield GaugeMetricFamily("drivecal_reference_runs", newest, totals.largest_run)
-    yield CounterMetricFamily("drivecal_simulating_seconds", "CPU time of all simulations", sums.simulating_seconds)
+    yield CounterMetricFamily("drivecal_simulating_seconds", "CPU time of all simulations", totals.simulating_seconds)
 
 
 def _of_dispatcher(dispatcher: StoredProcess | None) -> Iterator[Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from sqlalchemy import JSON, Connection, case, func, select, type_coerce
@@ -35,26 +35,20 @@ class CellKey(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Sums:
-    """Sums over campaigns: their number, cells by outcome, waiting cells, and seconds of their simulations."""
-
-    campaigns: Counter[CampaignKey] = field(default_factory=Counter)
-    cells: Counter[CellKey] = field(default_factory=Counter)
-    pending: Counter[str] = field(default_factory=Counter)
-    simulating_seconds: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
 class Statistics:
-    """Statistics of the whole database at one moment."""
+    """Statistics of the whole database at one moment: sums over campaigns are their number, cells by outcome, waiting cells by stage, and
+    seconds of their simulations."""
 
-    sums: Sums
+    campaigns: Counter[CampaignKey]
+    cells: Counter[CellKey]
+    pending: Counter[str]
+    simulating_seconds: float
     leases: int
     """Cells at workers."""
     largest_run: int
     """The number of the newest run in the reference table: how many there are, or, on PostgreSQL, a little more."""
     dispatcher: StoredProcess | None
-    waiting: Mapping[str, int] = field(default_factory=dict)
+    waiting: Mapping[str, int]
     """Campaigns that wait by what they wait for: a place, resources or workers for their cells, or sets of another program."""
 
 
@@ -67,27 +61,24 @@ def read(connection: Connection) -> Statistics:
         current = (leases_table.c.term == dispatcher.term) & (leases_table.c.expires_at != leases.OVER)
         out = connection.scalar(select(func.count()).select_from(leases_table).where(current)) or 0
     waiting = Counter(_awaited(state, reason) for *_, state, reason in waits(connection))
-    return Statistics(_sums(connection), out, runs.largest_id(connection), dispatcher, waiting)
+    table, by_state = campaigns.c, Counter[CampaignKey]()
+    cells, pending, seconds = Counter[CellKey](), Counter[str](), 0.0
+    query = select(table.kind, table.state, func.count(), func.sum(table.simulating_seconds)).group_by(table.kind, table.state)
+    for kind, state, count, simulated in connection.execute(query):
+        by_state[CampaignKey(kind, state)] = count
+        seconds += simulated
+    counts = type_coerce(campaign_stages.c.cells, JSON)
+    by_outcome = [func.sum(counts[outcome].as_integer()) for outcome in Outcome]
+    waits_for = func.sum(case((table.ended_at.is_(None), counts["pending"].as_integer()), else_=0))
+    by_stage = select(table.kind, campaign_stages.c.stage, waits_for, *by_outcome).join_from(campaign_stages, campaigns)
+    for kind, stage, without_answer, *sums in connection.execute(by_stage.group_by(table.kind, campaign_stages.c.stage)):
+        name = stage if kind == "calibration" else kind
+        pending[name] = without_answer
+        cells.update({CellKey(name, outcome): count for outcome, count in zip(Outcome, sums, strict=True)})
+    return Statistics(by_state, cells, pending, seconds, out, runs.largest_id(connection), dispatcher, waiting)
 
 
 def _awaited(state: CampaignState, reason: str) -> str:
     if reason == AWAITED:
         return "sets"
     return "place" if state in {CampaignState.QUEUED, CampaignState.PAUSED} else "cells"
-
-
-def _sums(connection: Connection) -> Sums:
-    table, cells = campaigns.c, type_coerce(campaign_stages.c.cells, JSON)
-    sums, seconds = Sums(), 0.0
-    query = select(table.kind, table.state, func.count(), func.sum(table.simulating_seconds)).group_by(table.kind, table.state)
-    for kind, state, number, simulated in connection.execute(query):
-        sums.campaigns[CampaignKey(kind, state)] = number
-        seconds += simulated
-    by_outcome = [func.sum(cells[outcome].as_integer()) for outcome in Outcome]
-    pending = func.sum(case((table.ended_at.is_(None), cells["pending"].as_integer()), else_=0))
-    by_stage = select(table.kind, campaign_stages.c.stage, pending, *by_outcome).join_from(campaign_stages, campaigns)
-    for kind, stage, waiting, *counts in connection.execute(by_stage.group_by(table.kind, campaign_stages.c.stage)):
-        name = stage if kind == "calibration" else kind
-        sums.pending[name] = waiting
-        sums.cells.update({CellKey(name, outcome): count for outcome, count in zip(Outcome, counts, strict=True)})
-    return replace(sums, simulating_seconds=seconds)
