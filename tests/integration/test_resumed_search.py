@@ -18,7 +18,7 @@ from drivecal.storage.engine.database import Database, Patience
 from drivecal.storage.engine.tables import evaluations, generations
 
 SEARCH = {"kind": "cma_es", "population": 8, "iterations": 6, "seed": 3}
-IMPATIENT = Patience(lock=0.05, connect=1, statement=None, watched=False)
+IMPATIENT = Patience(lock=0.05, connect=1, statement=None)
 
 
 def _rows(database: Database, campaign: StoredCampaign) -> list[Any]:

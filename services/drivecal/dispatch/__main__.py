@@ -23,7 +23,7 @@ from drivecal.configuration.settings import Settings, load_settings
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Heartbeat, Leadership
 from drivecal.dispatch.webhook import Webhook
-from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableError
+from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.execution.backend import BackendLostError
 from drivecal.execution.pool import Leases, WorkPool
 from drivecal.execution.scheduling.resources import Resources
@@ -140,12 +140,7 @@ def _archive(database: Database, digest: str) -> bytes:
 
 
 def _take_lock(database: Database, settings: Settings, server: int | None) -> server_lock.ServerLock:
-    try:
-        database.check()
-    except DatabaseError as error:
-        if isinstance(error.__cause__, UnavailableError):  # an outage, not a mistake: to be waited for
-            raise error.__cause__ from None
-        raise
+    database.check()
     return server_lock.hold(settings.database_url, server=server)
 
 

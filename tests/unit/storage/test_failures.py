@@ -30,7 +30,7 @@ def wrapped(error: Exception) -> DBAPIError:
         (
             psycopg.OperationalError("server closed\nthe connection"),
             UnavailableError,
-            "the file does not answer: server closed$",
+            "the file does not answer: server closed; check",
         ),
         (psycopg.errors.LockNotAvailable("no"), UnavailableError, "another transaction holds"),
         (psycopg.errors.QueryCanceled("no"), UnavailableError, "took longer than it may"),

@@ -13,7 +13,7 @@ import pytest
 from drivecal.domain.errors import UnavailableError
 from drivecal.storage.engine.database import PATIENT, Database, Patience
 
-IMPATIENT = Patience(lock=0.1, connect=1, statement=None, watched=False)
+IMPATIENT = Patience(lock=0.1, connect=1, statement=None)
 
 
 def opened(file: Path, patience: Patience = PATIENT) -> Database:

@@ -33,18 +33,16 @@ class Patience:
     connect: int
     """Limit for a new connection."""
     statement: int | None
-    """Limit for one statement; None: no limit."""
-    watched: bool
-    """True to notice within seconds a server that accepts connections and does not answer; see `answering`."""
+    """Limit for one statement; None: no limit. With one, a server that does not answer is noticed within seconds (`failures`)."""
     cache: int = 64
     """Largest memory for pages of an SQLite file, MB."""
 
 
-PATIENT = Patience(lock=30, connect=5, statement=None, watched=False)
+PATIENT = Patience(lock=30, connect=5, statement=None)
 """Limits for background work: it waits for an outage to end, and a statement may take long."""
 LASTING = replace(PATIENT, cache=16)
 """The same for a process that lives for months. More pages would help it little: SQLite drops them all when another process writes."""
-PROMPT = Patience(lock=4, connect=2, statement=30, watched=True, cache=16)
+PROMPT = Patience(lock=4, connect=2, statement=30, cache=16)
 """Limits for requests, for which a client waits. They read little, and by many connections."""
 QUEUE_SECONDS = 0.003
 """Pause between two looks whether another process has begun to write."""
@@ -216,9 +214,9 @@ class Database:
     def upgrade(self) -> None:
         """Creates the database or brings it to this drivecal's revision. Safe when several processes do it at once.
 
-        Raises DatabaseError as `check`, except for a missing or older schema.
+        Raises DatabaseError and UnavailableError as `check`, except for a missing or older schema.
         """
-        with self._plain_errors():
+        with translated(self.name):
             schema.prepare_file(self.url)
             with self._engine.connect() as connection:
                 schema.refuse_foreign(connection, self.name)
@@ -227,8 +225,8 @@ class Database:
                 schema.upgrade(connection, self.name)
 
     def check(self) -> None:
-        """Raises DatabaseError with a remedy if drivecal cannot work with this database."""
-        with self._plain_errors():
+        """Raises DatabaseError with a remedy if drivecal cannot work with this database, and UnavailableError if it does not answer."""
+        with translated(self.name):
             schema.refuse_missing(self.url)
             with self._engine.connect() as connection:
                 schema.refuse_foreign(connection, self.name)
@@ -240,14 +238,6 @@ class Database:
 
     def _turn(self) -> AbstractContextManager[float]:
         return nullcontext(0.0) if self._turns is None else self._turns.take()
-
-    @contextmanager
-    def _plain_errors(self) -> Iterator[None]:
-        try:
-            with translated(self.name):
-                yield
-        except UnavailableError as error:
-            raise DatabaseError(f"{error}; check the URL and that the server runs") from error
 
 
 def make_engine(url: URL, patience: Patience = PATIENT) -> Engine:
@@ -271,7 +261,7 @@ def make_engine(url: URL, patience: Patience = PATIENT) -> Engine:
         event.listen(engine, "connect", partial(_prepare_sqlite, patience))
         event.listen(engine, "begin", partial(_begin_sqlite, patience.lock))
         return engine
-    if patience.watched:
+    if patience.statement is not None:
         watch = ServerLiveness(urls.shown(url))
         event.listen(engine, "do_connect", lambda _dialect, _record, given, options: watch.connect(*given, **options))
     event.listen(engine, "connect", partial(_prepare_postgresql, patience))

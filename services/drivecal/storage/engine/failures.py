@@ -66,7 +66,7 @@ def _translate(error: BaseException | None, database: str) -> DrivecalError | No
         return UnavailableError(f"the database {database} ended the transaction: {error}")
     if isinstance(error, psycopg.OperationalError | psycopg.InterfaceError):
         lines = str(error).splitlines() or [type(error).__name__]
-        return UnavailableError(f"the database {database} does not answer: {lines[0]}")
+        return UnavailableError(f"the database {database} does not answer: {lines[0]}; check the URL and that the server runs")
     return None
 
 
