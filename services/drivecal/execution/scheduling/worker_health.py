@@ -5,7 +5,6 @@ that it spoilt. So the report of a single worker never suffices, a worker with r
 that never has results is replaced.
 """
 
-from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -54,8 +53,6 @@ class WorkerHealth:
         self._refusals = refusals
         self._ready: frozenset[str] = frozenset()
         self._shown: dict[str, _Shown] = {}
-        self._trusted: Counter[Trust] = Counter()
-        """Number of ready workers by trust."""
 
     @property
     def ready(self) -> int:
@@ -64,43 +61,41 @@ class WorkerHealth:
 
     def meet(self, ready: Sequence[str]) -> None:
         """Notes which workers have started. Records of the others are forgotten."""
-        if self._ready == (now := frozenset(ready)):
-            return
-        self._ready = now
-        self._shown = {worker: shown for worker, shown in self._shown.items() if worker in now}
-        self._trusted = Counter(map(self._trust, now))
+        if self._ready != (now := frozenset(ready)):
+            self._ready = now
+            self._shown = {worker: shown for worker, shown in self._shown.items() if worker in now}
 
     def answered(self, worker: str, result: BatchResult) -> None:
         """Notes the result of a batch."""
         if any(answer.breakdown is None or answer.contained for answer in result.results):
-            self._note(worker, _Shown(proven=True))
+            self._shown[worker] = _Shown(proven=True)
         elif result.refusal is None and result.busy is None:
             self.failed(worker, (result.results[-1].detail if result.results else None) or "it says nothing")
 
     def failed(self, worker: str, detail: str) -> None:
         """Notes a whole batch without a result."""
         shown = self._shown.get(worker, _NOTHING)
-        self._note(worker, _Shown(shown.proven, shown.without_result + 1, detail))
+        self._shown[worker] = _Shown(shown.proven, shown.without_result + 1, detail)
 
     def confirmed(self, workers: Iterable[str]) -> None:
         """Notes workers that broke down at the same cell: the cell is to blame."""
         for worker in workers:
-            self._note(worker, _Shown(self._shown.get(worker, _NOTHING).proven))
+            self._shown[worker] = _Shown(self._shown.get(worker, _NOTHING).proven)
 
     def may_try(self, worker: str, setup: SetupKey, avoid: Collection[str]) -> bool:
         """Returns whether this worker may try a cell that broke down at the workers in `avoid`: only the most trusted other workers may."""
         if worker not in self._ready or worker in avoid or worker in self._refusals.refusing(setup):
             return False
         own = self._trust(worker)
-        return not avoid or not any(self._any_able(trust, setup, avoid) for trust in Trust if trust > own)
+        return not avoid or all(self._trust(other) <= own for other in self._able(setup, avoid))
 
     def no_worker_left(self, setup: SetupKey, avoid: Collection[str]) -> bool:
         """Returns whether every worker is in `avoid` or refuses the setup."""
-        return not any(self._any_able(trust, setup, avoid) for trust in Trust)
+        return not self._able(setup, avoid)
 
     def on_probation(self, worker: str) -> bool:
         """Returns whether a worker has no results while others have some: it gets single cells."""
-        return self._trust(worker) is not Trust.PROVEN and self._trusted[Trust.PROVEN] > 0
+        return self._trust(worker) is not Trust.PROVEN and any(self._trust(other) is Trust.PROVEN for other in self._ready)
 
     def fault(self, worker: str) -> str | None:
         """Returns the reason to replace a worker, or None."""
@@ -109,18 +104,9 @@ class WorkerHealth:
             return None
         return f"{shown.without_result} batches in a row gave no result, the last one because: {shown.detail}"
 
-    def _any_able(self, trust: Trust, setup: SetupKey, avoid: Collection[str]) -> bool:
-        """Returns whether a worker of this trust is not in `avoid` and does not refuse."""
-        number, refusing = self._trusted[trust], self._refusals.refusing(setup)
-        if number == 0 or number > len(avoid) + len(refusing):
-            return number > 0
-        return number > sum(self._trust(worker) == trust for worker in {*avoid, *refusing} & self._ready)
-
-    def _note(self, worker: str, shown: _Shown) -> None:
-        if worker in self._ready:
-            self._trusted[self._trust(worker)] -= 1
-            self._trusted[shown.trust] += 1
-        self._shown[worker] = shown
+    def _able(self, setup: SetupKey, avoid: Collection[str]) -> frozenset[str]:
+        """Returns the workers that are not in `avoid` and do not refuse a setup."""
+        return self._ready.difference(avoid, self._refusals.refusing(setup))
 
     def _trust(self, worker: str) -> Trust:
         return self._shown.get(worker, _NOTHING).trust
