@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, insort
 from collections import Counter, deque
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from drivecal.contracts.work import SetupKey
@@ -63,9 +63,6 @@ class FairQueue:
         self._turns: dict[int, list[tuple[float, int, Line]]] = {}
         """Lines with waiting cells by priority, in order."""
         self._groups: dict[Claim, ClaimGroup] = {}
-        self._simulations: dict[int, Counter[SetupKey]] = {}
-        """Waiting simulations by setup, at the highest priority of their claims."""
-        self._counted: dict[PendingSimulation, int] = {}
         self._avoided: dict[str, dict[ClaimGroup, None]] = {}
         """Groups of suspects that a worker must not get."""
 
@@ -91,7 +88,6 @@ class FairQueue:
         if group is None:
             return
         group.waiting -= 1
-        self._count(claim.simulation)
         if not group.waiting:
             self._remove(group)
 
@@ -130,18 +126,18 @@ class FairQueue:
         for lines in self._lines.values():
             lines.pop(tag, None)
 
-    def simulations(self, priority: int) -> Mapping[SetupKey, int]:
-        """Returns the number of waiting simulations at a priority, by setup."""
-        return self._simulations.get(priority, {})
+    def waiting(self, priority: int) -> Counter[SetupKey]:
+        """Returns the number of waiting claims at a priority, by setup."""
+        counted = Counter[SetupKey]()
+        for line in self._lines.get(priority, {}).values():
+            for group in (*line.groups.values(), *line.suspects.values()):
+                counted[group.setup] += group.waiting
+        return counted
 
-    def setups(self) -> Collection[SetupKey]:
-        """Returns the setups with waiting cells."""
-        return {setup for counted in self._simulations.values() for setup in counted}
-
-    def setups_of(self, tag: str) -> set[SetupKey]:
-        """Returns the setups of a campaign's waiting cells."""
-        lines = [lines[tag] for lines in self._lines.values() if tag in lines]
-        return {setup for line in lines for setup in (*line.groups, *(setup for setup, _ in line.suspects))}
+    def setups(self, tag: str | None = None) -> set[SetupKey]:
+        """Returns the setups of the waiting cells of a campaign, or of all."""
+        lines = (line for lines in self._lines.values() for line in lines.values() if tag in {None, line.tag})
+        return {setup for line in lines for setup in line.setups}
 
     def avoiding(self, worker: str) -> Iterable[ClaimGroup]:
         """Returns the suspects that a worker must not get."""
@@ -161,7 +157,6 @@ class FairQueue:
             group.entries.appendleft(claim)
         else:
             group.entries.append(claim)
-        self._count(simulation)
 
     def _level(self, priority: int) -> float:
         """The start of a line: the least of the waiting lines; without any, the most of the lines that may return."""
@@ -199,24 +194,6 @@ class FairQueue:
             del self._avoided[worker][group]
             if not self._avoided[worker]:
                 del self._avoided[worker]
-
-    def _count(self, simulation: PendingSimulation) -> None:
-        """Updates the number of waiting simulations after a claim joined or left."""
-        priority = max((claim.priority for claim in simulation.claims if claim in self._groups), default=None)
-        before = self._counted.get(simulation)
-        if priority == before:
-            return
-        if before is not None:
-            counter = self._simulations[before]
-            counter[simulation.key] -= 1
-            if not counter[simulation.key]:
-                del counter[simulation.key]
-            if not counter:
-                del self._simulations[before]
-            del self._counted[simulation]
-        if priority is not None:
-            self._simulations.setdefault(priority, Counter())[simulation.key] += 1
-            self._counted[simulation] = priority
 
     def _waits(self, line: Line) -> bool:
         return bool(line.groups or line.suspects)

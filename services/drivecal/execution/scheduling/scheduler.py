@@ -301,7 +301,7 @@ class Scheduler:
         if wholly and any(claim.simulation.leader is not None for claim in self._in_flight.of(tag)):
             return None
         reasons: dict[str, list[str]] = {}
-        for key in self._queue.setups_of(tag) if self._is_scarce else ():
+        for key in self._queue.setups(tag) if self._is_scarce else ():
             setup = self._in_flight.setup(key)
             if (reason := self._resources.why(setup)) is not None:
                 reasons.setdefault(reason, []).append(setup.scenario)
@@ -395,7 +395,7 @@ class Scheduler:
         if self._worker_health.on_probation(worker) or self._affinity.is_fruitless(group.setup):
             return 1
         cost = self._costs.seconds_per_cell(group.setup)
-        waiting = self._costs.seconds(self._queue.simulations(group.line.priority))
+        waiting = self._costs.seconds(self._queue.waiting(group.line.priority))
         workers = self._worker_health.ready
         beside_small = self._reservation.is_beside_small(group.line, workers)
         return batch_size(cost, waiting, workers, beside_small=beside_small)
