@@ -92,15 +92,6 @@ def _lot(row: Row[Any]) -> StoredLot:
     return record(StoredLot, row, kind=Outcome(row.kind), verdict=verdict)
 
 
-def verdicts(connection: Connection, campaign_sequence: int, kind: Outcome) -> dict[str, tuple[int, int]]:
-    """Returns the inspected and the rejected lots of a kind, by scenario."""
-    rejected = func.count(case((lots.c.verdict == LotVerdict.REJECTED, 1)))
-    query = select(lots.c.scenario, func.count(), rejected).where(
-        lots.c.campaign_sequence == campaign_sequence, lots.c.kind == kind, lots.c.verdict.is_not(None)
-    )
-    return {name: (inspected, count) for name, inspected, count in connection.execute(query.group_by(lots.c.scenario))}
-
-
 def released_cells(connection: Connection, campaign_sequence: int, kind: Outcome) -> dict[str, int]:
     """Returns the number of answers that lots of a kind released, by scenario, without zeros."""
     cell = evaluations.c

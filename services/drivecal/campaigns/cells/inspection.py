@@ -5,7 +5,7 @@ The rows are authoritative. A sample is drawn after the lot is committed, by the
 nor verdict.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -198,8 +198,10 @@ def check_reuse(
     rater, scale = bench.evaluator_id, bench.scale
     audits.settle(connection, campaign, StageName.CALIBRATION, iteration, rater, scale)
     contradictions = audits.contradictions(connection, campaign, view.influence_map_sequence, rater, view.watermark, scale)
-    inspected = lots.verdicts(connection, campaign, Outcome.REUSED)
-    counts, bounds = audits.count(connection, campaign, rater, scale), _most_wrong(connection, campaign) if inspected else {}
+    concluded = [lot for lot in lots.of_campaign(connection, campaign, Outcome.REUSED) if lot.verdict is not None]
+    rejected = Counter(lot.scenario for lot in concluded if lot.verdict is LotVerdict.REJECTED)
+    inspected = {name: (count, rejected[name]) for name, count in Counter(lot.scenario for lot in concluded).items()}
+    counts, bounds = audits.count(connection, campaign, rater, scale), _most_wrong(connection, campaign, concluded)
     rates = error_rates(counts, scenarios, contradictions, inspected, bounds)
     for scenario, rate in rates.items():
         if rate.rejected and not (scenario in before and before[scenario].rejected):
@@ -208,13 +210,12 @@ def check_reuse(
     return rates
 
 
-def _most_wrong(connection: Connection, campaign: int) -> dict[str, float]:
+def _most_wrong(connection: Connection, campaign: int, concluded: Iterable[StoredLot]) -> dict[str, float]:
     """Returns an upper 95 % limit of the share of wrong answers among the released ones of lots of references, by scenario."""
     plans: dict[str, list[tuple[SamplingPlan, int]]] = defaultdict(list)
-    for lot in lots.of_campaign(connection, campaign, Outcome.REUSED):
-        if lot.verdict is not None:
-            plans[lot.scenario].append((SamplingPlan(lot.size, lot.sample, lot.acceptance), lot.errors or 0))
-    released = lots.released_cells(connection, campaign, Outcome.REUSED)
+    for lot in concluded:
+        plans[lot.scenario].append((SamplingPlan(lot.size, lot.sample, lot.acceptance), lot.errors or 0))
+    released = lots.released_cells(connection, campaign, Outcome.REUSED) if plans else {}
     return {name: min(1.0, most_released(plans[name]) / count) for name, count in released.items()}
 
 
