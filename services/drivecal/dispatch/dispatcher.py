@@ -327,8 +327,8 @@ class Dispatcher:
 
     def _resume(self, campaign: CampaignHeading) -> None:
         with self._database.transaction() as connection:
-            resumed = campaigns.change_state(connection, campaign.sequence, [CampaignState.PAUSED], CampaignState.RUNNING)
-        if resumed:  # and not cancelled meanwhile
+            resumed = campaigns.carry_out(connection, campaign.sequence, "resume")
+        if resumed:  # and neither paused again nor cancelled meanwhile
             log.info("the campaign goes on")
             self._active[campaign.sequence] = Active(campaign)
 
@@ -340,8 +340,7 @@ class Dispatcher:
         self._pool.withdraw(active.tag)
         if state is CampaignState.CANCELLED:
             with self._database.transaction() as connection:
-                sequence = active.campaign.sequence
-                campaigns.change_state(connection, sequence, [CampaignState.RUNNING], CampaignState.CANCELLING)
+                campaigns.carry_out(connection, active.campaign.sequence, "cancel")
 
     def _advance(self, active: Active) -> None:
         """Moves one campaign on."""
@@ -429,7 +428,7 @@ class Dispatcher:
             self._end(active, CampaignState.CANCELLED)
             return
         with self._database.transaction() as connection:
-            paused = campaigns.pause(connection, active.campaign.sequence)
+            paused = campaigns.carry_out(connection, active.campaign.sequence, "pause")
         if paused:
             log.info("the campaign is paused")
             del self._active[active.campaign.sequence]

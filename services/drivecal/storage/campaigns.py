@@ -355,17 +355,21 @@ def request_action(connection: Connection, campaign_id: str, action: Action) -> 
     return changed
 
 
-_EXECUTES = {CampaignState.CANCELLING: "cancel", CampaignState.PAUSED: "pause", CampaignState.RUNNING: "resume"}
+_CARRIED_OUT: dict[Action, tuple[CampaignState, dict[str, Any]]] = {
+    "cancel": (CampaignState.RUNNING, {"state": CampaignState.CANCELLING}),
+    "pause": (CampaignState.RUNNING, {"state": CampaignState.PAUSED, "degraded": None}),
+    "resume": (CampaignState.PAUSED, {"state": CampaignState.RUNNING}),
+}
 
 
-def change_state(connection: Connection, sequence: int, expected: Collection[CampaignState], state: CampaignState) -> bool:
-    """Moves a campaign from one of the `expected` states; False if it was in none of them. Takes back the request that this
-    executes (cancelling: cancel, paused: pause, running: resume), but not a newer one."""
-    executed = campaigns.c.requested_action == _EXECUTES.get(state, "")
-    left = case((executed, None), else_=campaigns.c.requested_action)
-    changed = _change(connection, sequence, expected, state=state, requested_action=left)
-    if changed and state is not CampaignState.CANCELLING:  # whose event was recorded when it was asked for
-        _record_event(connection, sequence, EventKind.RESUMED if state is CampaignState.RUNNING else EventKind(state), state)
+def carry_out(connection: Connection, sequence: int, action: Action) -> bool:
+    """Changes the state as requested, a cancel to `cancelling`; False if the request was withdrawn or replaced by another one."""
+    expected, changes = _CARRIED_OUT[action]
+    asked = campaigns.c.requested_action == action
+    changed = _change(connection, sequence, [expected], asked, **changes, requested_action=None)
+    if changed and action != "cancel":  # whose event was recorded when it was asked for
+        kind = EventKind.PAUSED if action == "pause" else EventKind.RESUMED
+        _record_event(connection, sequence, kind, changes["state"])
     return changed
 
 
@@ -398,16 +402,6 @@ def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> 
 def set_resolution(connection: Connection, sequence: int, resolution: Mapping[str, Any]) -> None:
     """Stores `StoredCampaign.resolution`."""
     connection.execute(_of(sequence).values(resolution=dict(resolution)))
-
-
-def pause(connection: Connection, sequence: int) -> bool:
-    """Pauses a running campaign if this is still requested; False if the request was withdrawn or replaced by a cancel."""
-    asked = campaigns.c.requested_action == "pause"
-    kept = {"state": CampaignState.PAUSED, "requested_action": None, "degraded": None}
-    paused = _change(connection, sequence, [CampaignState.RUNNING], asked, **kept)
-    if paused:
-        _record_event(connection, sequence, EventKind.PAUSED, CampaignState.PAUSED)
-    return paused
 
 
 def set_influence_map(connection: Connection, sequence: int, influence_map_id: str) -> None:

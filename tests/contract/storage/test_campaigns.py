@@ -2,6 +2,7 @@ from datetime import timedelta
 from typing import get_args
 
 import pytest
+from sqlalchemy import Connection, update
 from tests.support.storage import campaign, new_run, sample_set_ids, setup_id
 
 from drivecal.api.responses import campaign_answer
@@ -9,8 +10,9 @@ from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, P
 from drivecal.domain.campaigns import Action, CampaignState, StageName
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.storage import campaigns
-from drivecal.storage.campaigns import CampaignHeading, Snapshot
+from drivecal.storage.campaigns import CampaignHeading, Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.tables import campaigns as table
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import runs
 
@@ -107,34 +109,35 @@ def test_a_campaign_that_rests_or_has_ended_waits_for_nothing_any_more(database:
             campaigns.start(connection, item.sequence)
         campaigns.degrade(connection, [paused.sequence, ended.sequence], "no workers")
         campaigns.request_action(connection, paused.id, "pause")
-        assert campaigns.pause(connection, paused.sequence)
+        assert campaigns.carry_out(connection, paused.sequence, "pause")
         assert campaigns.end(connection, ended.sequence, SUCCEEDED)
         assert [campaigns.get(connection, entry.id).degraded for entry in (paused, ended)] == [None, None]
         assert campaigns.get(connection, ended.id).waiting is None
 
 
-def test_a_state_changes_only_from_what_was_expected(database: Database) -> None:
-    with database.transaction() as connection:
-        sequence = campaign(connection).sequence
-        assert not campaigns.change_state(connection, sequence, {RUNNING}, PAUSED)
-        assert campaigns.by_sequence(connection, sequence).state is QUEUED
-        campaigns.start(connection, sequence)
-        assert campaigns.change_state(connection, sequence, {RUNNING, CANCELLING}, PAUSED)
-        assert campaigns.by_sequence(connection, sequence).state is PAUSED
-
-
-def test_executing_a_request_takes_it_back_but_not_a_newer_one(database: Database) -> None:
+def test_a_request_that_was_withdrawn_or_replaced_is_not_carried_out(database: Database) -> None:
+    withdrawn: tuple[tuple[Action, Action], ...] = (("pause", "resume"), ("resume", "pause"))
     with database.transaction() as connection:
         stored = campaign(connection)
+        assert not campaigns.carry_out(connection, stored.sequence, "pause")
         campaigns.start(connection, stored.sequence)
-        campaigns.request_action(connection, stored.id, "pause")
-        campaigns.change_state(connection, stored.sequence, {RUNNING}, PAUSED)
-        assert campaigns.by_sequence(connection, stored.sequence).requested_action is None
-        campaigns.change_state(connection, stored.sequence, {PAUSED}, RUNNING)
+        for ask, taken_back in withdrawn:
+            campaigns.request_action(connection, stored.id, ask)
+            state = campaigns.request_action(connection, stored.id, taken_back).state
+            assert not campaigns.carry_out(connection, stored.sequence, ask)
+            assert campaigns.by_sequence(connection, stored.sequence).state is state
+            campaigns.request_action(connection, stored.id, ask)
+            assert campaigns.carry_out(connection, stored.sequence, ask)
+            assert campaigns.by_sequence(connection, stored.sequence).requested_action is None
         campaigns.request_action(connection, stored.id, "pause")
         campaigns.request_action(connection, stored.id, "cancel")
-        campaigns.change_state(connection, stored.sequence, {RUNNING}, PAUSED)
-        assert campaigns.by_sequence(connection, stored.sequence).requested_action == "cancel"
+        assert not campaigns.carry_out(connection, stored.sequence, "pause")
+        assert campaigns.carry_out(connection, stored.sequence, "cancel")
+        assert campaigns.by_sequence(connection, stored.sequence).state is CANCELLING
+
+
+def put(connection: Connection, stored: StoredCampaign, state: CampaignState) -> None:
+    connection.execute(update(table).where(table.c.sequence == stored.sequence).values(state=state))
 
 
 REQUESTS: list[tuple[CampaignState, bool, Action, CampaignState, Action | None]] = [
@@ -167,7 +170,7 @@ def test_a_request_is_executed_at_once_where_nothing_runs_and_left_to_the_dispat
         if state.ended:
             campaigns.end(connection, stored.sequence, state)
         else:
-            campaigns.change_state(connection, stored.sequence, set(CampaignState), state)
+            put(connection, stored, state)
         for _ in range(2):  # idempotent
             after = campaigns.request_action(connection, stored.id, action)
             assert (after.state, after.requested_action) == (expected, asked)
@@ -184,7 +187,7 @@ def test_a_request_that_comes_too_late_is_a_conflict(database: Database, state: 
         if state.ended:
             campaigns.end(connection, stored.sequence, state)
         else:
-            campaigns.change_state(connection, stored.sequence, {RUNNING}, state)
+            put(connection, stored, state)
         for action in actions:
             with pytest.raises(ConflictError, match=action):
                 campaigns.request_action(connection, stored.id, action)

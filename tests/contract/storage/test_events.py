@@ -69,17 +69,17 @@ def test_every_change_of_state_is_told_once_and_asking_twice_tells_nothing_more(
         for _ in range(2):
             campaigns.request_action(connection, stored.id, "pause")
         campaigns.request_action(connection, stored.id, "resume")  # takes the pause back
-        assert not campaigns.pause(connection, sequence)
+        assert not campaigns.carry_out(connection, sequence, "pause")
         campaigns.request_action(connection, stored.id, "pause")
-        assert campaigns.pause(connection, sequence)
+        assert campaigns.carry_out(connection, sequence, "pause")
         for _ in range(2):
             campaigns.request_action(connection, stored.id, "resume")
-        assert campaigns.change_state(connection, sequence, [CampaignState.PAUSED], CampaignState.RUNNING)
+        assert campaigns.carry_out(connection, sequence, "resume")
         for _ in range(2):
             campaigns.request_action(connection, stored.id, "cancel")
         with pytest.raises(ConflictError):
             campaigns.request_action(connection, stored.id, "resume")
-        assert campaigns.change_state(connection, sequence, [CampaignState.RUNNING], CampaignState.CANCELLING)
+        assert campaigns.carry_out(connection, sequence, "cancel")
         assert campaigns.end(connection, sequence, CampaignState.CANCELLED)
         assert not campaigns.end(connection, sequence, CampaignState.CANCELLED)
         assert told(connection, sequence) == [
