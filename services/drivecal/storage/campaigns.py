@@ -22,14 +22,12 @@ from sqlalchemy import (
     case,
     cast,
     func,
+    literal,
     select,
     text,
     type_coerce,
     update,
 )
-from sqlalchemy.ext.compiler import compiles
-from sqlalchemy.sql.compiler import SQLCompiler
-from sqlalchemy.sql.functions import GenericFunction
 from sqlalchemy.types import TypeDecorator
 
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, Confirmation, ErrorRate, Progress, Released, SearchState
@@ -50,38 +48,24 @@ CountsByStage = Mapping[StageName, Mapping[str, int]]
 
 
 class _ByStage(TypeDecorator[dict[StageName, dict[str, int]]]):
-    """Cell counts by stage, for stages that have begun, in their order."""
+    """Cell counts by stage, for stages that have begun, in their order, from the members of a JSON object."""
 
-    impl = JSON
+    impl = Text
     cache_ok = True
 
     def process_result_value(self, value: Any, dialect: Dialect) -> dict[StageName, dict[str, int]]:
         del dialect
-        return {STAGES[number]: value[str(number)] for number in sorted(map(int, value or {}))}
-
-
-class _DocumentByNumber(GenericFunction[Any]):
-    """Aggregates rows of (number, document) into one JSON object."""
-
-    type = _ByStage()
-    inherit_cache = True
-
-
-@compiles(_DocumentByNumber, "sqlite")
-def _on_sqlite(element: _DocumentByNumber, compiler: SQLCompiler, **options: Any) -> str:
-    number, document = (compiler.process(clause, **options) for clause in element.clauses)
-    return f"json_group_object({number}, json({document}))"
-
-
-@compiles(_DocumentByNumber, "postgresql")
-def _on_postgresql(element: _DocumentByNumber, compiler: SQLCompiler, **options: Any) -> str:
-    return f"json_object_agg({compiler.process(element.clauses, **options)})"
+        document = json.loads(f"{{{value or ''}}}")
+        return {STAGES[number]: document[str(number)] for number in sorted(map(int, document))}
 
 
 def by_stage() -> Label[dict[StageName, dict[str, int]]]:
     """Returns the column `stages` of a query over the campaigns: their counts by stage."""
-    number, cells = type_coerce(campaign_stages.c.stage, SmallInteger), type_coerce(campaign_stages.c.cells, JSON)
-    query = select(_DocumentByNumber(number, cells)).where(campaign_stages.c.campaign_sequence == campaigns.c.sequence)
+    number, cells = (
+        cast(type_coerce(campaign_stages.c[name], kind), Text) for name, kind in (("stage", SmallInteger), ("cells", JSON))
+    )
+    members = type_coerce(func.aggregate_strings(literal('"') + number + literal('":') + cells, ","), _ByStage())
+    query = select(members).where(campaign_stages.c.campaign_sequence == campaigns.c.sequence)
     return query.correlate(campaigns).scalar_subquery().label("stages")
 
 
@@ -394,8 +378,8 @@ def first_watermark(connection: Connection, sequence: int) -> int:
 def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> None:
     """Writes the progress of a campaign."""
     values = {each.name: getattr(snapshot, each.name) for each in fields(Snapshot) if each.name != "cells"}
-    kept = [name for name, value in values.items() if value is None and name not in {"stage", "iteration"}]
-    connection.execute(_of(sequence).values({name: value for name, value in values.items() if name not in kept}))
+    changed = {name: value for name, value in values.items() if value is not None or name in {"stage", "iteration"}}
+    connection.execute(_of(sequence).values(changed))
     save_counts(connection, sequence, snapshot.cells)
 
 
