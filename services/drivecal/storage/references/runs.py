@@ -7,7 +7,7 @@ from itertools import repeat
 from statistics import fmean
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, case, func, select
+from sqlalchemy import ColumnElement, Connection, Select, case, func, select
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
@@ -147,17 +147,8 @@ def rated(
 ) -> list[RatedRun]:
     """Returns the last `limit` runs of a setup up to `watermark`, of one `stage` or all, in the order of references."""
     place = runs.c.campaign_sequence, runs.c.stage, runs.c.iteration, runs.c.individual, runs.c.id
-    query = (
-        select(runs.c.evaluation_id, parameter_sets.c.parameter_values, ratings.c.score, ratings.c.rating)
-        .select_from(
-            runs.join(parameter_sets).join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
-        )
-        .where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
-        .where(*(() if stage is None else (runs.c.stage == stage,)))
-        .order_by(*(column.desc() for column in place))
-        .limit(limit)
-    )
-    rows = connection.execute(query).all()
+    query = _rated(setup_id, evaluator, watermark).where(*(() if stage is None else (runs.c.stage == stage,)))
+    rows = connection.execute(query.order_by(*(column.desc() for column in place)).limit(limit)).all()
     return [RatedRun(number, ParameterSet.from_json(values), score, rating) for number, values, score, rating in reversed(rows)]
 
 
@@ -168,11 +159,7 @@ def in_order_of_keys(
     `others`. The connection must stay open meanwhile."""
     values = parameter_sets.c.parameter_values
     query = (
-        select(runs.c.evaluation_id, values, ratings.c.score, ratings.c.rating)
-        .select_from(
-            runs.join(parameter_sets).join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
-        )
-        .where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
+        _rated(setup_id, evaluator, watermark)
         .where(*(values.contains(f'"{name}": ', autoescape=True) for name in names))
         .where(*(~values.contains(f'"{name}": ', autoescape=True) for name in others))
         .order_by(parameter_sets.c.key)
@@ -180,6 +167,14 @@ def in_order_of_keys(
     )
     for number, text, score, rating in connection.execute(query):
         yield RatedRun(number, ParameterSet.from_json(text), score, rating)
+
+
+def _rated(setup_id: int, evaluator: str, watermark: int) -> Select[Any]:
+    """Selects the columns of `RatedRun` of a setup's runs that an evaluator rated, both up to a watermark."""
+    of_evaluator = (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator)
+    columns = runs.c.evaluation_id, parameter_sets.c.parameter_values, ratings.c.score, ratings.c.rating
+    joined = select(*columns).select_from(runs.join(parameter_sets).join(ratings, of_evaluator))
+    return joined.where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
 
 
 def values_of(connection: Connection, evaluation_ids: Collection[int]) -> dict[int, tuple[dict[str, float | None], str | None]]:
