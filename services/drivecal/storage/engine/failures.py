@@ -110,7 +110,10 @@ class ServerLiveness:
             self.silent((str(error).splitlines() or ["no reason given"])[0])
             raise
         connection.watch = self
-        self._answers()
+        with self._lock:
+            news, self._reason = self._reason is not None, None
+        if news:
+            log.info("the database %s answers again", self._database)
         return connection
 
     def silent(self, reason: str) -> None:
@@ -124,12 +127,6 @@ class ServerLiveness:
                 self._database,
                 reason,
             )
-
-    def _answers(self) -> None:
-        with self._lock:
-            news, self._reason = self._reason is not None, None
-        if news:
-            log.info("the database %s answers again", self._database)
 
 
 class WatchedConnection(psycopg.Connection[Any]):
