@@ -132,7 +132,7 @@ def test_a_dispatcher_that_comes_back_after_another_was_elected_writes_nothing(d
         with pytest.raises(SupersededError):
             asleep.step()
         with pytest.raises(SupersededError):
-            asleep._advance(next(iter(asleep._active.values())))
+            asleep._move(next(iter(asleep._active.values())))
     assert get(database, campaign) == before
     assert finish(database, campaign, awake).state is CampaignState.SUCCEEDED
 

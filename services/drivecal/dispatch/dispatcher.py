@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
+from functools import partial
 from typing import Any
 
 from drivecal.campaigns.cells.planning import View
@@ -203,7 +204,7 @@ class Dispatcher:
         for active in list(self._active.values()):
             stage = None if active.stage is None else active.stage.name
             with logs.about(campaign=active.campaign.id, campaign_name=active.campaign.name, stage=stage):
-                self._advance(active)
+                self._guarded(active, partial(self._move, active))
         by_tag = {active.tag: active for active in self._active.values()}
         paces = [active.stage.write_seconds for active in by_tag.values() if active.stage is not None]
         for completion in self._pool.poll(min([POLL_SECONDS, *paces])):
@@ -341,10 +342,6 @@ class Dispatcher:
         if state is CampaignState.CANCELLED:
             with self._database.transaction() as connection:
                 campaigns.carry_out(connection, active.campaign.sequence, "cancel")
-
-    def _advance(self, active: Active) -> None:
-        """Moves one campaign on."""
-        self._guarded(active, lambda: self._move(active))
 
     def _guarded(self, active: Active, act: Callable[[], None]) -> None:
         """Confines an error, also in stored rows, to its own campaign."""
