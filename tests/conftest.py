@@ -25,7 +25,7 @@ from xdist.scheduler import LoadFileScheduling
 
 from drivecal.campaigns.resolve.problem import trial
 from drivecal.execution.processes.backend import ProcessBackend
-from drivecal.execution.ray.backend import RayBackend, RayOptions
+from drivecal.execution.ray.backend import RayBackend
 from drivecal.execution.supervised import WorkerLimits
 from drivecal.storage.engine.database import PATIENT, Database, Patience
 
@@ -164,7 +164,7 @@ def started(make: Callable[[], Started], home: Path) -> Iterator[Started]:
 @pytest.fixture(scope="session")
 def ray_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RayBackend]:
     """A local Ray with two workers: one per process is all Ray allows."""
-    options = RayOptions(workers=2, deadline_seconds=10.0, archive=ARCHIVES.__getitem__)
+    options = WorkerLimits(workers=2, deadline_seconds=10.0, archive=ARCHIVES.__getitem__)
     with started(lambda: RayBackend(options, trial()), tmp_path_factory.mktemp("home")) as backend:
         yield backend
 

@@ -13,7 +13,7 @@ from contextlib import nullcontext
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from drivecal.bundles.installed import installed
 from drivecal.campaigns.resolve.problem import trial
@@ -119,17 +119,17 @@ def _dispatch(
 
 def _backend(settings: Settings, database: Database) -> SupervisedBackend:
     """Starts the workers that the settings name: on Ray if it is installed, else as processes. Raises UnavailableError."""
-    limits: dict[str, Any] = {"workers": settings.workers, "archive": partial(_archive, database)}
+    limits = WorkerLimits(workers=settings.workers, archive=partial(_archive, database))
     with_ray = find_spec("ray") is not None
     if settings.backend == "processes" or (settings.backend is None and not with_ray and settings.ray_address is None):
         from drivecal.execution.processes.backend import ProcessBackend
 
-        return ProcessBackend(WorkerLimits(**limits), trial())
+        return ProcessBackend(limits, trial())
     if not with_ray:
         raise UnavailableError("Ray is not installed; type pip install 'drivecal[cluster]', or serve with --backend processes")
-    from drivecal.execution.ray.backend import RayBackend, RayOptions
+    from drivecal.execution.ray.backend import RayBackend
 
-    return RayBackend(RayOptions(address=settings.ray_address, **limits), trial())
+    return RayBackend(limits, trial(), settings.ray_address)
 
 
 def _archive(database: Database, digest: str) -> bytes:

@@ -31,13 +31,6 @@ CLUSTER_SETTLE_SECONDS = 90.0
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class RayOptions(WorkerLimits):
-    """`address` of a cluster, None for a local Ray; without `workers`, one per CPU of all nodes."""
-
-    address: str | None = None
-
-
 @dataclass(slots=True)
 class _Signs:
     """Signs of life of a worker: its key in the state store, and the latest value."""
@@ -50,15 +43,16 @@ class _Signs:
 class RayBackend(SupervisedBackend):
     """A `Backend`, once per process; only the main thread may create, use and close it."""
 
-    def __init__(self, options: RayOptions, trial: Batch) -> None:
-        """Starts or joins Ray and starts the workers without waiting for them; each runs `trial` before it is ready.
+    def __init__(self, limits: WorkerLimits, trial: Batch, address: str | None = None) -> None:
+        """Starts a local Ray, or joins the cluster at `address`, and starts the workers without waiting for them, by default one per CPU of
+        all nodes; each runs `trial` before it is ready.
 
         Raises UnavailableError without Ray."""
-        super().__init__(options)
-        self._address = options.address
-        self.waits_for_workers = options.address is not None
-        self.settle_seconds = SETTLE_SECONDS if options.address is None else CLUSTER_SETTLE_SECONDS
-        self._cluster = Cluster(options.address, options.workers)
+        super().__init__(limits)
+        self._address = address
+        self.waits_for_workers = address is not None
+        self.settle_seconds = SETTLE_SECONDS if address is None else CLUSTER_SETTLE_SECONDS
+        self._cluster = Cluster(address, limits.workers)
         self._ray = self._cluster.ray
         self._actor_class = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(RayWorker)
         self._signs: dict[str, _Signs] = {}
@@ -66,8 +60,8 @@ class RayBackend(SupervisedBackend):
         self._trial = trial
         self._version = release()
         self._nodes: tuple[Node, ...] = ()
-        if options.address is None:
-            for _ in range(options.workers or max(1, self._cluster.cpus())):
+        if address is None:
+            for _ in range(limits.workers or max(1, self._cluster.cpus())):
                 self._hire(None)
         else:
             self._follow_nodes()
