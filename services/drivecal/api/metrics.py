@@ -20,7 +20,7 @@ from drivecal.domain.evaluations import Outcome
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.maintenance import statistics
-from drivecal.storage.maintenance.statistics import CampaignKey, CellKey, Statistics
+from drivecal.storage.maintenance.statistics import Statistics
 from drivecal.storage.processes import StoredProcess
 
 WORKER_STATES = ("starting", "idle", "busy")
@@ -76,13 +76,13 @@ def _of_database(totals: Statistics) -> Iterator[Any]:
     campaigns = GaugeMetricFamily("drivecal_campaigns", "Campaigns and single evaluations by state", labels=["kind", "state"])
     for kind in ("calibration", "evaluation"):
         for state in CampaignState:
-            campaigns.add_metric([kind, state.value], totals.campaigns[CampaignKey(kind, state)])
+            campaigns.add_metric([kind, state.value], totals.campaigns[kind, state])
     yield campaigns
     cells = CounterMetricFamily("drivecal_cells", "Answered cells of all campaigns", labels=["stage", "outcome"])
     pending = GaugeMetricFamily("drivecal_cells_pending", "Cells of open campaigns without an answer", labels=["stage"])
     for stage in (*StageName, "evaluation"):
         for outcome in Outcome:
-            cells.add_metric([stage, outcome.value], totals.cells[CellKey(stage, outcome)])
+            cells.add_metric([stage, outcome.value], totals.cells[stage, outcome])
         pending.add_metric([stage], totals.pending[stage])
     yield cells
     yield pending

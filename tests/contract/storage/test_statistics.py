@@ -12,7 +12,7 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns as table
 from drivecal.storage.engine.types import now
 from drivecal.storage.maintenance import statistics
-from drivecal.storage.maintenance.statistics import CampaignKey, CellKey, Statistics
+from drivecal.storage.maintenance.statistics import Statistics
 
 
 def look(database: Database) -> Statistics:
@@ -44,19 +44,19 @@ def test_sums_are_over_all_campaigns_and_cells_wait_in_open_ones_only(database: 
         count(connection, sequences[5], calibration={"simulated": 3, "pending": 4, "reused": 1}, sensitivity={"pending": 2})
         count(connection, sequences[6], robustness={"repeated": 8}, validation={"failed": 1, "pending": 6})
     result = look(database)
-    assert result.campaigns == {CampaignKey("calibration", "succeeded"): 5, CampaignKey("calibration", "queued"): 3}
-    assert result.cells[CellKey("calibration", "simulated")] == 10 + 3
-    assert result.cells[CellKey("calibration", "reused")] == 1
-    assert result.cells[CellKey("robustness", "repeated")] == 8
-    assert result.cells[CellKey("validation", "failed")] == 1
+    assert result.campaigns == {("calibration", "succeeded"): 5, ("calibration", "queued"): 3}
+    assert result.cells["calibration", "simulated"] == 10 + 3
+    assert result.cells["calibration", "reused"] == 1
+    assert result.cells["robustness", "repeated"] == 8
+    assert result.cells["validation", "failed"] == 1
     assert result.pending == Counter(calibration=4, sensitivity=2, validation=6)
     assert result.simulating_seconds == 5.0
     with database.transaction() as connection:
         for sequence in sequences[5:7]:
             ended(connection, sequence, 100)
     result = look(database)
-    assert result.cells[CellKey("calibration", "simulated")] == 10 + 200
-    assert result.campaigns[CampaignKey("calibration", "succeeded")] == 7
+    assert result.cells["calibration", "simulated"] == 10 + 200
+    assert result.campaigns["calibration", "succeeded"] == 7
     assert result.pending.total() == 0
 
 
@@ -65,8 +65,8 @@ def test_single_evaluations_are_counted_apart(database: Database) -> None:
         stored = campaigns.insert(connection, name="one", spec={}, kind="evaluation")
         count(connection, stored.sequence, calibration={"repeated": 2, "pending": 1})
     result = look(database)
-    assert result.campaigns == {CampaignKey("evaluation", "queued"): 1}
-    assert result.cells[CellKey("evaluation", "repeated")] == 2
+    assert result.campaigns == {("evaluation", "queued"): 1}
+    assert result.cells["evaluation", "repeated"] == 2
     assert result.pending["evaluation"] == 1
 
 

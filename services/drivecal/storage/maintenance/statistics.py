@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from sqlalchemy import JSON, Connection, case, func, select, type_coerce
 
@@ -20,28 +19,16 @@ from drivecal.storage.processes import StoredProcess
 from drivecal.storage.references import runs
 
 
-class CampaignKey(NamedTuple):
-    """Group of campaigns."""
-
-    kind: str
-    state: str
-
-
-class CellKey(NamedTuple):
-    """Group of cells: `stage` is `evaluation` for single evaluations."""
-
-    stage: str
-    outcome: str
-
-
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Statistics of the whole database at one moment: sums over campaigns are their number, cells by outcome, waiting cells by stage, and
-    seconds of their simulations."""
+    """Statistics of the whole database at one moment. The stage of single evaluations is `evaluation`."""
 
-    campaigns: Counter[CampaignKey]
-    cells: Counter[CellKey]
+    campaigns: Counter[tuple[str, str]]
+    """Campaigns by kind and state."""
+    cells: Counter[tuple[str, str]]
+    """Answered cells by stage and outcome."""
     pending: Counter[str]
+    """Waiting cells of open campaigns by stage."""
     simulating_seconds: float
     leases: int
     """Cells at workers."""
@@ -61,11 +48,11 @@ def read(connection: Connection) -> Statistics:
         current = (leases_table.c.term == dispatcher.term) & (leases_table.c.expires_at != leases.OVER)
         out = connection.scalar(select(func.count()).select_from(leases_table).where(current)) or 0
     waiting = Counter(_awaited(state, reason) for *_, state, reason in waits(connection))
-    table, by_state = campaigns.c, Counter[CampaignKey]()
-    cells, pending, seconds = Counter[CellKey](), Counter[str](), 0.0
+    table, by_state = campaigns.c, Counter[tuple[str, str]]()
+    cells, pending, seconds = Counter[tuple[str, str]](), Counter[str](), 0.0
     query = select(table.kind, table.state, func.count(), func.sum(table.simulating_seconds)).group_by(table.kind, table.state)
     for kind, state, count, simulated in connection.execute(query):
-        by_state[CampaignKey(kind, state)] = count
+        by_state[kind, state] = count
         seconds += simulated
     counts = type_coerce(campaign_stages.c.cells, JSON)
     by_outcome = [func.sum(counts[outcome].as_integer()) for outcome in Outcome]
@@ -74,7 +61,7 @@ def read(connection: Connection) -> Statistics:
     for kind, stage, without_answer, *sums in connection.execute(by_stage.group_by(table.kind, campaign_stages.c.stage)):
         name = stage if kind == "calibration" else kind
         pending[name] = without_answer
-        cells.update({CellKey(name, outcome): count for outcome, count in zip(Outcome, sums, strict=True)})
+        cells.update({(name, outcome): count for outcome, count in zip(Outcome, sums, strict=True)})
     return Statistics(by_state, cells, pending, seconds, out, runs.largest_id(connection), dispatcher, waiting)
 
 
