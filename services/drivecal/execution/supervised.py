@@ -268,14 +268,10 @@ class SupervisedBackend(Backend, ABC):
         for worker in tuple(self._workers):
             if worker.deadline > now or worker.waited_for is None:
                 continue
-            if worker.warming is not None:
-                allowed = self._allowed_to_start(worker)
-                events += self._bury(worker, Breakdown.HANG, f"{worker.place} was not ready after {allowed:.0f} s", None)
-            else:
-                seconds = worker.calls[0].seconds
-                events += self._bury(
-                    worker, Breakdown.HANG, f"{worker.place} was ended after {seconds:.0f} s in one batch", None
-                )
+            detail = f"{worker.place} was not ready after {self._allowed_to_start(worker):.0f} s"
+            if worker.warming is None:
+                detail = f"{worker.place} was ended after {worker.calls[0].seconds:.0f} s in one batch"
+            events += self._bury(worker, Breakdown.HANG, detail, None)
         return events
 
     def _bury_silent(self) -> list[Finished | Lost]:
