@@ -43,14 +43,12 @@ def prepare_file(url: URL) -> None:
         return
     try:
         file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if not file.exists():
+            file.touch(mode=0o600)  # SQLite gives its companion files the same mode
     except OSError as error:
-        raise DatabaseError(f"the folder {file.parent} cannot be created: {error.strerror}; name another file") from error
-    if file.exists():
-        refuse_missing(url)
-    elif not os.access(file.parent, os.W_OK):
-        raise DatabaseError(f"{file.parent} is not writable; give the user that runs drivecal the right to write there")
-    else:
-        file.touch(mode=0o600)  # SQLite gives its companion files the same mode
+        remedy = "name another file, or give the user that runs drivecal the right to write there"
+        raise DatabaseError(f"{error.filename} cannot be created: {error.strerror}; {remedy}") from error
+    refuse_missing(url)
 
 
 def refuse_foreign(connection: Connection, database: str) -> None:
