@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sqlalchemy import Connection, Row, Select, SmallInteger, literal, select, tuple_, type_coerce
+from sqlalchemy import Connection, Select, SmallInteger, literal, select, tuple_, type_coerce
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
@@ -79,12 +79,8 @@ def own_sets(
 def _chunks(connection: Connection, query: Select[Any], names: Sequence[str]) -> Iterator[Candidates]:
     streamed = connection.execute(query.execution_options(yield_per=SETS_AT_A_TIME))
     for rows in streamed.partitions():
-        yield from _parsed(rows, names)
-
-
-def _parsed(rows: Sequence[Row[Any]], names: Sequence[str]) -> Iterator[Candidates]:
-    heads = np.array([row[:-1] for row in rows], dtype=np.int64)
-    for present, positions, values in parse([row[-1] for row in rows]):
-        if set(present) == set(names):
-            order = [present.index(name) for name in names]
-            yield Candidates(values[:, order], heads[positions, 1:], heads[positions, 0])
+        heads = np.array([row[:-1] for row in rows], dtype=np.int64)
+        for present, positions, values in parse([row[-1] for row in rows]):
+            if set(present) == set(names):
+                order = [present.index(name) for name in names]
+                yield Candidates(values[:, order], heads[positions, 1:], heads[positions, 0])

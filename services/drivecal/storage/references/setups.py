@@ -25,16 +25,16 @@ class SetupCount:
 
 def ensure(connection: Connection, given: Sequence[Setup]) -> list[int]:
     """The ids of setups, in order; new ones are stored."""
-    documents = {setup.fingerprint: setup for setup in given}
+    setups_by = {setup.fingerprint: setup for setup in given}
+    known = ids(connection, list(setups_by))
     rows = [
         {"fingerprint": fingerprint, "scenario": setup.scenario, "document": setup.document}
-        for fingerprint, setup in sorted(documents.items())
+        for fingerprint, setup in sorted(setups_by.items())
+        if fingerprint not in known
     ]
-    known = ids(connection, list(documents))
-    missing = [row for row in rows if row["fingerprint"] not in known]
-    if missing:
-        connection.execute(insert(connection, setups).on_conflict_do_nothing(index_elements=["fingerprint"]), missing)
-        known = ids(connection, list(documents))
+    if rows:
+        connection.execute(insert(connection, setups).on_conflict_do_nothing(index_elements=["fingerprint"]), rows)
+        known = ids(connection, list(setups_by))
     return [known[setup.fingerprint] for setup in given]
 
 
