@@ -87,9 +87,6 @@ class _Report:
     at: datetime
 
 
-NOTHING_WAITS = Waits()
-
-
 class Heartbeat:
     """A context manager that beats until its block ends. The main thread calls `report`."""
 
@@ -124,9 +121,9 @@ class Heartbeat:
         self._stopped.set()
         self._thread.join(GRACE_SECONDS)  # it may be waiting for the database
 
-    def report(self, workers: Sequence[WorkerInfo], trouble: str | None, waits: Waits = NOTHING_WAITS) -> None:
+    def report(self, workers: Sequence[WorkerInfo], trouble: str | None, waits: Waits | None = None) -> None:
         """Takes the main thread's report. Raises the error that ended the heartbeat, if any."""
-        self._report = _Report(tuple(workers), trouble, waits, self._clock(), now())
+        self._report = _Report(tuple(workers), trouble, waits or Waits(), self._clock(), now())
         if self._failure is not None:
             raise self._failure
 

@@ -222,7 +222,7 @@ def insert(
     inserted = connection.scalar(statement.values(row).returning(campaigns.c.sequence))
     if inserted is not None:
         queued = by_sequence(connection, inserted)
-        _record_event(connection, queued.sequence, EventKind.QUEUED, CampaignState.QUEUED, name=name)
+        events.add(connection, queued.sequence, EventKind.QUEUED, {"state": CampaignState.QUEUED, "name": name})
         for note in notes:
             events.add(connection, queued.sequence, EventKind.NOTE, {"text": note})
         return queued
@@ -335,7 +335,7 @@ def request_action(connection: Connection, campaign_id: str, action: Action) -> 
     state = CampaignState.CANCELLING if kind is EventKind.CANCELLING else changed.state
     if state.ended:
         _forget_leases(connection, changed)
-    _record_event(connection, campaign.sequence, kind, state)
+    events.add(connection, campaign.sequence, kind, {"state": state})
     return changed
 
 
@@ -353,7 +353,7 @@ def carry_out(connection: Connection, sequence: int, action: Action) -> bool:
     changed = _change(connection, sequence, [expected], asked, **changes, requested_action=None)
     if changed and action != "cancel":  # whose event was recorded when it was asked for
         kind = EventKind.PAUSED if action == "pause" else EventKind.RESUMED
-        _record_event(connection, sequence, kind, changes["state"])
+        events.add(connection, sequence, kind, {"state": changes["state"]})
     return changed
 
 
@@ -363,7 +363,7 @@ def start(connection: Connection, sequence: int) -> StoredCampaign | None:
     started = {"state": CampaignState.RUNNING, "started_at": now(), "watermark": watermark}
     if not _change(connection, sequence, [CampaignState.QUEUED], **started):
         return None
-    _record_event(connection, sequence, EventKind.RUNNING, CampaignState.RUNNING)
+    events.add(connection, sequence, EventKind.RUNNING, {"state": CampaignState.RUNNING})
     return by_sequence(connection, sequence)
 
 
@@ -438,7 +438,7 @@ def end(connection: Connection, sequence: int, state: CampaignState, error: str 
     ended = _change(connection, sequence, [each for each in CampaignState if not each.ended], state=state, **left)
     if ended:
         _forget_leases(connection, by_sequence(connection, sequence))
-        _record_event(connection, sequence, EventKind(state), state, **({} if error is None else {"error": error}))
+        events.add(connection, sequence, EventKind(state), {"state": state} | ({} if error is None else {"error": error}))
     return ended
 
 
@@ -451,11 +451,6 @@ def _forget_leases(connection: Connection, campaign: StoredCampaign) -> None:
         for stage, each in counts.items()
     }
     save_counts(connection, campaign.sequence, changed)
-
-
-def _record_event(connection: Connection, sequence: int, kind: EventKind, state: CampaignState, **more: Any) -> None:
-    """Adds the event of a changed state."""
-    events.add(connection, sequence, kind, {"state": state, **more})
 
 
 def _change(
