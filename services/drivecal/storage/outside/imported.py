@@ -52,21 +52,13 @@ def add(connection: Connection, problem: str, given: Sequence[ImportedValues]) -
         raise ConflictError(
             f"{problem} would have {count + len(places):,} imported cells, at most {MOST:,}; delete a source first"
         )
+    as_it_is = ("source", "date", "owner", "scenario", "scores", "measures", "form")
     rows = [
-        {"problem": problem, "source": each.source, "date": each.date, "owner": each.owner, "parameter_set_id": number}
-        | {
-            "scenario": scenario,
-            "scores": dict(each.scores),
-            "measures": dict(each.measures),
-            "form": each.form,
-            "created_at": now(),
-        }
-        for (number, scenario), each in places.items()
+        {name: getattr(each, name) for name in as_it_is} | {"problem": problem, "parameter_set_id": number, "created_at": now()}
+        for (number, _), each in places.items()
     ]
-    new = insert(
-        connection, imported_results
-    ).on_conflict_do_nothing()  # the same rows may be stored by another request right now
-    execute_rows(connection, new, rows)
+    # the same rows may be stored by another request right now
+    execute_rows(connection, insert(connection, imported_results).on_conflict_do_nothing(), rows)
     return len(rows)
 
 
