@@ -55,16 +55,8 @@ class Token:
         return self.is_admin or owner is None or owner == self.name
 
 
-def parse(content: bytes, source: str) -> tuple[Token, ...]:
-    """Returns the tokens in a file's content. Raises InvalidInputError naming `source` and line of each fault."""
-    tokens, problems = _parsed(content, source)
-    if problems:
-        raise InvalidInputError(*problems)
-    return tuple(tokens)
-
-
-def _parsed(content: bytes, source: str) -> tuple[list[Token], list[Problem]]:
-    """Returns the tokens of all lines without a fault, and the faults of the others."""
+def parse(content: bytes, source: str) -> tuple[list[Token], list[Problem]]:
+    """Returns the tokens of all lines of a file without a fault, and the faults of the others, which name `source` and line."""
     tokens: list[Token] = []
     problems: list[Problem] = []
     first_lines: dict[str | bytes, int] = {}
@@ -123,7 +115,10 @@ class TokenFile:
         """Reads the file. Raises InvalidInputError if it cannot be read or has a fault."""
         self._path = path
         self._version = _version(path)
-        self.tokens = parse(_read(path), str(path))
+        tokens, problems = parse(_read(path), str(path))
+        if problems:
+            raise InvalidInputError(*problems)
+        self.tokens = tuple(tokens)
         self.fault: str | None = None
         """Message about the present version of the file if it cannot be used as it is."""
 
@@ -151,7 +146,7 @@ class TokenFile:
         self._version = version
         try:
             content = _read(self._path)
-            tokens, problems = _parsed(content, str(self._path))
+            tokens, problems = parse(content, str(self._path))
         except InvalidInputError as error:
             content, tokens, problems = b"", [], list(error.problems)
         if not problems:

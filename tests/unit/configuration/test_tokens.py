@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.values import faulty_fields, present
+from tests.support.values import present
 
 from drivecal.configuration.settings import load_settings
 from drivecal.configuration.tokens import LARGEST_FILE, TokenFile, check_exposure, parse
@@ -29,15 +29,15 @@ def test_names_rights_and_tokens_are_read(tmp_path: Path) -> None:
 
 
 def test_an_author_may_write_and_push_and_no_other_may_push() -> None:
-    tokens = parse(GOOD + b"bea author bea-0123456789abcdef\n", "tokens")
+    tokens, _ = parse(GOOD + b"bea author bea-0123456789abcdef\n", "tokens")
     assert [(token.may_write, token.may_push) for token in tokens] == [(True, False), (False, False), (True, True)]
 
 
 @given(st.binary(max_size=40))
 def test_nothing_else_is_a_token(presented: bytes) -> None:
-    tokens = parse(GOOD, "tokens")
+    tokens, _ = parse(GOOD, "tokens")
     result = TokenFile.__new__(TokenFile)
-    result.tokens, result._path, result._version = tokens, Path("/nowhere"), None
+    result.tokens, result._path, result._version = tuple(tokens), Path("/nowhere"), None
     assert (result.find(presented) is None) == (presented not in {ANNA, PLANT})
 
 
@@ -73,10 +73,8 @@ def test_a_mistake_is_told_by_file_and_line_and_never_by_the_token(tmp_path: Pat
 
 
 def test_every_mistake_is_told_at_once() -> None:
-    assert faulty_fields(parse, b"a\nb write short\nc write 0123456789abcdef\n", "tokens") == [
-        "tokens, line 1",
-        "tokens, line 2",
-    ]
+    _, problems = parse(b"a\nb write short\nc write 0123456789abcdef\n", "tokens")
+    assert [problem.field for problem in problems] == ["tokens, line 1", "tokens, line 2"]
 
 
 def test_what_is_no_readable_file_is_refused(tmp_path: Path) -> None:
