@@ -148,17 +148,9 @@ def test_an_fmu_problem_without_an_fmu_says_what_to_put_where(tmp_path: Path) ->
         "<a/>",
     ],
 )
-def test_an_fmu_that_cannot_be_used_is_refused(description: str | bytes, tmp_path: Path) -> None:
-    file = fmu(tmp_path, description)
-    with pytest.raises(InvalidInputError):
-        read_fmu(file)
-
-
-def test_a_file_that_is_no_fmu_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "text.fmu").write_text("text")
-    for file in (tmp_path / "text.fmu", tmp_path / "missing.fmu", tmp_path, fmu(tmp_path, FMI2, "other.xml")):
-        with pytest.raises(InvalidInputError):
-            read_fmu(file)
+def test_an_fmu_that_cannot_be_used_has_no_variables(description: str | bytes, tmp_path: Path) -> None:
+    assert read_fmu(fmu(tmp_path, description).read_bytes()) is None
+    assert read_fmu(fmu(tmp_path, FMI2, "other.xml").read_bytes()) is None
 
 
 @settings(deadline=None, max_examples=examples(200))
@@ -166,7 +158,7 @@ def test_a_file_that_is_no_fmu_is_refused(tmp_path: Path) -> None:
 def test_a_damaged_description_is_refused_or_read(position: int, text: str) -> None:
     damaged = (FMI2[:position] + text + FMI2[position + 1 :]).encode("utf-8", errors="surrogatepass")
     try:
-        assert len(parse_description(damaged).variables) <= 10
+        assert len(parse_description(damaged) or ()) <= 10
     except InvalidInputError as error:
         assert len(error.problems) == 1  # noqa: PT017  # both outcomes are right
 

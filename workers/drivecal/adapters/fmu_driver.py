@@ -19,7 +19,7 @@ from xml.etree import ElementTree as ET
 from drivecal.adapters.driver import Evaluate, UnusableError, described, serve
 from drivecal.bundles import units
 from drivecal.bundles.fmus.checks import output_problems, section_problems, unit_problems, wanted_by
-from drivecal.bundles.fmus.description import INTEGERS, FmuDescription, FmuVariable, number
+from drivecal.bundles.fmus.description import INTEGERS, FmuVariable, Variables, number
 from drivecal.domain.errors import Problem, UnavailableError
 
 FATAL = 4
@@ -113,30 +113,26 @@ class Fmu:
 
     def check_units(self, used: Iterable[tuple[str, str, str, bool]]) -> None:
         """Raises UnusableError naming the first variable that is `used` in another unit than it states, see `output_problems`."""
-        _refuse_first(output_problems(self._description, used))
+        _refuse_first(output_problems(self._described, used))
 
     def check_section(self, field: str, section: Mapping[str, Any], parameters: Mapping[str, str]) -> None:
         """Raises UnusableError if the FMU does not fit the section of a controller or vehicle, e.g. has an input that nothing gives.
 
         `parameters`: units of the problem's parameters by name.
         """
-        _refuse_first(section_problems(field, section, self._description, parameters))
+        _refuse_first(section_problems(field, section, self._described, parameters))
 
     def check_parameters(self, parameters: Mapping[str, str]) -> None:
         """Raises UnusableError naming the first parameter with another unit than its variable states. `parameters`: units by name."""
-        _refuse_first(unit_problems(self._description, parameters))
+        _refuse_first(unit_problems(self._described, parameters))
 
     @cached_property
-    def _description(self) -> FmuDescription:
-        """The FMU as the checks of bundles know it."""
+    def _described(self) -> Variables:
+        """The variables as the checks of bundles know them."""
         powers = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
         units = [unit for unit in self.model.unitDefinitions if unit.baseUnit is not None]
         bases = {unit.name: {name: getattr(unit.baseUnit, name) for name in powers} for unit in units}
-        return FmuDescription(variables=[_described_variable(variable, bases) for variable in self.variables.values()])
-
-    @cached_property
-    def _described(self) -> Mapping[str, FmuVariable]:
-        return {variable.name: variable for variable in self._description.variables}
+        return {name: _described_variable(variable, bases) for name, variable in self.variables.items()}
 
     def _access(self, name: str) -> str:
         kind = self.variables[name].type

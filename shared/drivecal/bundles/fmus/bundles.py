@@ -1,7 +1,6 @@
 """Checks of a whole bundle against the FMUs among its files."""
 
 from collections.abc import Iterator, Mapping
-from io import BytesIO
 from itertools import islice
 
 from drivecal.bundles.archives import BundleFile
@@ -25,18 +24,17 @@ def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str
     problems: list[Problem] = []
     notes: list[str] = []
     for field, section in fmu_sections(manifest):
-        try:
-            description = read_fmu(BytesIO(files[section.file].content), section.file)
-        except (InvalidInputError, KeyError):
+        variables = read_fmu(files[section.file].content) if section.file in files else None
+        if variables is None:
             continue
         if isinstance(section, FmuSimulator):
-            problems += checks.unit_problems(description, parameters)
+            problems += checks.unit_problems(variables, parameters)
             data = [
                 (f"scenarios.{name}.{key}", key, value)
                 for name, given in manifest.scenarios.items()
                 for key, value in given.items()
             ]
-            problems += islice(checks.value_problems(description, data), MOST_PROBLEMS)
+            problems += islice(checks.value_problems(variables, data), MOST_PROBLEMS)
             measured = [(name, *text.partition("(")[::2]) for name, text in section.measures.items()]
             outputs = [
                 (
@@ -48,14 +46,14 @@ def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str
                 for name, kind, rest in measured
             ]
             outputs += [(f"series.{name}", name, unit, False) for name, unit in manifest.series.items()]
-            problems += checks.output_problems(description, outputs)
+            problems += checks.output_problems(variables, outputs)
             used = {*(output for _, output, *_ in outputs), section.seed or "", *(key for _, key, _ in data)}
         else:
-            problems += islice(checks.section_problems(field, section.model_dump(), description, parameters), MOST_PROBLEMS)
-            notes += islice(checks.input_notes(field, section.model_dump(), description), MOST_PROBLEMS)
+            problems += islice(checks.section_problems(field, section.model_dump(), variables, parameters), MOST_PROBLEMS)
+            notes += islice(checks.input_notes(field, section.model_dump(), variables), MOST_PROBLEMS)
             used = {*section.signals.values(), *(section.constants or {})}
-        problems += islice(checks.value_problems(description, _ends(manifest)), MOST_PROBLEMS)
-        notes += [*checks.unit_notes(description, parameters), *checks.unused_notes(field, used | set(parameters), description)]
+        problems += islice(checks.value_problems(variables, _ends(manifest)), MOST_PROBLEMS)
+        notes += [*checks.unit_notes(variables, parameters), *checks.unused_notes(field, used | set(parameters), variables)]
     if problems:
         raise InvalidInputError(*dict.fromkeys(problems))
     return tuple(dict.fromkeys(notes))

@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from typing import Any
 
 from drivecal.bundles import units
-from drivecal.bundles.fmus.description import INTEGERS, NUMBERS, FmuDescription, FmuVariable
+from drivecal.bundles.fmus.description import INTEGERS, NUMBERS, FmuVariable, Variables
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import Problem
 
@@ -24,26 +24,25 @@ LARGEST_FLOAT32 = (2 - 2**-23) * 2.0**127
 
 
 def section_problems(
-    field: str, section: Mapping[str, Any], description: FmuDescription, parameters: Mapping[str, str]
+    field: str, section: Mapping[str, Any], variables: Variables, parameters: Mapping[str, str]
 ) -> Iterator[Problem]:
     """Yields what does not fit between an FMU and the `section` of a controller.
 
     Args:
         field: The section's place in the manifest.
         section: Of a controller.
-        description: The FMU.
+        variables: The FMU's.
         parameters: Units of the problem's parameters by name.
     """
-    variables = {variable.name: variable for variable in description.variables}
     yield from _signals(field, section, variables)
     yield from _constants(field, section, variables, parameters)
     yield from _inputs(field, section, variables, parameters)
-    yield from unit_problems(description, parameters)
+    yield from unit_problems(variables, parameters)
 
 
-def unit_problems(description: FmuDescription, parameters: Mapping[str, str]) -> Iterator[Problem]:
+def unit_problems(variables: Variables, parameters: Mapping[str, str]) -> Iterator[Problem]:
     """Yields the parameters whose unit is another one than their variables state. `parameters`: units by name."""
-    for name, unit, variable in _parameters(description, parameters):
+    for name, unit, variable in _parameters(variables, parameters):
         if unit.strip() not in units.WITHOUT and not any(units.same(spelling, unit) for spelling in variable.spellings):
             remedy = f"give the unit and the values in {shown(variable.unit)}, or convert in the FMU"
             yield Problem(
@@ -51,12 +50,11 @@ def unit_problems(description: FmuDescription, parameters: Mapping[str, str]) ->
             )
 
 
-def output_problems(description: FmuDescription, used: Iterable[tuple[str, str, str, bool]]) -> Iterator[Problem]:
+def output_problems(variables: Variables, used: Iterable[tuple[str, str, str, bool]]) -> Iterator[Problem]:
     """Yields variables that are used in another unit than they state.
 
     `used`: the field of each, its name, the unit, and whether this is the unit of its integral over time.
     """
-    variables = {variable.name: variable for variable in description.variables}
     for field, name, unit, is_integral in used:
         suffix, whose = (".s", "the integral of ") if is_integral else ("", "")
         stated = [f"{spelling}{suffix}" for spelling in variables[name].spellings] if name in variables else []
@@ -65,48 +63,47 @@ def output_problems(description: FmuDescription, used: Iterable[tuple[str, str, 
             yield Problem(field, message, "give this unit, or convert in the FMU")
 
 
-def value_problems(description: FmuDescription, values: Iterable[tuple[str, str, object]]) -> Iterator[Problem]:
+def value_problems(variables: Variables, values: Iterable[tuple[str, str, object]]) -> Iterator[Problem]:
     """Yields values that do not fit the types of the FMU's variables: integers of any other size would wrap.
 
     `values`: the field of each, the variable's name and the value.
     """
-    variables = {variable.name: variable for variable in description.variables}
     for field, name, value in values:
         if name in variables and (wanted := wanted_by(variables[name], value)) is not None:
             yield Problem(field, f"{shown(value)} does not fit: {shown(name)} is of type {variables[name].kind}", wanted)
 
 
-def unit_notes(description: FmuDescription, parameters: Mapping[str, str]) -> Iterator[str]:
+def unit_notes(variables: Variables, parameters: Mapping[str, str]) -> Iterator[str]:
     """Yields a note for each parameter without a unit that the FMU takes in one. `parameters`: units by name."""
-    for name, unit, variable in _parameters(description, parameters):
+    for name, unit, variable in _parameters(variables, parameters):
         if unit.strip() in units.WITHOUT and not any(units.same(spelling, "1") for spelling in variable.spellings):
             yield f"parameters.{name}: no unit is given; the FMU takes it in {shown(variable.unit)}"
 
 
-def input_notes(field: str, section: Mapping[str, Any], description: FmuDescription) -> Iterator[str]:
+def input_notes(field: str, section: Mapping[str, Any], variables: Variables) -> Iterator[str]:
     """Yields a note for each input that the `section` of a controller leaves out and that no manifest can give."""
     given = set(section["signals"].values())
-    for variable in description.variables:
+    for variable in variables.values():
         if variable.causality == "input" and not variable.is_settable and variable.name not in given:
             kind = f"an array of {variable.kind}" if variable.is_array else f"of type {variable.kind}"
             yield f"{field}: nothing can give the FMU's input {shown(variable.name)}, {kind}; it stays as the FMU starts"
 
 
-def unused_notes(field: str, used: Collection[str], description: FmuDescription) -> Iterator[str]:
+def unused_notes(field: str, used: Collection[str], variables: Variables) -> Iterator[str]:
     """Yields a note that counts the inputs, outputs and parameters of the FMU at `field` that are not `used`."""
-    kinds = Counter(each.causality for each in description.variables if each.name not in used)
+    kinds = Counter(each.causality for each in variables.values() if each.name not in used)
     if counts := [f"{count:,} {kind}{'s' * (count > 1)}" for kind, count in kinds.items() if kind in SETTABLE | {"output"}]:
         yield f"{field}: the problem leaves out {', '.join(counts)} of the FMU; what is not set stays as the FMU starts"
 
 
-def _parameters(description: FmuDescription, parameters: Mapping[str, str]) -> Iterator[tuple[str, str, FmuVariable]]:
+def _parameters(variables: Variables, parameters: Mapping[str, str]) -> Iterator[tuple[str, str, FmuVariable]]:
     """Yields name, unit and variable of each parameter that an FMU has in a unit."""
-    for variable in description.variables:
+    for variable in variables.values():
         if variable.name in parameters and variable.spellings:
             yield variable.name, parameters[variable.name], variable
 
 
-def _signals(field: str, section: Mapping[str, Any], variables: Mapping[str, FmuVariable]) -> Iterator[Problem]:
+def _signals(field: str, section: Mapping[str, Any], variables: Variables) -> Iterator[Problem]:
     """Yields the signals whose variables have the wrong direction."""
     read = section["output"]
     for name, variable in section["signals"].items():
@@ -122,7 +119,7 @@ def _signals(field: str, section: Mapping[str, Any], variables: Mapping[str, Fmu
 
 
 def _constants(
-    field: str, section: Mapping[str, Any], variables: Mapping[str, FmuVariable], parameters: Mapping[str, str]
+    field: str, section: Mapping[str, Any], variables: Variables, parameters: Mapping[str, str]
 ) -> Iterator[Problem]:
     signals = {variable: name for name, variable in section["signals"].items()}
     for name, value in (section.get("constants") or {}).items():
@@ -166,9 +163,7 @@ def wanted_by(variable: FmuVariable, value: object) -> str | None:
     return None if value == int(value) and least <= value <= most else f"give a whole number from {least} to {most}"
 
 
-def _inputs(
-    field: str, section: Mapping[str, Any], variables: Mapping[str, FmuVariable], parameters: Mapping[str, str]
-) -> Iterator[Problem]:
+def _inputs(field: str, section: Mapping[str, Any], variables: Variables, parameters: Mapping[str, str]) -> Iterator[Problem]:
     """Yields the inputs that nothing gives, though something could (else `input_notes`).
 
     A start value is no statement: it would hold for the whole run, unnoticed.

@@ -3,16 +3,12 @@
 import math
 import zipfile
 from collections.abc import Mapping
-from contextlib import nullcontext
-from dataclasses import dataclass, field
-from io import SEEK_END
-from pathlib import Path
-from typing import IO
+from dataclasses import dataclass
+from io import BytesIO
 
 from drivecal.bundles import units
 from drivecal.bundles.archives import UNREADABLE
-from drivecal.contracts.strict_json import shown
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.documents import Attributes, read_elements
 
 LARGEST_DESCRIPTION = 32 << 20
@@ -53,41 +49,24 @@ class FmuVariable:
         return not self.is_array and self.kind in NUMBERS | _WHOLE | {"String"}
 
 
-@dataclass(slots=True)
-class FmuDescription:
-    """Content of a modelDescription.xml."""
-
-    fmi: str = ""
-    co_simulation: bool = False
-    variables: list[FmuVariable] = field(default_factory=list)
+Variables = Mapping[str, FmuVariable]
+"""By name."""
 
 
-def read_fmu(file: str | Path | IO[bytes], name: str | None = None) -> FmuDescription:
-    """Returns the description of an FMU. Raises InvalidInputError if the file is not an FMU or cannot be calibrated.
-
-    Messages call the file `name`, by default its path."""
-    name = str(file) if name is None else name
+def read_fmu(content: bytes) -> Variables | None:
+    """Returns the variables of an FMU; None if it cannot be read, or is not for co-simulation by FMI 2 or 3."""
     try:
-        with Path(file).open("rb") if isinstance(file, str | Path) else nullcontext(file) as whole:
-            content = _content(whole)
-    except UNREADABLE as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else " ".join(str(error).split())
-        raise _refused(name, f"it cannot be read as an FMU: {shown(reason, 200)}", "give an .fmu file") from error
-    if len(content) > LARGEST_DESCRIPTION:
-        raise _refused(name, f"its description has more than {LARGEST_DESCRIPTION >> 20} MB", "give a smaller FMU")
-    description = parse_description(content, name)
-    if description.fmi.split(".")[0] not in {"2", "3"}:
-        raise _refused(name, f"it is of FMI version {shown(description.fmi) or 'unknown'}", "export it as FMI 2.0 or 3.0")
-    if not description.co_simulation:
-        raise _refused(name, "it has no co-simulation", "export it for co-simulation")
-    return description
+        text = _content(content)
+        return parse_description(text) if len(text) <= LARGEST_DESCRIPTION else None
+    except (*UNREADABLE, InvalidInputError):
+        return None
 
 
-def _content(whole: IO[bytes]) -> bytes:
+def _content(whole: bytes) -> bytes:
     """Returns a modelDescription.xml, one byte more than allowed if it is larger. Raises BadZipFile."""
     if _directory_size(whole) > LARGEST_DIRECTORY:
         raise zipfile.BadZipFile(f"its directory has more than {LARGEST_DIRECTORY >> 20} MB")
-    with zipfile.ZipFile(whole) as archive:
+    with zipfile.ZipFile(BytesIO(whole)) as archive:
         entry = archive.getinfo("modelDescription.xml")
         # zipfile expands others whole, gigabytes of 10 kB
         if entry.compress_type not in {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
@@ -96,29 +75,29 @@ def _content(whole: IO[bytes]) -> bytes:
             return stream.read(LARGEST_DESCRIPTION + 1)
 
 
-def _directory_size(whole: IO[bytes]) -> int:
+def _directory_size(whole: bytes) -> int:
     """Returns the bytes that zipfile would read as an archive's directory. Raises BadZipFile."""
-    length = whole.seek(0, SEEK_END)
-    whole.seek(max(0, length - 22 - (1 << 16) - 20))  # as far back as zipfile looks, and the locator before it
-    tail = whole.read()
+    tail = whole[-(22 + (1 << 16) + 20) :]  # as far back as zipfile looks, and the locator before it
     start = len(tail) - 22 if tail[-22:-18] == b"PK\5\6" and tail[-2:] == b"\0\0" else tail.rfind(b"PK\5\6")
     if start < 0 or len(tail) < start + 22 or tail[max(0, start - 20) : start].startswith(b"PK\6\7"):
         raise zipfile.BadZipFile("it is not a zip archive, or one of format 64")
     return int.from_bytes(tail[start + 12 : start + 16], "little")
 
 
-def parse_description(content: bytes, name: str = "modelDescription.xml") -> FmuDescription:
-    """Returns the content of a modelDescription.xml. Raises InvalidInputError for XML that is damaged or has a DTD."""
+def parse_description(content: bytes) -> Variables | None:
+    """Returns the variables of a modelDescription.xml; None if it is not for co-simulation by FMI 2 or 3.
+
+    Raises InvalidInputError for XML that is damaged or has a DTD."""
     reader = _Reader()
-    read_elements(content, name, "fmiModelDescription", reader.start, lambda _: None)
-    return reader.description
+    read_elements(content, "modelDescription.xml", "fmiModelDescription", reader.start, lambda _: None)
+    return reader.variables if reader.fmi.split(".")[0] in {"2", "3"} and reader.co_simulation else None
 
 
 class _Reader:
-    """Collects a description from its elements."""
+    """Collects variables from the elements of a description."""
 
     def __init__(self) -> None:
-        self._description = FmuDescription()
+        self.fmi, self.co_simulation = "", False
         self._scalar: Mapping[str, str] | None = None
         """Attributes of the ScalarVariable (FMI 2) whose type comes next."""
         self._variables: list[tuple[str, dict[str, str]]] = []
@@ -131,16 +110,16 @@ class _Reader:
         self._base_units: dict[str, dict[str, float]] = {}
 
     @property
-    def description(self) -> FmuDescription:
-        """The whole, once everything is read."""
+    def variables(self) -> Variables:
+        """All of them, once everything is read."""
         items = {
             name: tuple(texts) for name, texts in self._items.items()
         }  # once: types may have as many as there are variables
-        self._description.variables = [
+        variables = (
             self._variable(kind, attributes, items, is_array=index in self._arrays)
             for index, (kind, attributes) in enumerate(self._variables)
-        ]
-        return self._description
+        )
+        return {variable.name: variable for variable in variables}
 
     def start(self, element: Attributes) -> None:
         """Takes an element in. Raises InvalidInputError for too many variables."""
@@ -148,9 +127,9 @@ class _Reader:
         if len(self._variables) > MOST_VARIABLES:
             raise element.fault(f"there are more than {MOST_VARIABLES:,} variables", "give a smaller FMU")
         if tag == "fmiModelDescription":
-            self._description.fmi = attributes.get("fmiVersion", "")
+            self.fmi = attributes.get("fmiVersion", "")
         elif tag == "CoSimulation":
-            self._description.co_simulation = True
+            self.co_simulation = True
         elif tag == "ScalarVariable":
             self._scalar = attributes
         elif tag in _TYPES and self._scalar is not None:
@@ -204,7 +183,3 @@ def number(text: str | None) -> float | None:
     except ValueError:
         return None
     return value if math.isfinite(value) else None
-
-
-def _refused(name: str, message: str, remedy: str) -> InvalidInputError:
-    return InvalidInputError(Problem(shown(name, 200), message, remedy))
