@@ -7,7 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
 
-from drivecal.bundles.archives import MANIFEST, BundleFile, executables, files_of, manifest_text, pack, with_files
+from drivecal.bundles.archives import MANIFEST, BundleFile, files_of, manifest_text, pack, with_files
 from drivecal.bundles.checks import checked, script_problems
 from drivecal.bundles.fmus.bundles import check_fmus
 from drivecal.bundles.highway import HighwaySimulator
@@ -80,7 +80,7 @@ def _read_archived(files: Mapping[str, BundleFile]) -> tuple[Manifest, tuple[str
 
 
 def _whole_with_fmus(document: Any, files: Mapping[str, BundleFile]) -> tuple[Manifest, tuple[str, ...]]:
-    manifest = checked(document, executables(files))
+    manifest = checked(document, files)
     problems = list(script_problems(manifest.simulator, files))
     if problems:
         raise InvalidInputError(*problems)

@@ -160,11 +160,6 @@ def files_digest(archive: bytes) -> str:
     return _digest({name: file for name, file in files_of(archive).items() if name != MANIFEST})
 
 
-def executables(files: Mapping[str, BundleFile]) -> dict[str, bool]:
-    """Returns for each file whether it is executable, as `checks.checked` takes it."""
-    return {name: file.executable for name, file in files.items()}
-
-
 def manifest_text(files: Mapping[str, BundleFile]) -> bytes:
     """Returns the content of `problem.yaml`. Raises InvalidInputError if it is missing."""
     if MANIFEST in files:

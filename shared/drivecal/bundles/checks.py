@@ -40,8 +40,8 @@ from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.domain.values import decimal
 from drivecal.plugins import registry
 
-Executables = Mapping[str, bool]
-"""Files of a bundle by path, and whether each is executable."""
+Files = Mapping[str, BundleFile]
+"""Files of a bundle by path."""
 OWN_FOLDERS = ("HOME", "TMPDIR", "TMP", "TEMP")
 """Variables that name an empty folder for each simulator."""
 _SECRET = re.compile(r"(?!.*_LICENSE).*(PASSWORD|PASSWD|PASSPHRASE|TOKEN|SECRET|CREDENTIAL|APIKEY|_KEY(_|$))", re.IGNORECASE)
@@ -74,7 +74,7 @@ _PLACEHOLDERS: Mapping[str, Any] = {
 """Valid sections that stand for faulty ones while the others are checked."""
 
 
-def checked(document: object, files: Executables | None = None, taken: Collection[str] | None = None) -> Manifest:
+def checked(document: object, files: Files | None = None, taken: Collection[str] | None = None) -> Manifest:
     """Returns a checked manifest. Raises InvalidInputError with all problems.
 
     Args:
@@ -110,7 +110,7 @@ def _cut_formula(problem: Problem) -> Problem:
     return replace(problem, remedy="put a formula with commas into quotes") if is_cut else problem
 
 
-def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables | None) -> Iterator[Problem]:
+def _semantic_problems(manifest: Manifest, faulty: set[str], files: Files | None) -> Iterator[Problem]:
     checks = (
         ({"parameters"}, _parameters(manifest)),
         ({"parameters"}, _names("parameters", manifest.parameters)),
@@ -346,7 +346,7 @@ def _fmu_measures(manifest: Manifest) -> Iterator[Problem]:
         yield Problem(f"measures.{name}", "the simulator does not report it", "add it to `simulator.measures`, e.g. last(x)")
 
 
-def _simulator(simulator: Any, files: Executables | None) -> Iterator[Problem]:
+def _simulator(simulator: Any, files: Files | None) -> Iterator[Problem]:
     if isinstance(simulator, ProcessSimulator | CommandSimulator):
         yield from _command("simulator.command", simulator.command, files)
     if isinstance(simulator, CommandSimulator):
@@ -380,7 +380,7 @@ def _simulator(simulator: Any, files: Executables | None) -> Iterator[Problem]:
             yield from _command(f"simulator.inputs[{index}]", given, files)
 
 
-def _code(field: str, section: Any, files: Executables | None) -> Iterator[Problem]:
+def _code(field: str, section: Any, files: Files | None) -> Iterator[Problem]:
     """Yields the faults of the Python file or FMU that a simulator or controller names."""
     if not isinstance(section, WITH_FILES):
         return
@@ -390,8 +390,7 @@ def _code(field: str, section: Any, files: Executables | None) -> Iterator[Probl
         yield Problem(f"{field}.file", f"{shown(section.file)} is no {ending} file", f"give the path of a {ending} file")
     if isinstance(section, PythonSimulator | PythonController) and section.wheels is not None:
         folder = section.wheels.removesuffix("/") + "/"
-        named = None if files is None else {folder: False} if any(name.startswith(folder) for name in files) else {}
-        yield from _file(f"{field}.wheels", folder, named)
+        yield from _file(f"{field}.wheels", folder, files and [folder for name in files if name.startswith(folder)])
 
 
 def _planner(manifest: Manifest) -> Iterator[Problem]:
@@ -399,7 +398,7 @@ def _planner(manifest: Manifest) -> Iterator[Problem]:
         yield from planner_problems(manifest.simulator.controller, manifest.scalars, manifest.varied)
 
 
-def _highway_scenarios(manifest: Manifest, files: Executables | None) -> Iterator[Problem]:
+def _highway_scenarios(manifest: Manifest, files: Files | None) -> Iterator[Problem]:
     if isinstance(manifest.simulator, HighwaySimulator):
         yield from scenarios_problems(manifest.simulator.step, manifest.scenarios)
         yield from task_problems(manifest.simulator.controller, manifest.scenarios)
@@ -412,7 +411,7 @@ def _highway_answers(manifest: Manifest) -> Iterator[Problem]:
         yield from measures_problems(manifest.measures, manifest.series, manifest.failures, has_planner=manifest.has_planner)
 
 
-def _command(field: str, words: list[str], files: Executables | None) -> Iterator[Problem]:
+def _command(field: str, words: list[str], files: Files | None) -> Iterator[Problem]:
     program = words[0]
     for index, word in enumerate(words):
         if "\x00" in word:
@@ -426,11 +425,11 @@ def _command(field: str, words: list[str], files: Executables | None) -> Iterato
         yield Problem(
             f"{field}[0]", f"{program} without ./ is looked up on PATH", f"give ./{program} for the file of the bundle"
         )
-    elif "/" in program and files.get(path) is False:
+    elif "/" in program and path in files and not files[path].executable:
         yield Problem(f"{field}[0]", f"the file {shown(path)} is not executable", f"type: chmod +x {shown(path)}")
 
 
-def script_problems(simulator: AnySimulator, files: Mapping[str, BundleFile]) -> Iterator[Problem]:
+def script_problems(simulator: AnySimulator, files: Files) -> Iterator[Problem]:
     """Yields the commands that begin with a script whose first line ends as on Windows: no machine has such an interpreter."""
     parts: list[tuple[str, Any]] = [("simulator", simulator)]
     if isinstance(simulator, HighwaySimulator):
@@ -444,7 +443,7 @@ def script_problems(simulator: AnySimulator, files: Mapping[str, BundleFile]) ->
                 yield Problem(f"{part}.{field}[0]", f"the first line of {shown(path)} ends as on Windows", remedy)
 
 
-def _file(field: str, path: str, files: Executables | None) -> Iterator[Problem]:
+def _file(field: str, path: str, files: Collection[str] | None) -> Iterator[Problem]:
     if path.startswith(("/", "~")) or re.match(r"[A-Za-z]:", path):
         yield Problem(field, f"{shown(path)} is an absolute path", "give a path inside the folder of the problem")
     elif ".." in path.split("/"):

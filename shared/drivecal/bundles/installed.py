@@ -11,7 +11,7 @@ from pathlib import Path
 
 import yaml
 
-from drivecal.bundles.archives import MANIFEST, content_digest, executables, files_digest, files_of, pack
+from drivecal.bundles.archives import MANIFEST, content_digest, files_digest, files_of, pack
 from drivecal.bundles.checks import checked
 from drivecal.bundles.manifest import Manifest
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -50,7 +50,7 @@ def read(name: str, folder: Path) -> InstalledProblem:
     archive = pack(folder)
     files = files_of(archive)
     document = yaml.safe_load(files[MANIFEST].content)
-    manifest = checked(document, executables(files), taken=())
+    manifest = checked(document, files, taken=())
     if manifest.problem != name:
         raise InvalidInputError(
             Problem("problem", f"{manifest.problem} is registered as {name}", "register it by its own name")

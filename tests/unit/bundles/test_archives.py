@@ -18,7 +18,6 @@ from drivecal.bundles.archives import (
     IGNORED,
     BundleFile,
     content_digest,
-    executables,
     files_digest,
     files_of,
     manifest_text,
@@ -267,4 +266,4 @@ def test_the_manifest_must_be_at_the_top() -> None:
 
 def test_executables_are_told_from_other_files() -> None:
     archive = zipped((typed("a", 0o755), b""), (typed("b", 0o644), b""))
-    assert executables(files_of(archive)) == {"a": True, "b": False}
+    assert {name: file.executable for name, file in files_of(archive).items()} == {"a": True, "b": False}

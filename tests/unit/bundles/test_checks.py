@@ -15,6 +15,7 @@ from tests.support.changes import with_change
 from tests.support.effort import examples
 from tests.support.values import faults_of
 
+from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import score_id, setup_document
 from drivecal.domain.errors import InvalidInputError
@@ -46,7 +47,8 @@ VALID: dict[str, Any] = {
         "comfort": {"formula": "min_ttc_s", "direction": "maximise", "range": [0, 10]},
     },
 }
-FILES = {"mysim": True, "model.py": False, "data.csv": False, "system.fmu": False, "wheels/numpy.whl": False}
+NAMES = ("mysim", "model.py", "data.csv", "system.fmu", "wheels/numpy.whl")
+FILES = {name: BundleFile(b"", executable=name == "mysim") for name in NAMES}
 COMMAND = {"kind": "command", "command": ["./mysim", "{parameters}", "{scenario}", "{results}"]}
 PYTHON = {"kind": "python", "file": "model.py"}
 FMU: dict[str, Any] = {
@@ -63,7 +65,7 @@ def document(**changes: Any) -> dict[str, Any]:
     return copy.deepcopy(VALID) | changes
 
 
-def faults(given: object, files: dict[str, bool] | None = None) -> set[str]:
+def faults(given: object, files: dict[str, BundleFile] | None = None) -> set[str]:
     """Fields that are refused."""
     refusal = faults_of(checked, given, files)
     assert all(problem.message and problem.remedy for problem in refusal)
@@ -91,7 +93,8 @@ def test_a_valid_manifest_of_each_kind_passes(simulator: dict[str, Any]) -> None
 @pytest.mark.parametrize("name", [path.parent.name for path in sorted(EXAMPLES.glob("*/problem.yaml"))])
 def test_the_examples_pass_with_their_files(name: str) -> None:
     folder = EXAMPLES / name
-    files = {path.name: bool(path.stat().st_mode & 0o100) for path in folder.iterdir()} | {"acc": True}
+    files = {path.name: BundleFile(b"", bool(path.stat().st_mode & 0o100)) for path in folder.iterdir()}
+    files["acc"] = BundleFile(b"", executable=True)
     assert checked(yaml.safe_load((folder / "problem.yaml").read_text()), files).problem == name
 
 

@@ -11,6 +11,7 @@ from tests.support.values import faults_of
 from tests.unit.bundles.test_checks import VALID as PROCESS_VALID
 from tests.unit.bundles.test_checks import faults
 
+from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.highway import CLASSES, HighwaySimulator, TrafficEntry
@@ -50,7 +51,8 @@ VALID: dict[str, Any] = {
     "series": {"gap_m": "m"},
     "scores": {"cost": {"formula": "energy_kwh", "direction": "minimise", "range": [0, 1]}},
 }
-FILES = {name: name == "acc" for name in ("acc.py", "acc.fmu", "acc", "road.net.xml", "a,b.net.xml", "${HOME}.net.xml")}
+NAMES = ("acc.py", "acc.fmu", "acc", "road.net.xml", "a,b.net.xml", "${HOME}.net.xml")
+FILES = {name: BundleFile(b"", executable=name == "acc") for name in NAMES}
 FMU = {
     "kind": "fmu",
     "file": "acc.fmu",
