@@ -139,9 +139,10 @@ def task_problems(controller: AnyController, scenarios: Mapping[str, Any]) -> It
 def scenarios_problems(step: float, scenarios: Mapping[str, Any]) -> Iterator[Problem]:
     """Yields the faults of all scenarios. `step`: the simulator's (s)."""
     for name, data in scenarios.items():
-        scenario = scenario_of(name, data)
-        if isinstance(scenario, InvalidInputError):
-            yield from scenario.problems
+        try:
+            scenario = declared_scenario(data)
+        except InvalidInputError as error:
+            yield from (replace(each, field=f"scenarios.{name}.{each.field}".rstrip(".")) for each in error.problems)
         else:
             yield from scenario_problems(f"scenarios.{name}", scenario, step)
 
@@ -159,19 +160,6 @@ def declared_scenario(data: Mapping[str, Any]) -> Declared:
     if "task" in data:
         return validated(TaskScenario, dict(data))
     return validated(OpenScenario, dict(data)) if "openscenario" in data else validated(HighwayScenario, dict(data))
-
-
-def scenario_of(name: str, data: Mapping[str, Any]) -> Declared | InvalidInputError:
-    """Returns a scenario's data as a model, or all its faults, with the names of their fields in the manifest."""
-    try:
-        return declared_scenario(data)
-    except InvalidInputError as error:
-        prefixed = (replace(problem, field=_joined(f"scenarios.{name}", problem.field)) for problem in error.problems)
-        return InvalidInputError(*prefixed)
-
-
-def _joined(prefix: str, field: str) -> str:
-    return f"{prefix}.{field}" if field else prefix
 
 
 def scenario_problems(

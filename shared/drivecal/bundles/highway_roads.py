@@ -6,22 +6,13 @@ in digests like every other file. It names the digest of its source: a network t
 
 import hashlib
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from itertools import chain, islice, pairwise
 
 from drivecal.bundles.archives import BundleFile
-from drivecal.bundles.highway import (
-    FARTHEST,
-    Described,
-    HighwayScenario,
-    HighwaySimulator,
-    OpenScenario,
-    Placed,
-    TaskScenario,
-    TrafficEntry,
-)
-from drivecal.bundles.highway_checks import scenario_of, scenario_problems
+from drivecal.bundles.highway import FARTHEST, Described, HighwayScenario, HighwaySimulator, Placed, TaskScenario, TrafficEntry
+from drivecal.bundles.highway_checks import declared_scenario, scenario_problems
 from drivecal.bundles.manifest import Manifest
 from drivecal.bundles.traffic.description import Description, described, map_of, network_of, with_origin
 from drivecal.bundles.traffic.entities import Files
@@ -36,12 +27,8 @@ from drivecal.roads.network import Network, network_file, source_of
 
 SHORTEST_DRIVE = 0.5
 """Share of the way at start speed that a route must have at least."""
-MOST_ROUTES = 100
-"""Different routes of a bundle's scenarios; checking one takes up to a second."""
-MOST_EDGES = 20_000
-"""Edges of these routes together."""
 MOST_SECONDS = 120.0
-"""Limit of a core's time for the files that describe scenarios: a server reads one push at a time."""
+"""Limit of a core's time for files and routes of scenarios: a server reads one push at a time, and a route takes up to a second."""
 Driven = tuple[str, tuple[str, ...], float, bool]
 """Network, route and limit of lanes without one (m/s, 0 without it) of a scenario: what its corridor depends on."""
 LARGEST_JUMP = 2.0
@@ -89,7 +76,7 @@ def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[st
     Raises InvalidInputError if a scenario's files, network, route or positions do not fit each other, with the fields of the manifest.
     """
     roads = _Roads(files)
-    problems: dict[str, list[Problem]] = {field: list(faults) for field, faults in _roads_of_tasks(manifest, files)}
+    problems: dict[str, list[Problem]] = dict(_roads_of_tasks(manifest, roads, files))
     descriptions: dict[str, Description] = {}
     for field, scenario in _scenarios(manifest):
         roads.check_time()
@@ -101,10 +88,10 @@ def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[st
         else:
             if description.scenario is not scenario or description.routes is not None:
                 problems[field] += _located(description, field, _again(description, field, manifest))
-    _check_effort(descriptions.values())
     notes: dict[str, list[str]] = {field: [] for field in descriptions}
     by_road = sorted(descriptions.items(), key=lambda entry: _road(entry[1].scenario))  # each network and route is read once
     for field, description in by_road:
+        roads.check_time()
         problems[field] += _located(description, field, _problems(roads, field, description.scenario))
         if not problems[field]:
             notes[field] += _notes(roads.corridor(description.scenario), field, description.scenario)
@@ -114,13 +101,16 @@ def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[st
     return (*dict.fromkeys(ignored), *chain.from_iterable(notes.values()))
 
 
-def _roads_of_tasks(manifest: Manifest, files: Mapping[str, BundleFile]) -> Iterator[tuple[str, list[Problem]]]:
+def _roads_of_tasks(
+    manifest: Manifest, roads: "_Roads", files: Mapping[str, BundleFile]
+) -> Iterator[tuple[str, list[Problem]]]:
     """Yields the faults of the roads of scenarios with a task, whose lanes are equal and go from the begin to the end."""
     for name, data in manifest.scenarios.items():
-        scenario = scenario_of(name, data)
+        scenario = declared_scenario(data)
         if isinstance(scenario, TaskScenario) and scenario.network in files:
+            roads.check_time()
             try:
-                road = carriageway(files[scenario.network].content, scenario.route, scenario.network)
+                road = carriageway(files[scenario.network].content, tuple(scenario.route), scenario.network)
             except InvalidInputError as error:
                 yield f"scenarios.{name}", list(_prefixed(error, f"scenarios.{name}"))
             else:
@@ -172,19 +162,6 @@ def _step(manifest: Manifest) -> float:
     return manifest.simulator.step if isinstance(manifest.simulator, HighwaySimulator) else 0.1
 
 
-def _check_effort(descriptions: Iterable[Description]) -> None:
-    """Raises InvalidInputError if checking the routes would take minutes."""
-    routes = {_road(description.scenario) for description in descriptions}
-    edges = sum(len(route) for _, route, *_ in routes)
-    remedy = "give more scenarios the same route, or push several problems"
-    if len(routes) > MOST_ROUTES:
-        message = f"they have {len(routes):,} different routes, more than {MOST_ROUTES}"
-        raise InvalidInputError(Problem("scenarios", message, remedy))
-    if edges > MOST_EDGES:
-        message = f"their routes have {edges:,} edges, more than {MOST_EDGES:,}"
-        raise InvalidInputError(Problem("scenarios", message, remedy))
-
-
 class _Roads:
     """Networks of a bundle, each read once, and the corridor of the last scenario: all corridors might not fit into memory."""
 
@@ -196,10 +173,11 @@ class _Roads:
         self._last: tuple[Driven, Corridor | InvalidInputError] | None = None
 
     def check_time(self) -> None:
-        """Raises InvalidInputError if reading takes too long."""
+        """Raises InvalidInputError if reading files and measuring routes takes too long."""
         if time.thread_time() - self._began > MOST_SECONDS:
-            message = f"the files of scenarios take more than {MOST_SECONDS:g} s of a core to be read"
-            raise InvalidInputError(Problem("scenarios", message, "leave scenarios out, or give smaller files"))
+            message = f"their files and routes take more than {MOST_SECONDS:g} s of a core to be read"
+            remedy = "give more scenarios the same route, smaller files, or push several problems"
+            raise InvalidInputError(Problem("scenarios", message, remedy))
 
     def map(self, name: str) -> Map:
         """Returns a network of the bundle with its OpenDRIVE file. Raises InvalidInputError with the field `network`."""
@@ -307,8 +285,8 @@ def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str
 
 def _scenarios(manifest: Manifest) -> Iterator[tuple[str, Described]]:
     for name, data in manifest.scenarios.items():
-        scenario = scenario_of(name, data)
-        if isinstance(scenario, HighwayScenario | OpenScenario):
+        scenario = declared_scenario(data)
+        if not isinstance(scenario, TaskScenario):
             yield f"scenarios.{name}", scenario
 
 

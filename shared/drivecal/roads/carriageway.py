@@ -1,6 +1,5 @@
 """Carriageways: routes whose lanes are equally wide and all go from the begin to the end, as the roads of the built-in motorway are."""
 
-from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -26,16 +25,12 @@ def corridor_of(network: bytes, route: tuple[str, ...], name: str) -> Corridor:
     return corridor(read_network(network, name), route, name)
 
 
-def carriageway(network: bytes, route: Sequence[str], name: str) -> Road:
+@lru_cache(MEASURED)
+def carriageway(network: bytes, route: tuple[str, ...], name: str) -> Road:
     """Returns the road of a route through a network file.
 
     Raises InvalidInputError if the file or the route cannot be used, or the lanes do not form a carriageway.
     """
-    return _road(network, tuple(route), name)
-
-
-@lru_cache(MEASURED)
-def _road(network: bytes, route: tuple[str, ...], name: str) -> Road:
     measured = corridor_of(network, route, name)
     lanes, width = len(measured.tracks), float(measured.widths[0, 0])
     if any(track.begin > 0.0 or track.end < measured.length for track in measured.tracks):

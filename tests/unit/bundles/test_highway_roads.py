@@ -17,6 +17,7 @@ from drivecal.bundles import highway_roads
 from drivecal.bundles.archives import BundleFile, content_digest, files_of, with_files
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway_roads import check_roads, conversions
+from drivecal.bundles.installed import installed_problems
 from drivecal.bundles.traffic import description
 from drivecal.configuration.problems import read_archived, read_bundle, read_bundle_with_notes
 from drivecal.domain.errors import InvalidInputError, UnavailableError
@@ -100,16 +101,6 @@ def test_crossings_on_the_route_are_named() -> None:
     document = changed("network", "town.net.xml")
     document["scenarios"]["merge"] |= {"route": ["west", "east"], "traffic": []}
     assert fields(document) == ["scenarios.merge.route[1]"]
-
-
-@pytest.mark.parametrize(("routes", "edges"), [(101, 1), (11, 2_000)])
-def test_more_routes_than_can_be_checked_in_a_push_are_refused_before_any(routes: int, edges: int) -> None:
-    document = changed("traffic", [])
-    scenario = document["scenarios"]["merge"]
-    document["scenarios"] = {
-        f"s{number}": scenario | {"route": [f"e{number}_{edge}" for edge in range(edges)]} for number in range(routes)
-    }
-    assert fields(document) == ["scenarios"]
 
 
 def test_a_route_of_many_scenarios_is_checked_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -244,6 +235,18 @@ def test_a_file_that_cannot_be_converted_is_named(tmp_path: Path) -> None:
     assert [problem.field.startswith("problem.yaml: line ") for problem in faults_of(read_bundle, tmp_path)] == [True]
 
 
-def test_files_that_take_too_long_to_read_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(highway_roads, "MOST_SECONDS", -1.0)
-    assert faulty_fields(check_roads, checked(MANIFEST), networks()) == ["scenarios"]
+@pytest.mark.parametrize("first", ["described", "corridor", "carriageway"])
+def test_files_and_routes_that_take_too_long_to_read_are_refused(first: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    document, files = changed("traffic", []), networks()
+    document["scenarios"]["later"] = document["scenarios"]["merge"] | {"route": ["ramp", "beside", "after"]}
+    if first == "carriageway":
+        motorway = installed_problems()["highway"]
+        document, files = motorway.manifest.model_dump(mode="json") | {"problem": "mine"}, files_of(motorway.archive)
+    whole = getattr(highway_roads, first)
+
+    def slow(*given: Any, **named: Any) -> Any:
+        monkeypatch.setattr(highway_roads, "MOST_SECONDS", -1.0)
+        return whole(*given, **named)
+
+    monkeypatch.setattr(highway_roads, first, slow)
+    assert faulty_fields(check_roads, checked(document), files) == ["scenarios"]

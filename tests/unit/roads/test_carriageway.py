@@ -28,7 +28,7 @@ def network(*widths: float, limit: str = "30") -> bytes:
 
 
 def test_lanes_widths_and_limits_are_those_of_the_network() -> None:
-    road = carriageway(network(3.5, 3.5), ["e"], "two.net.xml")
+    road = carriageway(network(3.5, 3.5), ("e",), "two.net.xml")
     assert (road.lanes, road.lane_width, road.right_edge, road.left_edge) == (2, 3.5, -1.75, 5.25)
     assert road.length == pytest.approx(200.0)
     assert road.limits == ((0.0, 30.0),)
@@ -37,7 +37,7 @@ def test_lanes_widths_and_limits_are_those_of_the_network() -> None:
 
 
 def test_a_road_is_measured_once() -> None:
-    assert carriageway(S5.network, list(S5.route), "S5.net.xml") is S5.road
+    assert carriageway(S5.network, S5.route, "S5.net.xml") is S5.road
 
 
 WAY = b'<connection from="e0" to="e1" fromLane="0" toLane="0" dir="s" state="M"/>'
@@ -62,7 +62,7 @@ WAY = b'<connection from="e0" to="e1" fromLane="0" toLane="0" dir="s" state="M"/
 )
 def test_what_is_no_carriageway_is_refused(content: bytes, route: list[str]) -> None:
     with pytest.raises(InvalidInputError, match=r"road\.net\.xml"):
-        carriageway(content, route, "road.net.xml")
+        carriageway(content, tuple(route), "road.net.xml")
 
 
 NEAR = 0.1

@@ -34,7 +34,8 @@ def scenario_of(scenario: str, data: Mapping[str, Any], folder: Path) -> Scenari
     declared = TaskScenario.model_validate(data)
     network = (folder / declared.network).read_bytes()
     same = {field: getattr(declared, field) for field in ("title", "rated_as", "duration", "step", "ego", "task", "seed")}
-    road, route = carriageway(network, declared.route, declared.network), tuple(declared.route)
+    route = tuple(declared.route)
+    road = carriageway(network, route, declared.network)
     return Scenario(id=scenario, network=network, road=road, route=route, traffic=tuple(declared.traffic), **same)
 
 
