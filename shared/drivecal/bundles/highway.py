@@ -105,9 +105,10 @@ class PlannerController(ControllerEntry):
 AnyController = Annotated[PythonController | ProcessController | FmuController | PlannerController, Field(discriminator="kind")]
 
 
-class VehicleValues(Model):
-    """Values of the single-track model. The defaults are the paper's."""
+class VehicleEntry(Model):
+    """The controlled vehicle: the single-track model with values that replace the paper's."""
 
+    model: Literal["single_track"] = "single_track"
     mass: Annotated[float, Field(ge=300, le=60_000)] | None = None
     cornering_stiffness_front: Annotated[float, Field(ge=1e4, le=1e7)] | None = None
     cornering_stiffness_rear: Annotated[float, Field(ge=1e4, le=1e7)] | None = None
@@ -118,13 +119,7 @@ class VehicleValues(Model):
     @property
     def changes(self) -> dict[str, float]:
         """Values that differ from the nominal ones."""
-        return self.model_dump(include=set(VehicleValues.model_fields), exclude_none=True)
-
-
-class VehicleEntry(VehicleValues):
-    """The controlled vehicle: the single-track model with values that replace the paper's."""
-
-    model: Literal["single_track"] = "single_track"
+        return self.model_dump(exclude={"model"}, exclude_none=True)
 
 
 class HighwaySimulator(SimulatorEntry):

@@ -19,7 +19,7 @@ from drivecal.bundles.highway import (
     TrafficBehaviour,
     TrafficEntry,
     TrafficVehicle,
-    VehicleValues,
+    VehicleEntry,
 )
 from drivecal.bundles.highway_action_checks import actions_problems
 from drivecal.bundles.highway_catalogue import (
@@ -108,7 +108,7 @@ def planner_problems(controller: PlannerController, parameters: Collection[str],
         parameters: names of the problem's parameters.
         varied: names of the problem's varied parameters.
     """
-    known = list(VehicleValues.model_fields)
+    known = [name for name in VehicleEntry.model_fields if name != "model"]
     for name in varied:
         if name not in known:
             yield Problem(f"varied.{name}", "the planner's vehicle has no such parameter", nearest(name, known))

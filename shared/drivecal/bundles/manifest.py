@@ -128,11 +128,6 @@ class FmuSimulator(SimulatorEntry):
     reset: bool = True
     """Between runs the FMU is reset; false: each run has a new process, for FMUs whose reset is missing or leaves something."""
 
-    @property
-    def renews(self) -> bool:
-        """True if each run has a new process."""
-        return not self.reset
-
     @model_validator(mode="after")
     def _has_a_seed(self) -> Self:
         if self.random != (self.seed is not None):

@@ -64,4 +64,4 @@ class SimulatorEntry(Model):
     @property
     def renews(self) -> bool:
         """True if each run has a new process."""
-        return False
+        return not getattr(self, "reset", True)

@@ -35,7 +35,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
             f"the library of SUMO was {settings['sumo']} when the worker opened this scenario, and is {installed} in its new process;"
             " install the former again, or restart the server and submit the campaign again"
         )
-    from drivecal.bundles.highway import HighwaySimulator, VehicleValues
+    from drivecal.bundles.highway import HighwaySimulator, VehicleEntry
     from drivecal.bundles.traffic.description import described_in
     from drivecal.highway.drive.control import CommandControl
     from drivecal.highway.drive.controllers import controller
@@ -58,7 +58,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     roads = read_network(network.read_bytes(), scenario.network)
     route = corridor(roads, scenario.route, scenario.network, scenario.default_limit, crossings=scenario.crossings)
     road = HighwayRoad(route, other_levels(roads, route), unlimited(roads))
-    changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleValues) else {}
+    changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleEntry) else {}
     parameters = SingleTrackParameters.of({entry.name: entry.nominal for entry in TABLE_8} | changes)
     # The last message before a crash names its cause: SUMO can die of a damaged network.
     print(f"SUMO loads {scenario.network}", file=sys.stderr, flush=True)  # noqa: T201  # the last message
