@@ -179,10 +179,9 @@ class WayReader:
         if orientation is None:
             return pose
         turn = orientation.number("h", -100.0, 100.0, 0.0)
-        kind_of_turn = orientation.word("type", ("relative", "absolute"), "absolute" if turn else "relative")
-        if kind_of_turn == "absolute" and kind.element in {"LanePosition", "RoadPosition"}:
-            return pose._replace(heading=turn)
-        return pose._replace(heading=pose.heading + turn)
+        unsaid = "absolute" if turn and kind.element in {"LanePosition", "RoadPosition"} else "relative"
+        is_absolute = orientation.word("type", ("relative", "absolute"), unsaid) == "absolute"
+        return pose._replace(heading=turn if is_absolute else pose.heading + turn)
 
     def on_route(self, kind: Element, places: Mapping[str, FilePlace]) -> tuple[Polyline, Pose]:
         """Returns the route of a <RoutePosition>, and the pose on it."""

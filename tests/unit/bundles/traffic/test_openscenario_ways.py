@@ -1,6 +1,6 @@
 """Riders, pedestrians and obstacles of OpenSCENARIO files on trajectories, routes and places off the lanes; maneuvers of catalogs."""
 
-from math import cos, hypot, sin
+from math import cos, hypot, pi, sin
 
 import pytest
 from tests.support.scenario_files import (
@@ -139,6 +139,15 @@ def test_an_obstacle_stands_relative_to_another_one() -> None:
     first, ahead = path_of(third)
     assert first == pytest.approx((210.0, -5.25 - 9.0), abs=0.05)
     assert ahead[0] - first[0] == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("kind", "heading"), [("absolute", pi / 2), ("relative", HEADING + pi / 2)])
+def test_a_heading_beside_another_vehicle_is_absolute_or_relative(kind: str, heading: float) -> None:
+    turned = f'<Orientation type="{kind}" h="${{pi / 2}}"/>'
+    beside = f'<Position><RelativeObjectPosition entityRef="Other" dx="10" dy="-9">{turned}</RelativeObjectPosition></Position>'
+    third = read(CARS | {"Third": vehicle()}, EGO + OTHER + private("Third", moved(beside))).scenario.traffic[1]
+    (x, y), (ahead_x, ahead_y) = third.path or ()
+    assert (ahead_x - x, ahead_y - y) == pytest.approx((cos(heading), sin(heading)), abs=1e-5)
 
 
 def test_a_rider_follows_a_route_beside_the_lane_s_centre() -> None:
