@@ -52,7 +52,7 @@ CAMPAIGN = (
 OTHER_FILES = (comparison.ComparisonSpecification, specification.RerunSpecification, specification.InfluenceMapSpecification)
 PROBLEM = (
     manifest.Manifest,
-    manifest.ParameterEntry,
+    specification.ParameterEntry,
     shapes.ShapeEntry,
     shapes.CurveAxis,
     shapes.MapAxes,

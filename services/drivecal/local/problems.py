@@ -22,11 +22,11 @@ from drivecal.bundles.archives import unpack
 from drivecal.bundles.checks import choices_of
 from drivecal.bundles.expressions import Constraint
 from drivecal.bundles.installed import Bundle
-from drivecal.bundles.manifest import Manifest, ParameterEntry
+from drivecal.bundles.manifest import Manifest
 from drivecal.bundles.shapes import with_points
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.workbench import bench_of, constraints_of, parameters_of
-from drivecal.contracts.specification import ProblemSpecification
+from drivecal.contracts.specification import ParameterEntry, ProblemSpecification
 from drivecal.contracts.work import CellResult, SetupRequest
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError

@@ -23,7 +23,6 @@ from drivecal.bundles.manifest import (
     CommandSimulator,
     FmuSimulator,
     Manifest,
-    ParameterEntry,
     ProcessSimulator,
     PythonSimulator,
     ScoreEntry,
@@ -31,6 +30,7 @@ from drivecal.bundles.manifest import (
 from drivecal.bundles.shapes import with_coefficients
 from drivecal.contracts import strict_json
 from drivecal.contracts.input_errors import nearest, validated
+from drivecal.contracts.specification import ParameterEntry
 from drivecal.contracts.strict_json import shown
 from drivecal.contracts.tables import parameter_column
 from drivecal.domain.constraints import Constraints

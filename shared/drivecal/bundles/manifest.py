@@ -14,31 +14,12 @@ from drivecal.bundles.highway import HighwaySimulator, PlannerController
 from drivecal.bundles.highway_catalogue import MEASURES
 from drivecal.bundles.shapes import Shape, ShapeEntry, takes_elements, with_coefficients
 from drivecal.bundles.simulators import Command, File, Resources, SimulatorEntry, Text, Unit
-from drivecal.contracts.specification import Given, Model
-from drivecal.contracts.strict_json import Choice, Identifier, Number
+from drivecal.contracts.specification import Given, Model, ParameterEntry
+from drivecal.contracts.strict_json import Identifier, Number
 from drivecal.domain.scales import Direction, Scale
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.domain.values import Setting
 from drivecal.domain.vehicles import VehicleParameter
-
-
-class ParameterEntry(Model):
-    """A parameter: a grid (`step`), continuous (none), integer, or a choice."""
-
-    lower: Number | None = None
-    """Smallest value; not for a choice."""
-    upper: Number | None = None
-    """Largest value; not for a choice."""
-    step: Annotated[float, Field(gt=0, le=1e6)] | None = None
-    """Distance of two values; null: continuous."""
-    integer: bool = False
-    """Whole numbers only; the simulation gets an integer."""
-    choices: Annotated[list[Choice], Field(min_length=2, max_length=1000)] | None = None
-    """The texts of a choice, in place of bounds; the simulation gets the text."""
-    unit: Unit = "1"
-    """For readers; 1 is none."""
-    description: Text = ""
-    """For readers."""
 
 
 def _is_shape(entry: object) -> str:

@@ -55,18 +55,29 @@ class Model(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
-class ParameterSpecification(Model):
-    """A parameter of the user's own space: a grid (`step`), continuous (none, or 0), integer, or a choice."""
+class ParameterEntry(Model):
+    """A parameter: a grid (`step`), continuous (none, or 0), integer, or a choice."""
 
-    name: Identifier
     lower: Number | None = None
+    """Smallest value; not for a choice."""
     upper: Number | None = None
-    step: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    """Largest value; not for a choice."""
+    step: Annotated[float, Field(ge=0, le=1e6), AfterValidator(lambda step: step or None)] | None = None
     """Distance of two values; null or 0: continuous."""
     integer: bool = False
+    """Whole numbers only; the simulation gets an integer."""
     choices: Annotated[list[Choice], Field(min_length=2, max_length=1000)] | None = None
-    """The texts of a choice, in place of bounds."""
+    """The texts of a choice, in place of bounds; the simulation gets the text."""
     unit: Annotated[str, StringConstraints(max_length=32)] = "1"
+    """For readers; 1 is none."""
+    description: Annotated[str, StringConstraints(max_length=1000)] = ""
+    """For readers."""
+
+
+class ParameterSpecification(ParameterEntry):
+    """A parameter of the user's own space."""
+
+    name: Identifier
 
 
 class VehicleSpecification(Model):

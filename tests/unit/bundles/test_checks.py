@@ -117,7 +117,6 @@ def test_the_examples_pass_with_their_files(name: str) -> None:
         ("parameters/v0/lower", 40, "parameters.v0.upper"),
         ("parameters/v0/step", 0.3, "parameters.v0.step"),
         ("parameters/v0/step", 1e-8, "parameters.v0.step"),
-        ("parameters/v0/step", 0, "parameters.v0.step"),
         ("parameters/v0/choices", ["a", "b"], "parameters.v0.choices"),
         ("parameters/T/lower", 0.12345678901, "parameters.T.lower"),
         ("parameters/n/lower", 1.5, "parameters.n.lower"),

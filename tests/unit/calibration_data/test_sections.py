@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 from tests.support.values import faulty_fields
 
-from drivecal.bundles.manifest import ParameterEntry
 from drivecal.calibration_data import dcm
 from drivecal.calibration_data.characteristics import Axis, Characteristic, index
 from drivecal.calibration_data.files import labels_of
 from drivecal.calibration_data.sections import axis_points, chosen_by, joined, sections_of
+from drivecal.contracts.specification import ParameterEntry
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Parameter
 
