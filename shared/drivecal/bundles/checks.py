@@ -149,6 +149,9 @@ def _parameters(manifest: Manifest) -> Iterator[Problem]:
     owner = {coefficient: name for name, shape in manifest.shapes.items() for coefficient in shape.names}
     for name in owner.keys() & manifest.parameters.keys():
         yield Problem(f"parameters.{name}", f"{owner[name]} has a coefficient of this name", "give it another name")
+    for name, shape in manifest.shapes.items():
+        if others := {owner[each] for each in shape.names} - {name}:
+            yield Problem(f"parameters.{name}", f"{others.pop()} has coefficients of the same names", "give it another name")
     for name in {owner[each] for each in owner if len(each) > LONGEST_NAME}:
         message = f"names of its coefficients are longer than {LONGEST_NAME} characters"
         yield Problem(f"parameters.{name}", message, "give it a shorter name")
@@ -179,7 +182,7 @@ def _names(section: str, names: Iterable[str]) -> Iterator[Problem]:
 def _varied(manifest: Manifest) -> Iterator[Problem]:
     for name, entry in manifest.varied.items():
         field = f"varied.{name}"
-        if name in manifest.parameters:
+        if name in {*manifest.parameters, *manifest.scalars}:
             yield Problem(field, f"{name} is a parameter, too", "give one of them another name")
         if not entry.lower < entry.upper:
             yield Problem(f"{field}.lower", f"{entry.lower:g} is not below {entry.upper:g}", "give the smaller number")

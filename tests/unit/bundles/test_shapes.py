@@ -131,6 +131,17 @@ def test_a_wrong_curve_is_refused_at_its_field(gain: dict[str, Any], field: str)
 
 
 @pytest.mark.parametrize(
+    ("others", "fields"),
+    [
+        ({"parameters": {"g": TORQUE, "g_1": GAIN}}, {"parameters.g"}),
+        ({"varied": {"gain_1": {"nominal": 1, "lower": 0, "upper": 2}}}, {"varied.gain_1"}),
+    ],
+)
+def test_a_name_of_two_coefficients_or_of_a_varied_parameter_is_refused(others: dict[str, Any], fields: set[str]) -> None:
+    assert set(faulty_fields(checked, document({}) | others)) == fields
+
+
+@pytest.mark.parametrize(
     ("baseline", "field"),
     [
         ({"gain": [1, 2]}, "baseline.gain"),
