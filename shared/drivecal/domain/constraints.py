@@ -277,13 +277,11 @@ class Constraints:
         )
 
     def _columns(self, population: Indices) -> dict[str, npt.NDArray[Any]]:
-        columns: dict[str, npt.NDArray[Any]] = {}
-        for name, value in self.space.fixed.items():
-            columns[name] = np.full(len(population), value if isinstance(value, str) else float(value))
-        for parameter, indices in zip(self.space.searched, population.T, strict=True):
-            choices = np.array(parameter.choices)
-            columns[parameter.name] = choices[indices] if parameter.choices else parameter.billionths_at(indices) / BILLION
-        return columns
+        """Returns the values of all parameters at rows of grid indices, shape (n,) each: floats, or texts of choices."""
+        fixed = {name: value if isinstance(value, str) else float(value) for name, value in self.space.fixed.items()}
+        columns = {name: np.full(len(population), value) for name, value in fixed.items()}
+        entries = self.entries(population).items()
+        return columns | {name: stored / BILLION if stored.dtype.kind == "i" else stored for name, stored in entries}
 
 
 class Vicinity:

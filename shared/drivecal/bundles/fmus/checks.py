@@ -137,8 +137,8 @@ def _constants(
         elif variables[name].causality not in SETTABLE:
             message = f"{shown(name)} is neither an input nor a parameter of the FMU, but {variables[name].causality}"
             yield Problem(at, message, "leave it out")
-        elif (wanted := wanted_by(variables[name], value)) is not None:
-            yield Problem(at, f"{shown(value)} does not fit: {shown(name)} is of type {variables[name].kind}", wanted)
+        else:
+            yield from value_problems(variables, [(at, name, value)])
 
 
 def wanted_by(variable: FmuVariable, value: object) -> str | None:
