@@ -30,7 +30,6 @@ from drivecal.bundles.highway_catalogue import (
     SERIES,
     SIGNALS,
     TYPE_PARAMETERS,
-    Quantity,
 )
 from drivecal.contracts.input_errors import nearest, validated
 from drivecal.contracts.strict_json import shown
@@ -266,18 +265,13 @@ def measures_problems(
 ) -> Iterator[Problem]:
     """Yields declared measures, series and failures that the simulator lacks or has in another unit."""
     known = FAILURES if not has_planner else tuple(Failure)
-    yield from _known("measures", measures, CLOSED_LOOP_MEASURES if has_planner else units_of(MEASURES))
-    yield from _known("series", series, {} if has_planner else units_of(SERIES))
+    yield from _known("measures", measures, CLOSED_LOOP_MEASURES if has_planner else MEASURES)
+    yield from _known("series", series, {} if has_planner else SERIES)
     for index, name in enumerate(failures):
         if name not in known:
             yield Problem(f"failures[{index}]", f"the simulator reports no {shown(name)}", nearest(name, known))
     if failures and (missing := [name for name in known if name not in failures]):
         yield Problem("failures", f"the simulator also reports {', '.join(missing)}", "add them, or leave `failures` out")
-
-
-def units_of(catalogue: Mapping[str, Quantity]) -> dict[str, str]:
-    """Returns the units of quantities by name."""
-    return {name: quantity.unit for name, quantity in catalogue.items()}
 
 
 def _known(section: str, declared: Mapping[str, str], catalogue: Mapping[str, str]) -> Iterator[Problem]:

@@ -329,4 +329,4 @@ class Manifest(Model):
         """Measures that runs of campaigns report and store, with units: the declared ones, and whatever else the simulator always computes,
         for scores that are pushed later."""
         always = MEASURES if isinstance(self.simulator, HighwaySimulator) and not self.has_planner else {}
-        return self.measures | {name: quantity.unit for name, quantity in always.items() if name not in self.measures}
+        return self.measures | {name: unit for name, unit in always.items() if name not in self.measures}

@@ -59,7 +59,7 @@ def test_the_built_in_traffic_stores_measures_that_only_a_later_push_declares() 
     request = bench_of(stored, next(iter(given["scores"]))).requests[next(iter(given["scenarios"]))]
     assert len(set(request.measures)) == len(request.measures)
     assert set(request.measures) == set(CATALOGUE) > given["measures"].keys()
-    (new, unit) = next((name, entry.unit) for name, entry in CATALOGUE.items() if name not in given["measures"])
+    (new, unit) = next((name, unit) for name, unit in CATALOGUE.items() if name not in given["measures"])
     score = {"formula": new, "direction": "minimise", "range": [0, 100]}
     later = checked({**given, "measures": {**given["measures"], new: unit}, "scores": {"later": score}})
     rating = present(

@@ -188,9 +188,9 @@ class LoadedFmuController(Controller):
         signals, output = section["signals"], section["output"]
         self._fmu = Fmu(file, unpacked)
         self._fmu.check(signals.values(), "name in `signals`")
-        quantities = {name: (COMMANDS if name in output else SIGNALS)[name] for name in signals}
+        own = {name: (COMMANDS if name in output else SIGNALS)[name] for name in signals}
         field = "simulator.controller.signals"
-        self._fmu.check_units((f"{field}.{name}", signals[name], each.unit, False) for name, each in quantities.items())
+        self._fmu.check_units((f"{field}.{name}", signals[name], unit, False) for name, unit in own.items())
         self._fmu.check_section("simulator.controller", section, units or {})
         inputs = {variable: NAMES.index(name) for name, variable in signals.items() if name not in output}
         self._writer = self._fmu.writer(inputs)

@@ -1,4 +1,4 @@
-"""Measures and time series of a run, from its record. Pure. Formulas: `drivecal.bundles.highway_catalogue.MEASURES`."""
+"""Measures and time series of a run, from its record. Pure. Formulas: `bundles/highway.md`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -145,7 +145,7 @@ def _of_lanes(record: Record) -> dict[str, float]:
 
 
 def energy(dynamics: Floats, mass: float) -> float:
-    """Returns the energy (kWh) that a battery gives: see `MEASURES`."""
+    """Returns the energy (kWh) that a battery gives, see `bundles/highway.md`."""
     speed, acceleration = dynamics[:, 0], dynamics[:, 1]
     force = ROTATING * mass * acceleration + ROLLING * mass * GRAVITY + DRAG * speed**2
     power = force * speed
