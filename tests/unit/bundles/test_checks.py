@@ -47,8 +47,7 @@ VALID: dict[str, Any] = {
         "comfort": {"formula": "min_ttc_s", "direction": "maximise", "range": [0, 10]},
     },
 }
-NAMES = ("mysim", "model.py", "data.csv", "system.fmu", "wheels/numpy.whl")
-FILES = {name: BundleFile(b"", executable=name == "mysim") for name in NAMES}
+FILES = {name: BundleFile(b"", name == "mysim") for name in ("mysim", "model.py", "data.csv", "system.fmu", "wheels/numpy.whl")}
 COMMAND = {"kind": "command", "command": ["./mysim", "{parameters}", "{scenario}", "{results}"]}
 PYTHON = {"kind": "python", "file": "model.py"}
 FMU: dict[str, Any] = {

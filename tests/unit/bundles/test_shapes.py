@@ -130,15 +130,10 @@ def test_a_wrong_curve_is_refused_at_its_field(gain: dict[str, Any], field: str)
     assert set(faulty_fields(checked, document(gain))) == {field}
 
 
-@pytest.mark.parametrize(
-    ("others", "fields"),
-    [
-        ({"parameters": {"g": TORQUE, "g_1": GAIN}}, {"parameters.g"}),
-        ({"varied": {"gain_1": {"nominal": 1, "lower": 0, "upper": 2}}}, {"varied.gain_1"}),
-    ],
-)
-def test_a_name_of_two_coefficients_or_of_a_varied_parameter_is_refused(others: dict[str, Any], fields: set[str]) -> None:
-    assert set(faulty_fields(checked, document({}) | others)) == fields
+def test_a_name_of_two_coefficients_or_of_a_varied_parameter_is_refused() -> None:
+    assert faulty_fields(checked, document({}) | {"parameters": {"g": TORQUE, "g_1": GAIN}}) == ["parameters.g"]
+    varied = {"gain_1": {"nominal": 1, "lower": 0, "upper": 2}}
+    assert faulty_fields(checked, document({}, varied=varied)) == ["varied.gain_1"]
 
 
 @pytest.mark.parametrize(

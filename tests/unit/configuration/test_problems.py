@@ -71,10 +71,6 @@ def test_a_script_with_line_ends_of_windows_is_refused(tmp_path: Path, ends: str
         read_archived(files_of(pack(tmp_path)))
 
 
-def test_the_valid_text_is_valid() -> None:
-    assert read_archived(files(VALID.encode())).constraints == ("v0 >= 10*T",)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [

@@ -146,7 +146,7 @@ def test_a_heading_beside_another_vehicle_is_absolute_or_relative(kind: str, hea
     turned = f'<Orientation type="{kind}" h="${{pi / 2}}"/>'
     beside = f'<Position><RelativeObjectPosition entityRef="Other" dx="10" dy="-9">{turned}</RelativeObjectPosition></Position>'
     third = read(CARS | {"Third": vehicle()}, EGO + OTHER + private("Third", moved(beside))).scenario.traffic[1]
-    (x, y), (ahead_x, ahead_y) = third.path or ()
+    (x, y), (ahead_x, ahead_y) = third.path or []
     assert (ahead_x - x, ahead_y - y) == pytest.approx((cos(heading), sin(heading)), abs=1e-5)
 
 
