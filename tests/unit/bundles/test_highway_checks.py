@@ -51,8 +51,8 @@ VALID: dict[str, Any] = {
     "series": {"gap_m": "m"},
     "scores": {"cost": {"formula": "energy_kwh", "direction": "minimise", "range": [0, 1]}},
 }
-NAMES = ("acc.py", "acc.fmu", "acc", "road.net.xml", "a,b.net.xml", "${HOME}.net.xml")
-FILES = {name: BundleFile(b"", executable=name == "acc") for name in NAMES}
+BUNDLED = ("acc.py", "acc.fmu", "acc", "road.net.xml", "a,b.net.xml", "${HOME}.net.xml")
+FILES = {name: BundleFile(b"", executable=name == "acc") for name in BUNDLED}
 FMU = {
     "kind": "fmu",
     "file": "acc.fmu",
