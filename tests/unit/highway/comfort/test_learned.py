@@ -11,13 +11,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sklearn.linear_model import RidgeCV
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 from tests.support.effort import examples
 
 from drivecal.highway.comfort import learned, regressions
 from drivecal.highway.comfort.learned import LEARNED, Learned
 from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.highway.comfort.regressions import Regression, arrays_of, shipped
-from drivecal.highway.comfort.rocket import LENGTH, MIRROR, Rater, channels_of, features_of
+from drivecal.highway.comfort.rocket import LENGTH, MIRROR, channels_of, features_of, rating_of
 from drivecal.highway.training import comfort
 from drivecal.highway.training.rated_drives import synthetic
 from drivecal.plugins.arrays import DamagedArraysError
@@ -122,19 +125,19 @@ def test_a_series_that_is_not_finite_is_refused(broken: float) -> None:
 def test_it_rates_as_the_training_framework_does(manoeuvre: Manoeuvre) -> None:
     """Ridge regression by scikit-learn on standardised features, against the weights that are stored for it."""
     drives = [drive for number in range(40) if (drive := synthetic(manoeuvre, number, seed=5)) is not None]
-    fitted = comfort.fit(drives, comfort.rated_by_panel(drives), seed=2)
-    mean, deviation = fitted.scale
-    features = np.array([features_of(fitted.regression, drive.channels) for drive in drives])
-    theirs = np.clip(fitted.ridge.predict((features - mean) / deviation), 0.0, 7.0)
-    rater = Rater({manoeuvre: fitted.regression})
-    ours = [rater.rate_channels(manoeuvre, drive.channels).rating for drive in drives]
+    panel = comfort.rated_by_panel(drives)
+    fitted = comfort.fit(drives, panel, seed=2)
+    features = np.array([features_of(fitted, drive.channels) for drive in drives])
+    ridge = make_pipeline(StandardScaler(), RidgeCV(alphas=comfort.PENALTIES)).fit(features, panel)
+    theirs = np.clip(ridge.predict(features), 0.0, 7.0)
+    ours = [rating_of(fitted, drive.channels).rating for drive in drives]
     assert ours == pytest.approx(theirs.tolist(), abs=1e-6)
     assert np.std(ours) > 0.5
 
 
 def test_training_again_gives_the_same_bits() -> None:
     drives = [drive for number in range(8) if (drive := synthetic(Manoeuvre.LANE_KEEPING, number, seed=5)) is not None]
-    once, again = (comfort.fit(drives, comfort.rated_by_panel(drives), seed=2).regression for _ in range(2))
+    once, again = (comfort.fit(drives, comfort.rated_by_panel(drives), seed=2) for _ in range(2))
     for name in ("channels", "biases", "weights", "intercept"):
         np.testing.assert_array_equal(getattr(once, name), getattr(again, name))
 

@@ -1,19 +1,13 @@
 """Plug-in of the learned evaluator. Light enough for the coordinator: workers import the kernels when they rate."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 from drivecal.domain.evaluations import Rating
 from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.highway.comfort.regressions import arrays_of, shipped
 from drivecal.plugins.arrays import content_digest
 from drivecal.plugins.ports import Evaluator, Series
-
-if TYPE_CHECKING:
-    from drivecal.highway.comfort.rocket import Rater
 
 
 class Learned:
@@ -26,12 +20,6 @@ class Learned:
         """Version derived from the arrays. Raises DamagedArraysError if they cannot be used."""
         return f"1.{content_digest(arrays_of(shipped()))[:8]}"
 
-    @cached_property
-    def _rater(self) -> Rater:
-        from drivecal.highway.comfort.rocket import Rater  # numba belongs to workers
-
-        return Rater(shipped())
-
     def rate(self, rated_as: str, metrics: Mapping[str, float]) -> Rating:
         """Raises ValueError: metrics cannot replace time series."""
         raise ValueError(f"a {rated_as} with {len(metrics)} metrics and no time series cannot be rated; simulate it again")
@@ -41,7 +29,9 @@ class Learned:
 
         Raises ValueError if it is shorter than 10 s or longer than 30 s, and DamagedArraysError if the arrays cannot be used.
         """
-        return self._rater.rate(Manoeuvre(rated_as), series)
+        from drivecal.highway.comfort.rocket import channels_of, rating_of  # numba belongs to workers
+
+        return rating_of(shipped()[Manoeuvre(rated_as)], channels_of(series.dynamics, series.offset))
 
 
 LEARNED: Evaluator = Learned()

@@ -6,7 +6,6 @@ here, so that sums are exact in any order and width: features have the same bits
 implementations with the same integers.
 """
 
-from collections.abc import Mapping
 from itertools import combinations
 from math import floor
 
@@ -14,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.evaluations import Rating
-from drivecal.highway.comfort.reference import BEST, Manoeuvre
+from drivecal.highway.comfort.reference import BEST
 from drivecal.highway.comfort.regressions import Regression
 from drivecal.highway.compilation import compiled_with
-from drivecal.plugins.ports import Floats, Series
+from drivecal.plugins.ports import Floats
 
 LENGTH = 160
 """Samples per channel, spread over the whole run."""
@@ -204,19 +203,8 @@ def features_of(regression: Regression, channels: Integers) -> Floats:
     return 0.5 * (original + mirrored)
 
 
-class Rater:
-    """Rates time series by one regression per class of manoeuvres."""
-
-    def __init__(self, regressions: Mapping[Manoeuvre, Regression]) -> None:
-        self._regressions = dict(regressions)
-
-    def rate(self, manoeuvre: Manoeuvre, series: Series) -> Rating:
-        """Returns the rating, clipped to 0..7, and its rounding (half up). Raises ValueError if the series cannot be rated."""
-        return self.rate_channels(manoeuvre, channels_of(series.dynamics, series.offset))
-
-    def rate_channels(self, manoeuvre: Manoeuvre, channels: Integers) -> Rating:
-        """Rates the result of `channels_of`."""
-        regression = self._regressions[manoeuvre]
-        features = features_of(regression, channels)
-        rating = float(np.clip(_weighted(features, regression.weights, regression.intercept.item()), 0.0, BEST))
-        return Rating(rating=rating, score=floor(rating + 0.5))
+def rating_of(regression: Regression, channels: Integers) -> Rating:
+    """Returns the rating of a run's `channels`, clipped to 0..7, and its rounding (half up)."""
+    features = features_of(regression, channels)
+    rating = float(np.clip(_weighted(features, regression.weights, regression.intercept.item()), 0.0, BEST))
+    return Rating(rating=rating, score=floor(rating + 0.5))

@@ -43,7 +43,7 @@ def train_comfort() -> None:
     for manoeuvre in Manoeuvre:
         _print(f"fitting {manoeuvre.value}")
         places = [place for place, drive in enumerate(drives) if drive.manoeuvre is manoeuvre]
-        regressions[manoeuvre] = comfort.fit([drives[place] for place in places], panel[places], comfort.SEED).regression
+        regressions[manoeuvre] = comfort.fit([drives[place] for place in places], panel[places], comfort.SEED)
     write(FILE, regressions)
     _print("driving the held-out manoeuvres")
     card, held_out = FILE.with_suffix(".md"), comfort.drives(held_out=True)

@@ -13,7 +13,7 @@ from sklearn.metrics import cohen_kappa_score
 from drivecal.highway.comfort import rocket
 from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.highway.comfort.regressions import Regression
-from drivecal.highway.comfort.rocket import LENGTH, UNITS, Rater, features_of
+from drivecal.highway.comfort.rocket import LENGTH, UNITS, features_of, rating_of
 from drivecal.highway.training.rated_drives import RatedDrive, group_of_profile, group_of_set, simulated, synthetic
 from drivecal.highway.training.tables import table
 from drivecal.plugins.ports import Floats
@@ -107,16 +107,7 @@ def structure(drives: Sequence[RatedDrive], rng: np.random.Generator) -> Regress
     return Regression(dilations, per_dilation, n_channels, channels, all_biases, np.zeros(len(all_biases)), np.zeros(1))
 
 
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """A regression and its scikit-learn model: `scale` (mean and deviation of the features, (2, n)) and `ridge`."""
-
-    regression: Regression
-    scale: Floats
-    ridge: RidgeCV
-
-
-def fit(drives: Sequence[RatedDrive], targets: Floats, seed: int) -> Fit:
+def fit(drives: Sequence[RatedDrive], targets: Floats, seed: int) -> Regression:
     """Fits a ridge regression on standardised features, with the penalty of the smallest leave-one-out error."""
     untrained = structure(drives, np.random.default_rng(seed))
     features = np.array([features_of(untrained, drive.channels) for drive in drives])
@@ -125,7 +116,7 @@ def fit(drives: Sequence[RatedDrive], targets: Floats, seed: int) -> Fit:
     ridge = RidgeCV(alphas=PENALTIES).fit((features - mean) / deviation, targets)
     weights = np.asarray(ridge.coef_, dtype=np.float64) / deviation
     intercept = np.array([float(ridge.intercept_) - float(weights @ mean)])
-    return Fit(replace(untrained, weights=weights, intercept=intercept), np.vstack([mean, deviation]), ridge)
+    return replace(untrained, weights=weights, intercept=intercept)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,8 +154,7 @@ AGREEMENT, CALIBRATION = "agreement on held-out manoeuvres", "calibration"
 
 def ratings(regressions: Mapping[Manoeuvre, Regression], drives: Sequence[RatedDrive]) -> Floats:
     """Returns the evaluator's ratings, shape (n,)."""
-    rater = Rater(regressions)
-    return np.array([rater.rate_channels(drive.manoeuvre, drive.channels).rating for drive in drives])
+    return np.array([rating_of(regressions[drive.manoeuvre], drive.channels).rating for drive in drives])
 
 
 def agreement_table(ours: Floats, drives: Sequence[RatedDrive]) -> str:
