@@ -27,7 +27,7 @@ from tests.support.simulators import (
 )
 
 from drivecal.adapters import children, environment, keeper
-from drivecal.adapters.children import Children, Launch
+from drivecal.adapters.children import Children
 from drivecal.adapters.environment import GRANTED, Scratch
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import NoMeasuresError
@@ -366,7 +366,7 @@ def test_descendants_are_found_and_none_besides(mark: str) -> None:
 def test_folders_of_killed_workers_and_keepers_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     living, kept, dead = (Scratch(tmp_path) for _ in range(3))
-    family = Children(Launch(["true"], 500), kept)
+    family = Children(["true"], {"memory_mb": 500}, kept)
     family._start_keeper()
     for killed in (kept, dead):
         os.close(killed.lock)

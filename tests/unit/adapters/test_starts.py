@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 from tests.support.simulators import DECLARED, lost, opened, served, write_server
 
-from drivecal.adapters.children import Launch
 from drivecal.adapters.environment import Scratch
 from drivecal.adapters.process import ProcessSession
 from drivecal.domain.errors import UnavailableError
@@ -19,9 +18,9 @@ from drivecal.plugins.simulators import UnsuitableError
 )
 def test_a_driver_of_drivecal_may_blame_its_files(tmp_path: Path, fields: str, kind: type[Exception]) -> None:
     section = {"timeout": 60.0, "memory_mb": 1000}
-    launch = Launch.of(write_server(tmp_path, start=f"answer(error='no road'{fields})\nreturn"), section)
+    command = write_server(tmp_path, start=f"answer(error='no road'{fields})\nreturn")
     with pytest.raises(UnavailableError) as error:
-        ProcessSession(launch, Scratch(tmp_path), DECLARED, timeout=60.0, scenario="S", data={}, blames_files=True)
+        ProcessSession(command, section, Scratch(tmp_path), DECLARED, scenario="S", data={}, blames_files=True)
     assert type(error.value) is kind
 
 

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,37 +38,22 @@ REPLY_SECONDS = 30.0
 """Time after which a keeper that does not answer is taken as lost."""
 
 
-@dataclass(frozen=True, slots=True)
-class Launch:
-    """Command of a child, found among the bundle's files or on PATH, the limit of its memory, and names of variables that it inherits.
-
-    `writable`: folders outside of its scratch folder that it may change.
-    """
-
-    command: Sequence[str]
-    memory_mb: int
-    environment: Sequence[str] = ()
-    writable: Sequence[str] = ()
-
-    @classmethod
-    def of(cls, command: Sequence[str], section: Mapping[str, Any], writable: Sequence[str] = ()) -> Launch:
-        """Returns a launch with the settings of a manifest's section `simulator`."""
-        return cls(command, section["memory_mb"], section.get("environment") or (), writable)
-
-
-@dataclass(frozen=True, slots=True)
-class Ended:
-    """End of a child: return code as in `subprocess`."""
-
-    status: int
-
-
 class Children:
     """The children of one session. Not thread-safe."""
 
-    def __init__(self, launch: Launch, scratch: Scratch) -> None:
-        """Stores the settings; `start` starts processes."""
-        self._launch, self._scratch = launch, scratch
+    def __init__(
+        self, command: Sequence[str], section: Mapping[str, Any], scratch: Scratch, writable: Sequence[str] = ()
+    ) -> None:
+        """Stores the settings; `start` starts processes.
+
+        Args:
+            command: of each child, found among the bundle's files or on PATH.
+            section: the manifest's section `simulator`, with the limit of the memory and names of variables that children inherit.
+            scratch: the session's folders.
+            writable: folders outside of the scratch folder that children may change.
+        """
+        self._command, self._memory_mb, self._scratch = command, section["memory_mb"], scratch
+        self._environment, self._writable = section.get("environment") or (), writable
         self.seed: int | None = None
         """Seed of the next child, if its command depends on one."""
         self._keeper: int | None = None
@@ -76,7 +61,7 @@ class Children:
         self._pid: int | None = None
         self._family: tuple[int, ...] = ()
         self._next_look = 0.0
-        self._disk = Disk(scratch.folder, launch.memory_mb)
+        self._disk = Disk(scratch.folder, self._memory_mb)
         self._exceeds = self._overflows = False
         """The child exceeds a limit, or a limit of the disk in particular."""
         self._lost_seconds = self._ended_seconds = 0.0
@@ -115,22 +100,22 @@ class Children:
             self._lose()
             raise NoMeasuresError(Breakdown.CRASH, "the child's keeper was killed")
         if "error" in reply:
-            raise UnavailableError(f"{self._launch.command[0]} cannot be started: {reply['error']}")
+            raise UnavailableError(f"{self._command[0]} cannot be started: {reply['error']}")
         self._pid = int(reply["pid"])
         self._family, self._next_look = (self._pid,), time.monotonic() + LOOK_SECONDS
         self._exceeds = False
 
-    def ended(self) -> Ended:
-        """Waits for the end of the child, whose descendants end with it."""
+    def ended(self) -> int:
+        """Waits for the end of the child, whose descendants end with it; returns its return code as in `subprocess`."""
         reply = self._reply()
         if reply is None:
             self._lose()
-            return Ended(-signal.SIGKILL)
+            return -signal.SIGKILL
         self._pid, self._family = None, ()
         self._ended_seconds = reply["cpu"]
-        return Ended(int(reply["status"]))
+        return int(reply["status"])
 
-    def end(self) -> Ended | None:
+    def end(self) -> int | None:
         """Ends the child and its descendants by SIGTERM, then SIGKILL, which comes at once if they exceed a limit. Returns None if no child
         is running."""
         if self._pid is None or self._control is None:
@@ -139,7 +124,7 @@ class Children:
             self._control.sendall(keeper.KILL if self._exceeds else keeper.END)
         except OSError:
             self._lose()
-            ended = Ended(-signal.SIGKILL)
+            ended = -int(signal.SIGKILL)
         else:
             ended = self.ended()
         if self._overflows:
@@ -208,13 +193,13 @@ class Children:
         except usage.UncountableError as error:
             raise NoMeasuresError(Breakdown.ERROR, str(error)) from None
         files = sum(nameless.in_memory.values())
-        if sum(process.resident for process in family) + files >> 20 <= self._launch.memory_mb:
+        if sum(process.resident for process in family) + files >> 20 <= self._memory_mb:
             return
         shares = list(map(keeper.share, family))  # a fork's pages are its parent's as well; this takes longer to read
         mapped = sum(share.of_files for share in shares)
         taken = sum(share.memory for share in shares) + max(files - mapped, 0) >> 20
-        if taken > self._launch.memory_mb:
-            detail = f"its processes take {taken:,} MB of memory, more than memory_mb: {self._launch.memory_mb:,}"
+        if taken > self._memory_mb:
+            detail = f"its processes take {taken:,} MB of memory, more than memory_mb: {self._memory_mb:,}"
             raise NoMeasuresError(Breakdown.MEMORY, detail)
 
     def close(self) -> None:
@@ -230,12 +215,12 @@ class Children:
     def _start_keeper(self) -> None:
         ours, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)  # a message is received as it was sent
         settings = {
-            "command": list(self._launch.command),
-            "environment": environment(self._scratch.home, self._launch.environment),
+            "command": list(self._command),
+            "environment": environment(self._scratch.home, self._environment),
             "folder": str(self._scratch.work),
             "scratch": str(self._scratch.folder),
-            "memory": self._launch.memory_mb << 20,
-            "confinement": self._scratch.confinement(self._launch.writable),
+            "memory": self._memory_mb << 20,
+            "confinement": self._scratch.confinement(self._writable),
         }
         with theirs:
             begun = subprocess.run(  # noqa: S603  # our own program, which goes on in another process

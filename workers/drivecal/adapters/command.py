@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from drivecal.adapters import answers
-from drivecal.adapters.children import Children, Launch, check_command
+from drivecal.adapters.children import Children, check_command
 from drivecal.adapters.environment import Scratch, discard
 from drivecal.adapters.pipes import LONGEST_LINE, Pipes
 from drivecal.domain.errors import UnavailableError
@@ -52,7 +52,7 @@ def run_probe(section: Mapping[str, Any], folder: Path) -> str:
 def _printed(command: Sequence[str], name: str, section: Mapping[str, Any], folder: Path, longest: int = LONGEST_ANSWER) -> str:
     """Returns what a command prints; what it prints as messages if that is nothing."""
     scratch = Scratch(folder)
-    children = Children(Launch.of(command, section), scratch)
+    children = Children(command, section, scratch)
     try:
         check_command(command, scratch.work)
         return _answer(children, longest)
@@ -66,7 +66,7 @@ def _printed(command: Sequence[str], name: str, section: Mapping[str, Any], fold
 def _answer(children: Children, longest: int) -> str:
     pipes = Pipes(children)
     try:
-        output = pipes.collect(PROBE_SECONDS, longest, "the limit of a probe")
+        output = pipes.wait(PROBE_SECONDS, "the limit of a probe", longest)
         answer = "\n".join(line.rstrip() for line in output.decode(errors="replace").strip().splitlines()) or pipes.tail()
     finally:
         pipes.stop()
@@ -86,7 +86,7 @@ class CommandSession:
         command = section["command"]
         for name, path in self._files.items():
             command = [part.replace(f"{{{name}}}", str(path)) for part in command]
-        self._children = Children(Launch.of(command, section), scratch)
+        self._children = Children(command, section, scratch)
 
     def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = SEED) -> RunOutcome:
         """Runs the command under a seed."""

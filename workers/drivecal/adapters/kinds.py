@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from drivecal.adapters import inputs
-from drivecal.adapters.children import Launch, check_command
+from drivecal.adapters.children import check_command
 from drivecal.adapters.command import DRIVER, CommandSession
 from drivecal.adapters.environment import Scratch
 from drivecal.adapters.process import ProcessSession
@@ -91,9 +91,7 @@ def _open_process(
     """Starts the program in a scratch folder with links to the bundle's files."""
     with _scratch(folder) as scratch:
         check_command(section["command"], scratch.work)
-        launch = Launch.of(section["command"], section)
-        timeout = section["timeout"]
-        return ProcessSession(launch, scratch, declared, timeout=timeout, scenario=scenario, data=data, advice=UNFLUSHED)
+        return ProcessSession(section["command"], section, scratch, declared, scenario=scenario, data=data, advice=UNFLUSHED)
 
 
 def _open_command(
@@ -121,9 +119,8 @@ def _open_python(
             "random": section.get("random", False),
             "opened": str(scratch.folder / inputs.NAME) if declared.watched else None,
         }
-        launch = Launch.of([*DRIVER, "drivecal.adapters.python_driver", json.dumps(settings)], section)
-        timeout = section["timeout"]
-        return ProcessSession(launch, scratch, declared, timeout=timeout, scenario=scenario, data=data, blames_files=True)
+        command = [*DRIVER, "drivecal.adapters.python_driver", json.dumps(settings)]
+        return ProcessSession(command, section, scratch, declared, scenario=scenario, data=data, blames_files=True)
 
 
 def _open_fmu(section: Section, scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared) -> SimulatorSession:
@@ -144,16 +141,10 @@ def _open_fmu(section: Section, scenario: str, data: Mapping[str, Any], folder: 
             "parameters": dict(declared.parameters),
             "seed": section.get("seed"),
         }
-        launch = Launch.of([*DRIVER, "drivecal.adapters.fmu_driver", json.dumps(settings)], section)
+        command = [*DRIVER, "drivecal.adapters.fmu_driver", json.dumps(settings)]
+        most_runs = MOST_FMU_RUNS if section.get("reset", True) else 1
         return ProcessSession(
-            launch,
-            scratch,
-            declared,
-            timeout=section["timeout"],
-            scenario=scenario,
-            data={},
-            most_runs=MOST_FMU_RUNS if section.get("reset", True) else 1,
-            blames_files=True,
+            command, section, scratch, declared, scenario=scenario, data={}, most_runs=most_runs, blames_files=True
         )
 
 
@@ -192,13 +183,14 @@ def _open_highway(
         command = [*DRIVER, "drivecal.highway.drive.driver", str(file), sha256(text.encode()).hexdigest()]
         most_runs = MOST_FMU_RUNS if has_fmu else MOST_HIGHWAY_RUNS
         return ProcessSession(
-            Launch.of(command, section, _compiled(kernels)),
+            command,
+            section,
             scratch,
             declared,
-            timeout=section["timeout"],
             scenario=scenario,
             data={},
             most_runs=most_runs if controller.get("reset", True) else 1,
+            writable=_compiled(kernels),
             replays=True,
             blames_files=True,
         )

@@ -7,7 +7,7 @@ import select
 import signal
 import time
 
-from drivecal.adapters.children import Children, Ended
+from drivecal.adapters.children import Children
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import BusyError, NoMeasuresError
 
@@ -47,7 +47,8 @@ class Pipes:
         self._received = bytearray()
         self._waiting = memoryview(b"")
         self._is_writing = False
-        self._ended: Ended | None = None
+        self._ended: int | None = None
+        """Return code of the child."""
         theirs_in, self._stdin = (os.open(os.devnull, os.O_RDONLY), -1) if silent else os.pipe()
         self._stderr, theirs_err = os.pipe()
         self._stdout, theirs_out = (-1, os.dup(theirs_err)) if silent else os.pipe()
@@ -103,18 +104,11 @@ class Pipes:
             if self._stdout < 0:
                 deadline, seconds = min(deadline, time.monotonic() + CLOSED_SECONDS), -1.0
 
-    def wait(self, seconds: float) -> None:
-        """Waits for the child's end. Raises BusyError if its exit code is BUSY, and NoMeasuresError if it is another one than 0."""
-        deadline = time.monotonic() + seconds
-        while self._ended is None:
-            self._step(deadline, seconds)
-        if self._ended.status == BUSY:
-            raise BusyError(self._with_tail(f"it ended with exit code {BUSY}"))
-        if self._ended.status != 0:
-            raise self._failure(self._ended)
+    def wait(self, seconds: float, limit: str = RUN_LIMIT, most: int = 0) -> bytes:
+        """Waits for the child's end and returns its standard output of at most `most` bytes. After an error, `stop` must follow.
 
-    def collect(self, seconds: float, most: int, limit: str) -> bytes:
-        """Waits for the child's end and returns its standard output of at most `most` bytes. After an error, `stop` must follow."""
+        Raises BusyError if its exit code is BUSY, and NoMeasuresError if it is another one than 0. `limit`: origin of the time limit.
+        """
         self._limit = limit
         self._close_input()
         deadline = time.monotonic() + seconds
@@ -122,7 +116,9 @@ class Pipes:
             self._step(deadline, seconds, answers=False)
         if len(self._received) > most:
             raise NoMeasuresError(Breakdown.ERROR, f"it prints more than {most:,} characters")
-        if self._ended is not None and self._ended.status != 0:
+        if self._ended == BUSY:
+            raise BusyError(self._with_tail(f"it ended with exit code {BUSY}"))
+        if self._ended:
             raise self._failure(self._ended)
         return bytes(self._received)
 
@@ -227,9 +223,9 @@ class Pipes:
                 os.close(descriptor)
         self._stdin = self._stdout = self._stderr = -1
 
-    def _failure(self, ended: Ended) -> NoMeasuresError:
+    def _failure(self, status: int) -> NoMeasuresError:
         """Returns the error of a child that ended without an answer."""
-        status, cause = ended.status, Breakdown.CRASH
+        cause = Breakdown.CRASH
         if 128 < status <= 128 + signal.SIGRTMAX:
             detail = f"it ended with exit code {status}, as a shell does if its program was killed by {_killer(status - 128)}"
         elif status >= 0:

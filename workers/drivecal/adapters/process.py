@@ -5,12 +5,12 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from drivecal.adapters import answers, inputs
-from drivecal.adapters.children import Children, Launch
+from drivecal.adapters.children import Children
 from drivecal.adapters.environment import Scratch
 from drivecal.adapters.pipes import RUN_LIMIT, Pipes
 from drivecal.domain.errors import UnavailableError
@@ -36,15 +36,16 @@ class ProcessSession:
 
     def __init__(
         self,
-        launch: Launch,
+        command: Sequence[str],
+        section: Mapping[str, Any],
         scratch: Scratch,
         declared: Declared,
         *,
-        timeout: float,
         scenario: str,
         data: Mapping[str, Any],
         most_runs: float = math.inf,
         advice: str = "",
+        writable: Sequence[str] = (),
         replays: bool = False,
         blames_files: bool = False,
     ) -> None:
@@ -52,20 +53,21 @@ class ProcessSession:
         UnsuitableError if that error blames the problem's files.
 
         Args:
-            launch: command and limits of the child.
+            command: starts the child.
+            section: the manifest's section `simulator`.
             scratch: its folders, which the session removes.
             declared: declarations of the manifest.
-            timeout: time limit of a run (s).
             scenario: name of the scenario.
             data: its data.
             most_runs: number of runs after which another child is started.
             advice: further help if an answer is late.
+            writable: folders outside of the scratch folder that the child may change.
             replays: the child reports replays with its time series.
             blames_files: its errors may blame the problem's files, as errors of drivecal's own drivers do.
         """
-        self._scratch, self._declared, self._timeout, self._most_runs = scratch, declared, timeout, most_runs
+        self._scratch, self._declared, self._timeout, self._most_runs = scratch, declared, section["timeout"], most_runs
         self._advice, self._replays, self._blames_files = advice, replays, blames_files
-        self._children = Children(launch, scratch)
+        self._children = Children(command, section, scratch, writable)
         self._pipes: Pipes | None = None
         self._number = self._runs = 0
         self._head = json.dumps({"scenario": scenario, "data": data}, allow_nan=False).removesuffix("}")
