@@ -78,7 +78,8 @@ def opened(
     kind: str, folder: Path, declared: Declared = DECLARED, data: Mapping[str, Any] = DATA, **section: Any
 ) -> Iterator[SimulatorSession]:
     """Opens a session of scenario `S`."""
-    settings = {"timeout": 300.0, "memory_mb": 1000} | section
+    defaults = {"function": "evaluate"} if kind == "python" else {}
+    settings = {"timeout": 300.0, "memory_mb": 1000} | defaults | section
     session = simulator(kind).open(settings, "S", data, folder, declared)
     try:
         yield session

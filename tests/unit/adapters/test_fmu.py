@@ -121,7 +121,6 @@ EXCHANGE = SECOND_DESCRIPTION.replace("CoSimulation", "ModelExchange")
     ("section", "detail"),
     [
         ({"measures": MEASURES | {"end": "last(body.y)"}}, r"no variable body\.y, a measured output; it has e\.g\. body\.x"),
-        ({"measures": MEASURES | {"end": "median(runs)"}}, "measure end: median"),
         ({"measures": MEASURES | {"end": "last(label)"}}, "label is a text"),
         ({"file": "fmi1.fmu"}, "FMI 1"),
         ({"file": "exchange.fmu"}, "co-simulation"),

@@ -6,7 +6,6 @@ Runs as `python -I -B -m ... SETTINGS`. Start values come from the scenario's da
 import json
 import math
 import os
-import re
 import sys
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,13 +17,12 @@ from xml.etree import ElementTree as ET
 
 from drivecal.adapters.driver import Evaluate, UnusableError, described, serve
 from drivecal.bundles import units
-from drivecal.bundles.fmus.checks import output_problems, section_problems, unit_problems, wanted_by
+from drivecal.bundles.fmus.checks import output_problems, reduction_of, unit_problems, wanted_by
 from drivecal.bundles.fmus.description import INTEGERS, FmuVariable, Variables, number
 from drivecal.domain.errors import Problem, UnavailableError
 
 FATAL = 4
 """FMI's status after which no function of the FMU may be called."""
-_MEASURE = re.compile(r"\s*(last|min|max|mean|integral)\s*\(\s*(.+?)\s*\)\s*")
 _ACCESS = {"Real": "Real", "Boolean": "Boolean", "String": "String", "Float32": "Float32", "Float64": "Float64"} | {
     name: name for name in INTEGERS
 }
@@ -111,23 +109,8 @@ class Fmu:
                 similar = get_close_matches(name, self.variables, 3) or sorted(self.variables)[:5]
                 raise UnusableError(f"the FMU has no variable {name}, a {role}; it has e.g. {', '.join(similar)}")
 
-    def check_units(self, used: Iterable[tuple[str, str, str, bool]]) -> None:
-        """Raises UnusableError naming the first variable that is `used` in another unit than it states, see `output_problems`."""
-        _refuse_first(output_problems(self._described, used))
-
-    def check_section(self, field: str, section: Mapping[str, Any], parameters: Mapping[str, str]) -> None:
-        """Raises UnusableError if the FMU does not fit the section of a controller or vehicle, e.g. has an input that nothing gives.
-
-        `parameters`: units of the problem's parameters by name.
-        """
-        _refuse_first(section_problems(field, section, self._described, parameters))
-
-    def check_parameters(self, parameters: Mapping[str, str]) -> None:
-        """Raises UnusableError naming the first parameter with another unit than its variable states. `parameters`: units by name."""
-        _refuse_first(unit_problems(self._described, parameters))
-
     @cached_property
-    def _described(self) -> Variables:
+    def described(self) -> Variables:
         """The variables as the checks of bundles know them."""
         powers = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
         units = [unit for unit in self.model.unitDefinitions if unit.baseUnit is not None]
@@ -149,7 +132,7 @@ class Fmu:
             value = str(value)
         elif isinstance(value, str):
             value = self._item(name, value)
-        elif (wanted := wanted_by(self._described[name], value)) is not None:
+        elif (wanted := wanted_by(self.described[name], value)) is not None:
             raise UnusableError(f"{value} does not fit the variable {name} of type {variable.type}: {wanted}")
         elif access not in {"Real", "Float64", "Float32"}:
             value = int(value)
@@ -194,7 +177,7 @@ def _described_variable(variable: Any, bases: Mapping[str, Mapping[str, float]])
     )
 
 
-def _refuse_first(problems: Iterable[Problem]) -> None:
+def refuse_first(problems: Iterable[Problem]) -> None:
     """Raises UnusableError for the first problem, if there is one."""
     for problem in problems:
         raise UnusableError(f"{problem.field}: {problem.message}; {problem.remedy}")
@@ -276,19 +259,20 @@ def described_version(file: Path) -> str:
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
     """Instantiates the FMU and checks all names. `settings`: see `drivecal.adapters.kinds`."""
-    measures = parsed(settings["measures"])
+    measures = {name: reduction_of(text) for name, text in settings["measures"].items()}
     duration, step = settings["duration"], settings["step"]
     fmu = Fmu(Path(settings["file"]), Path(settings["unpacked"]))
     fmu.check((output for _, output in measures.values()), "measured output")
     fmu.check(settings["data"], "name in the scenario's data")
-    fmu.check_parameters(settings["parameters"])
+    refuse_first(unit_problems(fmu.described, settings["parameters"]))
     seed = settings["seed"]
     fmu.check([] if seed is None else [seed], "seed")
     recorded = [name for name in settings["series"] if name in fmu.variables]
     outputs = {f"measures.{name}": (name, output, key == "integral") for name, (key, output) in measures.items()}
     outputs |= {f"series.{name}": (name, name, False) for name in recorded}
     declared = settings["units"]
-    fmu.check_units((place, output, declared.get(name, "1"), whole) for place, (name, output, whole) in outputs.items())
+    used = ((place, output, declared.get(name, "1"), whole) for place, (name, output, whole) in outputs.items())
+    refuse_first(output_problems(fmu.described, used))
     reader = fmu.reader(dict.fromkeys([*(output for _, output in measures.values()), *recorded]))
     steps = max(1, math.ceil(duration / step - 1e-9))
     rest = duration - (steps - 1) * step
@@ -312,9 +296,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
                 if "series" in request:
                     rows.append(values)
         except Exception as error:
-            if getattr(error, "status", None) == FATAL:
-                print(described(error), file=sys.stderr, flush=True)  # noqa: T201  # the cause of the crash
-                os._exit(1)
+            end_if_fatal(error)
             raise
         results = dict(zip(reader.names, statistics, strict=True))
         answer = {"measures": {name: getattr(results[output], key) for name, (key, output) in measures.items()}}
@@ -328,15 +310,11 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     return evaluate
 
 
-def parsed(measures: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    """Returns statistic and output of each measure. Raises UnusableError."""
-    statistics = {}
-    for name, text in measures.items():
-        match = _MEASURE.fullmatch(text)
-        if match is None:
-            raise UnusableError(f"measure {name}: {text} is not last, min, max, mean or integral of an output, e.g. last(x)")
-        statistics[name] = (match[1], match[2])
-    return statistics
+def end_if_fatal(error: BaseException) -> None:
+    """Ends the process after an FMU's fatal error, after which none of its functions may be called."""
+    if getattr(error, "status", None) == FATAL:
+        print(described(error), file=sys.stderr, flush=True)  # noqa: T201  # the cause of the crash
+        os._exit(1)
 
 
 def main() -> None:

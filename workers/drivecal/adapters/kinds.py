@@ -108,15 +108,13 @@ def _open_python(
     section: Section, scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
 ) -> SimulatorSession:
     """Starts the interpreter and imports the function."""
-    folder, wheels = folder.resolve(), section.get("wheels")
-    _refuse_missing(folder, (section["file"], wheels))
+    folder = folder.resolve()
+    _refuse_missing(folder, (section["file"], section.get("wheels")))
     with _scratch(folder) as scratch:
         settings = {
-            "file": str(folder / section["file"]),
-            "function": section.get("function", "evaluate"),
-            "wheels": None if wheels is None else str(folder / wheels),
+            "folder": str(folder),
+            "section": {key: section.get(key) for key in ("file", "function", "wheels", "random")},
             "packages": str(scratch.folder / "packages"),
-            "random": section.get("random", False),
             "opened": str(scratch.folder / inputs.NAME) if declared.watched else None,
         }
         command = [*DRIVER, "drivecal.adapters.python_driver", json.dumps(settings)]

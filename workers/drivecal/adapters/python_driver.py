@@ -5,7 +5,7 @@ import multiprocessing.connection
 import platform
 import sys
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -20,28 +20,37 @@ MOST_BYTES = 4 << 30
 
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
-    """Imports the function. `settings`: `file`, `function`, `wheels` (a folder or None), `packages` (where to unpack them), `random` (the
-    scenario gets an entry `seed`), `opened` (where to record opened files, or None).
-
-    Its managers of shared objects listen on loopback, because Unix sockets are refused.
+    """Imports the function. `settings`: `folder` (the bundle's), `section` (the manifest's), `packages` (where to unpack wheels), `opened`
+    (where to record opened files, or None).
     """
-    vars(multiprocessing.connection)["default_family"] = "AF_INET"
-    if settings.get("opened") is not None:
+    if settings["opened"] is not None:
         record(Path(settings["opened"]))
-    if settings["wheels"] is not None:
-        sys.path.insert(0, str(unpack(Path(settings["wheels"]), Path(settings["packages"]))))
-    file = Path(settings["file"])
-    sys.path.insert(0, str(file.parent))
-    function = getattr(imported(file), settings["function"], None)
-    if not callable(function):
-        message = f"{file.name} has no function {settings['function']}"
-        raise InvalidInputError(Problem("simulator.function", message, "name one that the file has"))
+    section = settings["section"]
+    function = function_of("simulator", section, Path(settings["folder"]), Path(settings["packages"]))
 
     def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:
-        seed = {"seed": request["seed"]} if settings["random"] else {}
+        seed = {"seed": request["seed"]} if section["random"] else {}
         return answer(function(request["parameters"], request["data"] | seed))
 
     return evaluate
+
+
+def function_of(field: str, section: Mapping[str, Any], folder: Path, packages: Path) -> Callable[..., Any]:
+    """Returns the function or class that a manifest's section names, in the file of a bundle, whose wheels are unpacked to `packages`.
+
+    Its managers of shared objects listen on loopback, because Unix sockets are refused. Raises InvalidInputError if the file does not have
+    it, and any exception of the file.
+    """
+    vars(multiprocessing.connection)["default_family"] = "AF_INET"
+    if section.get("wheels") is not None:
+        sys.path.insert(0, str(unpack(folder / section["wheels"], packages)))
+    file = folder / section["file"]
+    sys.path.insert(0, str(file.parent))
+    function = getattr(imported(file), section["function"], None)
+    if not callable(function):
+        message = f"{file.name} has no function {section['function']}"
+        raise InvalidInputError(Problem(f"{field}.function", message, "name one that the file has"))
+    return function
 
 
 def imported(file: Path) -> ModuleType:

@@ -35,15 +35,10 @@ def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str
                 for key, value in given.items()
             ]
             problems += islice(checks.value_problems(variables, data), MOST_PROBLEMS)
-            measured = [(name, *text.partition("(")[::2]) for name, text in section.measures.items()]
+            measured = [(name, *checks.reduction_of(text)) for name, text in section.measures.items()]
             outputs = [
-                (
-                    f"measures.{name}",
-                    rest.rpartition(")")[0].strip(),
-                    manifest.measures.get(name, "1"),
-                    kind.strip() == "integral",
-                )
-                for name, kind, rest in measured
+                (f"measures.{name}", output, manifest.measures.get(name, "1"), kind == "integral")
+                for name, kind, output in measured
             ]
             outputs += [(f"series.{name}", name, unit, False) for name, unit in manifest.series.items()]
             problems += checks.output_problems(variables, outputs)

@@ -50,6 +50,12 @@ def unit_problems(variables: Variables, parameters: Mapping[str, str]) -> Iterat
             )
 
 
+def reduction_of(measure: str) -> tuple[str, str]:
+    """Returns reduction and output of a measure that the manifest's check accepts: `last` and `x` of `last(x)`."""
+    reduction, _, output = measure.partition("(")
+    return reduction, output.rpartition(")")[0].strip()
+
+
 def output_problems(variables: Variables, used: Iterable[tuple[str, str, str, bool]]) -> Iterator[Problem]:
     """Yields variables that are used in another unit than they state.
 

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable
+from multiprocessing import connection
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from tests.support.motorways import CONTROLLERS, FMU, PARAMETERS, compile_fmu
 
 from drivecal.adapters.driver import UnusableError
+from drivecal.highway.drive import controllers
 from drivecal.highway.drive.controllers import (
     Checked,
     ControllerError,
@@ -110,6 +112,18 @@ def test_a_class_is_made_for_each_run() -> None:
         control.begin({"T": 1.5})
         assert list(control.step(SIGNALS)) == [3.5]
         assert list(control.step(SIGNALS)) == [4.5]
+
+
+def test_managers_of_a_controller_do_without_unix_sockets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "default_family", "AF_UNIX")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "shares.py").write_text(
+        "import multiprocessing.connection as c\ndef control(*_): return c.default_family == 'AF_INET'"
+    )
+    section = {"kind": "python", "file": "shares.py", "function": "control", "output": ["acceleration"]}
+    control = controllers.controller(section, tmp_path, tmp_path, tmp_path, {}, 0.1, {})
+    control.begin({})
+    assert list(control.step(SIGNALS)) == [True]
 
 
 def test_a_class_without_step_is_named() -> None:

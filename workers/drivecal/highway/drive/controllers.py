@@ -5,14 +5,14 @@ import json
 import math
 import os
 import subprocess
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 from drivecal.adapters.driver import described
-from drivecal.adapters.fmu_driver import FATAL, Fmu
-from drivecal.adapters.python_driver import imported, unpack
+from drivecal.adapters.fmu_driver import Fmu, end_if_fatal, refuse_first
+from drivecal.adapters.python_driver import function_of
+from drivecal.bundles.fmus.checks import output_problems, section_problems
 from drivecal.bundles.highway_catalogue import COMMANDS, SIGNALS
 from drivecal.domain.errors import DrivecalError
 from drivecal.highway.drive.geometry import NAMES
@@ -40,7 +40,6 @@ class ProgramController:
         self._signals = list(section.get("signals") or NAMES)
         self._indices = [NAMES.index(name) for name in self._signals]
         self._process: subprocess.Popen[bytes] | None = None
-        self._received = b""
         self._number = 0
         self._stdin = self._stdout = -1
 
@@ -79,7 +78,7 @@ class ProgramController:
             raise ProgramError(f"{self._command[0]} cannot be started: {error}") from error
         assert self._process.stdin is not None  # noqa: S101  # for the type checker
         assert self._process.stdout is not None  # noqa: S101  # for the type checker
-        self._stdin, self._stdout, self._received = self._process.stdin.fileno(), self._process.stdout.fileno(), b""
+        self._stdin, self._stdout = self._process.stdin.fileno(), self._process.stdout.fileno()
         greeting = {"drivecal": 1, "signals": self._signals, "output": self._output, "period": self._period}
         self._ask(greeting)
 
@@ -97,7 +96,7 @@ class ProgramController:
             raise self._ended() from None
 
     def _line(self) -> Any:
-        received = self._received
+        received = b""
         while b"\n" not in received:
             more = os.read(self._stdout, 65536)
             if not more:
@@ -108,7 +107,6 @@ class ProgramController:
         line, _, rest = received.partition(b"\n")
         if rest:
             raise ProgramError("the controller wrote more than one line in answer to one")
-        self._received = b""
         try:
             return json.loads(line)
         except (ValueError, RecursionError):
@@ -190,8 +188,9 @@ class LoadedFmuController(Controller):
         self._fmu.check(signals.values(), "name in `signals`")
         own = {name: (COMMANDS if name in output else SIGNALS)[name] for name in signals}
         field = "simulator.controller.signals"
-        self._fmu.check_units((f"{field}.{name}", signals[name], unit, False) for name, unit in own.items())
-        self._fmu.check_section("simulator.controller", section, units or {})
+        used = ((f"{field}.{name}", signals[name], unit, False) for name, unit in own.items())
+        refuse_first(output_problems(self._fmu.described, used))
+        refuse_first(section_problems("simulator.controller", section, self._fmu.described, units or {}))
         inputs = {variable: NAMES.index(name) for name, variable in signals.items() if name not in output}
         self._writer = self._fmu.writer(inputs)
         self._indices = [inputs[name] for name in self._writer.names]
@@ -259,13 +258,6 @@ def _is_finite(value: Any) -> bool:
         return False
 
 
-def end_if_fatal(error: BaseException) -> None:
-    """Ends the process after an FMU's fatal error, after which none of its functions may be called."""
-    if getattr(error, "status", None) == FATAL:
-        print(described(error), file=sys.stderr, flush=True)  # noqa: T201  # the cause of the crash
-        os._exit(1)
-
-
 def by_name(answer: Mapping[str, Any], output: Sequence[str], source: str) -> list[Any]:
     """Returns commands by name in the order of `output`. Raises ControllerError if others are there."""
     if answer.keys() != set(output):
@@ -296,21 +288,10 @@ def controller(
     output, period = section["output"], section.get("period", step)
     made: Controller
     if section["kind"] == "python":
-        made = FunctionController(function_of(section, folder, scratch), output, scenario)
+        function = function_of("simulator.controller", section, folder, scratch / "packages")
+        made = FunctionController(function, output, scenario)
     elif section["kind"] == "process":
         made = ProgramController(section, work, scenario, period)
     else:
         made = LoadedFmuController(folder / section["file"], scratch / "fmu", section, period, units)
     return Checked(made, output)
-
-
-def function_of(section: Mapping[str, Any], folder: Path, scratch: Path) -> Callable[..., Any]:
-    """Returns the function or class of the user's file. Raises ControllerError, and any exception of the file."""
-    if section.get("wheels") is not None:
-        sys.path.insert(0, str(unpack(folder / section["wheels"], scratch / "packages")))
-    file = folder / section["file"]
-    sys.path.insert(0, str(file.parent))
-    function = getattr(imported(file), section.get("function", "control"), None)
-    if not callable(function):
-        raise ControllerError(f"{section['file']} has no function {section.get('function', 'control')}")
-    return function
