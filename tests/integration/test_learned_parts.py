@@ -69,8 +69,8 @@ def damage(folder: Path, patch: pytest.MonkeyPatch) -> None:
     copies = [folder / residual.FILE.name, folder / regressions.FILE.name]
     for file, copy in zip((residual.FILE, regressions.FILE), copies, strict=True):
         copy.write_bytes(file.read_bytes()[:-40])
-    patch.setattr(hybrid, "shipped", lambda: residual.read(copies[0]))
-    patch.setattr(learned, "shipped", lambda: regressions.read(copies[1]))
+    patch.setattr(hybrid, "shipped", lambda: residual.shipped(copies[0]))
+    patch.setattr(learned, "shipped", lambda: regressions.shipped(copies[1]))
     for plugin in (HYBRID, LEARNED):
         patch.delitem(vars(plugin), "version", raising=False)
 

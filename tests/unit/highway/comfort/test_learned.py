@@ -171,7 +171,7 @@ def test_a_fresh_process_agrees_in_every_bit_and_loads_little() -> None:
 def test_a_damaged_file_is_refused_and_nothing_is_rated_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "learned.npz"
     path.write_bytes(regressions.FILE.read_bytes()[:-100])
-    monkeypatch.setattr(learned, "shipped", lambda: regressions.read(path))
+    monkeypatch.setattr(learned, "shipped", lambda: regressions.shipped(path))
     evaluator = Learned()
     with pytest.raises(DamagedArraysError, match=r"learned\.npz"):
         evaluator.version  # noqa: B018  reading it is what fails
@@ -195,7 +195,7 @@ def test_arrays_that_do_not_fit_together_never_reach_the_kernels(tmp_path: Path,
     arrays[f"lane_change_{name}"] = np.array(value, dtype=kind)
     np.savez(tmp_path / "learned.npz", allow_pickle=False, **arrays)
     with pytest.raises(DamagedArraysError, match="channels"):
-        regressions.read(tmp_path / "learned.npz")
+        regressions.shipped(tmp_path / "learned.npz")
 
 
 def test_a_channel_that_does_not_exist_never_reaches_the_kernels() -> None:

@@ -199,7 +199,7 @@ def test_a_fresh_process_agrees_in_every_bit_and_loads_little() -> None:
 def test_a_damaged_file_is_refused_and_no_vehicle_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "hybrid.npz"
     path.write_bytes(residual.FILE.read_bytes()[:-50])
-    monkeypatch.setattr(hybrid, "shipped", lambda: residual.read(path))
+    monkeypatch.setattr(hybrid, "shipped", lambda: residual.shipped(path))
     vehicle = Hybrid()
     with pytest.raises(DamagedArraysError, match=r"hybrid\.npz"):
         vehicle.version  # noqa: B018  reading it is what fails
@@ -219,7 +219,7 @@ def test_a_damaged_file_is_refused_and_no_vehicle_is_made(tmp_path: Path, monkey
 def test_arrays_that_do_not_fit_together_never_reach_the_kernels(tmp_path: Path, name: str, value: Floats, reason: str) -> None:
     np.savez(tmp_path / "hybrid.npz", allow_pickle=False, **(dict(shipped().arrays) | {name: value}))
     with pytest.raises(DamagedArraysError, match=reason):
-        residual.read(tmp_path / "hybrid.npz")
+        residual.shipped(tmp_path / "hybrid.npz")
 
 
 @pytest.mark.slow

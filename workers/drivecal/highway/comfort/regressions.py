@@ -67,8 +67,9 @@ def write(path: Path, regressions: Mapping[Manoeuvre, Regression]) -> None:
     np.savez_compressed(path, allow_pickle=False, **arrays_of(regressions))
 
 
-def read(path: Path = FILE) -> dict[Manoeuvre, Regression]:
-    """Reads the regressions. Raises DamagedArraysError if the file is missing or damaged."""
+@cache
+def shipped(path: Path = FILE) -> dict[Manoeuvre, Regression]:
+    """Returns the regressions in a file, by default the shipped ones. Raises DamagedArraysError if it is missing or damaged."""
     arrays = read_arrays(path, [f"{manoeuvre.value}_{name}" for manoeuvre in Manoeuvre for name in _NAMES])
     try:
         return {
@@ -76,9 +77,3 @@ def read(path: Path = FILE) -> dict[Manoeuvre, Regression]:
         }
     except ValueError as error:
         raise DamagedArraysError(path.name, str(error)) from error
-
-
-@cache
-def shipped() -> dict[Manoeuvre, Regression]:
-    """Returns the regressions that drivecal is shipped with."""
-    return read()

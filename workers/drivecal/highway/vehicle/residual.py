@@ -70,16 +70,11 @@ class Residual:
         return np.concatenate([scales, self.speed, self.limits, self.bounds, layers])
 
 
-def read(path: Path = FILE) -> Residual:
-    """Reads a residual. Raises DamagedArraysError if the file is missing or damaged."""
+@cache
+def shipped(path: Path = FILE) -> Residual:
+    """Returns the residual in a file, by default the shipped one. Raises DamagedArraysError if it is missing or damaged."""
     arrays = read_arrays(path, [field.name for field in fields(Residual)])
     try:
         return Residual(**arrays)
     except ValueError as error:
         raise DamagedArraysError(path.name, str(error)) from error
-
-
-@cache
-def shipped() -> Residual:
-    """Returns the residual that drivecal is shipped with."""
-    return read()
