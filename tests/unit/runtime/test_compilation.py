@@ -5,12 +5,13 @@ from pathlib import Path
 import pytest
 from tests.support.changes import replace_in
 
-from drivecal.runtime import compilation
+from drivecal.runtime import cache, compilation
 
 
-def test_numba_gets_a_folder_of_its_own_only_where_it_would_find_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numba_gets_a_folder_if_the_sources_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     writable: set[Path] = {Path(compilation.__file__).parent}
-    replace_in(monkeypatch, compilation, "os", access=lambda path, _: Path(path) in writable)
+    for module in (compilation, cache):
+        replace_in(monkeypatch, module, "os", access=lambda path, _: Path(path) in writable)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -18,7 +19,8 @@ def test_numba_gets_a_folder_of_its_own_only_where_it_would_find_none(tmp_path: 
     assert os.environ["NUMBA_CACHE_DIR"] == ""
     writable = {tmp_path / ".cache" / "numba"}
     compilation.prepare_cache()
-    assert os.environ["NUMBA_CACHE_DIR"] == ""
+    assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path / ".cache" / "numba"), "simulators have another home"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
     writable = set()
     compilation.prepare_cache()
     folder = Path(os.environ["NUMBA_CACHE_DIR"])

@@ -27,15 +27,17 @@ Signature = tuple[tuple[str, int, int, int, int, int], ...]
 
 def cache_folder() -> Path:
     """Returns the folder of unpacked bundles: `DRIVECAL_BUNDLE_CACHE`, or the user's cache, or the user's temporary folder."""
-    given = os.environ.get(CACHE)
+    return writable_folder(os.environ.get(CACHE) or "~/.cache/drivecal/bundles", "drivecal-bundles")
+
+
+def writable_folder(path: str, name: str) -> Path:
+    """Returns a folder, created if it does not exist; the user's temporary folder of this name if that cannot be written."""
     try:
-        folder = Path(given) if given else Path("~/.cache/drivecal/bundles").expanduser()
+        folder = Path(path).expanduser()
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     except (OSError, RuntimeError):  # a user without a home
-        writable = False
-    else:
-        writable = os.access(folder, os.W_OK)
-    return folder if writable else temporary_folder("drivecal-bundles")
+        return temporary_folder(name)
+    return folder if os.access(folder, os.W_OK) else temporary_folder(name)
 
 
 def temporary_folder(name: str) -> Path:

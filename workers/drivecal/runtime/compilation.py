@@ -6,18 +6,18 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-from drivecal.runtime.cache import temporary_folder
+from drivecal.runtime.cache import writable_folder
 
 SHIPPED = "DRIVECAL_KERNELS"
 """Environment variable: a folder with compiled kernels inside an image. Images are read-only, so that the kernels are copied."""
 
 
 def prepare_cache() -> None:
-    """Sets a folder for compiled kernels if numba has none. Call it before importing numba.
+    """Sets a folder for compiled kernels if numba cannot store them next to the sources. Call it before importing numba.
 
-    numba stores kernels next to the sources or, if drivecal is installed read-only, in the user's cache folder. Several processes may share
-    either folder, because files are replaced atomically. If neither is writable (containers, service accounts), numba would refuse to
-    compile. The processes of the user then share a temporary folder.
+    If drivecal is installed read-only, they are stored in the user's cache folder or, if that is not writable (containers, service
+    accounts), in a temporary one. Simulators get the folder's name: they have another home. Several processes may share each of these
+    folders, because files are replaced atomically.
 
     If `NUMBA_CACHE_DIR` names a folder that does not exist yet, it is created as a copy of the image's kernels (`DRIVECAL_KERNELS`). numba
     recompiles kernels of other processors.
@@ -29,8 +29,8 @@ def prepare_cache() -> None:
             _copy_kernels(shipped, Path(folder))
         return
     sources = Path(__file__).parent
-    if not os.access(sources, os.W_OK) and not _is_writable("~/.cache/numba"):
-        os.environ["NUMBA_CACHE_DIR"] = str(temporary_folder("drivecal-numba"))
+    if not os.access(sources, os.W_OK):
+        os.environ["NUMBA_CACHE_DIR"] = str(writable_folder("~/.cache/numba", "drivecal-numba"))
 
 
 def _copy_kernels(shipped: Path, folder: Path) -> None:
@@ -43,12 +43,3 @@ def _copy_kernels(shipped: Path, folder: Path) -> None:
     with suppress(OSError):
         copy.rename(folder)
     shutil.rmtree(copy, ignore_errors=True)
-
-
-def _is_writable(path: str) -> bool:
-    try:
-        folder = Path(path).expanduser()
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):  # a user without a home
-        return False
-    return os.access(folder, os.W_OK)
