@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from drivecal.adapters.command import run_probe
+from drivecal.adapters.inputs import digest_of_path
 from drivecal.bundles.archives import pack
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
@@ -52,6 +53,21 @@ def key(document: dict[str, Any], folder: Path) -> str:
     manifest = checked(document)
     archive = pack(folder)
     return fingerprint_of(setup_document(manifest, "s", "files", tools=ask_probe(manifest, archive)))
+
+
+def test_a_folder_has_the_files_behind_its_links(tmp_path: Path) -> None:
+    maps, elsewhere = tmp_path / "maps", tmp_path / "elsewhere"
+    for folder in (maps / "v1", maps / "v2", elsewhere):
+        folder.mkdir(parents=True)
+        (folder / "road").write_text(folder.name)
+    link = maps / "current"
+    digests = []
+    for target in (maps / "v1", maps / "v2", elsewhere, tmp_path):  # the last is a circle
+        link.unlink(missing_ok=True)
+        link.symlink_to(target)
+        digests.append(digest_of_path(maps))
+    (elsewhere / "road").write_text("changed")
+    assert len({*digests, digest_of_path(maps)}) == 5
 
 
 def test_values_of_variables_and_contents_of_inputs_are_in_the_key(table: Path, monkeypatch: pytest.MonkeyPatch) -> None:

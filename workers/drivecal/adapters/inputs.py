@@ -24,16 +24,25 @@ def digest_of_variable(name: str) -> str:
 
 
 def digest_of_path(path: Path) -> str:
-    """Returns a digest of a file, or of the names and contents of all files below a folder. Raises OSError."""
+    """Returns a digest of a file, or of the names and contents of all files below a folder, also behind links. Raises OSError."""
     content = hashlib.blake2b(digest_size=DIGITS)
     if not path.is_dir():
         with path.open("rb") as file:
             while part := file.read(1 << 20):
                 content.update(part)
         return content.hexdigest()
-    for each in sorted(path.rglob("*")):
-        if each.is_file():
-            content.update(f"{os.fsencode(each.relative_to(path))!r} {digest_of_path(each)}\n".encode())
+    known: dict[str, str] = {}
+    for folder, below, files in os.walk(path, followlinks=True):
+        below.sort()
+        name = os.path.relpath(folder, path)
+        first = known.setdefault(os.path.realpath(folder), name)
+        if first != name:  # several links lead there, perhaps in a circle
+            content.update(f"{name!r} is {first!r}\n".encode())
+            below.clear()
+            continue
+        for each in sorted(Path(folder, file) for file in files):
+            if each.is_file():
+                content.update(f"{os.fsencode(each.relative_to(path))!r} {digest_of_path(each)}\n".encode())
     return content.hexdigest()
 
 
