@@ -59,9 +59,9 @@ class LocalEvaluation:
 
     @property
     def objective(self) -> float | None:
-        """The mean score over the scenarios; None if a scenario has no score."""
+        """The mean score over the scenarios; None without scenarios, and if one has no score."""
         scores = [cell.score for cell in self.cells.values() if cell.score is not None]
-        return sum(scores) / len(scores) if len(scores) == len(self.cells) else None
+        return sum(scores) / len(scores) if 0 < len(scores) == len(self.cells) else None
 
     def _repr_html_(self) -> str:
         """Returns a table with a row per scenario; failures and errors have columns if there are any."""

@@ -38,6 +38,10 @@ def test_all_scenarios_give_the_golden_cells() -> None:
     assert result.objective == pytest.approx(sum(cell["score"] for cell in cells.values()) / len(cells))
 
 
+def test_no_scenarios_have_no_objective() -> None:
+    assert local.evaluate(HASTY, []).objective is None
+
+
 def test_the_named_scenarios_are_simulated_with_the_given_vehicle() -> None:
     result = local.evaluate(HASTY, ["S4", "S2"], vehicle={"model": "single_track", "parameters": {"mass": 2500}})
     assert list(result.scores) == ["S4", "S2"]
