@@ -122,7 +122,7 @@ EXCHANGE = SECOND_DESCRIPTION.replace("CoSimulation", "ModelExchange")
     [
         ({"measures": MEASURES | {"end": "last(body.y)"}}, r"no variable body\.y, a measured output; it has e\.g\. body\.x"),
         ({"measures": MEASURES | {"end": "last(label)"}}, "label is a text"),
-        ({"file": "fmi1.fmu"}, "FMI 1"),
+        ({"file": "fmi1.fmu"}, "fmi1.fmu"),
         ({"file": "exchange.fmu"}, "co-simulation"),
         ({"file": "windows.fmu"}, "is built for win64, not for linux64"),
         ({"file": "empty.fmu"}, "modelDescription"),

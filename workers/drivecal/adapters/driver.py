@@ -19,7 +19,7 @@ Evaluate = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 """Answers a request, without its id."""
 
 
-class UnusableError(Exception):
+class UnusableError(DrivecalError):
     """An FMU cannot be used as problem.yaml says."""
 
 
@@ -35,8 +35,8 @@ def serve(prepare: Callable[[], Evaluate]) -> None:
     os.close(nothing)
     os.dup2(2, 1)
 
-    def say(answer: Mapping[str, Any]) -> None:
-        answers.write(json.dumps(answer).encode() + b"\n")
+    def say(answer: str) -> None:
+        answers.write(answer.encode() + b"\n")
         answers.flush()
 
     evaluate: Evaluate | None = None
@@ -50,9 +50,9 @@ def serve(prepare: Callable[[], Evaluate]) -> None:
             except MemoryError:
                 raise
             except (Exception, SystemExit) as error:  # noqa: BLE001  # a user's code may raise any exception
-                say({"error": described(error), "unsuitable": blames_files(error)})
+                say(json.dumps({"error": described(error), "unsuitable": blames_files(error)}))
                 break
-            say({"ready": True})
+            say(json.dumps({"ready": True}))
             continue
         try:
             answer = json.dumps({**evaluate(request), "id": request["id"]})
@@ -60,8 +60,7 @@ def serve(prepare: Callable[[], Evaluate]) -> None:
             raise
         except (Exception, SystemExit) as error:  # noqa: BLE001  # a user's code may raise any exception
             answer = json.dumps({"id": request["id"], "error": described(error)})
-        answers.write(answer.encode() + b"\n")
-        answers.flush()
+        say(answer)
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(0)  # threads of a user's code and the unloading of libraries must not delay or crash the end
@@ -71,7 +70,7 @@ def blames_files(error: BaseException) -> bool:
     """Returns whether a start fails by the problem's files alone: on every machine, with everything installed."""
     if isinstance(error, DrivecalError):
         return not isinstance(error, UnavailableError)
-    return isinstance(error, (UnusableError, SyntaxError, NameError))
+    return isinstance(error, (SyntaxError, NameError))
 
 
 def described(error: BaseException) -> str:
