@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import pickle
 import time
 from pathlib import Path
@@ -298,7 +299,7 @@ def test_a_process_may_end_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert out.read_text() == "saved"
 
 
-def test_the_environment_holds_no_secrets(tmp_path: Path) -> None:
+def test_the_environment_holds_no_secrets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     inherited = {
         "PATH": "/bin", "LM_LICENSE_FILE": "27000@host", "DRIVECAL_DATABASE_URL": "x", "RAY_AUTH_TOKEN_PATH": "x", "PGPASSWORD": "x",
         "AWS_SECRET_ACCESS_KEY": "x", "GITHUB_TOKEN": "x", "PROXY": "http://user:word@host", "PYTHONPATH": "x", "HOME": "/root",
@@ -306,7 +307,8 @@ def test_the_environment_holds_no_secrets(tmp_path: Path) -> None:
         "INTERNAL_CONFIG": "x", "LANG": "C.UTF-8", "LC_ALL": "C.UTF-8", "TZ": "UTC", "LD_LIBRARY_PATH": "/opt/lib", "PYTHONHASHSEED": "0",
         "MATLAB_HOME": "/opt/matlab", "GUROBI_LICENSE": "/opt/gurobi.lic",
     }  # fmt: skip
-    kept = environment(tmp_path, ["MATLAB_HOME", "HOME", "NOT_SET"], inherited)
+    monkeypatch.setattr(os, "environ", inherited)
+    kept = environment(tmp_path, ["MATLAB_HOME", "HOME", "NOT_SET"])
     assert kept["HOME"] == kept["TMPDIR"] == str(tmp_path)
     assert kept["OMP_NUM_THREADS"] == "4"
     common = {"PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "PYTHONHASHSEED", "LM_LICENSE_FILE", "GUROBI_LICENSE"}

@@ -8,7 +8,7 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -187,16 +187,14 @@ def discard(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def environment(home: Path, named: Collection[str] = (), inherited: Mapping[str, str] | None = None) -> dict[str, str]:
+def environment(home: Path, named: Collection[str]) -> dict[str, str]:
     """Returns the environment of a child: a few of the worker's variables, and the ones `named` by the manifest.
 
     An allow list, because no pattern knows all secrets. This prevents accidents, not theft: a child of the same
     user can read the worker's memory and files.
     """
     kept = {
-        name: value
-        for name, value in (os.environ if inherited is None else inherited).items()
-        if name in named or name in _THREADS or _INHERITED.fullmatch(name)
+        name: value for name, value in os.environ.items() if name in named or name in _THREADS or _INHERITED.fullmatch(name)
     }
     places = dict.fromkeys(("HOME", "TMPDIR", "TMP", "TEMP"), str(home))
     return _THREADS | kept | places

@@ -90,11 +90,6 @@ def test_the_digital_poles_are_the_images_of_the_analogue_ones(weighting: Weight
         assert np.sort_complex(np.roots(row[3:])) == pytest.approx(np.sort_complex(np.exp(analogue / RATE)), rel=1e-9)
 
 
-def test_real_poles_are_refused() -> None:
-    with pytest.raises(ValueError, match="real poles"):
-        digital((Section((1.0, 0.0, 0.0), 1.0, 0.4),), RATE)
-
-
 def oscillation(amplitude: float, frequency: float, seconds: float) -> Floats:
     return np.asarray(amplitude * np.sin(2.0 * math.pi * frequency * np.arange(round(seconds * RATE)) / RATE))
 

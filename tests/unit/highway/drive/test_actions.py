@@ -63,7 +63,7 @@ def sumo(monkeypatch: pytest.MonkeyPatch) -> Sumo:
 
 
 def of(action: dict[str, Any], **vehicle: Any) -> Actions:
-    return Actions({"v": TrafficEntry.model_validate({"s": 100, "speed": 30, "length": 5.0, "actions": [action]} | vehicle)})
+    return several(action, **{"model": "IDM"} | vehicle)
 
 
 def act(these: Actions, step: int, ego: Moving = FAR_AWAY, stretch: float = 1.0) -> None:
@@ -72,7 +72,7 @@ def act(these: Actions, step: int, ego: Moving = FAR_AWAY, stretch: float = 1.0)
 
 def several(*actions: dict[str, Any], **vehicle: Any) -> Actions:
     given = {"s": 100, "speed": 30, "length": 5.0, "model": "constant", "actions": list(actions)}
-    return Actions({"v": TrafficEntry.model_validate(given | vehicle)})
+    return Actions({"v": TrafficEntry.model_validate(given | vehicle)}, lambda _, d, __: d, lambda *_: 1.0, {})
 
 
 def test_an_action_ends_a_motion_to_the_side_where_it_is(sumo: Sumo) -> None:
@@ -216,13 +216,7 @@ def test_a_change_of_lanes_takes_as_long_as_its_distance_or_lateral_speed_says(s
 def test_an_action_waits_until_another_is_done(sumo: Sumo) -> None:
     first = {"id": "first", "do": "brake", "time": 0, "speed": 20, "rate": 10}
     second = {"do": "brake", "when": [{"done": "first", "delay": 1.0}], "speed": 30, "rate": 20}
-    these = Actions(
-        {
-            "v": TrafficEntry.model_validate(
-                {"s": 100, "speed": 30, "length": 5.0, "model": "constant", "actions": [first, second]}
-            )
-        }
-    )
+    these = several(first, second)
     for step in range(6):
         act(these, step)
     assert sumo.speeds == [25, 20, 20, 20, 30, 30]

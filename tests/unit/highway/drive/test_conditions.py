@@ -27,7 +27,9 @@ def moments(*places: tuple[float, float], speeds: tuple[float, float] = (20.0, 3
     """Moments with the ego vehicle and another one at these s; both are 4 m long."""
     return [
         Moment(
-            index * STEP, {"ego": Moving(ego, 0.0, speeds[0], 2.0), "other": Moving(other, 0.0, speeds[1], 2.0)}, stretch=1.0
+            *(index * STEP, {"ego": Moving(ego, 0.0, speeds[0], 2.0), "other": Moving(other, 0.0, speeds[1], 2.0)}),
+            stretch=1.0,
+            stretch_at=lambda *_: 1.0,
         )
         for index, (ego, other) in enumerate(places)
     ]

@@ -64,11 +64,10 @@ WF = (high_pass(0.08), low_pass(0.63), low_pass(0.25, 0.86), upward_step(0.0625,
 
 
 def _digital(section: Section, rate: float) -> tuple[float, ...]:
+    """Returns a row of `digital`. The poles must be complex, as in all weightings here."""
     w = 2.0 * math.pi * section.frequency / rate
     root = np.exp(w * (-0.5 / section.quality + np.emath.sqrt(0.25 / section.quality**2 - 1.0)))
     a1, a2 = float(-2.0 * root.real), float(abs(root) ** 2)
-    if 2.0 * section.quality < 1.0:
-        raise ValueError("sections with real poles are not supported; no weighting needs them")
 
     def squared(frequency: float) -> float:
         """Returns the required |numerator|^2 at `frequency`."""

@@ -6,7 +6,6 @@ Conditions are evaluated once per step of the traffic.
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from math import atan2, ceil, copysign, cos, hypot, inf, isnan, sin, sqrt
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -36,18 +35,13 @@ Stretch = Callable[[float, float], float]
 """Returns metres of a way through a place (s, d) per metre of s."""
 
 
-def straight(_: float, __: float) -> float:
-    """Returns the stretch of a straight road."""
-    return 1.0
-
-
 class Moment(NamedTuple):
     """The vehicles at a time (s). `stretch`: metres of the ego vehicle's way per metre of s; `stretch_at`: that of others."""
 
     time: float
     vehicles: Mapping[str, Moving]
     stretch: float
-    stretch_at: Stretch = straight
+    stretch_at: Stretch
 
 
 class Events:
@@ -284,11 +278,7 @@ class Actions:
     """The actions of all vehicles of a scenario."""
 
     def __init__(
-        self,
-        vehicles: Mapping[str, TrafficEntry],
-        lateral: Lateral = lambda _, d, __: d,
-        stretch: Stretch = straight,
-        paths: Mapping[str, PathVehicle] = MappingProxyType({}),
+        self, vehicles: Mapping[str, TrafficEntry], lateral: Lateral, stretch: Stretch, paths: Mapping[str, PathVehicle]
     ) -> None:
         """`vehicles` have ids; `lateral` and `stretch` belong to the road; `paths` are the vehicles that SUMO does not know."""
         self._paths = paths

@@ -1,6 +1,5 @@
 """Controls of the ego vehicle, by controllers of users and by planners, and its view of a run."""
 
-from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -61,9 +60,8 @@ class EgoControl(Protocol):
 class CommandControl(EgoControl):
     """A controller of a user's that steers and accelerates. What it leaves out, the lane keeper and the speed keeper do."""
 
-    def __init__(self, controller: Checked, output: Sequence[str], period: float) -> None:
-        """`output`: names of the commands in the controller's order."""
-        self.period, self._controller = period, controller
+    def __init__(self, controller: Checked, period: float) -> None:
+        self.period, self._controller, output = period, controller, controller.output
         lateral = next((index for index, name in enumerate(output) if name != "acceleration"), None)
         self._lateral, self._acceleration = lateral, output.index("acceleration") if "acceleration" in output else None
         self.by = kernels.PATH if lateral is None else {"curvature": kernels.CURVATURE}.get(output[lateral], kernels.STEERING)

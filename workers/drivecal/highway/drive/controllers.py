@@ -216,10 +216,10 @@ class LoadedFmuController(Controller):
 
 
 class Checked:
-    """A controller whose faults and answers are checked: a ControllerError names each."""
+    """A controller whose faults and answers are checked: a ControllerError names each. `output`: names of its commands in their order."""
 
     def __init__(self, controller: Controller, output: Sequence[str]) -> None:
-        self._controller, self._output = controller, tuple(output)
+        self._controller, self.output = controller, tuple(output)
 
     def begin(self, parameters: Mapping[str, Any]) -> None:
         """Starts a run. Raises ControllerError."""
@@ -240,10 +240,10 @@ class Checked:
         except (Exception, SystemExit) as error:
             end_if_fatal(error)
             raise ControllerError(f"the controller failed at {signals[0]:g} s: {described(error)}") from error
-        if len(commands) != len(self._output):
-            names = ", ".join(self._output)
+        if len(commands) != len(self.output):
+            names = ", ".join(self.output)
             raise ControllerError(f"the controller gave {len(commands)} values at {signals[0]:g} s, not {names}")
-        for name, value in zip(self._output, commands, strict=True):
+        for name, value in zip(self.output, commands, strict=True):
             if not _is_finite(value):
                 raise ControllerError(
                     f"the controller gave {value!r:.100} for {name} at {signals[0]:g} s; it must be a finite number"

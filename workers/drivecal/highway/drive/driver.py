@@ -72,7 +72,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     section = simulator.controller.model_dump(mode="json", exclude_none=True)
     work, units = Path(settings["work"]), settings["parameters"]
     checked = controller(section, folder, work, scratch, settings["data"], simulator.step, units)
-    control = CommandControl(checked, simulator.controller.output, section.get("period", simulator.step))
+    control = CommandControl(checked, section.get("period", simulator.step))
     loop = Loop(traffic, vehicle, control)
     loop.prepare()
 

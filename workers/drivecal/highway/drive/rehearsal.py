@@ -43,7 +43,7 @@ def rehearse(simulator: HighwaySimulator, traffic: Traffic, model: SingleTrackMo
     controller = simulator.controller
     period = simulator.step if controller.period is None else controller.period
     straight = Checked(_Straight(controller.output), controller.output)
-    loop = Loop(traffic, model, CommandControl(straight, controller.output, period))
+    loop = Loop(traffic, model, CommandControl(straight, period))
     loop.prepare()
     with suppress(ControllerError, TrafficError):  # the user's run tells of what is wrong
         measures(loop.run({}, is_warm=False).record, model.parameters.mass)
