@@ -42,7 +42,7 @@ class Scratch:
 
     def __init__(self, bundle: Path) -> None:
         """Creates the folder in the user's private folder of sessions. Raises UnavailableError if another user could change that."""
-        self._bundle = bundle.resolve()
+        self.bundle = bundle.resolve()
         parent = sessions()
         for folder in parent.glob(f"{LOCKED}*"):
             _remove_if_left_behind(folder)
@@ -71,7 +71,7 @@ class Scratch:
             )
         discard(self.work)
         self.work.mkdir()
-        for path in self._bundle.iterdir():
+        for path in self.bundle.iterdir():
             if path.name != MANIFEST:
                 (self.work / path.name).symlink_to(path)
 
@@ -108,7 +108,7 @@ class Scratch:
         installed = (sys.prefix, sys.base_prefix, *(str(Path(root).parent) for root in drivecal.__path__))
         return {
             "writable": [str(self.folder), *granted, *writable],
-            "readable": [*(str(path) for path in self._bundle.iterdir() if path.name != MANIFEST), *installed],
+            "readable": [*(str(path) for path in self.bundle.iterdir() if path.name != MANIFEST), *installed],
             "hidden": [str(path) for path in map(_absolute, self._hidden()) if path is not None],
         }
 
@@ -124,14 +124,14 @@ class Scratch:
         scheme, _, file = os.environ.get("DRIVECAL_DATABASE_URL", "").partition(":///")
         if scheme.startswith("sqlite") and file:
             paths.extend(Path(file + ending) for ending in DATABASE_ENDINGS)
-        if _DIGEST.fullmatch(self._bundle.name):
-            paths.append(self._bundle.parent)  # the cache, with others' bundles
+        if _DIGEST.fullmatch(self.bundle.name):
+            paths.append(self.bundle.parent)  # the cache, with others' bundles
         paths.append(self.folder.parent)  # with what other sessions have unpacked
         return paths
 
     def shown(self, text: str) -> str:
         """Returns a message for people, whose paths begin in the bundle and not in temporary folders."""
-        for folder in (self.work, self.home, self.folder, self._bundle):
+        for folder in (self.work, self.home, self.folder, self.bundle):
             text = text.replace(f"{folder}/", "").replace(str(folder), ".")
         if any(refusal in text for refusal in _REFUSALS):
             text += (

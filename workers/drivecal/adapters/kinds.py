@@ -7,8 +7,7 @@
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib.util import find_spec
@@ -37,13 +36,24 @@ EXTRAS = {"libsumo": "local", "numba": "local", "fmpy": "fmu"}
 """Extra of drivecal that installs a module."""
 
 Section = Mapping[str, Any]
-Open = Callable[[Section, str, Mapping[str, Any], Path, Declared], SimulatorSession]
+Start = Callable[[Section, str, Mapping[str, Any], Scratch, Declared], SimulatorSession]
 
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
     version: str
-    open: Open
+    start: Start
+
+    def open(
+        self, section: Section, scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+    ) -> SimulatorSession:
+        """Starts a simulator in a scratch folder with links to the bundle's files, which is removed if that fails."""
+        scratch = Scratch(folder)
+        try:
+            return self.start(section, scenario, data, scratch, declared)
+        except BaseException:
+            scratch.remove()
+            raise
 
 
 def simulator_of(section: Section) -> Simulator:
@@ -53,22 +63,11 @@ def simulator_of(section: Section) -> Simulator:
 
 def simulator(kind: str) -> Simulator:
     """Returns the simulator of a kind. Raises NotFoundError, and UnavailableError if this system cannot hold child processes back."""
-    if kind not in _OPEN:
-        raise NotFoundError("simulator kind", kind, f"there are {', '.join(_OPEN)}")
+    if kind not in _START:
+        raise NotFoundError("simulator kind", kind, f"there are {', '.join(_START)}")
     if sys.platform != "linux":
         raise UnavailableError(f"simulators of kind {kind} need Linux; this system is {sys.platform}")
-    return _Kind(VERSIONS[kind], _OPEN[kind])
-
-
-@contextmanager
-def _scratch(folder: Path) -> Iterator[Scratch]:
-    """Yields a scratch folder, which is removed if the session cannot be opened."""
-    scratch = Scratch(folder)
-    try:
-        yield scratch
-    except BaseException:
-        scratch.remove()
-        raise
+    return _Kind(VERSIONS[kind], _START[kind])
 
 
 def _refuse_missing(folder: Path, names: Iterable[str | None]) -> None:
@@ -85,113 +84,110 @@ def _refuse_without(*packages: str) -> None:
             raise UnavailableError(f"this worker has no {package}; type: pip install 'drivecal[{EXTRAS[package]}]'")
 
 
-def _open_process(
-    section: Section, scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+def _start_process(
+    section: Section, scenario: str, data: Mapping[str, Any], scratch: Scratch, declared: Declared
 ) -> SimulatorSession:
-    """Starts the program in a scratch folder with links to the bundle's files."""
-    with _scratch(folder) as scratch:
-        check_command(section["command"], scratch.work)
-        return ProcessSession(section["command"], section, scratch, declared, scenario=scenario, data=data, advice=UNFLUSHED)
+    """Starts the program."""
+    check_command(section["command"], scratch.work)
+    return ProcessSession(section["command"], section, scratch, declared, scenario=scenario, data=data, advice=UNFLUSHED)
 
 
-def _open_command(
-    section: Section, scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+def _start_command(
+    section: Section, scenario: str, data: Mapping[str, Any], scratch: Scratch, declared: Declared
 ) -> SimulatorSession:
     """Checks that the command exists. `scenario` is the name of `data`, which the command gets as a file."""
     del scenario
-    with _scratch(folder) as scratch:
-        check_command(section["command"], scratch.work)
-        return CommandSession(section, scratch, declared, data=data)
+    check_command(section["command"], scratch.work)
+    return CommandSession(section, scratch, declared, data=data)
 
 
-def _open_python(
-    section: Section, scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+def _start_python(
+    section: Section, scenario: str, data: Mapping[str, Any], scratch: Scratch, declared: Declared
 ) -> SimulatorSession:
     """Starts the interpreter and imports the function."""
-    folder = folder.resolve()
+    folder = scratch.bundle
     _refuse_missing(folder, (section["file"], section.get("wheels")))
-    with _scratch(folder) as scratch:
-        settings = {
-            "folder": str(folder),
-            "section": {key: section.get(key) for key in ("file", "function", "wheels", "random")},
-            "packages": str(scratch.folder / "packages"),
-            "opened": str(scratch.folder / inputs.NAME) if declared.watched else None,
-        }
-        command = [*DRIVER, "drivecal.adapters.python_driver", json.dumps(settings)]
-        return ProcessSession(command, section, scratch, declared, scenario=scenario, data=data, blames_files=True)
+    settings = {
+        "folder": str(folder),
+        "section": {key: section.get(key) for key in ("file", "function", "wheels", "random")},
+        "packages": str(scratch.folder / "packages"),
+        "opened": str(scratch.folder / inputs.NAME) if declared.watched else None,
+    }
+    command = [*DRIVER, "drivecal.adapters.python_driver", json.dumps(settings)]
+    return ProcessSession(command, section, scratch, declared, scenario=scenario, data=data, blames_files=True)
 
 
-def _open_fmu(section: Section, scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared) -> SimulatorSession:
+def _start_fmu(
+    section: Section, scenario: str, data: Mapping[str, Any], scratch: Scratch, declared: Declared
+) -> SimulatorSession:
     """Starts the child, which unpacks, checks and instantiates the FMU."""
-    folder = folder.resolve()
+    folder = scratch.bundle
     _refuse_missing(folder, (section["file"],))
     _refuse_without("fmpy")
-    with _scratch(folder) as scratch:
-        settings = {
-            "file": str(folder / section["file"]),
-            "unpacked": str(scratch.folder / "fmu"),
-            "duration": section["duration"],
-            "step": section["step"],
-            "measures": dict(section["measures"]),
-            "series": list(declared.series),
-            "units": {name: unit for name, unit in declared.units.items() if unit not in units.WITHOUT},
-            "data": dict(data),
-            "parameters": dict(declared.parameters),
-            "seed": section.get("seed"),
-        }
-        command = [*DRIVER, "drivecal.adapters.fmu_driver", json.dumps(settings)]
-        most_runs = MOST_FMU_RUNS if section.get("reset", True) else 1
-        return ProcessSession(
-            command, section, scratch, declared, scenario=scenario, data={}, most_runs=most_runs, blames_files=True
-        )
+    settings = {
+        "file": str(folder / section["file"]),
+        "unpacked": str(scratch.folder / "fmu"),
+        "duration": section["duration"],
+        "step": section["step"],
+        "measures": dict(section["measures"]),
+        "series": list(declared.series),
+        "units": {name: unit for name, unit in declared.units.items() if unit not in units.WITHOUT},
+        "data": dict(data),
+        "parameters": dict(declared.parameters),
+        "seed": section.get("seed"),
+    }
+    command = [*DRIVER, "drivecal.adapters.fmu_driver", json.dumps(settings)]
+    most_runs = MOST_FMU_RUNS if section.get("reset", True) else 1
+    return ProcessSession(
+        command, section, scratch, declared, scenario=scenario, data={}, most_runs=most_runs, blames_files=True
+    )
 
 
-def _open_highway(
-    section: Section, scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+def _start_highway(
+    section: Section, scenario: str, data: Mapping[str, Any], scratch: Scratch, declared: Declared
 ) -> SimulatorSession:
     """Starts the child, which reads the network, loads SUMO and starts the controller."""
-    folder, controller = folder.resolve(), section["controller"]
+    folder, controller = scratch.bundle, section["controller"]
     has_fmu = controller["kind"] == "fmu"
     network = network_file(data["network"]) if "network" in data else None
     files = [controller.get(key) for key in ("file", "wheels")]
     _refuse_missing(folder, (network, data.get("routes"), data.get("openscenario"), *files))
     _refuse_without("libsumo", "numba", *(["fmpy"] if has_fmu else []))
     kernels = os.environ.get("NUMBA_CACHE_DIR")
-    with _scratch(folder) as scratch:
-        confinement = scratch.confinement()
-        settings = {
-            "folder": str(folder),
-            "work": str(scratch.work),
-            "scratch": str(scratch.folder),
-            "simulator": {"kind": "highway", **section},
-            "scenario": scenario,
-            "data": dict(data),
-            "sumo": setups.sumo(),
-            "kernels": kernels,
-            "changeable": None if confinement is None else confinement["writable"],
-            "measures": list(declared.measures),
-            "series": list(declared.series),
-            "parameters": dict(declared.parameters),
-        }
-        if controller["kind"] == "process":
-            check_command(controller["command"], scratch.work)
-        text = json.dumps(settings, allow_nan=False)
-        file = scratch.keep("highway.json", text)  # may be larger than a command line
-        # An earlier child can change the file; a later one refuses it then.
-        command = [*DRIVER, "drivecal.highway.drive.driver", str(file), sha256(text.encode()).hexdigest()]
-        most_runs = MOST_FMU_RUNS if has_fmu else MOST_HIGHWAY_RUNS
-        return ProcessSession(
-            command,
-            section,
-            scratch,
-            declared,
-            scenario=scenario,
-            data={},
-            most_runs=most_runs if controller.get("reset", True) else 1,
-            writable=_compiled(kernels),
-            replays=True,
-            blames_files=True,
-        )
+    confinement = scratch.confinement()
+    settings = {
+        "folder": str(folder),
+        "work": str(scratch.work),
+        "scratch": str(scratch.folder),
+        "simulator": {"kind": "highway", **section},
+        "scenario": scenario,
+        "data": dict(data),
+        "sumo": setups.sumo(),
+        "kernels": kernels,
+        "changeable": None if confinement is None else confinement["writable"],
+        "measures": list(declared.measures),
+        "series": list(declared.series),
+        "parameters": dict(declared.parameters),
+    }
+    if controller["kind"] == "process":
+        check_command(controller["command"], scratch.work)
+    text = json.dumps(settings, allow_nan=False)
+    file = scratch.keep("highway.json", text)  # may be larger than a command line
+    # An earlier child can change the file; a later one refuses it then.
+    command = [*DRIVER, "drivecal.highway.drive.driver", str(file), sha256(text.encode()).hexdigest()]
+    most_runs = MOST_FMU_RUNS if has_fmu else MOST_HIGHWAY_RUNS
+    return ProcessSession(
+        command,
+        section,
+        scratch,
+        declared,
+        scenario=scenario,
+        data={},
+        most_runs=most_runs if controller.get("reset", True) else 1,
+        writable=_compiled(kernels),
+        replays=True,
+        blames_files=True,
+    )
 
 
 def _compiled(folder: str | None) -> list[str]:
@@ -203,10 +199,10 @@ def _compiled(folder: str | None) -> list[str]:
     return [str(path) for path in (highway, *highway.rglob("*/")) if path.name == "__pycache__"]
 
 
-_OPEN: Mapping[str, Open] = {
-    "process": _open_process,
-    "command": _open_command,
-    "python": _open_python,
-    "fmu": _open_fmu,
-    "highway": _open_highway,
+_START: Mapping[str, Start] = {
+    "process": _start_process,
+    "command": _start_command,
+    "python": _start_python,
+    "fmu": _start_fmu,
+    "highway": _start_highway,
 }

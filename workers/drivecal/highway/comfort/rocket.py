@@ -167,22 +167,6 @@ def transform(
 
 
 @compiled_with()
-def convolution_of(series: Integers, taps: Integers, dilation: int, channels: Integers) -> Integers:
-    """Returns one convolution of `series`, shape (n,), from which biases are drawn."""
-    count, n = series.shape
-    margin = 4 * dilation
-    padded = np.zeros((count, n + 2 * margin), dtype=np.int32)
-    padded[:, margin : margin + n] = series
-    sums, out = np.zeros((count, n), dtype=np.int32), np.zeros(n, dtype=np.int32)
-    for channel in range(count):
-        for tap in range(-4, 5):
-            for t in range(n):
-                sums[channel, t] += padded[channel, margin + tap * dilation + t]
-    _convolve(padded, sums, channels, taps, dilation, margin, out)
-    return out
-
-
-@compiled_with()
 def _weighted(features: Floats, weights: Floats, intercept: float) -> float:
     """Sums in the same order on every machine."""
     total = 0.0

@@ -78,7 +78,7 @@ def routes_file(scenario: HighwayScenario, routes: RouteTraffic | None = None) -
 
     `routes`: the traffic of the scenario's route file.
     """
-    unmoved = SUBLANE_MODEL if _is_sublane(scenario, routes) else "LC2013"
+    unmoved = SUBLANE_MODEL if SUBLANE_MODEL in _lane_changes(scenario, routes) else "LC2013"
     root = Element("routes")
     ego = scenario.ego
     SubElement(
@@ -106,12 +106,8 @@ def _route(scenario: HighwayScenario, entry: TrafficEntry) -> list[str]:
     return route[route.index(entry.edge) :] if entry.edge in route else [entry.edge]
 
 
-def _is_sublane(scenario: HighwayScenario, routes: RouteTraffic | None) -> bool:
-    """Returns whether vehicles move in strips: then SUMO takes no other model of lane changes."""
-    return SUBLANE_MODEL in _lane_changes(scenario, routes)
-
-
 def _lane_changes(scenario: HighwayScenario, routes: RouteTraffic | None) -> frozenset[str]:
+    """Returns the models of lane changes. If vehicles move in strips (SL2015), SUMO takes no other one."""
     own = frozenset(entry.lane_change for entry in scenario.traffic)
     return own if routes is None else own | routes.lane_changes
 
@@ -146,10 +142,10 @@ def options(
     scenario: HighwayScenario, network: str, route_file: str, step: float, routes: RouteTraffic | None = None
 ) -> list[str]:
     """Returns SUMO's command line options, without the time at which it begins. `route_file`: one, or several with commas between."""
-    sideways = {}
-    if _is_sublane(scenario, routes):
+    sideways, models = {}, _lane_changes(scenario, routes)
+    if SUBLANE_MODEL in models:
         sideways = {"lateral-resolution": repr(SUBLANE)}
-    elif "LC2013" in _lane_changes(scenario, routes):
+    elif "LC2013" in models:
         sideways = {"lanechange.duration": repr(LANE_CHANGE_SECONDS)}
     shared = sumo.options(network, route_file, step, scenario.seed)
     return shared + [text for name, value in sideways.items() for text in (f"--{name}", value)]

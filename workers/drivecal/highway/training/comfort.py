@@ -83,6 +83,13 @@ def dilations_of(length: int) -> tuple[rocket.Integers, rocket.Integers]:
     return dilations.astype(np.int32), per_dilation.astype(np.int32)
 
 
+def convolution_of(series: rocket.Integers, taps: rocket.Integers, dilation: int) -> rocket.Integers:
+    """Returns one convolution of a kernel with `series`, shape (n,), from which biases are drawn."""
+    padded = np.pad(series, ((0, 0), (4 * dilation, 4 * dilation)))
+    shifted = np.array([padded[:, tap * dilation :][:, : series.shape[1]].sum(axis=0) for tap in range(rocket.TAPS)])
+    return np.asarray(3 * shifted[taps].sum(axis=0) - shifted.sum(axis=0), dtype=np.int32)
+
+
 def structure(drives: Sequence[RatedDrive], rng: np.random.Generator) -> Regression:
     """Returns a regression with random channels per kernel and zero weights.
 
@@ -99,7 +106,7 @@ def structure(drives: Sequence[RatedDrive], rng: np.random.Generator) -> Regress
         d, k = divmod(combination, len(rocket.KERNELS))
         used = channels[places[combination] : places[combination + 1]]
         drive = drives[int(rng.integers(len(drives)))]
-        convolution = rocket.convolution_of(drive.channels, rocket.KERNELS[k], int(dilations[d]), used)
+        convolution = convolution_of(drive.channels[used], rocket.KERNELS[k], int(dilations[d]))
         shares = (np.arange(total + 1, total + 1 + per_dilation[d]) * GOLDEN) % 1.0
         biases.append(np.floor(np.quantile(convolution, shares)))
         total += int(per_dilation[d])
