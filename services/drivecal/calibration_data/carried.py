@@ -9,7 +9,7 @@ from typing import Any
 from xml.sax.saxutils import escape  # writes only
 
 from drivecal.calibration_data import cdfx, dcm, files
-from drivecal.calibration_data.characteristics import INDEX, Characteristic, on_one_line
+from drivecal.calibration_data.characteristics import INDEX, Characteristic, decoded, on_one_line
 from drivecal.calibration_data.sections import AXES, SINGLE, joined
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
@@ -41,6 +41,10 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
     known = {each.name: each for each in joined([content.characteristics])}
     pieces, end = [mark], 0
     for begin, last, text in sorted(_edits(known, replaced(known, chosen, file), ending)):
+        if ending == "dcm" and not text.isascii() and decoded(held, file).encode() != body:
+            raise InvalidInputError(
+                Problem(shown(file, 200), f"it is not UTF-8, as {shown(text)} would be", "save it as UTF-8")
+            )
         pieces += [body[end:begin], text.encode("ascii", "xmlcharrefreplace") if ending == "cdfx" else text.encode()]
         end = last
     edited, origin = b"".join([*pieces, body[end:]]), _ORIGIN[ending].search(written)

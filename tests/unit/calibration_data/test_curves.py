@@ -172,6 +172,17 @@ def test_a_base_with_the_number_of_an_unknown_choice_is_refused(tmp_path: Path, 
         carried(base, form, [Characteristic("mode", "auto", choices=("off", "auto"))])
 
 
+def test_a_base_of_another_encoding_takes_no_text_that_its_readers_would_misread(tmp_path: Path) -> None:
+    base = tmp_path / "b.dcm"
+    for encoding in ("utf-8", "cp1252"):
+        base.write_bytes(dcm.write([Characteristic("mode", "mild", description="Länge")]).decode().encode(encoding))
+        assert b'"wild"' in carried(base, "dcm", [Characteristic("mode", "wild")])
+        if encoding == "utf-8":
+            assert '"groß"'.encode() in carried(base, "dcm", [Characteristic("mode", "groß")])
+    with pytest.raises(InvalidInputError, match="UTF-8"):
+        carried(base, "dcm", [Characteristic("mode", "groß")])
+
+
 def test_an_a2l_gives_the_axes_of_a_set_their_kinds(tmp_path: Path) -> None:
     base = tmp_path / "a.a2l"
     base.write_text("""/begin PROJECT p "" /begin CHARACTERISTIC gap "" CURVE 0 L 0 NO_COMPU_METHOD 0 9
