@@ -248,13 +248,13 @@ class OutputStatistics:
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
     """Instantiates the FMU and checks all names. `settings`: see `drivecal.adapters.kinds`."""
-    measures = {name: reduction_of(text) for name, text in settings["measures"].items()}
-    duration, step = settings["duration"], settings["step"]
+    section = settings["section"]
+    measures = {name: reduction_of(text) for name, text in section["measures"].items()}
+    duration, step, seed = section["duration"], section["step"], section["seed"]
     fmu = Fmu(Path(settings["file"]), Path(settings["unpacked"]))
     fmu.check((output for _, output in measures.values()), "measured output")
     fmu.check(settings["data"], "name in the scenario's data")
     refuse_first(unit_problems(fmu.described, settings["parameters"]))
-    seed = settings["seed"]
     fmu.check([] if seed is None else [seed], "seed")
     recorded = [name for name in settings["series"] if name in fmu.variables]
     outputs = {f"measures.{name}": (name, output, key == "integral") for name, (key, output) in measures.items()}

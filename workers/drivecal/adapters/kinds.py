@@ -127,14 +127,11 @@ def _start_fmu(
     settings = {
         "file": str(folder / section["file"]),
         "unpacked": str(scratch.folder / "fmu"),
-        "duration": section["duration"],
-        "step": section["step"],
-        "measures": dict(section["measures"]),
+        "section": {key: section.get(key) for key in ("duration", "step", "measures", "seed")},
         "series": list(declared.series),
         "units": {name: unit for name, unit in declared.units.items() if unit not in units.WITHOUT},
         "data": dict(data),
         "parameters": dict(declared.parameters),
-        "seed": section.get("seed"),
     }
     command = [*DRIVER, "drivecal.adapters.fmu_driver", json.dumps(settings)]
     most_runs = MOST_FMU_RUNS if section.get("reset", True) else 1

@@ -115,9 +115,7 @@ class ProcessSession:
     def close(self) -> None:
         """Asks the child to end and ends it."""
         with self._lock:
-            if self._pipes is not None:
-                self._pipes.stop(_QUIT, QUIT_SECONDS)
-                self._pipes = None
+            self._stop(_QUIT)
             self._children.close()
             self._scratch.remove()
 
@@ -150,9 +148,7 @@ class ProcessSession:
         return replace(outcome, cpu_seconds=-cpu_seconds, start_seconds=wall_seconds)  # `timed` adds the CPU time of both
 
     def _start_again(self) -> Pipes:
-        if self._pipes is not None:
-            self._pipes.stop(_QUIT, QUIT_SECONDS)
-            self._pipes = None
+        self._stop(_QUIT)
         self._scratch.clear()
         try:
             return self._start()
@@ -181,7 +177,7 @@ class ProcessSession:
             raise
         return self._pipes
 
-    def _stop(self) -> None:
+    def _stop(self, farewell: bytes = b"") -> None:
         pipes, self._pipes = self._pipes, None
         if pipes is not None:
-            pipes.stop()
+            pipes.stop(farewell, QUIT_SECONDS)

@@ -46,7 +46,7 @@ def function_of(field: str, section: Mapping[str, Any], folder: Path, packages: 
         sys.path.insert(0, str(unpack(folder / section["wheels"], packages)))
     file = folder / section["file"]
     sys.path.insert(0, str(file.parent))
-    function = getattr(imported(file), section["function"], None)
+    function: Callable[..., Any] | None = getattr(imported(file), section["function"], None)
     if not callable(function):
         message = f"{file.name} has no function {section['function']}"
         raise InvalidInputError(Problem(f"{field}.function", message, "name one that the file has"))

@@ -76,7 +76,9 @@ class BundleCache:
         if (own := installed(digest)) is not None:
             return own.folder
         folder = self._folder / digest
-        self._refuse_missing(digest)
+        if not self.has(digest):
+            reason = f": {self._failures[digest]}" if digest in self._failures else ""
+            raise UnavailableError(f"the files of the bundle {digest} are not on this machine{reason}")
         _refuse_others(self._folder)
         _refuse_others(folder)
         signature = _signature(folder)
@@ -136,11 +138,6 @@ class BundleCache:
     def _stamp(self, digest: str) -> Path:
         """Returns the file whose time is that of a bundle's last use."""
         return self._folder / f".{digest}.used"
-
-    def _refuse_missing(self, digest: str) -> None:
-        if not self.has(digest):
-            reason = f": {self._failures[digest]}" if digest in self._failures else ""
-            raise UnavailableError(f"the files of the bundle {digest} are not on this machine{reason}")
 
     def _remove_leftovers(self) -> None:
         """Removes what killed workers left of bundles that they unpacked. Only names that `unpack` makes are touched."""

@@ -167,7 +167,10 @@ class FunctionController(Controller):
     def step(self, signals: Sequence[float]) -> Sequence[Any]:
         answer = self._call(dict(zip(NAMES, signals, strict=True)))
         if isinstance(answer, Mapping):
-            return by_name(answer, self._output, self._name)
+            if answer.keys() != set(self._output):
+                given, wanted = ", ".join(map(str, answer)) or "nothing", ", ".join(self._output)
+                raise ControllerError(f"{self._name} gave {given}, not {wanted}"[:300])
+            return [answer[name] for name in self._output]
         if isinstance(answer, (list, tuple)):
             return answer
         return (answer,)
@@ -198,16 +201,16 @@ class LoadedFmuController(Controller):
         self._order = [self._reader.names.index(signals[name]) for name in output]
         self._period, self._count = period, 0
         self._constants: Mapping[str, Any] = section.get("constants") or {}
-        self._parameters: Mapping[str, Any] = {}
+        self._values = self._constants
 
     def begin(self, parameters: Mapping[str, Any]) -> None:
         self._fmu.check(parameters, "parameter")
-        self._parameters, self._count = dict(parameters), 0
+        self._values, self._count = {**self._constants, **parameters}, 0
 
     def step(self, signals: Sequence[float]) -> Sequence[Any]:
         inputs = [signals[index] for index in self._indices]
         if self._count == 0:
-            self._fmu.begin({**self._constants, **self._parameters}, None, lambda: self._writer.write(inputs))
+            self._fmu.begin(self._values, None, lambda: self._writer.write(inputs))
         self._writer.write(inputs)
         self._fmu.step(self._count * self._period, self._period)
         self._count += 1
@@ -256,13 +259,6 @@ def _is_finite(value: Any) -> bool:
         return math.isfinite(value)
     except (TypeError, OverflowError):
         return False
-
-
-def by_name(answer: Mapping[str, Any], output: Sequence[str], source: str) -> list[Any]:
-    """Returns commands by name in the order of `output`. Raises ControllerError if others are there."""
-    if answer.keys() != set(output):
-        raise ControllerError(f"{source} gave {', '.join(map(str, answer)) or 'nothing'}, not {', '.join(output)}"[:300])
-    return [answer[name] for name in output]
 
 
 def controller(
