@@ -78,17 +78,7 @@ def test_separators_of_unicode_and_older_encodings_are_no_line_ends() -> None:
     assert read.characteristics[0].description == "up to\u2026 \u20ac"
 
 
-KINDS = [
-    "FESTWERT",
-    "FESTWERTEBLOCK",
-    "KENNLINIE",
-    "FESTKENNLINIE",
-    "GRUPPENKENNLINIE",
-    "KENNFELD",
-    "FESTKENNFELD",
-    "GRUPPENKENNFELD",
-]
-KINDS += ["STUETZSTELLENVERTEILUNG"]
+KINDS = list(dcm._KINDS)
 BLOCK = "FESTWERT b\n  WERT 1\nEND\n"
 
 

@@ -34,12 +34,8 @@ def series(seconds: float = 16.0, lateral: float = 0.0, longitudinal: float = 0.
     time = np.arange(round(100 * seconds)) / 100.0
     push = np.where((time > 4.0) & (time < 7.0), np.sin((time - 4.0) * math.pi / 3.0), 0.0)
     dynamics = np.zeros((time.size, 5))
-    dynamics[:, 0], dynamics[:, 1], dynamics[:, 2], dynamics[:, 3] = (
-        30.0,
-        longitudinal * push,
-        lateral * push,
-        lateral * push / 30.0,
-    )
+    dynamics[:, 0] = 30.0
+    dynamics[:, 1:4] = np.column_stack([longitudinal * push, lateral * push, lateral * push / 30.0])
     return Series(dynamics, np.full(round(10 * seconds), offset))
 
 

@@ -21,15 +21,8 @@ def some_series(seed: int, length: int = LENGTH) -> rocket.Integers:
 
 
 def ours(regression: Regression, series: rocket.Integers) -> Floats:
-    features: Floats = rocket.transform(
-        series,
-        rocket.KERNELS,
-        regression.dilations,
-        regression.per_dilation,
-        regression.n_channels,
-        regression.channels,
-        regression.biases,
-    )
+    names = ("dilations", "per_dilation", "n_channels", "channels", "biases")
+    features: Floats = rocket.transform(series, rocket.KERNELS, *(getattr(regression, name) for name in names))
     return features
 
 
