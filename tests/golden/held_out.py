@@ -36,7 +36,7 @@ def write(recordings: Sequence[Recording]) -> None:
     counts = {name: np.rint(values / UNITS[name]).astype(np.int64) for name, values in rows.items()}
     before = np.zeros((len(recordings), 2), dtype=np.int64)
     packed = {name: np.diff(one, n=2, axis=1, prepend=before).astype(np.int32) for name, one in counts.items()}
-    everything: dict[str, Any] = {"kinds": np.array(vehicle.kinds_of(recordings))} | packed
+    everything: dict[str, Any] = {"kinds": np.array([recording.manoeuvre.kind for recording in recordings])} | packed
     np.savez_compressed(FILE, **everything)
 
 

@@ -7,16 +7,7 @@ import numpy as np
 import pytest
 
 from drivecal.bundles.highway_catalogue import FAR, LONGEST, MEASURES
-from drivecal.highway.drive.measures import (
-    COLUMNS,
-    Record,
-    distance_at_limit,
-    energy,
-    jerks,
-    measures,
-    series,
-    times_to_collision,
-)
+from drivecal.highway.drive.measures import COLUMNS, Record, distance_at_limit, energy, jerks, measures, times_to_collision
 
 STEP = 0.1
 
@@ -147,8 +138,3 @@ def test_energy_is_that_of_the_stated_vehicle() -> None:
     braking = cruise.copy()
     braking[:, 1] = -3.0
     assert energy(braking, 2000.0) == pytest.approx(0.6 * (power - 1.05 * 2000 * 3 * 30) * 60 / 3.6e6)
-
-
-def test_series_are_columns_by_name() -> None:
-    given = record({"gap_m": np.arange(11.0)})
-    assert series(given, ["gap_m", "time_s"])["gap_m"] == list(map(float, range(11)))

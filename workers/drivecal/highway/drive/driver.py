@@ -40,7 +40,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.highway.drive.control import CommandControl
     from drivecal.highway.drive.controllers import controller
     from drivecal.highway.drive.loop import Loop
-    from drivecal.highway.drive.measures import measures, series
+    from drivecal.highway.drive.measures import measures
     from drivecal.highway.drive.rehearsal import hold, rehearse
     from drivecal.highway.drive.replay import DriveRecorder
     from drivecal.highway.drive.road import HighwayRoad
@@ -86,7 +86,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
         if outcome.failure is not None:
             answer["failure"] = outcome.failure
         if recorder is not None:
-            answer["series"] = series(outcome.record, settings["series"])
+            answer["series"] = {name: outcome.record.column(name).tolist() for name in settings["series"]}
             answer |= replay_beside(answer, lambda: recorder.replay(outcome.record, scenario.ego.length, route))
         return answer
 

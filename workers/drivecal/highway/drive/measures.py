@@ -1,6 +1,5 @@
 """Measures and time series of a run, from its record. Pure. Formulas: `bundles/highway.md`."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -162,8 +161,3 @@ def _p95(values: Floats) -> float:
 
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def series(record: Record, names: Sequence[str]) -> dict[str, list[float]]:
-    """Returns columns of the record by name."""
-    return {name: record.column(name).tolist() for name in names}

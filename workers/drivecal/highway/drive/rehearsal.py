@@ -4,35 +4,20 @@ A worker and its later sessions run what is stored: a controller that could chan
 """
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numba
 
 from drivecal.adapters.confinement import confine, ruleset
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.highway.drive.control import CommandControl
-from drivecal.highway.drive.controllers import Checked, Controller, ControllerError
+from drivecal.highway.drive.controllers import Checked, ControllerError, FunctionController
 from drivecal.highway.drive.loop import Loop, StartError
 from drivecal.highway.drive.measures import measures
 from drivecal.highway.drive.traffic import Traffic, TrafficError
 from drivecal.highway.vehicle.model import SingleTrackModel
-
-
-class _Straight(Controller):
-    """Gives no acceleration and no steering."""
-
-    def __init__(self, output: Sequence[str]) -> None:
-        self._output = output
-
-    def begin(self, parameters: Mapping[str, Any]) -> None:
-        del parameters
-
-    def step(self, signals: Sequence[float]) -> Sequence[Any]:
-        del signals
-        return [0.0] * len(self._output)
 
 
 def rehearse(simulator: HighwaySimulator, traffic: Traffic, model: SingleTrackModel) -> None:
@@ -42,8 +27,8 @@ def rehearse(simulator: HighwaySimulator, traffic: Traffic, model: SingleTrackMo
     """
     controller = simulator.controller
     period = simulator.step if controller.period is None else controller.period
-    straight = Checked(_Straight(controller.output), controller.output)
-    loop = Loop(traffic, model, CommandControl(straight, period))
+    straight = FunctionController(lambda *_: [0.0] * len(controller.output), controller.output, {})
+    loop = Loop(traffic, model, CommandControl(Checked(straight, controller.output), period))
     loop.prepare()
     with suppress(ControllerError, TrafficError):  # the user's run tells of what is wrong
         measures(loop.run({}, is_warm=False).record, model.parameters.mass)

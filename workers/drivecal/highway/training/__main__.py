@@ -23,7 +23,7 @@ def train_vehicle() -> None:
     _print("driving the held-out manoeuvres")
     card = FILE.with_suffix(".md")
     held_out = vehicle.held_out_drives()
-    errors = vehicle.error_table(residual, vehicle.kinds_of(held_out), Drives.of(held_out))
+    errors = vehicle.error_table(residual, [drive.manoeuvre.kind for drive in held_out], Drives.of(held_out))
     write_table(card, vehicle.ERRORS, errors)
     write_table(card, vehicle.RANGE, vehicle.range_table(residual))
     _print(errors, FILE)

@@ -240,11 +240,6 @@ def _root_mean_square(errors: Floats) -> Floats:
     return np.asarray(np.sqrt((errors**2).mean(axis=0)))
 
 
-def kinds_of(recordings: Sequence[Recording]) -> list[str]:
-    """Returns the kinds of recorded manoeuvres."""
-    return [recording.manoeuvre.kind for recording in recordings]
-
-
 def errors(residual: Residual, kinds: Sequence[str], drives: Drives) -> dict[str, Floats]:
     """Returns r.m.s. errors by vehicle (`plain`, `hybrid`, `converted`) and, for the first two, by `plain kind` and `hybrid kind`.
 
