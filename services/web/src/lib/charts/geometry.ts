@@ -1,5 +1,7 @@
 /** Where everything is at a moment of a replay. Metres, seconds, radians. */
 
+import type { ReplayVehicle } from "../server/types";
+
 export interface Pose {
   x: number;
   y: number;
@@ -38,9 +40,8 @@ export function at(times: readonly number[], values: readonly number[], moment: 
   return value + Math.max(0, share) * (other - value);
 }
 
-export function poseAt(times: readonly number[], series: Record<string, number[]>, moment: number): Pose {
-  const value = (name: string): number => at(times, series[name] ?? [], moment);
-  return { x: value("x_m"), y: value("y_m"), heading: headingAt(times, series["heading_rad"] ?? [], moment) };
+export function poseAt(times: readonly number[], { x_m, y_m, heading_rad }: Pick<ReplayVehicle, "x_m" | "y_m" | "heading_rad">, moment: number): Pose {
+  return { x: at(times, x_m, moment), y: at(times, y_m, moment), heading: headingAt(times, heading_rad, moment) };
 }
 
 /** A heading at a moment or place, by the shorter turn: headings jump by a whole turn. */

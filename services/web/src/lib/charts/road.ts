@@ -1,7 +1,7 @@
 /** The road from above at a moment of a replay, as shapes. */
 
 import { onGround } from "./palette";
-import type { Drive, Vehicle } from "./drive";
+import type { ReplayAnswer, ReplayVehicle } from "../server/types";
 import { at, camera, headingAt, planAt, poseAt, type Pose } from "./geometry";
 
 type Point = readonly [number, number];
@@ -46,11 +46,11 @@ export function colours(dark: boolean, own?: string) {
 }
 
 /** The picture at a moment, from the ground up; the view looks along the road at the ego vehicle. */
-export function seen(drive: Drive, moment: number, width: number, colour: Colours): Shape[] {
+export function seen(drive: ReplayAnswer, moment: number, width: number, colour: Colours): Shape[] {
   const scale = Math.max(SMALLEST, width / (AHEAD + BEHIND));
-  const ego = poseAt(drive.ego.time_s, drive.ego.places, moment);
+  const ego = poseAt(drive.time_s, drive.ego, moment);
   // By its place along the road: where a road crosses itself, another part of it may be nearer.
-  const turn = headingAt(drive.line.map(([along = 0]) => along), drive.line.map((row) => row[3] ?? 0), at(drive.time_s, drive.along, moment));
+  const turn = headingAt(drive.line.map(([along = 0]) => along), drive.line.map((row) => row[3] ?? 0), at(drive.time_s, drive.ego.position_m, moment));
   const look = camera(ego, scale, [width * (BEHIND / (AHEAD + BEHIND)), HEIGHT * 0.56], turn);
   const beyond = Math.max(BEYOND, BEYOND_METRES * scale);
   const visible = ([x, y]: Point): boolean => x > -beyond && x < width + beyond && y > -beyond && y < HEIGHT + beyond;
@@ -58,29 +58,29 @@ export function seen(drive: Drive, moment: number, width: number, colour: Colour
   const trail = (xs: readonly number[], ys: readonly number[]): Point[] => views(xs.map((x, index) => [x, ys[index] ?? 0])).filter(visible);
 
   const shapes: Shape[] = [{ points: [[0, 0], [width, 0], [width, HEIGHT], [0, HEIGHT]], fill: colour.ground }];
-  for (const lane of drive.surface.lanes) {
+  for (const lane of drive.route.lanes) {
     const [right, left] = [views(lane.right), views(lane.left)];
     for (const [from, to] of stretches(right.map((point, index) => visible(point) || visible(left[index] ?? point)))) {
       // The stroke closes the gap to the next lane.
       shapes.push({ points: [...right.slice(from, to), ...left.slice(from, to).reverse()], fill: colour.road, stroke: colour.road, width: 1 });
     }
   }
-  for (const line of drive.surface.edges) {
+  for (const line of drive.route.edges) {
     const points = views(line);
     for (const [from, to] of stretches(points.map(visible))) shapes.push({ points: points.slice(from, to), stroke: colour.line, width: 2 });
   }
-  for (const line of drive.surface.markings) {
+  for (const line of drive.route.markings) {
     const points = views(line);
     for (const [from, to] of stretches(points.map(visible))) {
       // Dashes stay where they are on the road.
       shapes.push({ points: points.slice(from, to), stroke: colour.mark, width: 1.4, dash: [6 * scale, 12 * scale], dashOffset: length(line.slice(0, from + 1)) * scale });
     }
   }
-  shapes.push({ points: trail(drive.ego.places["x_m"] ?? [], drive.ego.places["y_m"] ?? []), stroke: colour.way, width: 1.5, opacity: 0.35 });
+  shapes.push({ points: trail(drive.ego.x_m, drive.ego.y_m), stroke: colour.way, width: 1.5, opacity: 0.35 });
   const plan = planAt(drive.plans, moment);
   if (plan) shapes.push({ points: trail(plan.x_m, plan.y_m), stroke: colour.plan, width: 3 });
 
-  const car = (vehicle: Vehicle, pose: Pose, fill: string): void => {
+  const car = (vehicle: Pick<ReplayVehicle, "length_m" | "width_m">, pose: Pose, fill: string, name = ""): void => {
     if (Number.isNaN(pose.x)) return;
     const [x, y] = look(pose.x, pose.y);
     if (x < -80 || x > width + 80) return;
@@ -89,11 +89,12 @@ export function seen(drive: Drive, moment: number, width: number, colour: Colour
     // Round corners: the outline is as wide as the corner is round.
     shapes.push({ points: box(2 - long / 2, long / 2 - 2, wide / 2 - 2), fill, stroke: fill, width: 4 });
     shapes.push({ points: box(long * 0.14, long * 0.26, wide * 0.36), fill: colour.glass, opacity: 0.55 });
-    if (vehicle.name) shapes.push({ text: vehicle.name, at: [x, y - wide / 2 - 5], colour: colour.name });
+    if (name) shapes.push({ text: name, at: [x, y - wide / 2 - 5], colour: colour.name });
   };
   const now = Math.min(Math.max(moment, drive.time_s[0] ?? 0), drive.time_s.at(-1) ?? 0);
   for (const vehicle of drive.others) {
-    if (now >= (vehicle.time_s[0] ?? 0) - 1e-9 && now <= (vehicle.time_s.at(-1) ?? 0) + 1e-9) car(vehicle, poseAt(vehicle.time_s, vehicle.places, moment), colour.other);
+    const times = drive.time_s.slice(vehicle.first, vehicle.first + vehicle.x_m.length);
+    if (now >= (times[0] ?? 0) - 1e-9 && now <= (times.at(-1) ?? 0) + 1e-9) car(vehicle, poseAt(times, vehicle, moment), colour.other, vehicle.id);
   }
   car(drive.ego, ego, colour.ego);
   return shapes;

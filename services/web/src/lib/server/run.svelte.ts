@@ -1,10 +1,9 @@
 /** A run as views show it: its result, and its drive or time series. These are not stored with runs: the first reader has the run simulated once more. */
 
 import { Refusal, ask, get, isUnreached, messageOf } from "./api.svelte";
-import { driveIn, type Drive } from "../charts/drive";
 import type { Reported } from "../charts/series";
 import { isDriven, problemOf } from "./shape";
-import type { EvaluationDetail, PendingTrace, ProblemAnswer, SeriesAnswer } from "./types";
+import type { EvaluationDetail, PendingTrace, ProblemAnswer, ReplayAnswer, SeriesAnswer } from "./types";
 import type { Outcome } from "../text/words";
 
 const AGAIN_MILLISECONDS = 700;
@@ -32,7 +31,7 @@ export class Run {
   row = $state.raw<Row | null>(null);
   problem = $state.raw<ProblemAnswer | null>(null);
   reported = $state.raw<Reported | null>(null);
-  drive = $state.raw<Drive | null>(null);
+  drive = $state.raw<ReplayAnswer | null>(null);
   waiting = $state("");
   /** Why there is nothing to draw. */
   untraced = $state("");
@@ -65,7 +64,7 @@ export class Run {
       const body = (await answer.json()) as PendingTrace | SeriesAnswer;
       if ("series" in body) {
         this.reported = driven ? Object.fromEntries(DRAWN.map((name) => [name === "d_m" ? "offset from the rightmost lane's centre_m" : name, body.series[name] ?? []])) : body.series;
-        this.drive = body.replay && driveIn(body.replay);
+        this.drive = body.replay ?? null;
         if (this.drive === null && Object.keys(body.series).length === 0) this.untraced = "The run ended before it had any time series.";
         return;
       }

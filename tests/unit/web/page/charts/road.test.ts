@@ -1,6 +1,5 @@
 import { expect, test } from "vitest";
 import type { ReplayAnswer } from "$lib/server/types";
-import { driveIn, type Drive } from "$lib/charts/drive";
 import { colours, seen, type Path, type Shape } from "$lib/charts/road";
 
 /** A road of two lanes of 4 and 2.5 m from (0, 0), whose left lane ends after 200 m; at any place in any direction. */
@@ -28,22 +27,22 @@ function network(origin: readonly [number, number], heading: number): ReplayAnsw
   };
 }
 const paths = (shapes: Shape[], has: (path: Path) => boolean): Path[] => shapes.filter((shape): shape is Path => "points" in shape && has(shape));
-const view = (drive: Drive, moment: number): Shape[] => seen(drive, moment, 800, colours(false));
+const view = (drive: ReplayAnswer, moment: number): Shape[] => seen(drive, moment, 800, colours(false));
 const SCALE = 800 / 155;
 
 test("dashes stay where they are on the road while the view moves", () => {
-  const [first, other] = [0, 0.5].map((moment) => paths(view(driveIn(network([0, 0], 0)), moment), ({ dash }) => dash !== undefined)[0]);
+  const [first, other] = [0, 0.5].map((moment) => paths(view(network([0, 0], 0), moment), ({ dash }) => dash !== undefined)[0]);
   const start = (path: Path | undefined): number => (path?.points[0]?.[0] ?? NaN) - (path?.dashOffset ?? NaN);
   expect(start(first) - start(other)).toBeCloseTo(15 * SCALE);
 });
 
 test("a plan is there once it was made", () => {
-  const plans = (moment: number): number => paths(view(driveIn(network([0, 0], 0)), moment), ({ stroke }) => stroke === colours(false).plan).length;
+  const plans = (moment: number): number => paths(view(network([0, 0], 0), moment), ({ stroke }) => stroke === colours(false).plan).length;
   expect([0.5, 1].map(plans)).toEqual([0, 1]);
 });
 
 test("lanes have their own widths, borders and ends", () => {
-  const shapes = view(driveIn(network([0, 0], 0)), 0);
+  const shapes = view(network([0, 0], 0), 0);
   const lanes = paths(shapes, ({ fill }) => fill === colours(false).road);
   const widths = lanes.map(({ points }) => Math.abs((points[0]?.[1] ?? 0) - (points.at(-1)?.[1] ?? 0)) / SCALE);
   expect(widths.map((width) => Math.round(10 * width) / 10)).toEqual([4, 2.5]);
@@ -53,9 +52,9 @@ test("lanes have their own widths, borders and ends", () => {
 });
 
 test("the picture is the same wherever the network lies and whichever way its road leads", () => {
-  const known = view(driveIn(network([0, 0], 0)), 1.5);
+  const known = view(network([0, 0], 0), 1.5);
   for (const [origin, heading] of [[[-4e4, 7e4], 2.5], [[12, -3], -1.2], [[0, 0], Math.PI]] as const) {
-    const other = view(driveIn(network(origin, heading)), 1.5);
+    const other = view(network(origin, heading), 1.5);
     expect(other.length).toBe(known.length);
     other.forEach((shape, index) => {
       const same = known[index];
@@ -69,14 +68,14 @@ test("the picture is the same wherever the network lies and whichever way its ro
 });
 
 test("on a road that crosses itself the view looks along the part that is driven", () => {
-  const drive = driveIn(network([0, 0], 0));
+  const drive = network([0, 0], 0);
   const across = [-40, -20, 0, 20, 40].map((y) => [1000 + y, 75, y, Math.PI / 2]);
   const crossing = { ...drive, line: [...drive.line, ...across] };
   expect(view(crossing, 0.5)).toEqual(view(drive, 0.5));
 });
 
 test("a vehicle is there from its first to its last time", () => {
-  const drive = driveIn(network([0, 0], 0));
+  const drive = network([0, 0], 0);
   const names = (moment: number): string[] => view(drive, moment).flatMap((shape) => ("text" in shape ? [shape.text] : []));
   expect([1.9, 2, 3].map(names)).toEqual([[], ["late"], ["late"]]);
 });
@@ -84,13 +83,13 @@ test("a vehicle is there from its first to its last time", () => {
 test("a line that leaves the view and comes back is not drawn across it", () => {
   const far = network([0, 0], 0);
   const around = [[0, 0], [100, 0], [200, 0], [1000, 0], [1000, 1000], [0, 1000], [-1000, 0], [-50, 6], [60, 6]];
-  const shapes = view(driveIn({ ...far, route: { lanes: [], edges: [around], markings: [] } }), 0);
+  const shapes = view({ ...far, route: { lanes: [], edges: [around], markings: [] } }, 0);
   expect(paths(shapes, ({ stroke }) => stroke === "#ffffff").map(({ points }) => points.length)).toEqual([3, 2]);
 });
 
 test("a heading that jumps by a whole turn does not turn the vehicle around", () => {
-  const drive = driveIn(network([0, 0], 0));
-  const jumping = { ...drive, ego: { ...drive.ego, places: { ...drive.ego.places, heading_rad: [3.14, -3.14, -3.14, -3.14] } } };
+  const drive = network([0, 0], 0);
+  const jumping = { ...drive, ego: { ...drive.ego, heading_rad: [3.14, -3.14, -3.14, -3.14] } };
   const lengths = [drive, jumping].map((entry) => {
     const body = paths(view(entry, 0.5), ({ fill }) => fill === colours(false).ego)[0]?.points ?? [];
     return Math.abs((body[0]?.[0] ?? 0) - (body[1]?.[0] ?? 0));
