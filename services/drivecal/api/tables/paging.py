@@ -40,37 +40,19 @@ def _parquet(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iter
     from pyarrow import parquet  # takes a while and memory; most servers never write Parquet
 
     schema = arrow_schema(columns)
-    sink = _Sink()
-    with parquet.ParquetWriter(sink, schema) as writer:
+    sink = io.BytesIO()
+
+    def taken() -> bytes:
+        content = sink.getvalue()
+        sink.seek(0)
+        sink.truncate()
+        return content
+
+    with parquet.ParquetWriter(sink, schema) as writer:  # it counts by itself how much it has written
         for piece in pieces:
             writer.write_table(arrow_table(schema, piece))
-            yield sink.take()
-    yield sink.take()
-
-
-class _Sink(io.RawIOBase):
-    """A file that collects written bytes until they are taken."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._pieces: list[bytes] = []
-        self._position = 0
-
-    def writable(self) -> bool:
-        return True
-
-    def tell(self) -> int:
-        return self._position
-
-    def write(self, content: Any) -> int:
-        piece = bytes(content)
-        self._pieces.append(piece)
-        self._position += len(piece)
-        return len(piece)
-
-    def take(self) -> bytes:
-        content, self._pieces = b"".join(self._pieces), []
-        return content
+            yield taken()
+    yield taken()
 
 
 ROWS_AT_A_TIME = 2000
