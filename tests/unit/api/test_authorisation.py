@@ -217,11 +217,11 @@ def test_without_tokens_a_web_page_of_another_origin_changes_nothing(origin: byt
 OWN, FOREIGN = (b"origin", b"http://localhost:8000"), (b"origin", b"http://localhost:9000")
 
 
-def cookie(token: bytes, moment: float | None = None) -> Header:
-    """The session that `token` was given; at `moment`, in seconds since 1970, where that is not now."""
+def cookie(token: bytes) -> Header:
+    """The session that `token` was given."""
     result = Fixed().find(token)
     assert result is not None
-    return b"cookie", f"drivecal-session-8000={sessions.begin(result, moment)}".encode()
+    return b"cookie", f"drivecal-session-8000={sessions.begin(result)}".encode()
 
 
 def test_a_session_stands_for_its_token() -> None:
@@ -255,11 +255,12 @@ def forged(name: str, value: str) -> Header:
     return b"cookie", f"{name}={value}".encode()
 
 
-def test_a_session_that_was_not_given_or_is_over_is_none() -> None:
+def test_a_session_that_was_not_given_or_is_over_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     value = cookie(ANNA)[1].decode().partition("=")[2]
     end, signature, name = value.split("-", 2)
+    monkeypatch.setattr(sessions, "SECONDS", 0)
     wrong = [
-        cookie(ANNA, 0.0),
+        cookie(ANNA),
         forged("drivecal-session-9000", value),
         forged("drivecal-session-8000", f"{int(end) + 1}-{signature}-{name}"),
         forged("drivecal-session-8000", f"{end}-{signature}-plant"),

@@ -18,6 +18,7 @@ from drivecal.cli.commands.campaigns import counted
 from drivecal.cli.commands.evaluate import difference_row
 from drivecal.cli.commands.results import _print
 from drivecal.cli.main import app
+from drivecal.cli.views import progress
 from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, saved, when
 from drivecal.cli.views.progress import Bar, Lines
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
@@ -91,9 +92,11 @@ def test_a_campaign_shows_all_that_matters(capsys: pytest.CaptureFixture[str]) -
         assert wanted in printed
 
 
-def test_without_a_terminal_a_line_appears_now_and_then(capsys: pytest.CaptureFixture[str]) -> None:
-    clock = iter([0.0, 1.0, 2.0, 7.5, 13.0, 14.0])
-    lines = Lines(lambda: next(clock))
+def test_without_a_terminal_a_line_appears_now_and_then(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=iter([0.0, 1.0, 2.0, 7.5, 13.0, 14.0]).__next__))
+    lines = Lines()
     running = Campaign(id="0" * 32, name="mine", state="running", stage="calibration", spec={"optimizer": {"iterations": 10}})
     lines.show(running.model_copy(update={"state": "queued", "stage": None}))
     for iteration in range(3):

@@ -4,7 +4,6 @@ A proxy in front of the server limits clients that are slow; uvicorn closes idle
 requests.
 """
 
-import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
@@ -24,17 +23,10 @@ class BodyLimit:
     """ASGI middleware that refuses bodies that are too large (413), by their declaration or when they turn out to be, or that declare their
     length twice (400)."""
 
-    def __init__(self, app: ASGIApp, largest: int = LARGEST_BODY, others: Mapping[str, int] | None = None) -> None:
-        """Limits the bytes of bodies.
-
-        Args:
-            app: The application behind.
-            largest: Bytes of a body.
-            others: Limits by path, for paths that have their own.
-        """
+    def __init__(self, app: ASGIApp, others: Mapping[str, int]) -> None:
+        """Limits the bytes of bodies to LARGEST_BODY, or to the number in `others` for a path that is there."""
         self.app = app
-        self.largest = largest
-        self.others = others or {}
+        self.others = others
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Passes the request on, counting."""
@@ -42,7 +34,7 @@ class BodyLimit:
             await self.app(scope, receive, send)
             return
         request = Request(scope)
-        largest, received = self.others.get(scope["path"], self.largest), 0
+        largest, received = self.others.get(scope["path"], LARGEST_BODY), 0
         detail = f"the body is larger than {largest:,} bytes; send a smaller one"
         if "content-length" in request.headers and "transfer-encoding" in request.headers:
             both = "the body has both Content-Length and Transfer-Encoding; send one of them"  # a proxy may believe the other
@@ -65,7 +57,7 @@ class BodyLimit:
 
 
 class Places:
-    """A limited number of places. Any thread may take a place and give it back."""
+    """A limited number of places, which the event loop takes and gives back."""
 
     def __init__(self, most: int, noun: str, retry_seconds: int) -> None:
         """Creates the places, all of them free.
@@ -78,18 +70,15 @@ class Places:
         self._most = most
         self._noun = noun
         self._retry_seconds = retry_seconds
-        self._lock = threading.Lock()
         self.taken = 0
 
     @contextmanager
     def take(self) -> Iterator[None]:
         """Takes a place for a block. Raises OverloadError if all are taken."""
-        with self._lock:
-            if self.taken >= self._most:
-                raise OverloadError(f"{self._most:,} {self._noun} already; try again later", self._retry_seconds)
-            self.taken += 1
+        if self.taken >= self._most:
+            raise OverloadError(f"{self._most:,} {self._noun} already; try again later", self._retry_seconds)
+        self.taken += 1
         try:
             yield
         finally:
-            with self._lock:
-                self.taken -= 1
+            self.taken -= 1

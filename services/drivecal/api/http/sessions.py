@@ -28,9 +28,9 @@ def cookie_name(host: str) -> str:
     return f"drivecal-session-{port}" if port.isascii() and port.isdecimal() else "drivecal-session"
 
 
-def begin(token: Token, moment: float | None = None) -> str:
-    """Returns the cookie's value for a session that begins now. `moment`: now, in seconds since 1970."""
-    end = int((time.time() if moment is None else moment) + SECONDS)
+def begin(token: Token) -> str:
+    """Returns the cookie's value for a session that begins now."""
+    end = int(time.time() + SECONDS)
     return f"{end}-{_signature(token, end)}-{token.name}"
 
 

@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import typer
@@ -50,14 +50,13 @@ class Bar:
 class Lines:
     """A line every few seconds, and for each change of state or stage."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
+    def __init__(self) -> None:
         self._last: tuple[str, str | None] | None = None
         self._at = 0.0
 
     def show(self, campaign: Campaign) -> None:
         """Writes a line if one is due."""
-        now, kind = self._clock(), (campaign.state, campaign.stage)
+        now, kind = time.monotonic(), (campaign.state, campaign.stage)
         if kind == self._last and now - self._at < SECONDS_BETWEEN_LINES:
             return
         self._last, self._at = kind, now
