@@ -4,6 +4,7 @@ import json
 import time
 import uuid
 import warnings
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from http import HTTPStatus
 from pathlib import Path
@@ -167,8 +168,7 @@ class Client(Transport):
         """
         deadline = None if timeout is None else time.monotonic() + timeout
         states = self.watch(identifier, deadline, from_beginning=False)
-        *_, campaign = displayed(states) if progress else states
-        return campaign
+        return deque(displayed(states) if progress else states, maxlen=1)[0]  # the states before need no memory
 
     def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
         """Returns the campaign, None if its ETag is still `etag`; its ETag; the seconds to wait before the next request."""

@@ -2,6 +2,8 @@
 
 import json
 import time
+import weakref
+from collections.abc import Iterator
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -12,8 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.scripted import Answer, campaign, problem, server
 
-from drivecal.client import following, transport
+from drivecal.client import Client, following, transport
 from drivecal.client.following import EventParser
+from drivecal.contracts.campaign import Campaign
 from drivecal.domain.errors import UnavailableError
 
 
@@ -123,3 +126,19 @@ def test_what_the_server_writes_comes_out_however_it_is_cut(events: list[tuple[s
     pieces = [written[begin:end] for begin, end in pairwise(places)]
     expected = [("note", json.dumps({"text": text}), str(number)) for text, number in events]
     assert parsed(*pieces) == expected
+
+
+def test_waiting_for_hours_keeps_the_newest_state_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    known: list[weakref.ref[Campaign]] = []
+
+    def states(*_: Any, **__: Any) -> Iterator[Campaign]:
+        for number in range(5):
+            state = Campaign(id="0" * 32, name=str(number), state="running")
+            known.append(weakref.ref(state))
+            yield state
+            del state
+            assert sum(each() is not None for each in known) == 1
+
+    with Client("http://localhost", token="") as client:
+        monkeypatch.setattr(client, "watch", states)
+        assert client.wait("0" * 32, progress=False).name == "4"
