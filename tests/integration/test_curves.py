@@ -1,5 +1,7 @@
 """A campaign on a curve: coefficients are searched, results show values at the support points and the range of good sets."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 from unittest import mock
 
@@ -10,6 +12,7 @@ from tests.support.problems import scored, store, submit_checked
 from tests.support.runs import dispatcher, finish
 
 from drivecal.api.results.document import results_of
+from drivecal.api.results.routes import setup
 from drivecal.api.routes.campaigns import read
 from drivecal.bundles.shapes import Shape, with_points
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
@@ -47,6 +50,23 @@ def driven(setup: SetupRequest, cell: Cell) -> CellResult:
     return CellResult(cell.id, None, None, {"y": off}, None, 500.0)
 
 
+def one_at_a_time(read: Callable[[Database], Any]) -> Callable[[Database], Any]:
+    """Reads of a thread that never holds two connections."""
+    held: list[Database] = []
+
+    @contextmanager
+    def reading(database: Database) -> Iterator[Any]:
+        assert not held
+        with read(database) as connection:
+            held.append(database)
+            try:
+                yield connection
+            finally:
+                held.pop()
+
+    return reading
+
+
 @pytest.fixture
 def database(database: Database) -> Database:
     """The problem is pushed."""
@@ -76,7 +96,9 @@ def test_results_show_curves_with_the_range_of_good_sets(database: Database, cap
     assert load.good is not None
     shown = np.array([gain.good.lower, gain.values(best.parameters), gain.good.upper])
     assert (np.diff(shown, axis=0) >= 0).all()
-    in_notebook = Campaign.model_validate_json(bytes(read(ended.id, database).body))._repr_html_()
+    with mock.patch.object(Database, "read", one_at_a_time(Database.read)):  # else requests wait for each other's connections
+        in_notebook = Campaign.model_validate_json(bytes(read(ended.id, database).body))._repr_html_()
+        assert setup(ended.id, database) == results.setup
     assert all(str(points) in in_notebook for points in (gain.values(best.parameters), gain.good.lower, load.good.upper))
     print_results(results)
     print_solutions([each.best for each in results.variants if each.best], results.setup.shapes)

@@ -4,12 +4,11 @@ from dataclasses import replace
 from itertools import takewhile
 
 import numpy as np
-from sqlalchemy import Connection
 
 from drivecal.api.tables.ranking import solution_pages
 from drivecal.bundles.manifest import Manifest
 from drivecal.bundles.shapes import ShapeEntry
-from drivecal.campaigns.resolve.workbench import bundles_of
+from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.setup import GoodSets, ShapeAnswer
 from drivecal.domain.errors import NotFoundError
@@ -34,10 +33,10 @@ def shapes_of(manifest: Manifest) -> dict[str, ShapeAnswer]:
     return answers
 
 
-def shapes_with_good_sets(connection: Connection, stored: StoredRanking) -> dict[str, ShapeAnswer]:
+def shapes_with_good_sets(stored: StoredRanking) -> dict[str, ShapeAnswer]:
     """Returns the curves and maps of a campaign's problem with the range of its good sets; nothing for a problem that is gone."""
     try:
-        manifest = bundles_of(connection)(stored.campaign.spec["problem"]).manifest
+        manifest = stored_bundles(stored.database)(stored.campaign.spec["problem"]).manifest
     except NotFoundError:
         return {}
     answers = shapes_of(manifest)

@@ -52,8 +52,8 @@ def results_of(
     """Returns the document. `front`: the campaign's, or a variant's, if it is known already. `place`: iteration and individual of a set
     that the verdicts are about, in the place of the best. Raises NotFoundError if the search has no such place."""
     database, campaign = stored.database, stored.campaign
+    known = setup_of(stored)
     with database.read() as connection:
-        known = setup_of(connection, stored)
         answered = any(cells.get("requested") for cells in campaign.stages.values())
         accounting = account_of(connection, campaign) if answered else None
         causes = causes_of(connection, campaign) if answered else []
@@ -75,11 +75,12 @@ def results_of(
     )
 
 
-def setup_of(connection: Connection, stored: StoredRanking) -> CampaignSetup:
+def setup_of(stored: StoredRanking) -> CampaignSetup:
     """Returns the parameters, versions and fingerprints that a campaign began with; while it is queued, the current ones."""
     campaign, begun_with = stored.campaign, stored.resolved
-    documents = setups.documents(connection, list(begun_with.setups.values()))
-    words = _descriptions(_function(connection, campaign))
+    with stored.database.read() as connection:
+        documents = setups.documents(connection, list(begun_with.setups.values()))
+        words = _descriptions(_function(connection, campaign))
     scenarios = [_scenario(name, begun_with, documents) for name in begun_with.weights]
     return CampaignSetup(
         evaluator=begun_with.evaluator,
@@ -88,7 +89,7 @@ def setup_of(connection: Connection, stored: StoredRanking) -> CampaignSetup:
         server=version("drivecal"),
         settings=settings_of(campaign.spec, scenarios, begun_with.evaluator),
         constraints=[bound_text(bound) for bound in begun_with.goals.bounds],
-        shapes=shapes_with_good_sets(connection, stored),
+        shapes=shapes_with_good_sets(stored),
     )
 
 

@@ -70,7 +70,7 @@ def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
     """The parameters, versions and fingerprints that the campaign began with; while it is queued, the current ones."""
     with database.read() as connection:
         campaign = calibration(campaigns.get(connection, campaign_id))
-        return setup_of(connection, StoredRanking(database, campaign, resolved_spec(campaign)))
+    return setup_of(StoredRanking(database, campaign, resolved_spec(campaign)))
 
 
 @router.get("/importance")

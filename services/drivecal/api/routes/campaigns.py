@@ -77,11 +77,10 @@ def read(campaign_id: str, database: DatabaseDependency, if_none_match: IfNoneMa
         if matches(if_none_match, tag):
             return Response(status_code=304, headers=headers)
         stored = campaigns.by_sequence(connection, seen.sequence)
-        answer = campaign_answer(stored, moment, silent)
-        if answer.curves and stored.state.ended:
-            ranking = StoredRanking(database, stored, resolved_spec(stored))
-            for name, shape in shapes_with_good_sets(connection, ranking).items():
-                answer.curves[name]["good"] = shape.good
+    answer = campaign_answer(stored, moment, silent)
+    if answer.curves and stored.state.ended:
+        for name, shape in shapes_with_good_sets(StoredRanking(database, stored, resolved_spec(stored))).items():
+            answer.curves[name]["good"] = shape.good
     return Response(answer.model_dump_json(), headers=headers, media_type="application/json")
 
 
