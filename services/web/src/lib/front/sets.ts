@@ -1,7 +1,7 @@
 /** The sets of a front as a table, what they are made of, and what marks them. */
 
 import { COLOURS, SERIES } from "../charts/palette";
-import type { Column, Table } from "../server/columns";
+import { EMPTY, type Column, type Table } from "../server/columns";
 import type { FrontRow } from "../server/types";
 
 type Value = number | string | boolean | null | undefined;
@@ -9,36 +9,23 @@ type Value = number | string | boolean | null | undefined;
 /** The names of the columns that hold what a front is searched for. */
 export const objectiveColumn = (name: string): string => `objective_${name}`;
 
-/** Sets as a table with the columns of its files, and `further` ones. */
+/** Fields of a set whose values have a column each, by what its name begins with. */
+const SPREAD: Readonly<Record<string, string>> = { objectives: "objective_", uncertainty: "objective_", constraints: "constraint_", scores: "score_", values: "value_", answers: "answer_" };
+
+/** Fields that no column has as they are. */
+const APART = ["parameters", "weighted", "weights"];
+
+/** Sets as a table with the columns of its files, without the weights under which a set wins, and `further` ones. */
 export function tableOf(rows: readonly FrontRow[], parameters: readonly { name: string; column: string }[], further: Readonly<Record<string, readonly Value[]>> = {}): Table {
-  const first = rows[0];
-  const columns: Record<string, Column> = {};
-  const add = (name: string, value: (row: FrontRow, place: number) => Value): void => void (columns[name] = columnOf(name, rows.map(value)));
-  const spread = (prefix: (key: string) => string, values: (row: FrontRow) => Readonly<Record<string, Value>>): void => {
-    for (const key of Object.keys(first ? values(first) : {})) add(prefix(key), (row) => values(row)[key]);
-  };
-  add("rank", (row) => row.rank);
-  for (const [name, values] of Object.entries(further)) add(name, (_, place) => values[place]);
-  spread(objectiveColumn, (row) => row.objectives);
-  spread(objectiveColumn, (row) => row.uncertainty ?? {});
-  add("violation", (row) => row.violation);
-  add("undecided", (row) => row.undecided);
-  spread((key) => `constraint_${key}`, (row) => row.constraints);
-  add("knee", (row) => row.knee);
-  add("best_in", (row) => row.best_in.join(" ") || null);
-  add("wins", (row) => row.wins);
-  add("alternatives", (row) => row.alternatives);
-  add("replicates", (row) => row.replicates ?? 1);
-  add("seeds", (row) => row.seeds?.join(" ") || null);
-  add("degree", (row) => row.degree);
-  spread((key) => `score_${key}`, (row) => row.scores);
-  spread((key) => `value_${key}`, (row) => row.values);
-  add("reused", (row) => row.reused.join(" ") || null);
-  spread((key) => `answer_${key}`, (row) => row.answers ?? {});
-  for (const { name, column } of parameters) add(column, (row) => row.parameters[name]);
-  add("iteration", (row) => row.iteration);
-  add("individual", (row) => row.individual);
-  return { length: rows.length, names: Object.keys(columns), columns };
+  const cells = rows.map((row): Record<string, Value> => {
+    const fields = Object.entries(row).filter(([field]) => !APART.includes(field)).flatMap(([field, value]: [string, unknown]): [string, Value][] => {
+      if (Array.isArray(value)) return [[field, value.join(" ") || null]];
+      return typeof value === "object" && value !== null ? Object.entries(value as Record<string, Value>).map(([key, each]) => [`${SPREAD[field] ?? ""}${key}`, each]) : [[field, value as Value]];
+    });
+    return Object.fromEntries([...fields, ...parameters.map(({ name, column }): [string, Value] => [column, row.parameters[name]])]);
+  });
+  const columns = Object.keys(cells[0] ?? {}).map((name) => [name, cells.map((row) => row[name])]);
+  return withColumns({ ...EMPTY, length: rows.length }, { ...Object.fromEntries(columns), ...further });
 }
 
 /** A table with further columns, for the page alone. */
