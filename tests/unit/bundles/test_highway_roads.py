@@ -236,7 +236,7 @@ def test_a_file_that_cannot_be_converted_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("first", ["described", "corridor", "carriageway"])
-def test_files_and_routes_that_take_too_long_to_read_are_refused(first: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_that_take_too_long_to_read_are_refused(first: str, monkeypatch: pytest.MonkeyPatch) -> None:
     document, files = changed("traffic", []), networks()
     document["scenarios"]["later"] = document["scenarios"]["merge"] | {"route": ["ramp", "beside", "after"]}
     if first == "carriageway":
