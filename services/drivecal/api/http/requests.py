@@ -9,13 +9,13 @@ from http import HTTPStatus
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from drivecal.api.http.authorisation import READING
 from drivecal.api.http.problems import REQUEST_ID
 from drivecal.api.metrics import Meters
 from drivecal.api.responses import ROOT
 from drivecal.cluster import tracing
 from drivecal.configuration import logs
 
-READING = {"GET", "HEAD", "OPTIONS"}
 METHODS = READING | {"POST", "PUT", "PATCH", "DELETE"}
 LONGEST_PATH = 200
 """Characters of a path that the log shows."""
