@@ -48,13 +48,15 @@ def test_labels_filter_the_list(api: RunningApi, client: Client) -> None:
     assert client.label(first, remove_tags=["new"]).tags == ["car-7", "good"]
     assert names(client, tags=["good"]) == ["first"]
     assert names(client) == ["second", "first"]
-    assert client.full_id(second[:6]) == second
+    assert client.campaign(second[:6]).id == second
 
 
 def test_a_rerun_keeps_the_weights_that_it_does_not_change(api: RunningApi, client: Client) -> None:
     campaign = ended(api, "first")
-    weighted = client.rerun(campaign, {"weights": {"S1": 2}})
-    assert weighted.spec["weights"] == {"S1": 2}
+    weighted = client.rerun(campaign[:6], {"weights": {"S1": 2}})
+    assert (weighted.rerun_of, weighted.spec["weights"]) == (campaign, {"S1": 2})
+    study = client.submit(SMALL | {"optimizer": None, "robustness": {"of": campaign[:6]}})
+    assert study.spec["robustness"]["of"] == campaign
     assert client.rerun(campaign, {"name": "again"}).spec["weights"] == client.campaign(campaign).spec["weights"]
 
 

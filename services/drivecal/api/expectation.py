@@ -1,8 +1,10 @@
 """Checks of requests, and what they are expected to cost, without a change of the database."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 from sqlalchemy import Connection
 
@@ -33,6 +35,7 @@ from drivecal.storage.references import influence_maps, runs
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
 MAP = "sensitivity.map"
+Specified = TypeVar("Specified", CampaignSpecification, ComparisonSpecification)
 ASSUMED_MILLISECONDS = 8.0
 """CPU time of one simulation in the built-in scenarios, on a machine of today."""
 
@@ -129,7 +132,7 @@ def resolved(database: Database, specification: CampaignSpecification, *, again:
     wanted, bundles = specification.optimizer, stored_bundles(database)
     goals = {name: given for name in ("objectives", "constraints") if (given := getattr(specification, name))}
     measured = {name: [_with_set(database, goal, specification.problem) for goal in given] for name, given in goals.items()}
-    specification = specification.model_copy(update=measured)
+    specification = _with_full_ids(database, specification.model_copy(update=measured))
     try:
         problem = resolve(specification, bundles)
         if wanted is None or wanted.start_results is None:
@@ -146,6 +149,20 @@ def resolved(database: Database, specification: CampaignSpecification, *, again:
         with database.read() as connection:
             diagnostics.attempt(lambda: _stored_map(connection, specification))
     raise InvalidInputError(*own, *diagnostics.problems)
+
+
+def _with_full_ids(database: Database, specification: Specified) -> Specified:
+    """Returns a specification with the whole ids of the map and the campaigns that it names; unknown ones stay."""
+    whole: dict[str, Any] = {}
+    names: dict[str, tuple[str, Callable[[Connection, str], Any]]] = dict.fromkeys(STUDIES, ("of", campaigns.get))
+    names["sensitivity"] = "map", influence_maps.get
+    with database.read() as connection:
+        for section, (name, stored) in names.items():
+            settings: Any = getattr(specification, section, None)
+            if given := getattr(settings, name, None):
+                with suppress(NotFoundError):
+                    whole[section] = settings.model_copy(update={name: stored(connection, given).id})
+    return specification.model_copy(update=whole)
 
 
 def _with_set(database: Database, goal: GoalSpecification, problem: str) -> GoalSpecification:
@@ -251,7 +268,7 @@ def expected_comparison(database: Database, limits: Limits, specification: Compa
 
 def checked_comparison(database: Database, limits: Limits, specification: ComparisonSpecification) -> ComparisonProblem:
     """Returns the resolved comparison. Raises TooLargeError and InvalidInputError as `checked` does."""
-    problem = resolve_comparison(specification, stored_bundles(database))
+    problem = resolve_comparison(_with_full_ids(database, specification), stored_bundles(database))
     refuse_without(limits, problem.problems[0].bench)
     if problem.proposed > limits.settings.largest_campaign:
         message = f"the {len(problem.runs):,} campaigns of the comparison may propose {problem.proposed:,} cells"

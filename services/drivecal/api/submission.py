@@ -94,7 +94,7 @@ def rerun(
         document["sensitivity"] = used.basis["sensitivity"]  # made again, from stored runs if only ratings are others
         problem = checked(database, limits, validated(CampaignSpecification, document), again=True)
     with database.transaction() as connection:
-        return _queue(connection, limits, problem, asked, rerun_of=first_id)
+        return _queue(connection, limits, problem, asked, rerun_of=first.id)
 
 
 def compare(

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import httpx
 from pydantic import ValidationError
 
-from drivecal.client.documents import Document, completed, is_abbreviated, plain, weights_text, with_full_ids
+from drivecal.client.documents import Document, plain, weights_text
 from drivecal.client.following import READ_SECONDS, EventParser, Following, Sent, ServerSentEvent, Told, displayed
 from drivecal.client.frames import DownloadedTable, RankedSets, Rows
 from drivecal.client.imported import in_pieces
 from drivecal.client.outside import AskTell
 from drivecal.client.report import report_of
-from drivecal.client.transport import KINDS, Answer, Transport, harmless, named, path_of, raise_for, unreachable
+from drivecal.client.transport import Answer, Transport, harmless, named, path_of, raise_for, unreachable
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.campaign import (
     PROGRESS,
@@ -58,7 +58,7 @@ Table = Literal[TableName, "front/evaluated"]
 
 
 class Client(Transport):
-    """A client of the server at `url`.
+    """A client of the server at `url`. Four or more first characters stand for the id of a campaign or an influence map.
 
     Every method raises UnavailableError if nothing answers, InvalidInputError if the server refuses the input, and NotAuthorisedError if
     the server does not know the `token` or requires one. NotFoundError and ConflictError are about the requested object.
@@ -87,34 +87,6 @@ class Client(Transport):
             settings = load_settings(url=url)
             url, token = settings.url, settings.token if token is None else token
         super().__init__(url, token, timeout, transport)
-        self._full_ids: dict[tuple[str, str], str] = {}
-
-    def full_id(self, identifier: str) -> str:
-        """Returns the id that `identifier` abbreviates among all campaigns, or an unknown `identifier` itself.
-
-        Raises NotFoundError if several begin so. Every method completes abbreviations of at least four characters by itself.
-        """
-        return self._completed("campaigns", identifier)
-
-    def full_map_id(self, identifier: str) -> str:
-        """Returns the id of an influence map, like `full_id`."""
-        return self._completed("influence-maps", identifier)
-
-    def _completed(self, collection: str, identifier: str) -> str:
-        known = self._full_ids.get((collection, identifier))
-        if known is None:
-            ids = (item["id"] for item in self._listed((collection,), limit=200))
-            known = completed(KINDS[collection], identifier, ids)
-            if known != identifier:
-                self._full_ids[collection, identifier] = known
-        return known
-
-    def _full_place(self, place: Sequence[str]) -> Sequence[str]:
-        complete = {"campaigns": self.full_id, "influence-maps": self.full_map_id}.get(place[0]) if len(place) > 1 else None
-        return place if complete is None or not is_abbreviated(place[1]) else (place[0], complete(place[1]), *place[2:])
-
-    def _specified(self, specification: Document) -> Mapping[str, Any]:
-        return with_full_ids(plain(specification), self.full_id, self.full_map_id)
 
     def submit(self, specification: Document, key: str | None = None) -> Campaign:
         """Queues a campaign.
@@ -123,19 +95,19 @@ class Client(Transport):
             specification: A mapping, a model, or the path of a YAML or JSON file.
             key: Submitting again with the same key gives the same campaign; by default each submission has its own.
         """
-        return self._post(Campaign, "campaigns", document=self._specified(specification), key=key or uuid.uuid4().hex)
+        return self._post(Campaign, "campaigns", document=specification, key=key or uuid.uuid4().hex)
 
     def expected_runs(self, specification: Document) -> ExpectedRuns:
         """Checks a campaign without queueing it and returns its expected cost."""
-        return self._post(ExpectedRuns, "campaigns", document=self._specified(specification), validate_only="true")
+        return self._post(ExpectedRuns, "campaigns", document=specification, validate_only="true")
 
     def compare(self, specification: Document, key: str | None = None) -> Comparison:
         """Queues the campaigns of a comparison of optimizers or reductions, which have its tag; with the same `key` only once."""
-        return self._post(Comparison, "comparisons", document=self._specified(specification), key=key or uuid.uuid4().hex)
+        return self._post(Comparison, "comparisons", document=specification, key=key or uuid.uuid4().hex)
 
     def expected_comparison(self, specification: Document) -> ExpectedComparison:
         """Checks a comparison without queueing it and returns its expected cost."""
-        return self._post(ExpectedComparison, "comparisons", document=self._specified(specification), validate_only="true")
+        return self._post(ExpectedComparison, "comparisons", document=specification, validate_only="true")
 
     def comparison(self, tag: str) -> Comparison:
         """Compares the campaigns with a tag, as far as they are."""
@@ -193,7 +165,7 @@ class Client(Transport):
         """
         headers = {"Accept": "text/event-stream"} | ({} if last_id is None else {"Last-Event-ID": str(last_id)})
         timeout = httpx.Timeout(self._http.timeout.connect, read=READ_SECONDS)
-        path = path_of(self._full_place(("campaigns", identifier, "events")))
+        path = path_of(("campaigns", identifier, "events"))
         try:
             with self._http.stream("GET", path, headers=headers, timeout=timeout) as response:
                 if not response.is_success:

@@ -92,7 +92,7 @@ class Following:
         self._silent_since = None
         self._wait = WAIT_SECONDS if wait is None else wait
         if campaign is not None:
-            self._campaign = campaign
+            self._campaign, self._identifier = campaign, campaign.id  # another campaign may begin like an abbreviation
             yield campaign
         return True
 

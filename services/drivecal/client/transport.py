@@ -185,10 +185,6 @@ class Transport:
     def __exit__(self, *_: object) -> None:
         self._http.close()
 
-    def _full_place(self, place: Sequence[str]) -> Sequence[str]:
-        """Returns a place with full ids."""
-        return place
-
     def _get(self, model: type[Answer], *place: str, **query: Any) -> Answer:
         return self._call(model, "GET", *place, query=query)
 
@@ -235,7 +231,7 @@ class Transport:
 
         Does not ask again if a proxy gave up on the server: it would begin the same work anew.
         """
-        return self._pieces_at(path_of(self._full_place(place)), query, *named(place))
+        return self._pieces_at(path_of(place), query, *named(place))
 
     def _pieces_at(self, path: str, query: Mapping[str, Any], kind: str, identifier: str) -> Iterator[bytes]:
         """Yields the answer at a path as `_pieces`. `kind` and `identifier` are as of `raise_for`."""
@@ -266,7 +262,7 @@ class Transport:
         content: bytes | None = None,
     ) -> httpx.Response:
         params = {name: value for name, value in (query or {}).items() if value is not None}
-        path, attempt = path_of(self._full_place(place)), 0
+        path, attempt = path_of(place), 0
         while True:
             try:
                 return self._http.request(method, path, params=params, headers=headers, json=document, content=content)

@@ -233,10 +233,13 @@ def insert(
 
 
 def get(connection: Connection, campaign_id: str, *, lock: bool = False, deleted: bool = False) -> StoredCampaign:
-    """A campaign by its id, deleted ones only on request; `lock`: until the transaction ends. Raises NotFoundError."""
+    """A campaign by its id or its first characters, deleted ones on request and by their whole id; `lock`: until the transaction ends.
+
+    Raises NotFoundError.
+    """
     query = _BY_ID if deleted else _BY_ID.where(campaigns.c.deleted_at.is_(None))
     query = query.with_for_update(of=campaigns) if lock else query
-    return _campaign(identified(connection, query, "campaign", campaign_id))
+    return _campaign(identified(connection, query, "campaign", campaign_id, IDS))
 
 
 def by_sequence(connection: Connection, sequence: int) -> StoredCampaign:
@@ -277,6 +280,10 @@ def listed(
     wanted = campaigns.c.kind == kind if kind == "evaluation" else campaigns.c.kind != text("'evaluation'")
     query = select(*columns).where(wanted, campaigns.c.deleted_at.is_(None), *conditions)
     return query if state is None else query.where(campaigns.c.state == state)
+
+
+IDS = listed([campaigns.c.id], "calibration", None)
+"""Ids that may be abbreviated: of campaigns, but not of the many single evaluations."""
 
 
 def change_labels(connection: Connection, campaign_id: str, changes: CampaignChanges) -> StoredCampaign:

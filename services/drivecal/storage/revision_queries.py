@@ -9,7 +9,7 @@ from sqlalchemy import ColumnElement, Connection, bindparam, select
 
 from drivecal.contracts.campaign import Best, Progress
 from drivecal.domain.campaigns import Action, CampaignState, StageName
-from drivecal.storage.campaigns import CountsByStage, Kind, by_stage, listed
+from drivecal.storage.campaigns import IDS, CountsByStage, Kind, by_stage, listed
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.records import identified, page_by, record
 from drivecal.storage.engine.tables import campaigns, processes
@@ -59,7 +59,7 @@ def heartbeat(connection: Connection) -> datetime | None:
 
 def campaign_revision(connection: Connection, campaign_id: str) -> tuple[CampaignRevision, datetime | None]:
     """Returns a campaign's revision by its id, and the dispatcher's heartbeat, by one query. Raises NotFoundError."""
-    row = identified(connection, _CAMPAIGN, "campaign", campaign_id)
+    row = identified(connection, _CAMPAIGN, "campaign", campaign_id, IDS)
     return _revision(row), row.heartbeat_at
 
 

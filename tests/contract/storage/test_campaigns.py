@@ -11,10 +11,12 @@ from drivecal.domain.campaigns import Action, CampaignState, StageName
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import CampaignHeading, Snapshot, StoredCampaign
+from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns as table
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import runs
+from drivecal.storage.revision_queries import campaign_revision
 
 QUEUED, RUNNING, PAUSED = CampaignState.QUEUED, CampaignState.RUNNING, CampaignState.PAUSED
 CANCELLING, CANCELLED, SUCCEEDED = CampaignState.CANCELLING, CampaignState.CANCELLED, CampaignState.SUCCEEDED
@@ -30,6 +32,20 @@ def test_a_campaign_that_is_not_there_is_not_found_whatever_is_asked_for(databas
             campaigns.request_action(connection, unknown, "cancel")
     with database.read() as connection, pytest.raises(NotFoundError):
         campaigns.by_sequence(connection, 10**6)
+
+
+def test_first_characters_of_an_id_are_enough_if_no_other_begins_so(database: Database) -> None:
+    with database.transaction() as connection:
+        first, other = (campaigns.insert(connection, name="mine", spec={}).sequence for _ in range(2))
+        single = campaigns.insert(connection, name="single", spec={}, kind="evaluation").sequence
+        for sequence, beginning in ((first, "5050a"), (other, "5050b"), (single, "5051")):
+            named = update(tables.campaigns).where(tables.campaigns.c.sequence == sequence)
+            connection.execute(named.values(id=beginning.ljust(32, "f")))
+        assert campaigns.get(connection, "5050a").sequence == first
+        assert campaign_revision(connection, "5050bf")[0].sequence == other
+        for unclear in ("5050", "505", "5051"):
+            with pytest.raises(NotFoundError):
+                campaigns.get(connection, unclear)
 
 
 def test_the_list_is_newest_first_and_pages_are_complete_whatever_comes_in_between(database: Database) -> None:

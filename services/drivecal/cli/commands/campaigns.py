@@ -87,7 +87,7 @@ def rerun(
     given = {"name": name, "evaluator": evaluator, "problem": problem}
     changes: dict[str, object] = {key: value for key, value in given.items() if value is not None}
     with connect(url) as client:
-        first = client.campaign(client.full_id(identifier))
+        first = client.campaign(identifier)
         wanted = first.spec.get("weights", {}) if weights is None else assignments(weights.split(","), "--weights")
         changes["weights"] = wanted
         if from_best:
@@ -120,7 +120,7 @@ def list_campaigns(
 def show(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
     """Show one campaign, or a single evaluation by its whole id."""
     with connect(url) as client:
-        _print_whole(client, client.campaign(client.full_id(identifier)), as_json)
+        _print_whole(client, client.campaign(identifier), as_json)
 
 
 @app.command()
@@ -129,7 +129,7 @@ def watch(
 ) -> None:
     """Follow a campaign until it has ended. Ctrl-C detaches and cancels nothing."""
     with connect(url) as client:
-        campaign = follow(client, client.full_id(identifier), timeout, from_beginning=False)
+        campaign = follow(client, client.campaign(identifier).id, timeout, from_beginning=False)
         _print_whole(client, campaign, as_json)
     raise typer.Exit(code_of_state(campaign.state))
 
@@ -171,7 +171,7 @@ def label(
     if not (name or tags or untag):
         raise typer.BadParameter("say what changes: --name, --tag or --untag")
     with connect(url) as client:
-        changed = client.label(client.full_id(identifier), name=name, add_tags=tags, remove_tags=untag)
+        changed = client.label(identifier, name=name, add_tags=tags, remove_tags=untag)
     print_answer(changed, as_json, lambda it: typer.echo(f"campaign {it.id}  {it.name}\ntags     {' '.join(it.tags) or '-'}"))
 
 
@@ -212,7 +212,7 @@ def _chosen(client: Client, identifier: str | None, tag: str | None) -> list[str
     if (identifier is None) == (tag is None):
         raise typer.BadParameter("give a campaign's ID, or --tag TAG of several")
     if identifier is not None:
-        return [client.full_id(identifier)]
+        return [client.campaign(identifier).id]
     chosen = client.campaigns(limit=MOST_TAGGED, tags=[tag or ""]).items
     if not chosen:
         raise NotFoundError("campaign with the tag", tag or "")

@@ -232,7 +232,7 @@ def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, Map
     seeds that report it."""
     identifier, mark, rank = given.rpartition("#")
     if mark and rank.isdecimal() and int(rank) > 0:
-        campaign = client.campaign(client.full_id(identifier))
+        campaign = client.campaign(identifier)
         ranked = client.solutions(campaign.id, limit=int(rank)).items
         if len(ranked) < int(rank):
             raise NotFoundError("set", given, f"the campaign has {len(ranked)} ranked sets")

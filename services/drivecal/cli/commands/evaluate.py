@@ -1,6 +1,6 @@
 """`drivecal evaluate`: drives one parameter set."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated
@@ -113,7 +113,7 @@ def explain(
 ) -> None:
     """Explain why a cell was answered without a simulation, or why it was not."""
     with connect(url) as client:
-        campaign = client.campaign(client.full_id(identifier)).id
+        campaign = client.campaign(identifier).id
         explanation = client.explanation(evaluation)
         shapes = {} if as_json else client.setup(campaign).shapes
     if explanation.campaign != campaign:
@@ -189,13 +189,8 @@ def save_series(trace: SeriesAnswer, file: Path) -> None:
             import pyarrow as pa  # not installed with the client alone
             import pyarrow.parquet as pq
 
-            pq.write_table(pa.table(_filled(columns)), file)
+            rows = zip_longest(*columns.values())  # series may have different lengths
+            pq.write_table(pa.table(dict(zip(columns, map(list, zip(*rows, strict=True)), strict=True))), file)
         else:
             with file.open("w", newline="", encoding="utf-8") as out:
                 out.write(csv_text([columns, *zip_longest(*columns.values())]))
-
-
-def _filled(columns: Mapping[str, Sequence[float]]) -> dict[str, list[float | None]]:
-    """Returns columns of one length: a simulator's series may have different lengths."""
-    longest = max(map(len, columns.values()), default=0)
-    return {name: [*values, *[None] * (longest - len(values))] for name, values in columns.items()}

@@ -114,10 +114,10 @@ def _rests_on(basis: Mapping[str, Any]) -> str:
 def _described(client: Client, identifier: str) -> Described:
     """Returns a campaign's map within the campaign's bounds, or a map by its own id. Raises NotFoundError."""
     try:
-        campaign = client.campaign(client.full_id(identifier))
+        campaign = client.campaign(identifier)
     except NotFoundError:
         try:
-            stored = client.influence_map(client.full_map_id(identifier))
+            stored = client.influence_map(identifier)
         except NotFoundError as error:
             raise NotFoundError("campaign or influence map", identifier) from error
         return Described(f"influence map {stored.id}  {stored.name}", stored.rows or [], stored.basis, stored.rows or [])
@@ -189,7 +189,7 @@ def show_map(
 ) -> None:
     """Show one influence map."""
     with connect(url) as client:
-        print_answer(client.influence_map(client.full_map_id(identifier)), as_json, _print_map)
+        print_answer(client.influence_map(identifier), as_json, _print_map)
 
 
 @maps.command("post")

@@ -76,7 +76,7 @@ def front(
 ) -> None:
     """Show the sets of a campaign that no other set beats in every objective."""
     with connect(url) as client:
-        campaign_id = client.full_id(identifier)
+        campaign_id = client.campaign(identifier).id
         rows = client.front(campaign_id, weights)
         summary = client.front_summary(campaign_id, weights)
         shapes = {} if as_json else client.setup(campaign_id).shapes
@@ -140,7 +140,7 @@ def export(
         _refuse_beside_mlflow(context)
         folder = Path("mlruns" if output == "-" else output)
         with connect(url) as client:
-            number = write_runs(client, client.full_id(identifier), folder)
+            number = write_runs(client, identifier, folder)
         say(f"{folder}: {number:,} runs; show them by: MLFLOW_ALLOW_FILE_STORE=true mlflow ui --backend-store-uri {folder}")
         return
     if as_json and form not in {None, "json"}:
@@ -157,7 +157,7 @@ def export(
     given |= {"measures": "true" if measures else None}
     query = {name: value for name, value in given.items() if value}
     with connect(url) as client:
-        campaign_id = client.full_id(identifier)
+        campaign_id = client.campaign(identifier).id
         if form in {"dcm", "cdfx"} or any(given is not None for given in (row, names, base)):
             pieces = iter([_calibration_file(client, campaign_id, table, form, row or 1, names, query)])
         else:
@@ -259,7 +259,7 @@ def report(
 ) -> None:
     """Write a campaign's results as one page that needs no server, index.html, its tables (CSV) and its specification."""
     with connect(url) as client:
-        campaign = client.campaign(client.full_id(identifier))
+        campaign = client.campaign(identifier)
         page = client.report(campaign.id)
         files = {f"tables/{name}.csv": b"".join(client.table(campaign.id, name, "csv")) for name in TABLES}
     files |= {"campaign.json": json.dumps(campaign.spec, indent=2, ensure_ascii=False).encode() + b"\n", "index.html": page}

@@ -112,7 +112,7 @@ def validate(
     if predicted and references is not None:
         raise typer.BadParameter("--references are variants of a map's sets: leave it out with --predicted")
     with connect(url) as client:
-        campaign = client.campaign(client.full_id(identifier))
+        campaign = client.campaign(identifier)
         given = {"samples": samples or ALL} if predicted else {"samples": samples, "references": references}
         wanted = wanted_of(campaign, "validation", given)
         wanted = replace(wanted, settings={**wanted.settings, "of": campaign.id if predicted else None})
@@ -163,7 +163,7 @@ def robustness(
     """Rank the best sets of a campaign by how far the vehicle may differ; simulates them in other vehicles if no study exists."""
     given = {"solutions": solutions, "delta": delta, "steps": steps, "samples": samples, "eta": eta}
     with connect(url) as client:
-        campaign = client.campaign(client.full_id(identifier))
+        campaign = client.campaign(identifier)
         wanted = wanted_of(campaign, "robustness", given)
         maker = None if again else known(client, campaign, wanted)
         if maker is None:

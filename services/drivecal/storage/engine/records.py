@@ -19,13 +19,25 @@ if TYPE_CHECKING:
 
 Record = TypeVar("Record", bound="DataclassInstance")
 _IDENTIFIER = re.compile(r"[0-9a-f]{32}")
+_ABBREVIATION = re.compile(r"[0-9a-f]{1,31}")
+SHORTEST = 4
+"""Characters of an id that are enough."""
 
 
-def identified(connection: Connection, query: Select[Any], kind: str, identifier: str) -> Row[Any]:
-    """Returns the row of a query that compares a column with the parameter `identifier`. Raises NotFoundError without one.
+def identified(connection: Connection, query: Select[Any], kind: str, identifier: str, ids: Select[Any]) -> Row[Any]:
+    """Returns the row of a query that compares a column with the parameter `identifier`, which may abbreviate one of the `ids`.
 
-    Anything may come in a URL, also text that a database cannot even compare: PostgreSQL refuses a NUL.
+    Raises NotFoundError without such a row, and if several ids begin so. Anything may come in a URL, also text that a database cannot even
+    compare: PostgreSQL refuses a NUL.
     """
+    if _ABBREVIATION.fullmatch(identifier):
+        if len(identifier) < SHORTEST:
+            raise NotFoundError(kind, identifier, "give at least four characters of its id")
+        (column,) = ids.selected_columns
+        beginning_so = connection.scalars(ids.where(column >= identifier, column < identifier + "g").limit(2)).all()
+        if len(beginning_so) > 1:
+            raise NotFoundError(kind, identifier, "several ids begin so; give more characters")
+        identifier = next(iter(beginning_so), identifier)
     row = connection.execute(query, {"identifier": identifier}).one_or_none() if _IDENTIFIER.fullmatch(identifier) else None
     if row is None:
         raise NotFoundError(kind, identifier)
