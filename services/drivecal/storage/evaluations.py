@@ -312,7 +312,7 @@ def places(connection: Connection, campaign_sequence: int, stage: StageName) -> 
 
 
 def counts(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> GenerationCounts:
-    """Returns the answered cells of an iteration by outcome, and the simulated ones that were inspected."""
+    """Returns the answered cells of an iteration by outcome, and its inspected cells with a simulation."""
     table = evaluations.c
     group = table.outcome, table.purpose
     query = select(*group, func.count().label("cells")).where(*of_iteration(campaign_sequence, stage, iteration))

@@ -11,7 +11,6 @@ from drivecal.domain.campaigns import Action, CampaignState, StageName
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import CampaignHeading, Snapshot, StoredCampaign
-from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns as table
 from drivecal.storage.engine.types import now
@@ -39,7 +38,7 @@ def test_first_characters_of_an_id_are_enough_if_no_other_begins_so(database: Da
         first, other = (campaigns.insert(connection, name="mine", spec={}).sequence for _ in range(2))
         single = campaigns.insert(connection, name="single", spec={}, kind="evaluation").sequence
         for sequence, beginning in ((first, "5050a"), (other, "5050b"), (single, "5051")):
-            named = update(tables.campaigns).where(tables.campaigns.c.sequence == sequence)
+            named = update(table).where(table.c.sequence == sequence)
             connection.execute(named.values(id=beginning.ljust(32, "f")))
         assert campaigns.get(connection, "5050a").sequence == first
         assert campaign_revision(connection, "5050bf")[0].sequence == other

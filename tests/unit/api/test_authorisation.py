@@ -25,7 +25,7 @@ class Fixed(TokenFile):
     """Tokens that are in no file."""
 
     def __init__(self) -> None:
-        self.tokens = parse(b"anna write " + ANNA + b"\nplant read " + PLANT, "tokens")
+        self.tokens = tuple(parse(b"anna write " + ANNA + b"\nplant read " + PLANT, "tokens")[0])
 
     def _refresh(self) -> None:
         return None
@@ -297,7 +297,7 @@ def test_the_log_is_told_whose_token_it_is_and_never_the_token() -> None:
 
 
 def test_a_session_begins_and_ends_without_a_host_as_in_http_1_0() -> None:
-    (token,) = parse(b"anna write anna-0123456789abcdef", "tokens")
+    (token,) = parse(b"anna write anna-0123456789abcdef", "tokens")[0]
     request, begun, ended = Request({"type": "http", "headers": [], "state": {"token": token}}), Response(), Response()
     page_session.begin_session(request, begun)
     page_session.end_session(request, ended)
