@@ -49,8 +49,10 @@ def _counted(value: object) -> object:
     if not isinstance(value, str):
         return value
     entries = [entry.partition("=") for entry in value.split(",") if entry.strip()]
-    if not all(count.strip().isdecimal() for _, _, count in entries):
-        raise ValueError("give whole numbers by name, such as carmaker=4,vtd=2")
+    if len({name.strip() for name, *_ in entries}) < len(entries) or not all(
+        count.strip().isdecimal() for *_, count in entries
+    ):
+        raise ValueError("give a whole number for each name once, such as carmaker=4,vtd=2")
     return {name.strip(): int(count) for name, _, count in entries}
 
 

@@ -57,14 +57,15 @@ def search_parameters(parameters: str | Sequence[ParameterSpecification] | None,
         if any(listed.name == other.name for other in grids):
             diagnostics.add(f"{where}.name", f"{listed.name} is listed twice", "list each parameter once")
             continue
+        usual = _default_space(function)[listed.name]
+        unsaid = {"unit": usual.unit} if listed.unit == "1" else {}
         try:
-            parameter = Parameter.declared(**listed.model_dump())
+            parameter = Parameter.declared(**listed.model_dump() | unsaid)
         except InvalidInputError as error:
             named = (replace(each, field=where + each.field.removeprefix(listed.name)) for each in error.problems)
             diagnostics.problems.extend(named)
             continue
         grids.append(parameter)
-        usual = _default_space(function)[listed.name]
         if bool(parameter.choices) != bool(usual.choices) or not set(parameter.choices) <= set(usual.choices):
             diagnostics.add(f"{where}.choices", f"{function.name} takes {listed.name} {usual.extent}", "list such values")
         elif not parameter.choices:
