@@ -60,8 +60,8 @@ def test_everything_wrong_is_said_at_once() -> None:
     assert result == [
         "name: '' is too short; give at least 1 characters",
         "problem: null does not fit; give text",
-        "parameters[0].name: the value is missing; give it",
         "parameters[0].step: 1 does not fit; give a number",
+        "parameters[0].name: the value is missing; give it",
     ]
 
 
