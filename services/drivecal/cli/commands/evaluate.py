@@ -189,8 +189,8 @@ def save_series(trace: SeriesAnswer, file: Path) -> None:
             import pyarrow as pa  # not installed with the client alone
             import pyarrow.parquet as pq
 
-            rows = zip_longest(*columns.values())  # series may have different lengths
-            pq.write_table(pa.table(dict(zip(columns, map(list, zip(*rows, strict=True)), strict=True))), file)
+            rows = list(zip_longest(*columns.values()))  # series may have different lengths, and none an entry
+            pq.write_table(pa.table({name: [row[place] for row in rows] for place, name in enumerate(columns)}), file)
         else:
             with file.open("w", newline="", encoding="utf-8") as out:
                 out.write(csv_text([columns, *zip_longest(*columns.values())]))
