@@ -203,7 +203,7 @@ def test_what_matters_is_told_once_with_the_reason_of_a_disagreement(shown: Show
     rows = page.get_by_role("table", name="What matters: objective", exact=True).get_by_role("row")
     expect(rows).to_have_count(1 + len(said["items"]))
     for place, item in enumerate(said["items"], start=1):
-        expect(rows.nth(place)).to_contain_text(re.compile(rf"^{item['parameter']}{told(item['importance'])}"))
+        expect(rows.nth(place)).to_contain_text(re.compile(rf"^{item['parameter']}( / \S+?)?{told(item['importance'])}"))
     first, second = (item["parameter"] for item in said["items"][:2])
     expect(page.get_by_role("img", name=re.compile(f"^{second}.* over {first}.* points$"))).to_be_visible()
     assert barriers_everywhere(page) == []
