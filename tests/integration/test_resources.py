@@ -46,5 +46,5 @@ def test_resources_are_read_from_text_and_passed_to_the_servers_processes(monkey
     settings = load_settings()
     assert settings.resources == {"carmaker": 4, "vtd": 2}
     assert settings.environment["DRIVECAL_RESOURCES"] == "carmaker=4,vtd=2"
-    for faulty in ("carmaker", "carmaker=many", "a b=1", "carmaker=-1"):
+    for faulty in ("carmaker=4, carmaker=2", "carmaker", "carmaker=many", "a b=1", "carmaker=-1"):
         assert faults_of(load_settings, resources=faulty)[0].field.startswith("resources")

@@ -283,7 +283,7 @@ def listed(
 
 
 IDS = listed([campaigns.c.id], "calibration", None)
-"""Ids that may be abbreviated: of campaigns, but not of the many single evaluations."""
+"""The ids of campaigns, which may be abbreviated. A single evaluation needs its whole id."""
 
 
 def change_labels(connection: Connection, campaign_id: str, changes: CampaignChanges) -> StoredCampaign:
