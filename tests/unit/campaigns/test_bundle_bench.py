@@ -243,7 +243,7 @@ def test_the_problem_s_baseline_is_the_default() -> None:
     problem = resolved(parameters=narrow, fixed=held)
     assert problem.baseline is None
     assert any("baseline" in note for note in problem.notes)
-    assert problem.space.parameters[0].unit == resolved().space.parameters[0].unit != "1"
+    assert problem.space.searched[0].unit == "m/s³"
 
 
 def test_the_first_score_of_the_objectives_is_the_campaigns_and_others_are_computed() -> None:
