@@ -49,6 +49,12 @@ def test_workers_killed_from_outside_cost_no_cell(pool: WorkPool) -> None:
     assert victim.pid not in {worker.pid for worker in pool.workers()}
 
 
+def test_workers_have_the_priority_of_their_dispatcher(ray_backend: RayBackend) -> None:
+    while None in (numbers := [worker.pid for worker in ray_backend.workers()]):
+        ray_backend.wait(0.5)
+    assert [psutil.Process(number).nice() for number in numbers] == [psutil.Process().nice()] * 2
+
+
 def test_an_answer_that_cannot_be_read_is_an_error_of_its_batch_only(ray_backend: RayBackend) -> None:
     while len(ray_backend.slots()) < 2:
         ray_backend.wait(0.5)

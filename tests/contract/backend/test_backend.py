@@ -32,7 +32,7 @@ def backend(request: pytest.FixtureRequest) -> Iterator[Backend]:
 
 
 def wait_for_idle(backend: Backend) -> None:
-    for _ in range(240):
+    for _ in range(600):  # on a busy machine, where a worker takes long to start
         if [slot.idle for slot in backend.slots()] == [True, True]:
             return
         backend.wait(0.5)
