@@ -21,6 +21,8 @@ class Part:
     path: tuple[str, ...]
     owner: "Part | None"
     actions: list[str] = field(default_factory=list)
+    begin: str = ""
+    """Id of the action without effect that begins with its act, as groups and maneuvers do. Empty for a story."""
 
     def add(self, action: str) -> None:
         """Adds an action to the part and to those around it."""
@@ -52,7 +54,9 @@ class Parts:
         if self._count > MOST_PARTS:
             raise element.fault(f"the storyboard has more than {MOST_PARTS:,} parts", "leave some out")
         outer = owner.path if owner is not None else ()
-        part = Part(kind, element, (*outer, element.text("name", "")), owner)
+        part = Part(kind, element, (*outer, element.text("name", "")), owner, begin="" if owner is None else owner.begin)
+        if kind == "act":
+            part.begin = f"act{self._count}"
         for around in {names for size in range(len(outer) + 1) for names in combinations(outer, size)}:
             self._by_names.setdefault((kind, (*around, part.path[-1])), []).append(part)
         return part
@@ -138,9 +142,9 @@ class Triggers:
         part = self._parts.referred(condition)
         if state in ENDED:
             return [{"done": action} for action in part.actions]
-        if part.kind not in {"event", "action"} and part.holds(condition):
-            return []
-        return [{"begun": part.actions[0]}]
+        if part.kind in {"event", "action"}:
+            return [{"begun": part.actions[0]}]
+        return [] if not part.begin or part.holds(condition) else [{"begun": part.begin}]
 
     def _of_entity(self, kind: Element) -> Conditions:
         triggering = kind.only("TriggeringEntities")

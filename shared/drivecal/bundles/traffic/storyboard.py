@@ -22,13 +22,16 @@ ENDING = ("override", "overwrite")
 
 
 class _Planned(NamedTuple):
-    """An action of the file: its id, the vehicle that does it, the element of the action itself, its event with the maneuver, its act."""
+    """An action of the file: its id, the vehicle that does it, the element of the action itself, its event with the maneuver, its act.
+
+    The begin of an act is an action as well: its element and its event are the act's own.
+    """
 
     id: str
     vehicle: str
     action: Element
     event: Part
-    act: Element
+    act: Part
 
 
 class Ways(NamedTuple):
@@ -55,6 +58,8 @@ class Storyboard:
         self.actions: dict[str, list[dict[str, Any]]] = {}
         idle: dict[str, _Planned] = {}
         for entry in planned:
+            act = entry.act
+            idle[act.begin] = _Planned(act.begin, entry.vehicle, act.element, act, act)
             contents = list(self._content(entry))
             ends = self._ended(entry, planned)
             if not contents:
@@ -75,8 +80,8 @@ class Storyboard:
     @staticmethod
     def _begin(entry: _Planned, triggers: Triggers) -> dict[str, Any]:
         """Returns the conditions on which an action begins."""
-        triggered = {"after": entry.act, "when": entry.event.element}
-        return {key: triggers.conditions(element.optional("StartTrigger")) for key, element in triggered.items()}
+        of_act, of_event = (triggers.conditions(part.element.optional("StartTrigger")) for part in (entry.act, entry.event))
+        return {"after": [] if entry.event is entry.act else of_act, "when": of_event}
 
     def _add_awaited(self, driven: list[dict[str, Any]], idle: dict[str, _Planned], triggers: Triggers) -> None:
         """Adds the actions without effect for which others wait: they have begun and are done once, as any other."""
@@ -100,9 +105,9 @@ class Storyboard:
                     self._notes.add(act.element, "never begins: a condition on a parameter does not hold")
                     continue
                 for group in (self._parts.new("maneuverGroup", group, act) for group in act.element.every("ManeuverGroup")):
-                    yield from self._group(group, act.element)
+                    yield from self._group(group, act)
 
-    def _group(self, group: Part, act: Element) -> Iterator[_Planned]:
+    def _group(self, group: Part, act: Part) -> Iterator[_Planned]:
         """Yields the actions of a group of maneuvers, for each of its actors."""
         actors = group.element.only("Actors")
         if actors.decides("selectTriggeringEntities", "false"):
@@ -126,7 +131,7 @@ class Storyboard:
                 for action in (self._parts.new("action", action, event) for action in event.element.every("Action")):
                     for vehicle in names:
                         if vehicle == EGO:
-                            self._skip(event.element, act)
+                            self._skip(event.element, act.element)
                         else:
                             yield self._named(vehicle, action, event, act)
 
@@ -137,7 +142,7 @@ class Storyboard:
         if element.word("priority", ("parallel", "skip", *ENDING), "parallel") == "skip":
             self._notes.add(element, "driven also while other events run")
 
-    def _named(self, vehicle: str, action: Part, event: Part, act: Element) -> _Planned:
+    def _named(self, vehicle: str, action: Part, event: Part, act: Part) -> _Planned:
         self._count += 1
         if self._count > MOST_ACTIONS:
             raise action.element.fault(f"there are more than {MOST_ACTIONS:,} actions", "leave some out")

@@ -29,6 +29,7 @@ from tests.support.scenario_files import (
     scenario,
     slower_cut_in,
     start,
+    trigger,
     vehicle,
     when,
     when_all,
@@ -411,11 +412,22 @@ def test_a_part_with_the_ego_vehicle_is_another_one_too() -> None:
     assert "with actions of the traffic" in refused(content.replace(b'Ref="go"', b'Ref="own::first::go"'))
 
 
-def test_what_waits_inside_of_a_part_for_its_begin_waits_for_nothing_else() -> None:
-    _, inside = actions(two_of_a_name("second", "maneuver", "runningState"))
+@pytest.mark.parametrize(("kind", "reference"), [("act", "late"), ("maneuverGroup", "late::group"), ("maneuver", "first")])
+def test_an_act_and_what_is_in_it_begin_with_its_trigger_not_with_their_first_action(kind: str, reference: str) -> None:
+    first = story(maneuver("first", event("go", BRAKE, when_time(2)))).replace('Act name="act"', 'Act name="late"')
+    first = first.replace("<StartTrigger/></Act>", f"{trigger(when_time(3))}</Act>")
+    waits = event("then", IN, when_state(kind, reference, "runningState"))
+    _, change, begin = actions(file(first, story(maneuver("second", waits)).replace('"story"', '"other"')))
+    assert [condition.begun for condition in present(change.when)] == [begin.id]
+    assert begin.do == "wait"
+    assert not begin.after
+    assert [condition.above for condition in present(begin.when)] == [3.0]
+
+
+@pytest.mark.parametrize(("kind", "reference"), [("maneuver", "second"), ("act", "act"), ("story", "story")])
+def test_what_begins_with_a_part_around_it_or_with_a_story_waits_for_nothing(kind: str, reference: str) -> None:
+    _, inside = actions(two_of_a_name(reference, kind, "runningState"))
     assert inside.when == []
-    brake, outside = actions(two_of_a_name("first", "maneuver", "runningState"))
-    assert [condition.begun for condition in present(outside.when)] == [brake.id]
 
 
 @pytest.mark.slow
