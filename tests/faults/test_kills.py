@@ -65,14 +65,16 @@ def test_a_small_campaign_outlives_its_processes_and_its_database(
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-def test_campaigns_on_sqlite_outlive_what_carries_them(server_on: MakeServer, without_faults: dict[str, Found]) -> None:
+def test_a_small_campaign_on_sqlite_outlives_what_carries_it(
+    server_on: MakeServer, small_without_faults: dict[str, Found]
+) -> None:
     plan: list[tuple[Moment, Fault]] = [
         (Moment(0.1, 0.0), and_ready_again(kill_api)),  # noticed before the supervisor's own end
         (Moment(0.3, 0.1), and_ready_again(kill_dispatcher)),
         (Moment(0.6, 0.0), kill_supervisor),
     ]
     server = server_on("sqlite")
-    live(server, plan, without_faults)
+    live(server, plan, small_without_faults, SMALL)
     log = server.log.read_text()
     assert "the API ended unexpectedly" in log
     assert "the dispatcher ended unexpectedly" in log

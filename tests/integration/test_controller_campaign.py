@@ -1,11 +1,10 @@
 """Problems of kind `highway` as campaigns on two workers without Ray: an ACC as an FMU, and a lane keeper in C++."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 from tests.support.lane_keeper import LANE_KEEPER, write_lane_keeper
 from tests.support.motorways import CONTROLLERS, compile_fmu, drive, driven, motorway
@@ -38,24 +37,24 @@ PROBLEMS: dict[str, tuple[Mapping[str, Any], dict[str, Any]]] = {
 """Controller and parameters."""
 
 
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    """A client of a server with two workers."""
+    folder = tmp_path_factory.mktemp("server")
+    settings = {"DRIVECAL_BACKEND": "processes", "DRIVECAL_BUNDLE_CACHE": str(folder / "cache")}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DRIVECAL_HOME", str(folder / "home"))
+        with serving(folder, workers=2, **settings) as server, Client(server.url) as client:
+            yield client
+
+
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_a_controller_gives_the_same_bits_in_any_worker(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_controller_gives_the_same_bits_in_any_worker(name: str, client: Client, tmp_path: Path) -> None:
     folder = made(name, tmp_path)
     manifest, _ = read_bundle(folder)
-    monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))
-    cache = str(tmp_path / "cache")
-    with (
-        serving(tmp_path, workers=2, DRIVECAL_BACKEND="processes", DRIVECAL_BUNDLE_CACHE=cache) as server,
-        Client(server.url) as client,
-    ):
-        client.push_problem(folder)
-        ended = client.wait(client.submit({"problem": name} | SPEC).id)
-        query: dict[str, str | int] = {"measures": "true", "limit": 1000}
-        rows = (
-            httpx.get(f"{server.url}/api/v1/campaigns/{ended.id}/evaluations", params=query, timeout=600)
-            .raise_for_status()
-            .json()["items"]
-        )
+    client.push_problem(folder)
+    ended = client.wait(client.submit({"problem": name} | SPEC).id)
+    rows = client.evaluations(ended.id, measures="true").to_arrow().to_pylist()
     assert (ended.state, ended.error, ended.cells.failed) == ("succeeded", None, 0)
     assert {row["outcome"] for row in rows} == {"simulated"}
     assert {row["scenario"] for row in rows} == set(manifest.scenarios)

@@ -1,6 +1,5 @@
 """Problems of users' own, the whole way: pushed, calibrated on real workers, killed, resumed, and rated anew under another score."""
 
-import sqlite3
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
@@ -35,13 +34,12 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @dataclass(frozen=True)
 class Example:
-    """A problem that was calibrated twice: `whole` at a stretch, `resumed` on a server that was killed. `at_the_kill`: the state then."""
+    """A problem that was calibrated twice: `whole` at a stretch, `resumed` on a server that was killed."""
 
     folder: Path
     digest: str
     whole: str
     resumed: str
-    at_the_kill: str
 
 
 @pytest.fixture(scope="module")
@@ -66,24 +64,14 @@ def calibrated(home: Path) -> Iterator[tuple[Client, dict[str, Example]]]:
             with suppress(psutil.NoSuchProcess):
                 process.kill()
         server.process.wait()
-    states = stored_states(home)
     with started(home) as server, Client(server.url) as client:
         for campaign in begun.values():
             client.wait(campaign)
-        yield (
-            client,
-            {name: Example(folders[name], digests[name], whole[name], begun[name], states[begun[name]]) for name in EXAMPLES},
-        )
+        yield client, {name: Example(folders[name], digests[name], whole[name], begun[name]) for name in EXAMPLES}
 
 
 def started(home: Path) -> AbstractContextManager[Server]:
     return serving(home, workers=2, DRIVECAL_BACKEND="processes", DRIVECAL_BUNDLE_CACHE=str(home / "cache"))
-
-
-def stored_states(home: Path) -> dict[str, str]:
-    """States of the campaigns in the database of a server that does not run."""
-    with sqlite3.connect(home / "home" / "drivecal.db") as connection:
-        return dict(connection.execute("SELECT id, state FROM campaigns").fetchall())
 
 
 def rewritten(folder: Path, **changes: Any) -> dict[str, Any]:
