@@ -23,14 +23,13 @@ from drivecal.domain.roads import Floats, reference_line
 from drivecal.highway import sumo
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive import geometry, tasks
-from drivecal.highway.drive.tasks import NEIGHBOUR_COLUMNS, TaskRunner, road_of
+from drivecal.highway.drive.tasks import NEIGHBOUR_COLUMNS, TaskRunner
 from drivecal.highway.drive.traffic import Traffic, TrafficError
 from drivecal.highway.scenarios.highway import HIGHWAY, RANDOM_FOLDER, scenario_of
 from drivecal.highway.sumo import EGO
 from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 from drivecal.plugins.ports import Observation, VehicleModel
 from drivecal.plugins.simulators import RunOutcome
-from drivecal.roads.carriageway import carriageway
 
 S1 = HIGHWAY.scenarios["S1"]
 SCENARIOS = list(HIGHWAY.scenarios.values())
@@ -332,16 +331,9 @@ def test_the_limit_of_each_edge_slows_the_traffic() -> None:
     assert speeds[0] < 23.0
     assert speeds[-1] > 28.0
     network = scenario.network.replace(b'speed="33.3333"', b'speed="23.0000"')
-    held = replace(scenario, network=network, road=carriageway(network, scenario.route, "S5.net.xml"))
+    held = replace(scenario, network=network)
     assert held.digest != scenario.digest
     assert traced(held, (0.0, 1.0, 0.0))[1]["second_s_dot_mps"][-1] == pytest.approx(23.0, abs=0.1)
-
-
-def test_a_road_that_is_not_that_of_the_network_is_refused() -> None:
-    for other in (SCENARIOS[1].road, replace(S1.road, lane_width=3.5)):
-        with pytest.raises(InvalidInputError, match="network"):
-            road_of(replace(S1, road=other))
-    road_of(replace(S1, road=replace(S1.road, line=S1.road.line.copy())))
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)

@@ -6,7 +6,6 @@ import logging
 import socket
 import sys
 from importlib.metadata import version
-from threading import Timer
 
 from drivecal.api.app import create_app
 from drivecal.api.http.protocol import Server, configuration
@@ -16,10 +15,6 @@ from drivecal.configuration.pushing import OFF, Pushing
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.configuration.tokens import check_exposure
 from drivecal.domain.errors import DrivecalError, InvalidInputError
-from drivecal.plugins import registry
-
-LOADING_BEGINS = 1.0
-"""Seconds after the start. Catalogues measure their roads with SciPy, which takes a second: longer than a page should wait."""
 
 log = logging.getLogger(__name__)
 
@@ -55,9 +50,6 @@ def main() -> int:
         log.info("drivecal %s listens at %s port %d", version("drivecal"), *listener.getsockname()[:2])
     gc.collect()
     gc.freeze()  # what is loaded stays: looking through all of it again and again would stop the API for half a second each time
-    loading = Timer(LOADING_BEGINS, registry.catalogues)
-    loading.daemon = True
-    loading.start()
     server.run(sockets=[listener])
     return 0 if server.started else 1
 

@@ -317,17 +317,22 @@ class Scenario:
     """Content of the SUMO network file."""
     route: tuple[str, ...]
     """Edges of the network that the ego vehicle and the traffic drive, in order."""
-    road: Road
-    """The route's road, measured from `network`."""
     ego: EgoStart
     task: Task
     traffic: tuple[TrafficVehicle, ...] = ()
     seed: int = 1
 
+    @cached_property  # only runs need it
+    def road(self) -> Road:
+        """The route's road, measured from `network`. Raises InvalidInputError if it is no carriageway."""
+        from drivecal.roads.carriageway import carriageway  # scipy takes long to import, and coordinators drive nothing
+
+        return carriageway(self.network, self.route, f"{self.id}.net.xml")
+
     @cached_property  # a robustness study makes hundreds of setups of each scenario
     def digest(self) -> str:
-        """Content hash of everything that decides a run: the network's bytes, but not the road, which follows from them, nor the title."""
-        document = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in {"title", "road"}}
+        """Content hash of everything that decides a run, without the title."""
+        document = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "title"}
         return digest(canonical_json(to_jsonable_python(document | {"network": digest(self.network)})).encode())
 
 

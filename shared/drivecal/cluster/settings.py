@@ -27,7 +27,7 @@ QUIET = {
     "RAY_task_events_report_interval_ms": "0",
     "RAY_enable_metrics_collection": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
-    # Ray gives its workers a niceness of 15: beside other programs they hardly run, and seem to hang.
+    # Ray gives its workers a niceness of 15: on a busy machine they would hardly run, and seem to hang.
     "RAY_worker_niceness": "0",
     "RAY_max_direct_call_object_size": str(INLINE_BYTES),
     "RAY_task_rpc_inlined_bytes_limit": str(INLINE_BYTES),

@@ -1,12 +1,12 @@
 """Scenarios and planning instants to test with."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from tests.support.roads import CurvatureKnot, road_of
 
 from drivecal.bundles.highway import EgoStart, Scenario, Task
-from drivecal.domain.roads import Floats
+from drivecal.domain.roads import Floats, Road
 from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.highway.planner.plugin import HIGHWAY
 from drivecal.plugins.ports import Observation
@@ -21,7 +21,15 @@ WINDING = (
     CurvatureKnot(420.3, -1 / 500),
 )
 
-KEEPING = Scenario(
+
+@dataclass(frozen=True, eq=False)
+class Situation(Scenario):
+    """A scenario on a road that no file has."""
+
+    road: Road = field(kw_only=True)
+
+
+KEEPING = Situation(
     id="keeping",
     title="Keep the middle lane of a straight road",
     rated_as=Manoeuvre.LANE_KEEPING,

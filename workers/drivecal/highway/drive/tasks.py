@@ -12,7 +12,6 @@ import numpy as np
 
 from drivecal.bundles.highway import FARTHEST, HighwayScenario, Scenario, TrafficVehicle
 from drivecal.contracts.evaluation import ReplayPlan
-from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.roads import Floats
 from drivecal.highway.comfort.metrics import comfort_metrics
@@ -24,7 +23,7 @@ from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.traffic import Traffic
 from drivecal.plugins.ports import DrivingFunction, Series, SeriesEvaluator, VehicleModel
 from drivecal.plugins.simulators import RunOutcome
-from drivecal.roads.carriageway import carriageway, corridor_of
+from drivecal.roads.carriageway import corridor_of
 from drivecal.roads.corridor import Corridor
 
 NETWORK = "road.net.xml"
@@ -95,13 +94,8 @@ def _interpolate(knots: Sequence[tuple[float, float]], time: float) -> float:
 
 
 def road_of(scenario: Scenario) -> HighwayRoad:
-    """Returns the road of a scenario's network. Raises InvalidInputError if the scenario has another one."""
-    name = f"{scenario.id}.net.xml"
-    road = carriageway(scenario.network, scenario.route, name)
-    same = np.array_equal(road.line, scenario.road.line) and road.lanes == scenario.road.lanes
-    if not (same and road.lane_width == scenario.road.lane_width):
-        raise InvalidInputError(Problem("road", f"{scenario.id}: it is not that of its network", "measure it by `carriageway`"))
-    return HighwayRoad(corridor_of(scenario.network, scenario.route, name), carriageway=road)
+    """Returns the road of a scenario's network. Raises InvalidInputError if it cannot be driven."""
+    return HighwayRoad(corridor_of(scenario.network, scenario.route, f"{scenario.id}.net.xml"), carriageway=scenario.road)
 
 
 class TaskRunner:

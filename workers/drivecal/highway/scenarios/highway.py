@@ -29,14 +29,10 @@ def scenario_of(scenario: str, data: Mapping[str, Any], folder: Path) -> Scenari
     """
     if "catalogue" in data:
         return registry.catalogue(data["catalogue"]).scenarios[scenario]
-    from drivecal.roads.carriageway import carriageway  # scipy takes long to import, and plug-ins are listed without
-
     declared = TaskScenario.model_validate(data)
     network = (folder / declared.network).read_bytes()
     same = {field: getattr(declared, field) for field in ("title", "rated_as", "duration", "step", "ego", "task", "seed")}
-    route = tuple(declared.route)
-    road = carriageway(network, route, declared.network)
-    return Scenario(id=scenario, network=network, road=road, route=route, traffic=tuple(declared.traffic), **same)
+    return Scenario(id=scenario, network=network, route=tuple(declared.route), traffic=tuple(declared.traffic), **same)
 
 
 class HighwayCatalogue:
