@@ -74,6 +74,16 @@ def test_the_command_line_labels_lists_and_deletes(run: Run, api: RunningApi) ->
     assert run("show", campaign).exit_code == 5
 
 
+def test_a_tag_means_all_campaigns_that_have_it_also_those_on_further_pages(
+    run: Run, api: RunningApi, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivecal.cli.commands.campaigns.PAGE", 1)
+    for name in ("first", "second", "third"):
+        client.label(ended(api, name), tags=["old"])
+    assert len(json.loads(run("delete", "--tag", "old", "--json").stdout)["deleted"]) == 3
+    assert names(client) == []
+
+
 def test_a_campaign_to_which_others_refer_is_kept_until_they_are_gone(run: Run, api: RunningApi, client: Client) -> None:
     first, second = ended(api, "first"), ended(api, "second")
     rerun = client.rerun(first, {"weights": {"S1": 2}}).id

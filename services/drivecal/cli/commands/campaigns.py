@@ -34,7 +34,8 @@ TagOption = Annotated[str | None, typer.Option(metavar="TAG", help="All campaign
 MaybeCampaign = Annotated[
     str | None, typer.Argument(metavar="ID", help="The campaign's id, or at least its first four characters.")
 ]
-MOST_TAGGED = 1_000
+PAGE = 1_000
+"""Campaigns that one answer of the server lists."""
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the file and count the runs, submit nothing.")]
 
 
@@ -179,7 +180,7 @@ def label(
 def delete(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False) -> None:
     """Delete an ended campaign to which no other refers. What it simulated stays in the reference table."""
     with connect(url) as client:
-        deleted, refused = _each(_chosen(client, identifier, tag), client.delete)
+        deleted, refused = _each([campaign.id for campaign in _chosen(client, identifier, tag)], client.delete)
     if as_json:
         print_json({"deleted": list(deleted)})
     for campaign in () if as_json else deleted:
@@ -207,31 +208,35 @@ def _raise(refused: Sequence[ConflictError]) -> None:
         raise refused[0]
 
 
-def _chosen(client: Client, identifier: str | None, tag: str | None) -> list[str]:
-    """Returns the ids of a campaign, or of those with a tag."""
+def _chosen(client: Client, identifier: str | None, tag: str | None) -> list[Campaign]:
+    """Returns a campaign, or those with a tag."""
     if (identifier is None) == (tag is None):
         raise typer.BadParameter("give a campaign's ID, or --tag TAG of several")
     if identifier is not None:
-        return [client.campaign(identifier).id]
-    chosen = client.campaigns(limit=MOST_TAGGED, tags=[tag or ""]).items
+        return [client.campaign(identifier)]
+    page = client.campaigns(limit=PAGE, tags=[tag or ""])
+    chosen = list(page.items)
+    while page.next_cursor is not None:
+        page = client.campaigns(limit=PAGE, tags=[tag or ""], cursor=page.next_cursor)
+        chosen += page.items
     if not chosen:
         raise NotFoundError("campaign with the tag", tag or "")
-    return [campaign.id for campaign in chosen]
+    return chosen
 
 
 def _act(identifier: str | None, tag: str | None, action: Action, url: str | None, as_json: bool) -> None:
     with connect(url) as client:
         chosen = _chosen(client, identifier, tag)
         if identifier is None:
-            open_ones = [place for place in chosen if not CampaignState(client.campaign(place).state).ended]
-            changed, refused = _each(open_ones, lambda place: client.act(place, action))
+            open_ones = [campaign.id for campaign in chosen if not CampaignState(campaign.state).ended]
+            changed, refused = _each(open_ones, lambda campaign: client.act(campaign, action))
             ended = len(chosen) - len(open_ones)
             say(f"asked {len(changed)} of {len(chosen)} campaigns to {action}; {ended} have ended, {len(refused)} refuse")
             if as_json:
                 print_json(list(changed.values()))
             _raise(refused)
             return
-        _print_whole(client, client.act(chosen[0], action), as_json)
+        _print_whole(client, client.act(chosen[0].id, action), as_json)
 
 
 def refuse_ignored(wait: bool, timeout: float | None, *, dry_run: bool = False) -> None:
