@@ -275,11 +275,14 @@ def listed(
     state: CampaignState | None,
     conditions: Sequence[ColumnElement[bool]] = (),
 ) -> Select[Any]:
-    """Returns the query of these columns of campaigns, without deleted ones."""
+    """Returns the query of these columns of campaigns, without deleted ones. One that is asked to cancel counts as cancelling."""
     # Spelt as the condition of the index `ix_campaigns_listed`: no backend takes the index for a condition with a parameter.
     wanted = campaigns.c.kind == kind if kind == "evaluation" else campaigns.c.kind != text("'evaluation'")
     query = select(*columns).where(wanted, campaigns.c.deleted_at.is_(None), *conditions)
-    return query if state is None else query.where(campaigns.c.state == state)
+    asked = campaigns.c.requested_action.is_not_distinct_from("cancel") & campaigns.c.ended_at.is_(None)
+    if state is CampaignState.CANCELLING:
+        return query.where((campaigns.c.state == state) | asked)
+    return query if state is None else query.where(campaigns.c.state == state, ~asked)
 
 
 IDS = listed([campaigns.c.id], "calibration", None)

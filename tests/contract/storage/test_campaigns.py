@@ -151,6 +151,19 @@ def test_a_request_that_was_withdrawn_or_replaced_is_not_carried_out(database: D
         assert campaigns.by_sequence(connection, stored.sequence).state is CANCELLING
 
 
+def test_a_campaign_that_is_asked_to_cancel_is_listed_as_cancelling(database: Database) -> None:
+    with database.transaction() as connection:
+        running, asked, ended = (campaign(connection) for _ in range(3))
+        for stored in (running, asked, ended):
+            campaigns.start(connection, stored.sequence)
+        campaigns.request_action(connection, asked.id, "cancel")
+        campaigns.request_action(connection, ended.id, "cancel")
+        campaigns.end(connection, ended.sequence, SUCCEEDED)
+        listed = {state: [stored.id for stored in campaigns.page(connection, state=state)[0]] for state in CampaignState}
+    kept = {state: found for state, found in listed.items() if found}
+    assert kept == {RUNNING: [running.id], CANCELLING: [asked.id], SUCCEEDED: [ended.id]}
+
+
 def put(connection: Connection, stored: StoredCampaign, state: CampaignState) -> None:
     connection.execute(update(table).where(table.c.sequence == stored.sequence).values(state=state))
 
