@@ -1,5 +1,6 @@
 """Simulators of kind `python`: a function in a file of the bundle."""
 
+import platform
 import sys
 import zipfile
 from pathlib import Path
@@ -152,6 +153,7 @@ def test_wheels_are_chosen_by_their_tags() -> None:
     for other in (
         "a-1-cp99-cp99-linux_x86_64.whl",
         f"a-1-{own}-{own}-win_amd64.whl",
+        f"a-1-{own}-{own}-musllinux_1_2_{platform.machine()}.whl",
         "a-1-cp99-abi3-linux_x86_64.whl",
         "a-1-py2-none-any.whl",
     ):

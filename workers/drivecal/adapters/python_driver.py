@@ -103,7 +103,8 @@ def fits(name: str) -> bool:
     is_stable = abi == "abi3" and any(
         tag.startswith("cp3") and int(tag[3:]) <= sys.version_info.minor for tag in python.split(".")
     )
-    return (is_pure or is_own or is_stable) and (machine == "any" or ("linux" in machine and platform.machine() in machine))
+    machines = (tag for tag in machine.split(".") if tag.startswith(("linux", "manylinux")))  # libsumo needs glibc, as these do
+    return (is_pure or is_own or is_stable) and (machine == "any" or any(tag.endswith(platform.machine()) for tag in machines))
 
 
 def _plain(measures: Mapping[str, Any]) -> dict[str, Any]:
