@@ -63,7 +63,7 @@ def test_a_study_is_started_from_the_page_with_its_settings(tmp_path: Path, open
         page.get_by_label("steps").fill("2")
         expect(cost).to_be_visible()
         expect(cost).not_to_have_text(usual)
-        page.get_by_role("button", name="Validate").click()
+        page.get_by_role("button", name="Validate the map").click()
         page.get_by_text("Settings: defaults").click()
         page.get_by_label("references").fill("7")
         page.get_by_role("button", name="Start the study").click()

@@ -5,6 +5,8 @@ import { condition } from "../charts/robust";
 import type { Campaign, Study } from "../server/types";
 
 export type StudyStage = Study["stage"];
+/** What a study examines: the best sets in other vehicles, an influence map, released predictions. */
+export type Examined = "robustness" | "map" | "predictions";
 
 const STAGES: readonly StudyStage[] = ["robustness", "validation"];
 
@@ -40,32 +42,31 @@ export function settingsText(stage: StudyStage, settings: Readonly<Record<string
 const EVERY = 1_000_000;
 const OF_A_STUDY = /( \((robustness|validation)( in [^()]*)?\))+$/;
 
-/** The studies that can be made of an ended search: of its best sets, and of its map or else its predictions. */
-export function possibleStudies(campaign: Pick<Campaign, "kind" | "spec" | "links" | "best" | "ended_at" | "cells">, drives: boolean): StudyStage[] {
+/** The studies that can be made of an ended search. */
+export function possibleStudies(campaign: Pick<Campaign, "kind" | "spec" | "links" | "best" | "ended_at" | "cells">, drives: boolean): Examined[] {
   if (campaign.kind !== "calibration" || !calibrates(campaign) || campaign.ended_at === null || campaign.best === null) return [];
-  const validates = campaign.links["influence_map"] !== undefined || campaign.cells.predicted > 0;
-  return [...(drives ? (["robustness"] as const) : []), ...(validates ? (["validation"] as const) : [])];
+  const there: Record<Examined, boolean> = { robustness: drives, map: campaign.links["influence_map"] !== undefined, predictions: campaign.cells.predicted > 0 };
+  return (["robustness", "map", "predictions"] as const).filter((examined) => there[examined]);
+}
+
+/** The stage of a campaign that examines it. */
+export function stageOf(examined: Examined): StudyStage {
+  return examined === "robustness" ? examined : "validation";
 }
 
 /** The specification of a campaign that makes only a study of another one, as `drivecal robustness` and `drivecal validate` submit it; `settings`: other ones than the defaults. */
-export function studySpecification(campaign: Pick<Campaign, "id" | "name" | "spec" | "links">, stage: StudyStage, settings: Readonly<Record<string, unknown>> = {}): Record<string, unknown> {
-  const map = mapOf(campaign);
-  const stages =
-    stage === "robustness"
-      ? { robustness: { ...settings, of: campaign.id } }
-      : map === undefined
-        ? { validation: { samples: EVERY, ...settings, of: campaign.id } }
-        : { sensitivity: { map }, validation: settings };
-  return { ...campaign.spec, optimizer: null, sensitivity: null, robustness: null, validation: null, ...stages, name: `${campaign.name.replace(OF_A_STUDY, "").slice(0, 180)} (${stage})` };
-}
-
-function mapOf(campaign: Pick<Campaign, "links">): string | undefined {
-  return campaign.links["influence_map"]?.split("/").at(-1);
+export function studySpecification(campaign: Pick<Campaign, "id" | "name" | "spec" | "links">, examined: Examined, settings: Readonly<Record<string, unknown>> = {}): Record<string, unknown> {
+  const stages = {
+    robustness: { robustness: { ...settings, of: campaign.id } },
+    map: { sensitivity: { map: campaign.links["influence_map"]?.split("/").at(-1) }, validation: settings },
+    predictions: { validation: { samples: EVERY, ...settings, of: campaign.id } },
+  }[examined];
+  return { ...campaign.spec, optimizer: null, sensitivity: null, robustness: null, validation: null, ...stages, name: `${campaign.name.replace(OF_A_STUDY, "").slice(0, 180)} (${stageOf(examined)})` };
 }
 
 /** The settings of a study that a user may choose, with the defaults that differ from the schema's. */
-export function studySettings(campaign: Pick<Campaign, "links">, stage: StudyStage): { schema: string; names: readonly string[]; defaults: Readonly<Record<string, unknown>> } {
-  if (stage === "robustness") return { schema: "RobustnessSpecification", names: ["delta", "steps", "samples", "eta", "condition", "solutions", "seed"], defaults: {} };
-  if (mapOf(campaign) === undefined) return { schema: "ValidationSpecification", names: ["samples", "seed"], defaults: { samples: EVERY } };
+export function studySettings(examined: Examined): { schema: string; names: readonly string[]; defaults: Readonly<Record<string, unknown>> } {
+  if (examined === "robustness") return { schema: "RobustnessSpecification", names: ["delta", "steps", "samples", "eta", "condition", "solutions", "seed"], defaults: {} };
+  if (examined === "predictions") return { schema: "ValidationSpecification", names: ["samples", "seed"], defaults: { samples: EVERY } };
   return { schema: "ValidationSpecification", names: ["samples", "references", "largest", "seed"], defaults: {} };
 }

@@ -7,14 +7,15 @@ const MAPPED = { ...ENDED, links: { influence_map: "/api/v1/influence-maps/m1" }
 
 test("studies are offered of an ended search with a result, if there is something to examine", () => {
   expect(possibleStudies(ENDED, true)).toEqual(["robustness"]);
-  expect(possibleStudies(MAPPED, false)).toEqual(["validation"]);
-  expect(possibleStudies({ ...ENDED, cells: { ...ENDED.cells, predicted: 3 } }, false)).toEqual(["validation"]);
+  expect(possibleStudies(MAPPED, false)).toEqual(["map"]);
+  expect(possibleStudies({ ...ENDED, cells: { ...ENDED.cells, predicted: 3 } }, false)).toEqual(["predictions"]);
+  expect(possibleStudies({ ...MAPPED, cells: { ...ENDED.cells, predicted: 3 } }, true)).toEqual(["robustness", "map", "predictions"]);
   expect(possibleStudies({ ...MAPPED, ended_at: null }, true)).toEqual([]);
   expect(possibleStudies({ ...MAPPED, best: null }, true)).toEqual([]);
 });
 
 test("a study is a campaign without a search, on the bench of its subject", () => {
   expect(studySpecification(ENDED, "robustness")).toEqual({ vehicle: { model: "hybrid" }, optimizer: null, sensitivity: null, robustness: { of: "abc" }, validation: null, name: "mine (robustness)" });
-  expect(studySpecification(MAPPED, "validation")).toMatchObject({ sensitivity: { map: "m1" }, validation: {}, robustness: null });
-  expect(studySpecification(ENDED, "validation")).toMatchObject({ sensitivity: null, validation: { of: "abc" } });
+  expect(studySpecification(MAPPED, "map")).toMatchObject({ sensitivity: { map: "m1" }, validation: {}, robustness: null });
+  expect(studySpecification(MAPPED, "predictions")).toMatchObject({ sensitivity: null, validation: { of: "abc" } });
 });
