@@ -41,10 +41,13 @@ PROBLEMS: dict[str, tuple[Mapping[str, Any], dict[str, Any]]] = {
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     """A client of a server with two workers."""
     folder = tmp_path_factory.mktemp("server")
-    settings = {"DRIVECAL_BACKEND": "processes", "DRIVECAL_BUNDLE_CACHE": str(folder / "cache")}
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DRIVECAL_HOME", str(folder / "home"))
-        with serving(folder, workers=2, **settings) as server, Client(server.url) as client:
+        cache = str(folder / "cache")
+        with (
+            serving(folder, workers=2, DRIVECAL_BACKEND="processes", DRIVECAL_BUNDLE_CACHE=cache) as server,
+            Client(server.url) as client,
+        ):
             yield client
 
 

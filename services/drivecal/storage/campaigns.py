@@ -275,7 +275,7 @@ def listed(
     state: CampaignState | None,
     conditions: Sequence[ColumnElement[bool]] = (),
 ) -> Select[Any]:
-    """Returns the query of these columns of campaigns, without deleted ones. One that is asked to cancel counts as cancelling."""
+    """Returns the query of these columns of campaigns, without deleted ones; those asked to cancel count as cancelling."""
     # Spelt as the condition of the index `ix_campaigns_listed`: no backend takes the index for a condition with a parameter.
     wanted = campaigns.c.kind == kind if kind == "evaluation" else campaigns.c.kind != text("'evaluation'")
     query = select(*columns).where(wanted, campaigns.c.deleted_at.is_(None), *conditions)
