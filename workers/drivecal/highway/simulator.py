@@ -3,7 +3,6 @@ when a session opens."""
 
 from collections.abc import Mapping
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,9 +83,12 @@ class Highway:
         self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
     ) -> SimulatorSession:
         """Opens a session. Raises UnavailableError without SUMO, and UnsuitableError if the scenario's network cannot be driven."""
-        import_module("drivecal.highway.drive.tasks")
+        from drivecal.highway.drive.tasks import road_of
+
         try:
-            return TaskSession(scenario_of(scenario, data, folder), section, declared)
+            opened = scenario_of(scenario, data, folder)
+            road_of(opened)  # stays measured for the runs
+            return TaskSession(opened, section, declared)
         except InvalidInputError as error:
             raise UnsuitableError(str(error)) from error
 

@@ -22,7 +22,14 @@ class Part:
     owner: "Part | None"
     actions: list[str] = field(default_factory=list)
     begin: str = ""
-    """Id of the action without effect that begins with its act, as groups and maneuvers do. Empty for a story."""
+    """Id of the action without effect that begins with an act. Empty for other parts."""
+
+    @property
+    def act(self) -> "Part | None":
+        """The act around the part, or the part itself; None for a story."""
+        if self.kind == "act":
+            return self
+        return None if self.owner is None else self.owner.act
 
     def add(self, action: str) -> None:
         """Adds an action to the part and to those around it."""
@@ -54,9 +61,8 @@ class Parts:
         if self._count > MOST_PARTS:
             raise element.fault(f"the storyboard has more than {MOST_PARTS:,} parts", "leave some out")
         outer = owner.path if owner is not None else ()
-        part = Part(kind, element, (*outer, element.text("name", "")), owner, begin="" if owner is None else owner.begin)
-        if kind == "act":
-            part.begin = f"act{self._count}"
+        begin = f"act{self._count}" if kind == "act" else ""
+        part = Part(kind, element, (*outer, element.text("name", "")), owner, begin=begin)
         for around in {names for size in range(len(outer) + 1) for names in combinations(outer, size)}:
             self._by_names.setdefault((kind, (*around, part.path[-1])), []).append(part)
         return part
@@ -92,6 +98,8 @@ ABOVE = ("greaterThan", "greaterOrEqual")
 BELOW = ("lessThan", "lessOrEqual")
 ENDED = ("completeState", "endTransition")
 BEGUN = ("startTransition", "runningState")
+STAYS = {"rising": False}
+"""Begun and done actions stay so: their edge is no moment that could be missed."""
 Conditions = list[dict[str, Any]]
 Reached = Callable[[Element], tuple[float, float]]
 """Returns s and d of the scenario's route at a <Position>."""
@@ -121,30 +129,30 @@ class Triggers:
         edge = condition.word("conditionEdge", ("none", "rising"), "none")
         delay = condition.number("delay", 0.0, 3600.0, 0.0)
         kind = condition.only("ByValueCondition", "ByEntityCondition")
-        entries = self._of_value(kind) if kind.element == "ByValueCondition" else self._of_entity(kind)
+        entries = self._of_value(kind, delay) if kind.element == "ByValueCondition" else self._of_entity(kind)
         if len(entries) > MOST_CONDITIONS:
             raise condition.fault(f"the condition is on more than {MOST_CONDITIONS} actions or entities", "leave some out")
         is_rising = edge == "rising"
-        if is_rising and len(entries) > 1:
+        if is_rising and len(entries) > 1 and kind.element == "ByEntityCondition":
             # They rise together when the last of them does, which no condition of one of them says.
-            if kind.element == "ByEntityCondition":
-                raise condition.fault("the rising edge of a condition on several entities is not supported", 'give "none"')
-            is_rising = False  # what has begun or is done stays so
+            raise condition.fault("the rising edge of a condition on several entities is not supported", 'give "none"')
         common = {"rising": is_rising, "delay": delay}
         held = delay == 0.0 and kind.element == "ByValueCondition" and all(entry.get("above", 1.0) <= 0.0 for entry in entries)
-        return [] if held else [entry | common for entry in entries]  # the time is above 0 as soon as the scenario runs
+        return [] if held else [common | entry for entry in entries]  # the time is above 0 as soon as the scenario runs
 
-    def _of_value(self, kind: Element) -> Conditions:
+    def _of_value(self, kind: Element, delay: float) -> Conditions:
         condition = kind.only("SimulationTimeCondition", "StoryboardElementStateCondition")
         if condition.element == "SimulationTimeCondition":
             return [{"quantity": "time"} | _limit(condition)]
         state = condition.word("state", ENDED + BEGUN)
         part = self._parts.referred(condition)
         if state in ENDED:
-            return [{"done": action} for action in part.actions]
+            return [{"done": action} | STAYS for action in part.actions]
         if part.kind in {"event", "action"}:
-            return [{"begun": part.actions[0]}]
-        return [] if not part.begin or part.holds(condition) else [{"begun": part.begin}]
+            return [{"begun": part.actions[0]} | STAYS]
+        if part.act is None:
+            return [{"quantity": "time", "above": 0.0} | STAYS]
+        return [] if delay == 0.0 and part.act.holds(condition) else [{"begun": part.act.begin} | STAYS]
 
     def _of_entity(self, kind: Element) -> Conditions:
         triggering = kind.only("TriggeringEntities")

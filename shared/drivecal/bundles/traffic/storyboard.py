@@ -24,7 +24,7 @@ ENDING = ("override", "overwrite")
 class _Planned(NamedTuple):
     """An action of the file: its id, the vehicle that does it, the element of the action itself, its event with the maneuver, its act.
 
-    The begin of an act is an action as well: its element and its event are the act's own.
+    For the begin of an act, `action` and `event` are the act itself.
     """
 
     id: str
@@ -69,12 +69,12 @@ class Storyboard:
             for content in contents:
                 document = {"id": entry.id, "ends": ends} | self._begin(entry, triggers) | content
                 self.actions.setdefault(entry.vehicle, []).append(document)
-        driven = [action for actions in self.actions.values() for action in actions]
-        for action in driven:
+        driven = [(vehicle, action) for vehicle, actions in self.actions.items() for action in actions]
+        for _, action in driven:
             action["ends"] = [name for name in action["ends"] if name not in idle]
         self._add_awaited(driven, idle, triggers)
         for entry in idle.values():
-            for trigger in entry.event.element.every("StartTrigger"):
+            for trigger in entry.event.element.every("StartTrigger") if entry.event is not entry.act else ():
                 trigger.skip()
 
     @staticmethod
@@ -83,16 +83,17 @@ class Storyboard:
         of_act, of_event = (triggers.conditions(part.element.optional("StartTrigger")) for part in (entry.act, entry.event))
         return {"after": [] if entry.event is entry.act else of_act, "when": of_event}
 
-    def _add_awaited(self, driven: list[dict[str, Any]], idle: dict[str, _Planned], triggers: Triggers) -> None:
+    def _add_awaited(self, driven: list[tuple[str, dict[str, Any]]], idle: dict[str, _Planned], triggers: Triggers) -> None:
         """Adds the actions without effect for which others wait: they have begun and are done once, as any other."""
         while driven:
-            action = driven.pop()
+            vehicle, action = driven.pop()
             names = {condition.get("done", condition.get("begun")) for condition in action["after"] + action["when"]}
             for name in sorted(names & idle.keys()):
                 entry = idle.pop(name)
                 awaited = {"id": entry.id, "do": "wait"} | self._begin(entry, triggers)
-                self.actions.setdefault(entry.vehicle, []).append(awaited)
-                driven.append(awaited)
+                whose = vehicle if entry.event is entry.act else entry.vehicle
+                self.actions.setdefault(whose, []).append(awaited)
+                driven.append((whose, awaited))
 
     def _planned(self, root: Element) -> Iterator[_Planned]:
         """Yields the actions of the traffic's vehicles, and adds notes on the ego vehicle's actions."""

@@ -424,10 +424,28 @@ def test_an_act_and_what_is_in_it_begin_with_its_trigger_not_with_their_first_ac
     assert [condition.above for condition in present(begin.when)] == [3.0]
 
 
-@pytest.mark.parametrize(("kind", "reference"), [("maneuver", "second"), ("act", "act"), ("story", "story")])
-def test_what_begins_with_a_part_around_it_or_with_a_story_waits_for_nothing(kind: str, reference: str) -> None:
-    _, inside = actions(two_of_a_name(reference, kind, "runningState"))
-    assert inside.when == []
+@pytest.mark.parametrize(
+    ("kind", "reference"), [("maneuver", "first"), ("maneuver", "second"), ("act", "act"), ("story", "story")]
+)
+def test_what_has_begun_with_the_act_around_or_with_a_story_is_waited_for_no_longer_than_its_delay(
+    kind: str, reference: str
+) -> None:
+    content = two_of_a_name(reference, kind, "runningState")
+    assert actions(content)[1].when == []
+    late, *_ = present(
+        actions(content.replace(b'name="d" delay="0" conditionEdge="none"', b'name="d" delay="5" conditionEdge="rising"'))[
+            1
+        ].when
+    )
+    assert (late.delay, late.rising) == (5.0, False)
+    assert (late.quantity, late.above) == ("time", 0.0) if kind == "story" else late.begun is not None
+
+
+def test_what_is_not_read_of_an_acts_trigger_is_noted() -> None:
+    content = file(
+        story(maneuver("first", event("go", BRAKE))).replace("<StartTrigger/></Act>", '<StartTrigger strange="1"/></Act>')
+    )
+    assert any("strange" in note for note in of_file(content).notes)
 
 
 @pytest.mark.slow

@@ -12,10 +12,21 @@ from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway import Scenario
 from drivecal.bundles.highway_roads import check_roads
+from drivecal.bundles.installed import installed_problems
 from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.highway.scenarios.highway import FOLDER, HIGHWAY, RANDOM_FOLDER
+from drivecal.highway.simulator import HIGHWAY as HIGHWAY_SIMULATOR
+from drivecal.plugins.simulators import Declared, UnsuitableError
 
 SCENARIOS = list(HIGHWAY.scenarios.values())
+
+
+def test_a_session_is_refused_where_the_road_is_no_carriageway() -> None:
+    manifest = installed_problems()["highway"].manifest
+    section, data = manifest.simulator.model_dump(mode="json"), manifest.scenarios["S5"]
+    HIGHWAY_SIMULATOR.open(section, "S5", data, FOLDER, Declared("highway", ())).close()
+    with pytest.raises(UnsuitableError):
+        HIGHWAY_SIMULATOR.open(section, "S5", {**data, "route": data["route"][::-1]}, FOLDER, Declared("highway", ()))
 
 
 def test_the_catalogue_holds_the_six_scenarios_of_the_paper_in_order() -> None:
