@@ -3,6 +3,7 @@ when a session opens."""
 
 from collections.abc import Mapping
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -83,11 +84,10 @@ class Highway:
         self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
     ) -> SimulatorSession:
         """Opens a session. Raises UnavailableError without SUMO, and UnsuitableError if the scenario's network cannot be driven."""
-        from drivecal.highway.drive.tasks import road_of
-
+        import_module("drivecal.highway.drive.tasks")
         try:
             opened = scenario_of(scenario, data, folder)
-            road_of(opened)  # stays measured for the runs
+            _ = opened.road  # measured for the runs, or refused
             return TaskSession(opened, section, declared)
         except InvalidInputError as error:
             raise UnsuitableError(str(error)) from error
