@@ -25,11 +25,9 @@ class Part:
     """Id of the action without effect that begins with an act. Empty for other parts."""
 
     @property
-    def act(self) -> "Part | None":
-        """The act around the part, or the part itself; None for a story."""
-        if self.kind == "act":
-            return self
-        return None if self.owner is None else self.owner.act
+    def act(self) -> "Part":
+        """The act around the part, or the part itself if it is an act or a story."""
+        return self if self.kind == "act" or self.owner is None else self.owner.act
 
     def add(self, action: str) -> None:
         """Adds an action to the part and to those around it."""
@@ -150,7 +148,7 @@ class Triggers:
             return [{"done": action} | STAYS for action in part.actions]
         if part.kind in {"event", "action"}:
             return [{"begun": part.actions[0]} | STAYS]
-        if part.act is None:
+        if part.kind == "story":
             return [{"quantity": "time", "above": 0.0} | STAYS]
         return [] if delay == 0.0 and part.act.holds(condition) else [{"begun": part.act.begin} | STAYS]
 

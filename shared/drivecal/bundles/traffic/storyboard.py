@@ -22,7 +22,7 @@ ENDING = ("override", "overwrite")
 
 
 class _Planned(NamedTuple):
-    """An action of the file: its id, the vehicle that does it, the element of the action itself, its event with the maneuver, its act.
+    """An action of the file: its id, the vehicle that does it, the element of the action itself, its event with the maneuver.
 
     For the begin of an act, `action` and `event` are the act itself.
     """
@@ -31,7 +31,6 @@ class _Planned(NamedTuple):
     vehicle: str
     action: Element
     event: Part
-    act: Part
 
 
 class Ways(NamedTuple):
@@ -58,8 +57,8 @@ class Storyboard:
         self.actions: dict[str, list[dict[str, Any]]] = {}
         idle: dict[str, _Planned] = {}
         for entry in planned:
-            act = entry.act
-            idle[act.begin] = _Planned(act.begin, entry.vehicle, act.element, act, act)
+            act = entry.event.act
+            idle[act.begin] = _Planned(act.begin, entry.vehicle, act.element, act)
             contents = list(self._content(entry))
             ends = self._ended(entry, planned)
             if not contents:
@@ -74,14 +73,16 @@ class Storyboard:
             action["ends"] = [name for name in action["ends"] if name not in idle]
         self._add_awaited(driven, idle, triggers)
         for entry in idle.values():
-            for trigger in entry.event.element.every("StartTrigger") if entry.event is not entry.act else ():
+            for trigger in entry.event.element.every("StartTrigger") if entry.event.kind == "event" else ():
                 trigger.skip()
 
     @staticmethod
     def _begin(entry: _Planned, triggers: Triggers) -> dict[str, Any]:
         """Returns the conditions on which an action begins."""
-        of_act, of_event = (triggers.conditions(part.element.optional("StartTrigger")) for part in (entry.act, entry.event))
-        return {"after": [] if entry.event is entry.act else of_act, "when": of_event}
+        of_act, of_event = (
+            triggers.conditions(part.element.optional("StartTrigger")) for part in (entry.event.act, entry.event)
+        )
+        return {"after": of_act if entry.event.kind == "event" else [], "when": of_event}
 
     def _add_awaited(self, driven: list[tuple[str, dict[str, Any]]], idle: dict[str, _Planned], triggers: Triggers) -> None:
         """Adds the actions without effect for which others wait: they have begun and are done once, as any other."""
@@ -91,7 +92,7 @@ class Storyboard:
             for name in sorted(names & idle.keys()):
                 entry = idle.pop(name)
                 awaited = {"id": entry.id, "do": "wait"} | self._begin(entry, triggers)
-                whose = vehicle if entry.event is entry.act else entry.vehicle
+                whose = entry.vehicle if entry.event.kind == "event" else vehicle
                 self.actions.setdefault(whose, []).append(awaited)
                 driven.append((whose, awaited))
 
@@ -106,9 +107,9 @@ class Storyboard:
                     self._notes.add(act.element, "never begins: a condition on a parameter does not hold")
                     continue
                 for group in (self._parts.new("maneuverGroup", group, act) for group in act.element.every("ManeuverGroup")):
-                    yield from self._group(group, act)
+                    yield from self._group(group)
 
-    def _group(self, group: Part, act: Part) -> Iterator[_Planned]:
+    def _group(self, group: Part) -> Iterator[_Planned]:
         """Yields the actions of a group of maneuvers, for each of its actors."""
         actors = group.element.only("Actors")
         if actors.decides("selectTriggeringEntities", "false"):
@@ -132,9 +133,9 @@ class Storyboard:
                 for action in (self._parts.new("action", action, event) for action in event.element.every("Action")):
                     for vehicle in names:
                         if vehicle == EGO:
-                            self._skip(event.element, act.element)
+                            self._skip(event)
                         else:
-                            yield self._named(vehicle, action, event, act)
+                            yield self._named(vehicle, action, event)
 
     def _note_order(self, element: Element) -> None:
         """Notes what an element says about the order of events that is driven otherwise."""
@@ -143,13 +144,13 @@ class Storyboard:
         if element.word("priority", ("parallel", "skip", *ENDING), "parallel") == "skip":
             self._notes.add(element, "driven also while other events run")
 
-    def _named(self, vehicle: str, action: Part, event: Part, act: Part) -> _Planned:
+    def _named(self, vehicle: str, action: Part, event: Part) -> _Planned:
         self._count += 1
         if self._count > MOST_ACTIONS:
             raise action.element.fault(f"there are more than {MOST_ACTIONS:,} actions", "leave some out")
         name = f"action{self._count}"
         action.add(name)
-        return _Planned(name, vehicle, action.element, event, act)
+        return _Planned(name, vehicle, action.element, event)
 
     def _ended(self, entry: _Planned, planned: Sequence[_Planned]) -> list[str]:
         """Returns the actions that end when an action begins: the same vehicle's, from the other events of its maneuver."""
@@ -158,11 +159,11 @@ class Storyboard:
         others = set(entry.event.owner.actions).difference(entry.event.actions)
         return [other.id for other in planned if other.vehicle == entry.vehicle and other.id in others]
 
-    def _skip(self, event: Element, act: Element) -> None:
-        event.skip()
-        for trigger in act.every("StartTrigger"):
+    def _skip(self, event: Part) -> None:
+        event.element.skip()
+        for trigger in event.act.element.every("StartTrigger"):
             trigger.skip()
-        self._notes.add(event, "ignored for the ego vehicle: the problem's controller drives it")
+        self._notes.add(event.element, "ignored for the ego vehicle: the problem's controller drives it")
 
     def _content(self, entry: _Planned) -> Iterator[dict[str, Any]]:
         """Yields what an action is as a document, nothing if it has no effect on the traffic."""

@@ -25,7 +25,7 @@ def scenario_of(scenario: str, data: Mapping[str, Any], folder: Path) -> Scenari
         folder: the problem's files.
 
     Raises:
-        InvalidInputError: its network cannot be driven.
+        InvalidInputError: its catalogue is not installed.
     """
     if "catalogue" in data:
         return registry.catalogue(data["catalogue"]).scenarios[scenario]
