@@ -15,7 +15,7 @@ from tests.support.serve import until
 from tests.support.server import RunningApi, new_database, serving
 
 from drivecal.api.live import dispatcher_health, streams
-from drivecal.client.following import EventParser, ServerSentEvent
+from drivecal.client.following import EventParser
 from drivecal.contracts.campaign import CampaignProgress
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.events import EventKind
@@ -66,7 +66,7 @@ def end(database: Database, campaign: StoredCampaign) -> None:
 @contextmanager
 def opened(
     api: RunningApi, campaign: StoredCampaign, last: str | None = None, query: str = ""
-) -> Iterator[Iterator[ServerSentEvent]]:
+) -> Iterator[Iterator[dict[str, str]]]:
     """The events of a stream, as they come."""
     headers = {} if last is None else {"Last-Event-ID": last}
     path = f"/api/v1/campaigns/{campaign.id}/events{query}"
@@ -77,12 +77,12 @@ def opened(
         yield (event for chunk in response.iter_bytes() for event in parser.feed(chunk))
 
 
-def stored_only(received: Iterator[ServerSentEvent]) -> list[str]:
+def stored_only(received: Iterator[dict[str, str]]) -> list[str]:
     """Returns the kind of each event with an id, or the text of a note, in order of arrival."""
-    stored = [event for event in received if event.id is not None]
-    numbers = [int(event.id or 0) for event in stored]
+    stored = [event for event in received if "id" in event]
+    numbers = [int(event["id"]) for event in stored]
     assert numbers == sorted(set(numbers)), "out of order, or twice"
-    return [json.loads(event.data)["data"].get("text", event.event) for event in stored]
+    return [json.loads(event["data"])["data"].get("text", event["event"]) for event in stored]
 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
@@ -91,16 +91,16 @@ def test_a_stream_sends_all_events_and_closes_at_the_end(request: pytest.Fixture
         campaign = submit(api.database)
         note(api.database, campaign, "before")
         with opened(api, campaign) as stream:
-            assert [next(stream).event for _ in range(3)] == ["queued", "running", "note"]
+            assert [next(stream)["event"] for _ in range(3)] == ["queued", "running", "note"]
             progress = next(stream)
-            assert (progress.event, progress.id) == ("progress", None)
-            assert CampaignProgress.model_validate_json(progress.data).state == "running"
+            assert (progress["event"], progress.get("id")) == ("progress", None)
+            assert CampaignProgress.model_validate_json(progress["data"]).state == "running"
             note(api.database, campaign, "meanwhile")
             end(api.database, campaign)
             rest = list(stream)
         assert stored_only(iter(rest)) == ["meanwhile", "succeeded"]
-        assert (rest[-1].event, CampaignProgress.model_validate_json(rest[-1].data).state) == ("progress", "succeeded")
-        document = json.loads(next(item for item in rest if item.event == "succeeded").data)
+        assert (rest[-1]["event"], CampaignProgress.model_validate_json(rest[-1]["data"]).state) == ("progress", "succeeded")
+        document = json.loads(next(item for item in rest if item["event"] == "succeeded")["data"])
         assert (document["campaign"], document["data"]) == (campaign.id, {"state": "succeeded"})
 
 
@@ -109,7 +109,7 @@ def test_who_comes_back_gets_what_was_missed_once_and_in_order(api: RunningApi, 
     campaign, other = submit(api.database), submit(api.database)
     with opened(api, campaign) as stream:
         first = [next(stream) for _ in range(2)]
-    last = first[-1].id
+    last = first[-1].get("id")
     for number in range(5):
         note(api.database, campaign, f"missed {number}")
         note(api.database, other, "of another campaign")
@@ -167,15 +167,15 @@ def test_a_silent_dispatcher_is_told_by_answers_and_streams_and_so_is_its_return
         return response.json()["degraded"], response.headers["etag"]
 
     with opened(api, campaign) as stream:
-        assert [next(stream).event for _ in range(3)] == ["queued", "running", "progress"]
+        assert [next(stream)["event"] for _ in range(3)] == ["queued", "running", "progress"]
         said, well = read()
         assert said is None
         spoke(4.5)
         degraded, progress = next(stream), next(stream)
-        assert (degraded.event, degraded.id) == ("degraded", None)
+        assert (degraded["event"], degraded.get("id")) == ("degraded", None)
         reason = "the dispatcher has been silent for more than 4 s"
-        assert json.loads(degraded.data)["data"] == {"reason": reason}
-        assert CampaignProgress.model_validate_json(progress.data).degraded == reason
+        assert json.loads(degraded["data"])["data"] == {"reason": reason}
+        assert CampaignProgress.model_validate_json(progress["data"]).degraded == reason
         silent = read()
         assert silent[0] == reason
         assert silent[1] != well
@@ -191,7 +191,7 @@ def test_a_silent_dispatcher_is_told_by_answers_and_streams_and_so_is_its_return
             campaigns.degrade(connection, [campaign.sequence], None)
         assert read() == (None, read()[1])
         end(api.database, campaign)
-        kinds = [item.event for item in stream if item.event != "progress"]
+        kinds = [item["event"] for item in stream if item["event"] != "progress"]
     assert kinds[0] == "degraded"
     assert kinds[-2:] == ["recovered", "succeeded"]
 
@@ -213,10 +213,10 @@ def test_streams_end_in_peace_when_the_server_stops(tmp_path: Path) -> None:
         campaign = submit(api.database)
         reading = opened(api, campaign)
         stream = reading.__enter__()
-        assert next(stream).event == "queued"
-        listener: list[list[ServerSentEvent]] = []
+        assert next(stream)["event"] == "queued"
+        listener: list[list[dict[str, str]]] = []
         thread = threading.Thread(target=lambda: listener.append(list(stream)))
         thread.start()
     thread.join(20)
-    assert [message.event for message in listener[0]] == ["running", "progress"], "an end, not an error"
+    assert [message["event"] for message in listener[0]] == ["running", "progress"], "an end, not an error"
     reading.__exit__(None, None, None)

@@ -14,7 +14,7 @@ import httpx
 from pydantic import ValidationError
 
 from drivecal.client.documents import Document, plain, weights_text
-from drivecal.client.following import READ_SECONDS, EventParser, Following, Sent, ServerSentEvent, Told, displayed
+from drivecal.client.following import READ_SECONDS, EventParser, Following, Sent, Told, displayed
 from drivecal.client.frames import DownloadedTable, RankedSets, Rows
 from drivecal.client.imported import in_pieces
 from drivecal.client.outside import AskTell
@@ -180,13 +180,12 @@ class Client(Transport):
         except httpx.TransportError as error:
             raise unreachable(self.url, error) from error
 
-    def _sent(self, event: ServerSentEvent) -> Sent:
+    def _sent(self, event: Mapping[str, str]) -> Sent:
         try:
-            data = harmless(event.data.encode())
-            if event.event == PROGRESS:
+            data = harmless(event["data"].encode())
+            if event.get("event") == PROGRESS:
                 return CampaignProgress.model_validate_json(data)
-            document = json.loads(data)
-            return CampaignEvent.model_validate({**document, "id": event.id})
+            return CampaignEvent.model_validate({**json.loads(data), "id": event.get("id")})
         except (TypeError, ValueError) as error:
             raise self._strange() from error
 

@@ -3,7 +3,6 @@
 import sys
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Protocol
 
@@ -135,29 +134,18 @@ class Following:
         time.sleep(self._wait)
 
 
-@dataclass(frozen=True, slots=True)
-class ServerSentEvent:
-    """An event. `id` is None if this event has none in the stream."""
-
-    event: str
-    data: str
-    id: str | None
-
-
 class EventParser:
     """A parser of the server's event streams, which arrive in arbitrary pieces. It drops an event that is incomplete at the end."""
 
     def __init__(self) -> None:
         self._rest = b""
 
-    def feed(self, chunk: bytes) -> list[ServerSentEvent]:
-        """Returns the events that this chunk completes."""
+    def feed(self, chunk: bytes) -> list[dict[str, str]]:
+        """Returns the fields of the events that this chunk completes: `data`, and `event` and `id` if an event has them."""
         *blocks, self._rest = (self._rest + chunk).split(b"\n\n")
         lines = (block.decode(errors="replace").split("\n") for block in blocks)
         fields = (dict(line.split(": ", 1) for line in each if ": " in line) for each in lines)
-        return [
-            ServerSentEvent(each.get("event", "message"), each["data"], each.get("id")) for each in fields if "data" in each
-        ]
+        return [each for each in fields if "data" in each]
 
 
 def displayed(states: Iterable[Campaign]) -> Iterator[Campaign]:

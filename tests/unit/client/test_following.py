@@ -107,13 +107,13 @@ def test_waiting_returns_the_ended_campaign() -> None:
         assert client.wait("c1", timeout=300).state == "succeeded"
 
 
-def parsed(*chunks: bytes) -> list[tuple[str, str, str | None]]:
+def parsed(*chunks: bytes) -> list[dict[str, str]]:
     parser = EventParser()
-    return [(item.event, item.data, item.id) for chunk in chunks for item in parser.feed(chunk)]
+    return [item for chunk in chunks for item in parser.feed(chunk)]
 
 
 def test_what_is_incomplete_or_no_text_ends_no_stream() -> None:
-    assert parsed(b"data: \xff\n\nid: 1\n\n: nothing\n\ndata: begun\n") == [("message", "\ufffd", None)]
+    assert parsed(b"data: \xff\n\nid: 1\n\n: nothing\n\ndata: begun\n") == [{"data": "\ufffd"}]
 
 
 @given(st.lists(st.tuples(st.text(max_size=20), st.integers(0, 2**63 - 1)), max_size=5), st.lists(st.integers(0, 200)))
@@ -124,7 +124,7 @@ def test_what_the_server_writes_comes_out_however_it_is_cut(events: list[tuple[s
     )
     places = [0, *sorted(min(cut, len(written)) for cut in cuts), len(written)]
     pieces = [written[begin:end] for begin, end in pairwise(places)]
-    expected = [("note", json.dumps({"text": text}), str(number)) for text, number in events]
+    expected = [{"event": "note", "id": str(number), "data": json.dumps({"text": text})} for text, number in events]
     assert parsed(*pieces) == expected
 
 
