@@ -5,7 +5,7 @@ A declared subset is read. What has no effect on the drive is noted with its lin
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import ceil, inf, pi
 from typing import Any, NamedTuple
 
@@ -80,6 +80,167 @@ class _Start:
 NOWHERE = FilePlace("", 0, 0.0, 0.0)
 
 
+@dataclass(slots=True)
+class _Init:
+    """The starts of the entities that have one, by the actions of <Init>, in their order."""
+
+    scenario: OpenScenario
+    minor: str
+    """Minor number of the file's version."""
+    notes: Notes
+    entities: Mapping[str, Entity]
+    ego: str
+    roads: Map
+    reader: WayReader
+    starts: dict[str, _Start] = field(default_factory=dict)
+    places: dict[str, FilePlace] = field(default_factory=dict)
+    poses: dict[str, Pose] = field(default_factory=dict)
+    drive: tuple[str, ...] = ()
+    """Edges of the ego vehicle's route, if the file has one."""
+
+    def read(self, sections: Element) -> None:
+        """Takes the actions. Raises InvalidInputError."""
+        for section in sections.every("GlobalAction"):
+            ignore_global(section, self.notes)
+        for section in sections.every("Private"):
+            name = section.text("entityRef")
+            if name not in self.entities:
+                raise section.fault(f"there is no entity {shown(name)}", nearest(name, list(self.entities)))
+            kinds = [action.only(*_INIT) for action in section.every("PrivateAction")]
+            # A distance in seconds is that at the start speed, whichever action comes first.
+            kinds.sort(key=lambda kind: any(child.element == "LongitudinalDistanceAction" for child in kind.children))
+            for kind in (kind for kind in kinds if kind.element == "TeleportAction"):
+                known = self.places.get(self.ego, next(iter(self.places.values()), None))
+                drive = self.scenario.route or (along(self.roads.network, known.edge, BEHIND) if known is not None else [])
+                position = kind.only("Position")
+                pose = self.reader.pose(position, self.places, self.poses, drive)
+                path = None if name == self.ego else self._off_lane(position, pose, drive)
+                self.poses[name] = pose
+                if path is not None:
+                    self.starts[name] = _Start(NOWHERE, 0.0, path, self.entities[name].centre)
+                    continue
+                if position.every(*FREE):
+                    self.places[name] = self.roads.ground.place(pose.x, pose.y, pose.heading, drive, position)
+                else:
+                    self.places[name] = self.roads.place(position, self.places, drive)
+                    if name == self.ego and is_turned(pose, self.reader.pose_of(self.places[name]).heading):
+                        self.notes.add(position.children[0], "the ego vehicle starts in the direction of its lane")
+                self.starts[name] = _Start(self._centre(self.places[name], self.entities[name], kind), 0.0)
+            for kind in (kind for kind in kinds if kind.element == "RoutingAction"):
+                self._follow(kind, name)
+            placed = self.starts[name].place if name in self.starts else None
+            for kind in kinds:
+                self._take(kind, name)
+            if name in self.starts and self.starts[name].place is not placed:
+                place = self.starts[name].place  # others are placed relative to its reference point
+                self.places[name] = replace(place, position=place.position - self.entities[name].centre)
+                self.poses[name] = self.reader.pose_of(self.places[name])
+
+    def _off_lane(self, position: Element, pose: Pose, drive: Sequence[str]) -> Polyline | None:
+        """Returns the way of a vehicle that starts off the lanes, or in another direction than its lane; None if it drives on its lane."""
+        straight = Polyline(np.array([pose[:2], pose.moved(1.0, 0.0)[:2]]))
+        if position.every(*FREE):
+            return straight
+        place = self.roads.place(position, self.places, drive)
+        heading = self.reader.pose_of(place).heading
+        if place.lane > 0 or not is_turned(pose, heading):  # on left lanes, files mean both directions by both headings
+            return None
+        self.notes.add(position.children[0], "not in the direction of its lane: it moves on no lane, unseen by SUMO's models")
+        return self.reader.back(place) if not is_turned(pose, heading + pi) else straight
+
+    def _follow(self, kind: Element, name: str) -> None:
+        """Takes a trajectory or a route of <Init>: the drive of the ego vehicle, or the path of another one."""
+        action = kind.only("FollowTrajectoryAction", "AssignRouteAction")
+        is_ego = name == self.ego
+        if action.element == "AssignRouteAction":
+            way = self.reader.route(action, self.places)
+            if is_ego:
+                self.drive = way.edges
+                return
+        elif is_ego:
+            message = "the ego vehicle follows a trajectory, and the problem's controller drives it"
+            raise action.fault(message, "give it a TeleportAction and, if it turns, an AssignRouteAction")
+        else:
+            way = self.reader.trajectory(action, self.places, self.poses)
+            action.only("TimeReference").only("None")
+            for mode in action.every("TrajectoryFollowingMode"):
+                mode.skip()
+        along, left = way.along(self.poses[name]) if name in self.poses else (0.0, 0.0)
+        self.poses[name] = way.pose(along, left)
+        self.notes.add(action, "driven on no lane, unseen by SUMO's models")
+        self.starts[name] = _Start(NOWHERE, 0.0, way.shifted(left), along + self.entities[name].centre)
+
+    def _centre(self, place: FilePlace, entity: Entity, element: Element) -> FilePlace:
+        """Returns the place of an entity's centre: positions mean another point, e.g. that of the rear axle."""
+        if entity.centre == 0.0:
+            return place
+        moved = self.roads.moved(place, entity.centre, element)
+        return FilePlace(moved.edge, moved.index, moved.position, place.offset)
+
+    def _take(self, kind: Element, name: str) -> None:
+        """Takes an action of <Init> other than the place."""
+        if kind.element in {"TeleportAction", "RoutingAction"}:
+            return
+        if kind.element != "LongitudinalAction":
+            if name == self.ego:
+                kind.skip()
+                self.notes.add(kind, "ignored: the problem's controller drives the ego vehicle")
+            else:
+                ignore_controller(kind, self.notes)
+            return
+        if name not in self.starts:
+            raise kind.fault(f"{shown(name)} has no place", "give it a TeleportAction before")
+        action = kind.only("SpeedAction", "LongitudinalDistanceAction")
+        if action.element == "SpeedAction":
+            dynamics = action.only("SpeedActionDynamics")
+            if dynamics.text("dynamicsShape", "step") != "step" and dynamics.number("value", -LARGEST, LARGEST, 0.0) != 0.0:
+                self.notes.add(dynamics, "ignored: the vehicle has this speed from the start")
+            dynamics.skip()
+            target = target_speed(
+                action.only("SpeedActionTarget").only("AbsoluteTargetSpeed", "RelativeTargetSpeed"),
+                {other: other for other in self.starts},
+            )
+            if target.get("continuous", False):
+                raise action.fault(
+                    "a start speed that is kept to another vehicle's is not supported",
+                    'give continuous="false", and an event with this SpeedAction',
+                )
+            speed = target.get("speed", 0.0)
+            if (other := target.get("like")) is not None:
+                speed += target.get("factor", 1.0) * self.starts[other].speed
+            if not 0.0 <= speed <= 100.0:
+                raise action.fault(f"the start speed is {speed:g} m/s", "give 0 to 100")
+            self.starts[name].speed = speed
+            return
+        self.starts[name].place = self._spaced(action, name)
+
+    def _spaced(self, action: Element, name: str) -> FilePlace:
+        """Returns the place at a distance to another entity: before it, or behind it."""
+        other = action.text("entityRef")
+        if any(self.starts[entity].path is not None for entity in (name, other) if entity in self.starts):
+            raise action.fault("a distance of an entity that is on no lane is not supported", "give its place")
+        if other not in self.starts or action.decides("continuous", "false"):
+            raise action.fault("a distance that is kept is not supported", 'give continuous="false", or a SpeedAction')
+        default = "any" if self.minor == "0" else "trailingReferencedEntity"
+        displacement = action.word("displacement", ("leadingReferencedEntity", "trailingReferencedEntity", "any"), default)
+        is_ahead = displacement == "leadingReferencedEntity"
+        if displacement == "any":
+            is_ahead = _is_ahead(self.starts[name].place, self.starts[other].place, self.roads, action)
+        follower = self.starts[other] if is_ahead else self.starts[name]
+        if "timeGap" in action.values:
+            distance = action.number("timeGap", 0.0, 1_000.0) * follower.speed
+        else:
+            distance = action.number("distance", 0.0, LARGEST)
+        if action.decides("freespace", "true"):
+            distance += 0.5 * (self.entities[name].length + self.entities[other].length)
+        moved = self.roads.moved(self.starts[other].place, distance if is_ahead else -distance, action)
+        lanes, mine = self.roads.network.edges[moved.edge].lanes, self.starts[name].place
+        shift = mine.index - self.starts[other].place.index if mine.edge == self.starts[other].place.edge else 0
+        if not 0 <= moved.index + shift < len(lanes):
+            raise action.fault("there is no lane at this distance", "give another distance")
+        return FilePlace(moved.edge, moved.index + shift, min(moved.position, lanes[moved.index + shift].length), mine.offset)
+
+
 class ScenarioFile:
     """An OpenSCENARIO file with the parameters of a scenario."""
 
@@ -96,8 +257,6 @@ class ScenarioFile:
             raise header.fault(message, "export the file as OpenSCENARIO 1.0 to 1.3")
         declare(self._root, scenario.parameters)
         self.notes: tuple[str, ...] = ()
-        self._drive: tuple[str, ...] = ()
-        """Edges of the ego vehicle's route, if the file has one."""
 
     @property
     def network(self) -> str:
@@ -124,10 +283,12 @@ class ScenarioFile:
         ego = self._ego(entities)
         duration = self._duration(storyboard, step)
         reader = WayReader(roads, Catalogs(self._root, self._files))
-        starts = self._starts(storyboard.only("Init"), entities, roads, reader)
+        init = _Init(scenario, self._minor, self._notes, entities, ego.name, roads, reader)
+        init.read(storyboard.only("Init").only("Actions"))
+        starts = init.starts
         if ego.name not in starts:
             raise ego.element.fault("it has no place", "give it a TeleportAction in <Init>")
-        route = scenario.route or list(self._drive) or self._route(starts, ego, roads, duration)
+        route = scenario.route or list(init.drive) or self._route(starts, ego, roads, duration)
         present = {name: entity for name, entity in entities.items() if name in starts}
         ids = {name: EGO if name == ego.name else names.new(name, entity.element) for name, entity in present.items()}
         ways = {ids[name]: self._way(start, route, roads, duration) for name, start in starts.items() if start.path is None}
@@ -193,173 +354,6 @@ class ScenarioFile:
                 group.skip()
                 self._notes.add(group, "ignored: the run lasts until the time of the StopTrigger")
         return round(max(1, ceil(min(times) / step - 1e-9)) * step, 9)
-
-    def _starts(self, init: Element, entities: Mapping[str, Entity], roads: Map, reader: WayReader) -> dict[str, _Start]:
-        """Returns the starts of the entities that have one, in the order of <Init>."""
-        starts: dict[str, _Start] = {}
-        places: dict[str, FilePlace] = {}
-        poses: dict[str, Pose] = {}
-        ego = self._ego(entities).name
-        sections = init.only("Actions")
-        for section in sections.every("GlobalAction"):
-            ignore_global(section, self._notes)
-        for section in sections.every("Private"):
-            name = section.text("entityRef")
-            if name not in entities:
-                raise section.fault(f"there is no entity {shown(name)}", nearest(name, list(entities)))
-            kinds = [action.only(*_INIT) for action in section.every("PrivateAction")]
-            # A distance in seconds is that at the start speed, whichever action comes first.
-            kinds.sort(key=lambda kind: any(child.element == "LongitudinalDistanceAction" for child in kind.children))
-            for kind in (kind for kind in kinds if kind.element == "TeleportAction"):
-                known = places.get(ego, next(iter(places.values()), None))
-                drive = self._scenario.route or (along(roads.network, known.edge, BEHIND) if known is not None else [])
-                position = kind.only("Position")
-                pose = reader.pose(position, places, poses, drive)
-                path = None if name == ego else self._off_lane(position, pose, places, drive, roads, reader)
-                poses[name] = pose
-                if path is not None:
-                    starts[name] = _Start(NOWHERE, 0.0, path, entities[name].centre)
-                    continue
-                if position.every(*FREE):
-                    places[name] = roads.ground.place(pose.x, pose.y, pose.heading, drive, position)
-                else:
-                    places[name] = roads.place(position, places, drive)
-                    if name == ego and is_turned(pose, reader.pose_of(places[name]).heading):
-                        self._notes.add(position.children[0], "the ego vehicle starts in the direction of its lane")
-                starts[name] = _Start(self._centre(places[name], entities[name], roads, kind), 0.0)
-            for kind in (kind for kind in kinds if kind.element == "RoutingAction"):
-                self._follow(kind, name, entities[name], starts, places, poses, reader)
-            placed = starts[name].place if name in starts else None
-            for kind in kinds:
-                self._init(kind, name, entities, starts, roads)
-            if name in starts and starts[name].place is not placed:  # others are placed relative to its reference point
-                place = starts[name].place
-                places[name] = replace(place, position=place.position - entities[name].centre)
-                poses[name] = reader.pose_of(places[name])
-        return starts
-
-    def _off_lane(
-        self,
-        position: Element,
-        pose: Pose,
-        places: Mapping[str, FilePlace],
-        drive: Sequence[str],
-        roads: Map,
-        reader: WayReader,
-    ) -> Polyline | None:
-        """Returns the way of a vehicle that starts off the lanes, or in another direction than its lane; None if it drives on its lane."""
-        straight = Polyline(np.array([pose[:2], pose.moved(1.0, 0.0)[:2]]))
-        if position.every(*FREE):
-            return straight
-        place = roads.place(position, places, drive)
-        heading = reader.pose_of(place).heading
-        if place.lane > 0 or not is_turned(pose, heading):  # on left lanes, files mean both directions by both headings
-            return None
-        self._notes.add(position.children[0], "not in the direction of its lane: it moves on no lane, unseen by SUMO's models")
-        return reader.back(place) if not is_turned(pose, heading + pi) else straight
-
-    def _follow(
-        self,
-        kind: Element,
-        name: str,
-        entity: Entity,
-        starts: dict[str, _Start],
-        places: Mapping[str, FilePlace],
-        poses: dict[str, Pose],
-        reader: WayReader,
-    ) -> None:
-        """Takes a trajectory or a route of <Init>: the drive of the ego vehicle, or the path of another one."""
-        action = kind.only("FollowTrajectoryAction", "AssignRouteAction")
-        is_ego = name.lower() == self._scenario.ego.lower()
-        if action.element == "AssignRouteAction":
-            way = reader.route(action, places)
-            if is_ego:
-                self._drive = way.edges
-                return
-        elif is_ego:
-            message = "the ego vehicle follows a trajectory, and the problem's controller drives it"
-            raise action.fault(message, "give it a TeleportAction and, if it turns, an AssignRouteAction")
-        else:
-            way = reader.trajectory(action, places, poses)
-            action.only("TimeReference").only("None")
-            for mode in action.every("TrajectoryFollowingMode"):
-                mode.skip()
-        along, left = way.along(poses[name]) if name in poses else (0.0, 0.0)
-        poses[name] = way.pose(along, left)
-        self._notes.add(action, "driven on no lane, unseen by SUMO's models")
-        starts[name] = _Start(NOWHERE, 0.0, way.shifted(left), along + entity.centre)
-
-    def _centre(self, place: FilePlace, entity: Entity, roads: Map, element: Element) -> FilePlace:
-        """Returns the place of an entity's centre: positions mean another point, e.g. that of the rear axle."""
-        if entity.centre == 0.0:
-            return place
-        moved = roads.moved(place, entity.centre, element)
-        return FilePlace(moved.edge, moved.index, moved.position, place.offset)
-
-    def _init(self, kind: Element, name: str, entities: Mapping[str, Entity], starts: dict[str, _Start], roads: Map) -> None:
-        """Takes an action of <Init> other than the place."""
-        if kind.element in {"TeleportAction", "RoutingAction"}:
-            return
-        if kind.element != "LongitudinalAction":
-            if name == self._ego(entities).name:
-                kind.skip()
-                self._notes.add(kind, "ignored: the problem's controller drives the ego vehicle")
-            else:
-                ignore_controller(kind, self._notes)
-            return
-        if name not in starts:
-            raise kind.fault(f"{shown(name)} has no place", "give it a TeleportAction before")
-        action = kind.only("SpeedAction", "LongitudinalDistanceAction")
-        if action.element == "SpeedAction":
-            dynamics = action.only("SpeedActionDynamics")
-            if dynamics.text("dynamicsShape", "step") != "step" and dynamics.number("value", -LARGEST, LARGEST, 0.0) != 0.0:
-                self._notes.add(dynamics, "ignored: the vehicle has this speed from the start")
-            dynamics.skip()
-            target = target_speed(
-                action.only("SpeedActionTarget").only("AbsoluteTargetSpeed", "RelativeTargetSpeed"),
-                {other: other for other in starts},
-            )
-            if target.get("continuous", False):
-                raise action.fault(
-                    "a start speed that is kept to another vehicle's is not supported",
-                    'give continuous="false", and an event with this SpeedAction',
-                )
-            speed = target.get("speed", 0.0)
-            if (other := target.get("like")) is not None:
-                speed += target.get("factor", 1.0) * starts[other].speed
-            if not 0.0 <= speed <= 100.0:
-                raise action.fault(f"the start speed is {speed:g} m/s", "give 0 to 100")
-            starts[name].speed = speed
-            return
-        starts[name].place = self._spaced(action, name, entities, starts, roads)
-
-    def _spaced(
-        self, action: Element, name: str, entities: Mapping[str, Entity], starts: Mapping[str, _Start], roads: Map
-    ) -> FilePlace:
-        """Returns the place at a distance to another entity: before it, or behind it."""
-        other = action.text("entityRef")
-        if any(starts[entity].path is not None for entity in (name, other) if entity in starts):
-            raise action.fault("a distance of an entity that is on no lane is not supported", "give its place")
-        if other not in starts or action.decides("continuous", "false"):
-            raise action.fault("a distance that is kept is not supported", 'give continuous="false", or a SpeedAction')
-        default = "any" if self._minor == "0" else "trailingReferencedEntity"
-        displacement = action.word("displacement", ("leadingReferencedEntity", "trailingReferencedEntity", "any"), default)
-        is_ahead = displacement == "leadingReferencedEntity"
-        if displacement == "any":
-            is_ahead = _is_ahead(starts[name].place, starts[other].place, roads, action)
-        follower = starts[other] if is_ahead else starts[name]
-        if "timeGap" in action.values:
-            distance = action.number("timeGap", 0.0, 1_000.0) * follower.speed
-        else:
-            distance = action.number("distance", 0.0, LARGEST)
-        if action.decides("freespace", "true"):
-            distance += 0.5 * (entities[name].length + entities[other].length)
-        moved = roads.moved(starts[other].place, distance if is_ahead else -distance, action)
-        lanes, mine = roads.network.edges[moved.edge].lanes, starts[name].place
-        shift = mine.index - starts[other].place.index if mine.edge == starts[other].place.edge else 0
-        if not 0 <= moved.index + shift < len(lanes):
-            raise action.fault("there is no lane at this distance", "give another distance")
-        return FilePlace(moved.edge, moved.index + shift, min(moved.position, lanes[moved.index + shift].length), mine.offset)
 
     def _route(self, starts: Mapping[str, _Start], ego: Entity, roads: Map, duration: float) -> list[str]:
         """Returns the route along the road of the ego vehicle. It begins at the farthest vehicle behind it."""
