@@ -5,9 +5,9 @@ the seed alone, never on the workers' timing, so that it can be committed, resum
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from drivecal.contracts.specification import ReductionMode
+from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.evaluations import Donor, Outcome, Purpose, RequestedCell
 from drivecal.domain.parameters import ParameterSet
 from drivecal.reduction.audit import is_audited
@@ -16,33 +16,16 @@ LIKELY = 0.25
 """Share of the cells ahead that predictions or a map are expected to answer if they have answered nothing yet."""
 
 
-@dataclass(frozen=True, slots=True)
-class Policy:
-    """Allowed answers. `audit`: share of reused cells that are simulated as audits."""
-
-    mode: ReductionMode
-    audit: float = 0.0
-    seed: int = 0
-
-    @property
-    def reuses(self) -> bool:
-        """True if references may answer cells."""
-        return self.mode in {"influence", "both"}
-
-    @property
-    def predicts(self) -> bool:
-        """True if predictions may answer cells."""
-        return self.mode in {"predicted", "both"}
-
-
 def assign(
     cells: Sequence[RequestedCell],
-    policy: Policy,
+    policy: ReductionSpecification,
+    seed: int,
     exact: Mapping[tuple[str, ParameterSet], Donor],
     references: Mapping[tuple[str, bytes], Donor],
     elsewhere: Mapping[tuple[str, ParameterSet], Donor] | None = None,
 ) -> list[RequestedCell]:
-    """Returns the cells with their plans, in order.
+    """Returns the cells with their plans, in order. The `policy` says what may answer them, and with the `seed` which reused cells are
+    simulated as audits.
 
     `exact` holds stored results by (scenario, parameter set), `references` by (scenario, reference key); `elsewhere` the references that
     answered these cells in an equal campaign, after their inspection: they come first, so that the same campaign again is the same.
@@ -62,14 +45,14 @@ def assign(
             planned.append(replace(cell, plan=Outcome.REPEATED, donor=donor, leader=None if donor is not None else leader))
             continue
         donor = leader = None
-        if policy.reuses and cell.reference_key is not None:
+        if policy.uses_map and cell.reference_key is not None:
             kind = (cell.scenario, cell.reference_key)
             donor = None if cell.purpose is Purpose.START else references.get(kind)
             leader = None if cell.purpose is Purpose.START or donor is not None else same_class.get(kind)
             if donor is None and leader is None:
                 same_class[kind] = position
         has_donor = donor is not None or leader is not None
-        inspected = has_donor and is_audited(cell.scenario, cell.parameters, policy.audit, policy.seed)
+        inspected = has_donor and is_audited(cell.scenario, cell.parameters, policy.audit, seed)
         plan = Outcome.REUSED if has_donor and not inspected else Outcome.SIMULATED
         if plan is Outcome.SIMULATED:
             same_set[identity] = position

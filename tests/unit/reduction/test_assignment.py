@@ -5,11 +5,14 @@ from dataclasses import replace
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.evaluations import Donor, Outcome, Purpose, RequestedCell
 from drivecal.domain.parameters import ParameterSet
-from drivecal.reduction.assignment import Policy, assign
+from drivecal.reduction.assignment import assign
 from drivecal.reduction.audit import is_audited
 
+OFF, EXACT = ReductionSpecification(mode="off"), ReductionSpecification(mode="exact")
+INFLUENCE = ReductionSpecification(mode="influence", audit=0.0)
 DONOR = Donor(evaluation=7, run=3, score=5, rating=5.2, failure=None)
 
 
@@ -29,13 +32,13 @@ SIMULATED = (Outcome.SIMULATED, None, None, False)
 
 
 def test_a_stored_set_is_repeated_even_where_a_reference_exists_too() -> None:
-    result = assign([_cell(0, "a", "k")], Policy("influence"), {("S1", _set("a")): DONOR}, {("S1", b"k"): DONOR})
+    result = assign([_cell(0, "a", "k")], INFLUENCE, 0, {("S1", _set("a")): DONOR}, {("S1", b"k"): DONOR})
     assert _plans(result) == [(Outcome.REPEATED, DONOR, None, False)]
 
 
 def test_cells_of_one_population_that_share_a_key_are_simulated_once() -> None:
     cells = [_cell(0, "a", "k"), _cell(1, "b", "k"), _cell(2, "a", "k"), _cell(3, "c", "other")]
-    assert _plans(assign(cells, Policy("influence"), {}, {})) == [
+    assert _plans(assign(cells, INFLUENCE, 0, {}, {})) == [
         SIMULATED,
         (Outcome.REUSED, None, 0, False),
         (Outcome.REPEATED, None, 0, False),
@@ -45,19 +48,19 @@ def test_cells_of_one_population_that_share_a_key_are_simulated_once() -> None:
 
 def test_exact_mode_copies_nothing_but_equal_sets() -> None:
     cells = [_cell(0, "a", "k"), _cell(1, "b", "k"), _cell(2, "b", "k")]
-    result = assign(cells, Policy("exact"), {}, {("S1", b"k"): DONOR})
+    result = assign(cells, EXACT, 0, {}, {("S1", b"k"): DONOR})
     assert [item.plan for item in result] == [Outcome.SIMULATED, Outcome.SIMULATED, Outcome.REPEATED]
 
 
 def test_off_simulates_everything() -> None:
     cells = [_cell(0, "a", "k"), _cell(1, "a", "k")]
-    planned = assign(cells, Policy("off"), {("S1", _set("a")): DONOR}, {("S1", b"k"): DONOR})
+    planned = assign(cells, OFF, 0, {("S1", _set("a")): DONOR}, {("S1", b"k"): DONOR})
     assert _plans(planned) == [SIMULATED] * 2
 
 
 def test_an_audited_cell_is_simulated_and_remembers_the_donor_that_was_not_trusted() -> None:
     cells = [_cell(0, "a", "k"), _cell(1, "a", "k")]
-    result = assign(cells, Policy("influence", audit=1.0), {}, {("S1", b"k"): DONOR})
+    result = assign(cells, ReductionSpecification(mode="influence", audit=1.0), 0, {}, {("S1", b"k"): DONOR})
     assert _plans(result) == [(Outcome.SIMULATED, DONOR, None, True), (Outcome.REPEATED, None, 0, False)]
 
 
@@ -76,8 +79,8 @@ _cells = st.lists(st.tuples(st.integers(0, 20), _keys, _keys, st.sampled_from(["
 def test_leaders_are_earlier_and_simulated(raw: list[tuple[int, str, str, str]], mode: str, audit: float, seed: int) -> None:
     # the class of a set is a function of the set: equal sets share their reference key
     cells = [_cell(individual, key + reference, reference, scenario) for individual, key, reference, scenario in raw]
-    policy = Policy(mode, audit, seed)  # type: ignore[arg-type]  # sampled from the literal's values
-    result = assign(cells, policy, {}, {})
+    policy = ReductionSpecification(mode=mode, audit=audit)  # type: ignore[arg-type]  # sampled from the literal's values
+    result = assign(cells, policy, seed, {}, {})
     for position, one in enumerate(result):
         assert one.donor is None
         if one.leader is not None:
@@ -93,8 +96,8 @@ def test_leaders_are_earlier_and_simulated(raw: list[tuple[int, str, str, str]],
 
 def test_no_reference_answers_a_given_set_which_answers_others() -> None:
     cells = [replace(_cell(0, "a", "k"), purpose=Purpose.START), _cell(1, "b", "k")]
-    stored = assign(cells, Policy("influence"), {}, {("S1", b"k"): DONOR})
+    stored = assign(cells, INFLUENCE, 0, {}, {("S1", b"k"): DONOR})
     assert _plans(stored) == [SIMULATED, (Outcome.REUSED, DONOR, None, False)]
-    assert _plans(assign(cells, Policy("influence"), {}, {})) == [SIMULATED, (Outcome.REUSED, None, 0, False)]
-    known = assign(cells[:1], Policy("influence"), {("S1", _set("a")): DONOR}, {})
+    assert _plans(assign(cells, INFLUENCE, 0, {}, {})) == [SIMULATED, (Outcome.REUSED, None, 0, False)]
+    known = assign(cells[:1], INFLUENCE, 0, {("S1", _set("a")): DONOR}, {})
     assert _plans(known) == [(Outcome.REPEATED, DONOR, None, False)]

@@ -10,12 +10,13 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.cells.earlier import EarlierVersion, answers_of
 from drivecal.campaigns.resolve.bench import Bench
+from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Purpose, RequestedCell
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet
 from drivecal.execution.measures import MEASURES
-from drivecal.reduction.assignment import Policy, assign
+from drivecal.reduction.assignment import assign
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix, keys_under
 from drivecal.storage import evaluations
 from drivecal.storage.engine.database import Database
@@ -50,6 +51,8 @@ class View:
     """The time series of its cells are wanted."""
     workers: int = 1
     """Workers at the beginning."""
+    seed: int = 0
+    """Seed of the search, which decides which reused cells are audits."""
     earlier: tuple[EarlierVersion, ...] = ()
     """Earlier versions of the problem whose runs answer cells: claims about them are checked."""
     reuse_time: ReuseTime = field(default_factory=ReuseTime)
@@ -91,7 +94,7 @@ def sync_reference_keys(database: Database, view: View) -> None:
 def plan_cells(
     connection: Connection,
     view: View,
-    policy: Policy,
+    policy: ReductionSpecification,
     stage: StageName,
     iteration: int,
     wanted: Sequence[RequestedCell],
@@ -122,7 +125,7 @@ def plan_cells(
                     connection, setup_id, asked, evaluator, view.watermark
                 )  # earlier campaigns' come first
                 exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
-            if policy.reuses and scenario in view.keys and setup_id in stocked:
+            if policy.uses_map and scenario in view.keys and setup_id in stocked:
                 stored = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)), before)
                 references |= {(scenario, key): donor for key, donor in stored.items()}
                 place = view.campaign, iteration, scenario, setup_id
@@ -145,7 +148,7 @@ def plan_cells(
         )
         for cell in wanted
     ]
-    return assign(placed, policy, exact, references, elsewhere)
+    return assign(placed, policy, view.seed, exact, references, elsewhere)
 
 
 def _references(

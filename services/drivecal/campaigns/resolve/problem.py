@@ -35,13 +35,14 @@ from drivecal.contracts.specification import (
     CampaignSpecification,
     EvaluationSpecification,
     ProblemSpecification,
+    ReductionSpecification,
     SensitivitySpecification,
 )
 from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import Diagnostics, InvalidInputError, Problem
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
-from drivecal.reduction.assignment import LIKELY, Policy
+from drivecal.reduction.assignment import LIKELY
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 
 
@@ -82,23 +83,23 @@ class CalibrationProblem:
         return replace(self.constraints, limits=self.goals.limits)
 
     @property
-    def policy(self) -> Policy:
+    def policy(self) -> ReductionSpecification:
         """How the search's cells may be answered. A search by the cell has models of its own, so that no prediction answers its cells, and
         asks for so few at once that a lot of references would be simulated whole. A random simulator's cells have runs of their own."""
         chosen, reduction = self.optimization, self.specification.reduction
-        mode, seed = reduction.mode, 0 if chosen is None else chosen.seed
+        mode = reduction.mode
         if mode != "off" and (self.bench.is_random or chosen is None or not chosen.has_populations):
             mode = "influence" if reduction.uses_map and reduction.max_error >= 1.0 and not self.bench.is_random else "exact"
-        return Policy(mode, reduction.audit, seed)
+        return reduction.model_copy(update={"mode": mode})
 
     def doubts_about_map(self) -> tuple[str, ...]:
         """Returns notes if the influence map answers no cell of a search by the cell, and if its analysis does not pay to the end of it."""
         if self.optimization is None or not self.specification.reduction.uses_map:
             return ()
         runs = self.expected_runs()
-        saved = round(LIKELY * runs.calibration_at_most) if self.policy.reuses else 0
+        saved = round(LIKELY * runs.calibration_at_most) if self.policy.uses_map else 0
         notes = []
-        if not self.policy.reuses:
+        if not self.policy.uses_map:
             why = "checks in lots would simulate each cell that this search asks for"
             why = "runs of a random simulator answer equal sets under equal seeds only" if self.bench.is_random else why
             notes.append(f"the influence map answers no cell: {why}")

@@ -18,12 +18,12 @@ from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
 from drivecal.campaigns.stages.stage import Round, Stage, Wait
 from drivecal.campaigns.stages.validation import ValidationStage
+from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NoResultError
 from drivecal.domain.evaluations import Purpose, RequestedCell
 from drivecal.execution.scheduling.in_flight import Completed, Work
 from drivecal.optimizers.external import External
-from drivecal.reduction.assignment import Policy
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -71,7 +71,7 @@ class SingleEvaluation(Stage):
             for scenario in bench.scenarios
             for seed in self._problem.seeds
         ]
-        return Round(0, self._benches.with_cells(cells), Policy("off" if self._is_new else "exact"))
+        return Round(0, self._benches.with_cells(cells), ReductionSpecification(mode="off" if self._is_new else "exact"))
 
     def _tell(self, asked: Round) -> None:
         """Ends the evaluation. Raises NoResultError if a cell has no result; the rows hold the answers of the others. Raises
@@ -148,7 +148,8 @@ def stages_of(database: Database, campaign: StoredCampaign, problem: Calibration
         problem: what it calibrates.
         workers: their number at present.
     """
-    view = View(campaign.sequence, campaign.watermark or 0, problem.bench, workers=workers)
+    seed = 0 if problem.optimization is None else problem.optimization.seed
+    view = View(campaign.sequence, campaign.watermark or 0, problem.bench, workers=workers, seed=seed)
     rate_stored_runs(database, view)
     view, claims = _with_claims(database, view, problem)
     with database.read() as connection:  # what was known of the map when the campaign was submitted

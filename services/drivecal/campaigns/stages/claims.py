@@ -12,12 +12,12 @@ from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.stage import Round, Stage
 from drivecal.contracts.assignments import value_text
+from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NoResultError, Problem
 from drivecal.domain.evaluations import RequestedCell
 from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.scales import score_text
-from drivecal.reduction.assignment import Policy
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -50,7 +50,7 @@ class ClaimCheck(Stage):
         if self._answered:
             return None
         cells = [RequestedCell(number, *cell) for number, cell in enumerate(self._sample)]
-        return Round(0, [(self._view.bench, cells)], Policy("exact"))
+        return Round(0, [(self._view.bench, cells)], ReductionSpecification(mode="exact"))
 
     def _tell(self, asked: Round) -> None:
         """Compares the sample. Raises InvalidInputError naming the claims of a cell that differs, and NoResultError without results."""

@@ -24,13 +24,13 @@ from drivecal.campaigns.stages.leader import Leader
 from drivecal.campaigns.stages.replication import Replication, SeededBenches
 from drivecal.campaigns.stages.stage import Round, Stage, Wait
 from drivecal.contracts.campaign import CellCounts, ErrorRate, GenerationCounts, SearchEnd, SearchState
+from drivecal.contracts.specification import ReductionSpecification
 from drivecal.contracts.tables import Generation
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import Purpose, RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.reduction.assignment import Policy
 from drivecal.storage import evaluations, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -183,7 +183,7 @@ class SearchStage(Stage):
             return None
         wanted = [RequestedCell(0, scenario, parameters, purpose=Purpose.CONFIRMATION) for scenario in chosen.reused]
         tried.append(chosen.parameter_set)
-        return Round(first + len(tried) - 1, [(self._problem.bench, wanted)], Policy("exact"))
+        return Round(first + len(tried) - 1, [(self._problem.bench, wanted)], ReductionSpecification(mode="exact"))
 
     def _end_confirmation(self, connection: Connection, confirming: Confirming) -> None:
         """Stores the outcome of the confirmation, once; its simulations may contradict others."""

@@ -18,12 +18,12 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationPro
 from drivecal.campaigns.results.failures import broken_down
 from drivecal.campaigns.stages.eta import EtaEstimate
 from drivecal.contracts.campaign import CellCounts, Progress
+from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.execution.scheduling.in_flight import Completed, RunBudget, Work
-from drivecal.reduction.assignment import Policy
 from drivecal.storage import campaigns, evaluations, events, results, studies
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -45,7 +45,7 @@ class Round:
 
     number: int
     cells: Sequence[tuple[Bench, Sequence[RequestedCell]]]
-    policy: Policy
+    policy: ReductionSpecification
     carried_over: int = 0
     before: int | None = None
     """Own answers from this iteration on are not seen, so that rounds under way do not depend on the order of answers; None to see all."""
@@ -281,9 +281,9 @@ class Stage(ABC):
         return f": {listed}" if listed else ""
 
 
-def exact_policy(problem: CalibrationProblem) -> Policy:
+def exact_policy(problem: CalibrationProblem) -> ReductionSpecification:
     """Returns the policy of stages that reuse nothing: answers by equal sets, or by no stored result if the campaign wants none."""
-    return Policy("off" if problem.specification.reduction.mode == "off" else "exact")
+    return ReductionSpecification(mode="off" if problem.specification.reduction.mode == "off" else "exact")
 
 
 class StudyStage(Stage):
