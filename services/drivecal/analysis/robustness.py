@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from drivecal.contracts.specification import RobustnessSpecification
+from drivecal.contracts.tables import BoxTrial
 from drivecal.domain.rounding import grains
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins.ports import Floats
@@ -97,16 +98,6 @@ class Box:
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
-    """A solution in one box: `deviations` by scenario, shape (n_s,)."""
-
-    box: int
-    radius: float
-    deviations: tuple[float, ...]
-    holds: bool
-
-
-@dataclass(frozen=True, slots=True)
 class Robustness:
     """Robustness of one solution, so far. The condition holds up to `degree` multiples of delta, or more with `at_least`. `radius` is the
     half width of the widest simulated box that holds, in shares of the parameters' ranges (delta_max, from below)."""
@@ -114,7 +105,7 @@ class Robustness:
     degree: int
     at_least: bool
     radius: float
-    trials: tuple[Trial, ...]
+    trials: tuple[BoxTrial, ...]
 
 
 def failing_at_most(known: Robustness, settings: RobustnessSpecification, compared: int) -> float | None:
@@ -132,16 +123,17 @@ class RobustnessStudy:
     def __init__(
         self,
         nominal_scores: Floats,
+        scenarios: Sequence[str],
         parameters: Sequence[VehicleParameter],
         nominal: Mapping[str, float],
         settings: RobustnessSpecification,
         least: float = 1.0,
     ) -> None:
         """`nominal_scores`: scores in the nominal vehicle, shape (n_solutions, n_s), or by seed. `least`: see `deviation`."""
-        self._scores = nominal_scores
+        self._scores, self._scenarios = nominal_scores, scenarios
         self._parameters, self._nominal, self._settings = parameters, nominal, settings
         self._least = least
-        self._trials: list[list[Trial]] = [[] for _ in nominal_scores]
+        self._trials: list[list[BoxTrial]] = [[] for _ in nominal_scores]
         self._asked: Box | None = None
         self._boxes = 0
 
@@ -163,7 +155,11 @@ class RobustnessStudy:
             raise RuntimeError("ask first")
         for solution, radius in self._asked.radius.items():
             away = deviation(self._scores[solution], scores[solution], self._settings.condition, self._least)
-            trial = Trial(self._asked.number, radius, tuple(away.tolist()), holds(away, self._scores[solution], self._settings))
+            deviations = {
+                name: None if np.isnan(size) else size for name, size in zip(self._scenarios, away.tolist(), strict=True)
+            }
+            is_kept = holds(away, self._scores[solution], self._settings)
+            trial = BoxTrial(box=self._asked.number, radius=radius, holds=is_kept, deviations=deviations)
             self._trials[solution].append(trial)
         self._boxes, self._asked = self._asked.number, None
 
@@ -171,7 +167,7 @@ class RobustnessStudy:
         """Returns the robustness by solution, as far as it is known."""
         return [self._robustness(trials) for trials in self._trials]
 
-    def _robustness(self, trials: Sequence[Trial]) -> Robustness:
+    def _robustness(self, trials: Sequence[BoxTrial]) -> Robustness:
         inside = [trial.radius for trial in trials if trial.holds]
         return Robustness(len(inside), len(inside) == self._settings.steps, max(inside, default=0.0), tuple(trials))
 

@@ -80,7 +80,7 @@ def test_a_vehicle_without_a_result_cannot_be_vouched_for(condition: Any) -> Non
 def run(limits: list[float], chosen: RobustnessSpecification) -> tuple[RobustnessStudy, int]:
     """Solutions that keep their score up to a half width of their own, and lose two points beyond."""
     nominal = np.full((len(limits), 2), 6.0)
-    study = RobustnessStudy(nominal, TABLE_8, NOMINAL, chosen)
+    study = RobustnessStudy(nominal, ("S1", "S2"), TABLE_8, NOMINAL, chosen)
     driven = 0
     while (box := study.ask()) is not None:
         scores: dict[int, Floats] = {}
@@ -106,11 +106,11 @@ def test_the_degree_is_the_largest_multiple_up_to_which_the_condition_holds() ->
 def test_a_study_that_is_told_the_same_goes_on_as_the_first() -> None:
     chosen = RobustnessSpecification(samples=3)
     nominal = np.array([[6.0, 5.0], [4.0, 4.0]])
-    first, boxes = RobustnessStudy(nominal, TABLE_8, NOMINAL, chosen), []
+    first, boxes = RobustnessStudy(nominal, ("S1", "S2"), TABLE_8, NOMINAL, chosen), []
     while (box := first.ask()) is not None:
         boxes.append(box)
         first.tell({one: np.round(nominal[one] - 60 * radius) + np.zeros((3, 2)) for one, radius in box.radius.items()})
-    second = RobustnessStudy(nominal, TABLE_8, NOMINAL, chosen)
+    second = RobustnessStudy(nominal, ("S1", "S2"), TABLE_8, NOMINAL, chosen)
     for box in boxes:
         assert second.ask() == box
         assert second.ask() == box
@@ -120,12 +120,12 @@ def test_a_study_that_is_told_the_same_goes_on_as_the_first() -> None:
 
 
 def test_nothing_to_examine_is_no_study() -> None:
-    assert RobustnessStudy(np.zeros((0, 6)), TABLE_8, NOMINAL, RobustnessSpecification()).ask() is None
+    assert RobustnessStudy(np.zeros((0, 6)), [], TABLE_8, NOMINAL, RobustnessSpecification()).ask() is None
 
 
 def test_telling_before_asking_is_refused() -> None:
     with pytest.raises(RuntimeError, match="ask first"):
-        RobustnessStudy(np.zeros((1, 6)), TABLE_8, NOMINAL, RobustnessSpecification()).tell({})
+        RobustnessStudy(np.zeros((1, 6)), [], TABLE_8, NOMINAL, RobustnessSpecification()).tell({})
 
 
 def test_vehicles_that_hold_leave_the_share_open_that_they_would_miss_once_in_twenty() -> None:

@@ -184,7 +184,9 @@ class RobustnessStage(StudyStage):
             numbers = {answer.individual: answer.parameter_set for answer in answers}
             self._nominal = [self._nominal_ranking.get(numbers[place]) for place in range(len(self._examined))]
             bench = self._problem.bench
-            self._study = RobustnessStudy(self._scores, bench.varied, bench.values, self._wanted, bench.scale.tolerance)
+            self._study = RobustnessStudy(
+                self._scores, self._problem.scenarios, bench.varied, bench.values, self._wanted, bench.scale.tolerance
+            )
             return
         box = None if self._study is None else self._study.ask()
         if self._study is None or box is None:
@@ -273,16 +275,5 @@ class RobustnessStage(StudyStage):
             "failing_at_most": failing_at_most(known, self._wanted, len(self._examined)),
             "recommended": is_recommended,
             "reason": recommended[1] if recommended is not None and is_recommended else None,
-            "trials": [
-                {
-                    "box": trial.box,
-                    "radius": trial.radius,
-                    "holds": trial.holds,
-                    "deviations": {
-                        scenario: None if np.isnan(away) else away
-                        for scenario, away in zip(scenarios, trial.deviations, strict=True)
-                    },
-                }
-                for trial in known.trials
-            ],
+            "trials": [trial.model_dump() for trial in known.trials],
         }
