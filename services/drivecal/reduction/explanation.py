@@ -12,24 +12,14 @@ import numpy.typing as npt
 
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.evaluation import Difference, Explanation, InspectedLot, Prediction, Reference, Region
-from drivecal.domain.influence import Influence, InfluenceMap
+from drivecal.domain.influence import InfluenceMap
+from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.scales import score_text
 from drivecal.domain.values import TEXTS
 from drivecal.reduction.keys import MapColumns
 
 Integers = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class ParameterDifference:
-    """A parameter that differs between a cell and a stored set. It `blocks` if the difference may change the score."""
-
-    parameter: str
-    region: Region
-    reference_region: Region
-    influence: Influence
-    blocks: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +83,25 @@ class CellComparison:
         place = tuple(int(place) for place in places[first])
         return Nearest(int(counts[first]), float(distances[first]), place, int(evaluations[first]))
 
-    def differences(self, stored: Integers) -> list[ParameterDifference]:
-        """Returns the parameters that differ between a stored set, shape (n_p,), and the cell, in the order of the names."""
-        blocking = self.blocking(stored[np.newaxis, :])[0]
-        own, others = self._regions(self._values), self._regions(stored)
+    def differences(self, cell: ParameterSet, stored: ParameterSet) -> list[Difference]:
+        """Returns the parameters that differ between a stored set and the cell's, in the order of the names."""
+        by_name = dict(zip(stored.names, stored.codes, strict=True))
+        values = np.array([by_name[name] for name in self._names], dtype=np.int64)
+        blocking = self.blocking(values[np.newaxis, :])[0]
+        own, others = self._regions(self._values), self._regions(values)
         return [
-            ParameterDifference(name, own[column], others[column], self._map.influences[column], blocks=bool(blocking[column]))
-            for column, name in enumerate(self._names)
-            if stored[column] != self._values[column]
+            Difference(
+                parameter=name,
+                value=cell.floats[name],
+                reference_value=stored.floats[name],
+                region=own[column],
+                reference_region=others[column],
+                lower=None if known.lower is None else float(known.lower),
+                upper=None if known.upper is None else float(known.upper),
+                blocks=bool(blocking[column]),
+            )
+            for column, (name, known) in enumerate(zip(self._names, self._map.influences, strict=True))
+            if values[column] != self._values[column]
         ]
 
     def _regions(self, values: Integers) -> list[Region]:

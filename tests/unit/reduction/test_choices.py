@@ -57,7 +57,7 @@ def test_another_choice_blocks_unless_it_does_not_matter_and_is_a_whole_range_aw
         blocking = comparison.blocking(stored)
         assert blocking[:, 0].tolist() == blocked
         assert comparison.distances(stored, np.ones_like(blocking)).tolist() == [1.0, 0.25, 1.0]
-        (difference,) = comparison.differences(stored[2])
+        (difference,) = comparison.differences(made("eco"), made("tow"))
         assert (difference.parameter, difference.reference_region) == ("mode", "outside")
 
 

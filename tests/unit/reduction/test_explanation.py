@@ -12,6 +12,7 @@ from tests.support.values import present
 
 from drivecal.contracts.evaluation import Explanation, Reason, Reference
 from drivecal.domain.influence import EVERYWHERE, Influence, InfluenceMap
+from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.values import BILLION
 from drivecal.reduction.explanation import CellComparison, Nearest, sentence
 from drivecal.reduction.keys import ReferenceKeys
@@ -40,6 +41,10 @@ def _compare(influence_map: InfluenceMap, cell: tuple[int, ...]) -> CellComparis
 
 def _stored(table: list[tuple[int, ...]]) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
     return np.array(table, dtype=np.int64).reshape(len(table), len(NAMES)) * BILLION
+
+
+def _set(*values: int) -> ParameterSet:
+    return ParameterSet.of(dict(zip(NAMES, map(Decimal, values), strict=True)))
 
 
 def _blocks(influence: Influence, one: int, other: int) -> bool:
@@ -102,18 +107,18 @@ def test_a_difference_names_both_values_and_the_regions_in_which_they_lie() -> N
     limited = Influence(influential=True, lower=Decimal("1.5"), upper=Decimal(3))
     influence_map = InfluenceMap({"S1": {"P1": limited, "P2": Influence(influential=False)}})
     comparison = _compare(influence_map, (0, 1, 2))
-    first, second = comparison.differences(_stored([(1, 4, 2)])[0])
+    first, second = comparison.differences(_set(0, 1, 2), _set(1, 4, 2))
     assert (first.parameter, first.region, first.reference_region, first.blocks) == ("P1", "below", "below", False)
     assert (second.parameter, second.region, second.blocks) == ("P2", "anywhere", False)
-    assert first.influence == limited
-    crossing, third = comparison.differences(_stored([(4, 1, 0)])[0])
+    assert (first.value, first.reference_value, first.lower, first.upper) == (0.0, 1.0, 1.5, 3.0)
+    crossing, third = comparison.differences(_set(0, 1, 2), _set(4, 1, 0))
     assert (crossing.region, crossing.reference_region, crossing.blocks) == ("below", "above", True)
     assert (third.parameter, third.region, third.blocks) == ("P3", "influential", True)
 
 
 def test_of_values_outside_its_space_the_map_says_nothing() -> None:
     influence_map = InfluenceMap({"S1": {"P1": Influence(influential=False)}}, {"P1": (Decimal(1), Decimal(3))})
-    [difference] = _compare(influence_map, (2, 0, 0)).differences(_stored([(4, 0, 0)])[0])
+    [difference] = _compare(influence_map, (2, 0, 0)).differences(_set(2, 0, 0), _set(4, 0, 0))
     assert (difference.region, difference.reference_region, difference.blocks) == ("anywhere", "outside", True)
 
 

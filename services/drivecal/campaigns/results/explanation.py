@@ -16,7 +16,7 @@ from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import INSPECTED, Outcome, Purpose
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.values import billionths
-from drivecal.reduction.explanation import CellComparison, Nearest, ParameterDifference, sentence
+from drivecal.reduction.explanation import CellComparison, Nearest, sentence
 from drivecal.storage import campaigns, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.lots import StoredLot
@@ -140,8 +140,7 @@ def _reference(case: _Case, evaluation_id: int | None) -> tuple[Reference | None
         donor = results.by_id(case.connection, evaluation_id)
     except NotFoundError:
         return None, []
-    by_name = dict(zip(donor.parameters.names, donor.parameters.codes, strict=True))
-    claimed = sorted(by_name.keys() ^ set(case.cell.parameters.names))
+    claimed = sorted(set(donor.parameters.names) ^ set(case.cell.parameters.names))
     score = donor.score
     if donor.run_id is not None and donor.campaign_sequence != case.campaign.sequence:
         score = runs.scores(connection=case.connection, run_ids=[donor.run_id], evaluator=case.pinned.evaluator).get(
@@ -149,21 +148,7 @@ def _reference(case: _Case, evaluation_id: int | None) -> tuple[Reference | None
         )
     owner = campaigns.by_sequence(case.connection, donor.campaign_sequence)
     reference = Reference.of(donor, evaluation=donor.id, campaign=owner.id, score=score, claimed=claimed)
-    if claimed:
-        return reference, []
-    values = np.array([by_name[name] for name in case.cell.parameters.names], dtype=np.int64)
-    return reference, [_difference(case, donor, difference) for difference in case.comparison.differences(values)]
-
-
-def _difference(case: _Case, donor: StoredEvaluation, difference: ParameterDifference) -> Difference:
-    influence, name = difference.influence, difference.parameter
-    return Difference.of(
-        difference,
-        value=case.cell.parameters.floats[name],
-        reference_value=donor.parameters.floats[name],
-        lower=None if influence.lower is None else float(influence.lower),
-        upper=None if influence.upper is None else float(influence.upper),
-    )
+    return reference, [] if claimed else case.comparison.differences(case.cell.parameters, donor.parameters)
 
 
 def _check(case: _Case, reference: Reference | None, prediction: Prediction | None) -> Check:
