@@ -29,7 +29,7 @@ from drivecal.storage import campaigns, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.processes import StoredProcess
 
-WORKER = WorkerInfo("worker-1", "here", 7, "idle", 3)
+WORKER = WorkerInfo(id="worker-1", node="here", pid=7, state="idle", cells=3)
 
 
 def reported(database: Database) -> StoredProcess:

@@ -71,7 +71,7 @@ class ComputedBackend:
         return [Slot(name, idle=True) for name in names[len(self._outstanding) :]]
 
     def workers(self) -> list[WorkerInfo]:
-        return [WorkerInfo(name, "here", None, "idle", len(self.sent)) for name in self._names]
+        return [WorkerInfo(id=name, node="here", state="idle", cells=len(self.sent)) for name in self._names]
 
     def replace(self, worker: str, fault: str | None) -> None:
         del worker, fault

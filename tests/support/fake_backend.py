@@ -124,7 +124,7 @@ class FakeBackend:
     def workers(self) -> list[WorkerInfo]:
         states = ["starting" if item.ready_at > self.now else "busy" if item.queue else "idle" for item in self._workers]
         return [
-            WorkerInfo(worker.name, self.nodes.get(worker.place, "here"), None, state, worker.cells)
+            WorkerInfo(id=worker.name, node=self.nodes.get(worker.place, "here"), state=state, cells=worker.cells)
             for worker, state in zip(self._workers, states, strict=True)
         ]
 

@@ -7,7 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import datetime
 from types import TracebackType
 from typing import Any, Self
@@ -138,7 +138,7 @@ class Heartbeat:
         self._renew_lock()
         report = self._report
         detail: dict[str, Any] = {
-            "workers": [asdict(worker) for worker in report.workers],
+            "workers": [worker.model_dump(mode="json") for worker in report.workers],
             "degraded": report.trouble,
             "resources": [use.model_dump() for use in report.waits.resources],
             "measures": MEASURES.snapshot(),

@@ -4,6 +4,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from drivecal.contracts.inventory import WorkerAnswer
 from drivecal.contracts.work import Batch, BatchResult
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
@@ -63,20 +64,11 @@ class Slot:
     idle: bool
 
 
-@dataclass(frozen=True, slots=True)
-class WorkerInfo:
-    """A worker: `state` is `starting`, `idle` or `busy`; `cells` counts finished cells. No other process ever has its `id`.
+class WorkerInfo(WorkerAnswer):
+    """A worker: `state` is `starting`, `idle` or `busy`. No other process ever has its `id`. The pool adds its activity."""
 
-    The pool adds its activity: the running `scenario`, `since` when (UTC, ISO 8601), and its recent speed."""
-
-    id: str
     node: str
-    pid: int | None
-    state: str
-    cells: int
-    scenario: str | None = None
-    since: str | None = None
-    cells_per_second: float | None = None
+    pid: int | None = None
 
 
 class Backend(Protocol):

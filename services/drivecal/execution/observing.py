@@ -4,7 +4,7 @@ import logging
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 from drivecal.cluster import tracing
@@ -63,9 +63,9 @@ class Activity:
         cells, seconds = sum(count for count, _ in desk.recent), sum(spent for _, spent in desk.recent)
         speed = cells / seconds if seconds else None
         if not desk.batches:
-            return replace(worker, cells_per_second=speed)
-        since = datetime.fromtimestamp(desk.since, UTC).isoformat(timespec="milliseconds")
-        return replace(worker, scenario=next(iter(desk.batches.values())), since=since, cells_per_second=speed)
+            return worker.model_copy(update={"cells_per_second": speed})
+        scenario, since = next(iter(desk.batches.values())), datetime.fromtimestamp(desk.since, UTC)
+        return worker.model_copy(update={"scenario": scenario, "since": since, "cells_per_second": speed})
 
 
 FAILURES_TOLD = 20

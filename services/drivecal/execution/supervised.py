@@ -173,7 +173,7 @@ class SupervisedBackend(Backend, ABC):
         return sorted(slots, key=lambda slot: not slot.idle)
 
     def workers(self) -> list[WorkerInfo]:
-        return [WorkerInfo(worker.name, worker.node, worker.pid, worker.state, worker.cells) for worker in self._workers]
+        return [WorkerInfo.of(worker, id=worker.name) for worker in self._workers]
 
     def replace(self, worker: str, fault: str | None) -> None:
         chosen = self._named(worker)

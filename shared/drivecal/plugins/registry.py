@@ -6,12 +6,12 @@ from the lists; nothing else fails with it.
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, cast
 
+from drivecal.contracts.inventory import BrokenPluginAnswer
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.plugins.ports import Catalogue, DrivingFunction, Evaluator, OptimizerPlugin, Undeclared, Vehicle
 from drivecal.plugins.search import SearchPlugin
@@ -50,14 +50,8 @@ _LONGEST = 300
 """Characters of an exception's message in an error."""
 
 
-@dataclass(frozen=True, slots=True)
-class BrokenPlugin:
+class BrokenPlugin(BrokenPluginAnswer):
     """An installed plug-in that cannot be used. `package`: the distributions that register it."""
-
-    group: str
-    name: str
-    package: str
-    error: str
 
     @property
     def kind(self) -> str:
@@ -98,7 +92,7 @@ def _load(group: str, name: str) -> Any:
     if len(entries) > 1:
         listed = " and ".join(f"{_package(entry)} ({entry.value})" for entry in entries)
         packages = ", ".join(dict.fromkeys(map(_package, entries)))
-        return BrokenPlugin(group, name, packages, f"the name is registered by {listed}")
+        return BrokenPlugin(group=group, name=name, package=packages, error=f"the name is registered by {listed}")
     (entry,) = entries
     try:
         plugin = entry.load()
@@ -110,7 +104,8 @@ def _load(group: str, name: str) -> Any:
         raise
     except (Exception, SystemExit) as error:  # noqa: BLE001  # a foreign module may raise anything when it is imported
         text = " ".join(str(error).split())[:_LONGEST]
-        return BrokenPlugin(group, name, _package(entry), f"{type(error).__name__}: {text}" if text else type(error).__name__)
+        said = f"{type(error).__name__}: {text}" if text else type(error).__name__
+        return BrokenPlugin(group=group, name=name, package=_package(entry), error=said)
     return plugin
 
 

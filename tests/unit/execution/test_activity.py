@@ -1,11 +1,12 @@
 import json
+from datetime import UTC, datetime
 
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import WorkerInfo
 from drivecal.execution.measures import Measures
 from drivecal.execution.observing import Activity
 
-WORKER = WorkerInfo("worker-1", "here", 7, "busy", 30)
+WORKER = WorkerInfo(id="worker-1", node="here", pid=7, state="busy", cells=30)
 
 
 def test_a_worker_does_the_first_of_what_it_was_sent_since_the_one_before_came_back() -> None:
@@ -16,10 +17,10 @@ def test_a_worker_does_the_first_of_what_it_was_sent_since_the_one_before_came_b
     now[0] = 60.0
     activity.sent("worker-1", 2, "S2")
     (first,) = activity.describe([WORKER])
-    assert (first.scenario, first.since, first.cells_per_second) == ("S1", "1970-01-01T00:00:00.000+00:00", None)
+    assert (first.scenario, first.since, first.cells_per_second) == ("S1", datetime(1970, 1, 1, 0, 0, tzinfo=UTC), None)
     activity.came_back("worker-1", 1, 30, 15.0)
     (second,) = activity.describe([WORKER])
-    assert (second.scenario, second.since, second.cells_per_second) == ("S2", "1970-01-01T00:01:00.000+00:00", 2.0)
+    assert (second.scenario, second.since, second.cells_per_second) == ("S2", datetime(1970, 1, 1, 0, 1, tzinfo=UTC), 2.0)
     activity.came_back("worker-1", 2, 0, 0.0)
     (idle,) = activity.describe([WORKER])
     assert (idle.scenario, idle.since, idle.cells_per_second) == (None, None, 2.0)

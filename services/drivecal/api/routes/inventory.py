@@ -106,7 +106,7 @@ def workers(request: Request, database: DatabaseDependency, minutes: Annotated[i
 
 
 def _broken(group: str) -> list[BrokenPluginAnswer]:
-    return [BrokenPluginAnswer.of(plugin) for plugin in registry.broken() if plugin.group == group]
+    return [plugin for plugin in registry.broken() if plugin.group == group]
 
 
 def _parameter(parameter: Parameter) -> ParameterAnswer:
