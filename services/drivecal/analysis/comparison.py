@@ -103,13 +103,8 @@ def needed(cells: OutcomeCounts) -> int:
     return cells.requested - cells.repeated - cells.reused - cells.predicted
 
 
-def best_of_all(courses: Iterable[Course], sign: int = 1) -> float | None:
-    """The best optimum of all runs; None if no run has one. `sign`: -1 if lower objectives are better."""
-    return best_of((course.optimum for course in courses), sign)
-
-
 def best_of(objectives: Iterable[float | None], sign: int = 1) -> float | None:
-    """The best objective; None without one."""
+    """The best objective; None without one. `sign`: -1 if lower objectives are better."""
     return max((value for value in objectives if value is not None), key=lambda value: sign * value, default=None)
 
 
@@ -120,7 +115,7 @@ def succeeds(course: Course, best: float | None, sign: int = 1) -> bool:
 
 def groups(courses: Sequence[Course], sign: int = 1) -> list[ComparedGroup]:
     """Runs with equal optimizer, population and reduction together, in the order of the first of each."""
-    best = best_of_all(courses, sign)
+    best = best_of((course.optimum for course in courses), sign)
     courses_by_group: dict[tuple[str, int, str], list[Course]] = {}
     for course in courses:
         conditions = course.conditions

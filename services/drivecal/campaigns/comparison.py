@@ -208,7 +208,7 @@ def compared(connection: Connection, tag: str) -> Comparison:
         _course(connection, campaign, conditions) for campaign, conditions in zip(stored, _conditions(stored), strict=True)
     ]
     sign = next((resolved_spec(campaign).goals.objectives[0].sign for campaign in stored if campaign.resolution is not None), 1)
-    best = analysis.best_of_all(courses, sign)
+    best = analysis.best_of((course.optimum for course in courses), sign)
     return Comparison(
         tag=tag,
         direction="maximise" if sign > 0 else "minimise",
