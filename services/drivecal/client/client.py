@@ -276,7 +276,8 @@ class Client(Transport):
         """
         weights = query.get("weights")
         given = query if weights is None else query | {"weights": weights_text(weights)}
-        yield from self._pieces(("campaigns", identifier, *table.split("/")), given | {"format": form})
+        place = ("campaigns", identifier, *table.split("/"))
+        yield from self._pieces(path_of(place), given | {"format": form}, *named(place))
 
     def rows(self, identifier: str, table: Table, **query: Any) -> Iterator[dict[str, Any]]:
         """Yields every row of a table."""
@@ -492,7 +493,7 @@ class Client(Transport):
         Raises ConflictError for a single evaluation, and if the server has no page.
         """
         campaign = self.campaign(identifier)
-        return report_of(lambda path: b"".join(self._pieces_at(path, {}, "campaign", campaign.id)).decode(), campaign)
+        return report_of(lambda path: b"".join(self._pieces(path, {}, "campaign", campaign.id)).decode(), campaign)
 
     def calibration_file(
         self,

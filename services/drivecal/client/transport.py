@@ -226,15 +226,11 @@ class Transport:
             time.sleep(pause)
             waited += pause
 
-    def _pieces(self, place: Sequence[str], query: Mapping[str, Any]) -> Iterator[bytes]:
+    def _pieces(self, path: str, query: Mapping[str, Any], kind: str, identifier: str) -> Iterator[bytes]:
         """Yields a long answer in pieces as they arrive; asks again while the server asks for it, as `_request`.
 
-        Does not ask again if a proxy gave up on the server: it would begin the same work anew.
+        Does not ask again if a proxy gave up on the server: it would begin the same work anew. `kind`, `identifier`: as of `raise_for`.
         """
-        return self._pieces_at(path_of(place), query, *named(place))
-
-    def _pieces_at(self, path: str, query: Mapping[str, Any], kind: str, identifier: str) -> Iterator[bytes]:
-        """Yields the answer at a path as `_pieces`. `kind` and `identifier` are as of `raise_for`."""
         params, waited = {name: value for name, value in query.items() if value is not None} or None, 0.0
         timeout = httpx.Timeout(self._http.timeout.connect, read=SLOW_SECONDS)
         while True:
