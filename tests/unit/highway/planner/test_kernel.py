@@ -27,6 +27,7 @@ from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import Floats
 from drivecal.highway.planner.cost import weights
 from drivecal.highway.planner.planner import FrenetPlanner
+from drivecal.highway.planner.plans import LATERAL_PLANS
 from drivecal.highway.planner.plugin import HIGHWAY
 from drivecal.highway.planner.terms import FEATURE_GRID
 from drivecal.plugins.ports import Observation
@@ -178,7 +179,7 @@ def test_a_vehicle_that_has_nothing_to_do_takes_candidate_0_whatever_the_paramet
     features = features_of(planner, seen())
     planner.plan(seen())
     assert planner.chosen == 0
-    assert (features[:: planner.n_lateral] @ np.ones(12) == 0).sum() > 1, "there is no tie to break"
+    assert (features[::LATERAL_PLANS] @ np.ones(12) == 0).sum() > 1, "there is no tie to break"
 
 
 MIRROR = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
@@ -195,7 +196,7 @@ def test_a_mirrored_situation_costs_the_same_on_the_other_side(seed: int, parame
     ends = planner._lateral_ends[0]
     partner = [int(np.flatnonzero(((ends.T - [2 * LANE - d, horizon]) ** 2).sum(axis=1) < 1e-9)[0]) for d, horizon in ends.T]
     planner.reset(parameters)
-    shape = (-1, planner.n_lateral, 12)
+    shape = (-1, LATERAL_PLANS, 12)
     here = features_of(planner, observation).reshape(shape)
     there = features_of(planner, mirrored).reshape(shape)[:, partner]
     np.testing.assert_allclose(here, there, atol=1.01 * GRID, rtol=1e-9)

@@ -19,7 +19,7 @@ from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.roads import Floats, reference_line
 from drivecal.highway.planner.cost import weights
 from drivecal.highway.planner.planner import PERIOD, FrenetPlanner
-from drivecal.highway.planner.plans import LARGEST_THRUST, LONGITUDINAL_ENDS
+from drivecal.highway.planner.plans import LARGEST_THRUST, LATERAL_PLANS, LONGITUDINAL_ENDS, LONGITUDINAL_PLANS
 from drivecal.plugins.ports import Observation
 
 NOTHING = [-15.0] + 10 * [0.0]
@@ -66,7 +66,7 @@ def test_the_trajectory_is_the_path_of_the_chosen_candidate(seed: int) -> None:
         trajectory = planner.plan(observation)
         reference.start = reference.where_to_start(observation)
         reference.fit(observation)
-        i, j = planner.chosen % planner.n_lateral, planner.chosen // planner.n_lateral
+        i, j = planner.chosen % LATERAL_PLANS, planner.chosen // LATERAL_PLANS
         for row in trajectory[1:]:
             np.testing.assert_allclose(row[1:], reference.motion(i, j, row[0]), rtol=1e-4, atol=2e-4)
         reference.before = (observation.time, reference.along[j], reference.aside[i])
@@ -79,7 +79,7 @@ def test_the_trajectory_has_a_row_per_step_and_outlasts_the_period_by_a_second()
         np.testing.assert_allclose(trajectory[:, 0], np.arange(len(trajectory)) * step)
         assert trajectory[-1, 0] >= PERIOD + 1.0
     assert PERIOD <= 0.2
-    assert planner_for(KEEPING).n_candidates >= 150
+    assert LATERAL_PLANS * LONGITUDINAL_PLANS >= 150
 
 
 def test_a_step_that_does_not_divide_the_period_is_refused() -> None:
@@ -111,8 +111,8 @@ def test_going_on_with_the_plan_before_is_among_the_candidates() -> None:
     before = planner.plan(seen(d=LANE + 0.6, d1=0.4))
     features = features_of(planner, seen(time=0.2, s=106.0, d=LANE + 0.67))
     after = planner.plan(seen(time=0.2, s=106.0, d=LANE + 0.67))
-    assert features.reshape(-1, planner.n_lateral, 12)[:, -1, P5].max() == 0.0
-    assert planner.chosen % planner.n_lateral == planner.n_lateral - 1
+    assert features.reshape(-1, LATERAL_PLANS, 12)[:, -1, P5].max() == 0.0
+    assert planner.chosen % LATERAL_PLANS == LATERAL_PLANS - 1
     np.testing.assert_allclose(after[:-2, 2], before[2:, 2], atol=1e-9)
 
 
@@ -167,7 +167,7 @@ def test_a_neighbour_changes_its_own_features(scenario: Scenario, d: float, neig
     alone = features_of(planner, seen(d=d, time=2.0))
     together = features_of(planner, seen(neighbour, d=d, time=2.0))
     assert (together >= alone).all(), "another vehicle never makes a candidate cheaper"
-    at_speed = np.repeat(LONGITUDINAL_ENDS[0] == 0.0, planner.n_lateral)
+    at_speed = np.repeat(LONGITUDINAL_ENDS[0] == 0.0, LATERAL_PLANS)
     differs = {term for term in range(12) if (together[at_speed, term] != alone[at_speed, term]).any()}
     assert differs == changed
 

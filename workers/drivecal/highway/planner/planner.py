@@ -10,7 +10,7 @@ from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import reference_line
 from drivecal.highway.planner import kernel, plans, terms
 from drivecal.highway.planner.cost import weights
-from drivecal.highway.planner.plans import LATERAL_PLANS, LONGITUDINAL_PLANS, desired_speeds, lateral_ends
+from drivecal.highway.planner.plans import desired_speeds, lateral_ends
 from drivecal.highway.planner.terms import size_for
 from drivecal.plugins.ports import Observation
 
@@ -32,7 +32,6 @@ class FrenetPlanner:
     """
 
     period = PERIOD
-    n_lateral, n_candidates = LATERAL_PLANS, LATERAL_PLANS * LONGITUDINAL_PLANS
 
     def __init__(self, scenario: Scenario) -> None:
         """Raises InvalidInputError if the scenario's step does not divide the planning period."""
@@ -59,7 +58,7 @@ class FrenetPlanner:
         self._rows = round(TRAJECTORY / scenario.step) + 1
 
         self.chosen = -1
-        """The candidate of the last plan that is driven: index = longitudinal index * n_lateral + lateral index."""
+        """The candidate of the last plan that is driven: index = longitudinal index * LATERAL_PLANS + lateral index."""
         self._memory = np.zeros((8, 2))
         self._work = scratch_for(len(scenario.traffic))
         self._weights = np.zeros(12)
