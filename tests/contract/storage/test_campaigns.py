@@ -165,7 +165,10 @@ def test_a_campaign_that_is_asked_to_cancel_is_listed_as_cancelling(database: Da
 
 
 def put(connection: Connection, stored: StoredCampaign, state: CampaignState) -> None:
-    connection.execute(update(table).where(table.c.sequence == stored.sequence).values(state=state))
+    if state.ended:
+        campaigns.end(connection, stored.sequence, state)
+    else:
+        connection.execute(update(table).where(table.c.sequence == stored.sequence).values(state=state))
 
 
 REQUESTS: list[tuple[CampaignState, bool, Action, CampaignState, Action | None]] = [
@@ -195,10 +198,7 @@ def test_a_request_is_executed_at_once_where_nothing_runs_and_left_to_the_dispat
         stored = campaign(connection)
         if started:
             campaigns.start(connection, stored.sequence)
-        if state.ended:
-            campaigns.end(connection, stored.sequence, state)
-        else:
-            put(connection, stored, state)
+        put(connection, stored, state)
         for _ in range(2):  # idempotent
             after = campaigns.request_action(connection, stored.id, action)
             assert (after.state, after.requested_action) == (expected, asked)
@@ -212,10 +212,7 @@ def test_a_request_that_comes_too_late_is_a_conflict(database: Database, state: 
     with database.transaction() as connection:
         stored = campaign(connection)
         campaigns.start(connection, stored.sequence)
-        if state.ended:
-            campaigns.end(connection, stored.sequence, state)
-        else:
-            put(connection, stored, state)
+        put(connection, stored, state)
         for action in actions:
             with pytest.raises(ConflictError, match=action):
                 campaigns.request_action(connection, stored.id, action)

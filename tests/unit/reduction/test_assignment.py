@@ -11,7 +11,6 @@ from drivecal.domain.parameters import ParameterSet
 from drivecal.reduction.assignment import assign
 from drivecal.reduction.audit import is_audited
 
-OFF, EXACT = ReductionSpecification(mode="off"), ReductionSpecification(mode="exact")
 INFLUENCE = ReductionSpecification(mode="influence", audit=0.0)
 DONOR = Donor(evaluation=7, run=3, score=5, rating=5.2, failure=None)
 
@@ -48,13 +47,13 @@ def test_cells_of_one_population_that_share_a_key_are_simulated_once() -> None:
 
 def test_exact_mode_copies_nothing_but_equal_sets() -> None:
     cells = [_cell(0, "a", "k"), _cell(1, "b", "k"), _cell(2, "b", "k")]
-    result = assign(cells, EXACT, 0, {}, {("S1", b"k"): DONOR})
+    result = assign(cells, ReductionSpecification(mode="exact"), 0, {}, {("S1", b"k"): DONOR})
     assert [item.plan for item in result] == [Outcome.SIMULATED, Outcome.SIMULATED, Outcome.REPEATED]
 
 
 def test_off_simulates_everything() -> None:
     cells = [_cell(0, "a", "k"), _cell(1, "a", "k")]
-    planned = assign(cells, OFF, 0, {("S1", _set("a")): DONOR}, {("S1", b"k"): DONOR})
+    planned = assign(cells, ReductionSpecification(mode="off"), 0, {("S1", _set("a")): DONOR}, {("S1", b"k"): DONOR})
     assert _plans(planned) == [SIMULATED] * 2
 
 

@@ -32,6 +32,7 @@ from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
 from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.worker import Worker
 
+TRACE = {"measures": {"a": 2.0}, "failure": None, "series": {"v": [1.0, 2.0]}}
 SECONDS = 0.25
 READY = """
 import json
@@ -255,9 +256,6 @@ def test_a_declared_failure_needs_no_measures(worker: Callable[..., Worker], req
     works = worker(ScriptedSimulator({2.0: RunOutcome({}, failure="collision")}))
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
     assert (result.failure, result.breakdown) == ("collision", None)
-
-
-TRACE = {"measures": {"a": 2.0}, "failure": None, "series": {"v": [1.0, 2.0]}}
 
 
 def test_time_series_come_back_compressed(worker: Callable[..., Worker], request_: SetupRequest) -> None:
