@@ -28,7 +28,6 @@ ROUNDING = 1e-12
 class Arithmetic:
     """Operations by syntax node and name."""
 
-    unary: Mapping[type[ast.AST], Callable[[Values], Values]]
     binary: Mapping[type[ast.AST], Callable[[Values, Values], Values]]
     functions: Mapping[str, Callable[..., Values]]
     variable: Callable[[str], Evaluated]
@@ -123,6 +122,7 @@ def _element_by_element(function: Callable[..., float], n_operands: int) -> Call
     return lambda *operands: np.asarray(applied(*operands), dtype=float)
 
 
+SIGNS: Mapping[type[ast.AST], Callable[[Values], Values]] = {ast.USub: operator.neg, ast.UAdd: operator.pos}
 COMPARISONS: Mapping[type[ast.AST], Comparison] = {
     ast.LtE: lambda left, right, room: left - right <= room,
     ast.Lt: lambda left, right, room: left - right < -room,
@@ -133,7 +133,6 @@ COMPARISONS: Mapping[type[ast.AST], Comparison] = {
 }
 
 SCALAR = Arithmetic(
-    unary={ast.USub: operator.neg, ast.UAdd: operator.pos},
     binary={
         ast.Add: lambda left, right: _finite(left + right),
         ast.Sub: lambda left, right: _finite(left - right),
@@ -153,7 +152,6 @@ SCALAR = Arithmetic(
     variable=_variable,
 )
 ARRAY = Arithmetic(
-    unary={ast.USub: operator.neg, ast.UAdd: operator.pos},
     binary={
         ast.Add: _in_arrays(np.add),
         ast.Sub: _in_arrays(np.subtract),

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.bundles.arithmetic import ARRAY, COMPARISONS, SCALAR, Arithmetic, compared, joined
+from drivecal.bundles.arithmetic import ARRAY, COMPARISONS, SCALAR, SIGNS, Arithmetic, compared, joined
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.constraints import Inequality
@@ -233,7 +233,7 @@ class _Parser:
         elif isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
             if not abs(node.value) < 1e300:
                 self.refuse(node, "the number is too large", "give a smaller one")
-        elif isinstance(node, ast.UnaryOp) and type(node.op) in SCALAR.unary:
+        elif isinstance(node, ast.UnaryOp) and type(node.op) in SIGNS:
             self.check_number(node.operand)
         elif isinstance(node, ast.BinOp) and type(node.op) in SCALAR.binary:
             self.check_number(node.left)
@@ -370,7 +370,7 @@ def _compiled(node: ast.expr, arithmetic: Arithmetic) -> Evaluation:
             number = float(value)  # type: ignore[arg-type]  # a checked tree has only numbers here
             return lambda _: number
         case ast.UnaryOp(op=operator, operand=operand):
-            return _applied(arithmetic.unary[type(operator)], [_compiled(operand, arithmetic)])
+            return _applied(SIGNS[type(operator)], [_compiled(operand, arithmetic)])
         case ast.BinOp(left=left, op=binary, right=right):
             return _applied(arithmetic.binary[type(binary)], [_compiled(left, arithmetic), _compiled(right, arithmetic)])
         case ast.Call(func=function, args=arguments):
