@@ -84,7 +84,7 @@ class Highway:
         self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
     ) -> SimulatorSession:
         """Opens a session. Raises UnavailableError without SUMO, and UnsuitableError if the scenario's network cannot be driven."""
-        import_module("drivecal.highway.drive.tasks")
+        import_module("drivecal.highway.drive.tasks")  # without SUMO this fails before the road is measured
         try:
             opened = scenario_of(scenario, data, folder)
             _ = opened.road  # measured for the runs, or refused
