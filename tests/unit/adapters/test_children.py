@@ -239,6 +239,15 @@ def test_memory_of_all_processes_together_is_limited(tmp_path: Path) -> None:
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
 
 
+def test_a_run_without_an_answer_is_told_by_the_memory_that_it_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(children, "LOOK_SECONDS", 600.0)
+    body = "global hold\nif x == 1.0:\n    import mmap\n    hold = mmap.mmap(-1, 200 << 20)\n    hold.write(bytes(200 << 20))"
+    with served(tmp_path, body + "\nelse:\n    time.sleep(600)", memory_mb=300) as session:
+        assert session.evaluate({"x": 1.0}).measures == {"y": 2.0}
+        session._children._memory_mb, session._timeout = 100, 0.5
+        assert "MB of memory" in lost(session, {"x": 2.0}, Breakdown.MEMORY)
+
+
 def test_memory_counts_when_the_first_thread_of_a_process_has_ended(tmp_path: Path) -> None:
     """Linux then shows none of it under the number of the process."""
     body = """

@@ -165,6 +165,7 @@ class Pipes:
         elif left <= 0 and not (answers and b"\n" in self._received):
             if seconds < 0:
                 raise NoMeasuresError(Breakdown.ERROR, self._with_tail("it closed its standard output without an answer"))
+            self._children.look()  # what it takes may be why it does not answer
             raise NoMeasuresError(Breakdown.HANG, self._with_tail(f"no answer after {seconds:g} s, {self._limit}"))
 
     def _drain(self) -> None:
