@@ -52,7 +52,8 @@ def test_measures_of_outputs(folder: Path, file: str) -> None:
 
 @pytest.mark.parametrize("file", ["trial2.fmu", "trial3.fmu"])
 def test_start_values_of_all_types_come_from_data_and_parameters(folder: Path, file: str) -> None:
-    with run(folder, file, data={"rate": 5.0, "flag": True, "label": "text"}) as session:
+    label = "longer than a command line" * 10_000
+    with run(folder, file, data={"rate": 5.0, "flag": True, "label": label}) as session:
         assert session.evaluate({}).measures["end"] == pytest.approx(-10)
         assert session.evaluate({"rate": 1.0, "factor": 3.0, "mode": "sport"}).measures["end"] == pytest.approx(-12)
         for wrong in (1.5, 2.0**31, -(2.0**31) - 1.0):

@@ -20,7 +20,7 @@ def test_a_driver_of_drivecal_may_blame_its_files(tmp_path: Path, fields: str, k
     section = {"timeout": 60.0, "memory_mb": 1000}
     command = write_server(tmp_path, start=f"answer(error='no road'{fields})\nreturn")
     with pytest.raises(UnavailableError) as error:
-        ProcessSession(command, section, Scratch(tmp_path), DECLARED, scenario="S", data={}, blames_files=True)
+        ProcessSession(command, section, Scratch(tmp_path), DECLARED, scenario="S", data={}, settings={})
     assert type(error.value) is kind
 
 

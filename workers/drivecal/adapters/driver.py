@@ -1,6 +1,7 @@
 """The side of the child in drivecal's own drivers: reads requests and writes answers on private copies of the standard streams.
 
-What a user's code prints goes to standard error, and its programs cannot read requests.
+A driver runs as `python -I -B -m ...`, and gets its settings, which `drivecal.adapters.kinds` writes, with the first request. What a user's
+code prints goes to standard error, and its programs cannot read requests.
 """
 
 import json
@@ -23,8 +24,9 @@ class UnusableError(DrivecalError):
     """An FMU cannot be used as problem.yaml says."""
 
 
-def serve(prepare: Callable[[], Evaluate]) -> None:
-    """Serves requests until `quit` or the end of input. An exception of `prepare` or of a run becomes an error in the answer.
+def serve(prepare: Callable[[Mapping[str, Any]], Evaluate]) -> None:
+    """Serves requests until `quit` or the end of input. `prepare` gets the settings of the first one. Its exception, or that of a run,
+    becomes an error in the answer.
 
     A MemoryError ends the process, which may be in any state.
     """
@@ -46,7 +48,7 @@ def serve(prepare: Callable[[], Evaluate]) -> None:
             break
         if evaluate is None:
             try:
-                evaluate = prepare()
+                evaluate = prepare(request["settings"])
             except MemoryError:
                 raise
             except (Exception, SystemExit) as error:  # noqa: BLE001  # a user's code may raise any exception

@@ -52,7 +52,6 @@ class Scratch:
         with suppress(OSError):  # a disk without locks: its folders stay
             fcntl.flock(self.lock, fcntl.LOCK_SH)
         self.work, self.home = self.folder / "work", self.folder / "home"
-        self._kept: set[Path] = {self.work, self.home}
         self.is_spoilt = False
         """A process may live that nothing ends, and put links where the worker writes."""
         try:
@@ -83,22 +82,15 @@ class Scratch:
         self.home.mkdir()
 
     def empty(self) -> None:
-        """Removes everything but kept files, with new folders for work and temporary files. Takes all rights for that. Does nothing if the
-        folder is spoilt."""
+        """Removes everything, with new folders for work and temporary files. Takes all rights for that. Does nothing if the folder is
+        spoilt."""
         if self.is_spoilt:
             return
         self.folder.chmod(0o700)
         for path in self.folder.iterdir():
-            if path not in self._kept:
+            if path not in {self.work, self.home}:
                 discard(path)
         self.clear()
-
-    def keep(self, name: str, text: str) -> Path:
-        """Writes a file next to the folders, which stays when these are emptied."""
-        path = self.folder / name
-        path.write_text(text)
-        self._kept.add(path)
-        return path
 
     def confinement(self, writable: Collection[str] = ()) -> dict[str, Any] | None:
         """Returns what the keeper's `ruleset` takes; None if the machine's owner wants no confinement. `writable`: further folders."""

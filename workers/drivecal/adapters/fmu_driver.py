@@ -1,9 +1,8 @@
 """The child of simulator kind `fmu`: instantiates an FMU once, resets it for each run and measures its outputs.
 
-Runs as `python -I -B -m ... SETTINGS`. Start values come from the scenario's data and the parameters, by the names of the FMU's variables.
+Start values come from the scenario's data and the parameters, by the names of the FMU's variables.
 """
 
-import json
 import math
 import os
 import sys
@@ -306,11 +305,5 @@ def end_if_fatal(error: BaseException) -> None:
         os._exit(1)
 
 
-def main() -> None:
-    """Serves the FMU that the settings in the first argument name."""
-    settings = json.loads(sys.argv[1])
-    serve(lambda: prepare(settings))
-
-
 if __name__ == "__main__":
-    main()
+    serve(prepare)

@@ -4,12 +4,10 @@
 (a vehicle with a user's controller in SUMO) start a driver of drivecal's own, which speaks the protocol of `process`.
 """
 
-import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -113,8 +111,8 @@ def _start_python(
         "packages": str(scratch.folder / "packages"),
         "opened": str(scratch.folder / inputs.NAME) if declared.watched else None,
     }
-    command = [*DRIVER, "drivecal.adapters.python_driver", json.dumps(settings)]
-    return ProcessSession(command, section, scratch, declared, scenario=scenario, data=data, blames_files=True)
+    command = [*DRIVER, "drivecal.adapters.python_driver"]
+    return ProcessSession(command, section, scratch, declared, scenario=scenario, data=data, settings=settings)
 
 
 def _start_fmu(
@@ -133,10 +131,10 @@ def _start_fmu(
         "data": dict(data),
         "parameters": dict(declared.parameters),
     }
-    command = [*DRIVER, "drivecal.adapters.fmu_driver", json.dumps(settings)]
+    command = [*DRIVER, "drivecal.adapters.fmu_driver"]
     most_runs = MOST_FMU_RUNS if section.get("reset", True) else 1
     return ProcessSession(
-        command, section, scratch, declared, scenario=scenario, data={}, most_runs=most_runs, blames_files=True
+        command, section, scratch, declared, scenario=scenario, data={}, most_runs=most_runs, settings=settings
     )
 
 
@@ -168,13 +166,9 @@ def _start_highway(
     }
     if controller["kind"] == "process":
         check_command(controller["command"], scratch.work)
-    text = json.dumps(settings, allow_nan=False)
-    file = scratch.keep("highway.json", text)  # may be larger than a command line
-    # An earlier child can change the file; a later one refuses it then.
-    command = [*DRIVER, "drivecal.highway.drive.driver", str(file), sha256(text.encode()).hexdigest()]
     most_runs = MOST_FMU_RUNS if has_fmu else MOST_HIGHWAY_RUNS
     return ProcessSession(
-        command,
+        [*DRIVER, "drivecal.highway.drive.driver"],
         section,
         scratch,
         declared,
@@ -183,7 +177,7 @@ def _start_highway(
         most_runs=most_runs if controller.get("reset", True) else 1,
         writable=_compiled(kernels),
         replays=True,
-        blames_files=True,
+        settings=settings,
     )
 
 

@@ -47,7 +47,7 @@ class ProcessSession:
         advice: str = "",
         writable: Sequence[str] = (),
         replays: bool = False,
-        blames_files: bool = False,
+        settings: Mapping[str, Any] | None = None,
     ) -> None:
         """Starts the child. Raises UnavailableError if it cannot be started or reports an error instead of being ready, and
         UnsuitableError if that error blames the problem's files.
@@ -63,10 +63,12 @@ class ProcessSession:
             advice: further help if an answer is late.
             writable: folders outside of the scratch folder that the child may change.
             replays: the child reports replays with its time series.
-            blames_files: its errors may blame the problem's files, as errors of drivecal's own drivers do.
+            settings: what one of drivecal's own drivers gets with the first line. Its errors may blame the problem's files.
         """
         self._scratch, self._declared, self._timeout, self._most_runs = scratch, declared, section["timeout"], most_runs
-        self._advice, self._replays, self._blames_files = advice, replays, blames_files
+        self._advice, self._replays, self._is_driver = advice, replays, settings is not None
+        greeting = {"drivecal": 1, "problem": declared.problem} | ({} if settings is None else {"settings": settings})
+        self._greeting = json.dumps(greeting, allow_nan=False).encode() + b"\n"
         self._children = Children(command, section, scratch, writable)
         self._pipes: Pipes | None = None
         self._number = self._runs = 0
@@ -157,14 +159,13 @@ class ProcessSession:
 
     def _start(self) -> Pipes:
         self._pipes, self._runs = Pipes(self._children), 0
-        greeting = json.dumps({"drivecal": 1, "problem": self._declared.problem}).encode() + b"\n"
         try:
             answer = answers.document(
-                self._pipes.ask(greeting, start_limit(self._timeout), START_LIMIT + self._advice), "the answer"
+                self._pipes.ask(self._greeting, start_limit(self._timeout), START_LIMIT + self._advice), "the answer"
             )
             answers.refuse_busy(answer)
             if answer.get("error") is not None:
-                kind = UnsuitableError if self._blames_files and answer.get("unsuitable") is True else UnavailableError
+                kind = UnsuitableError if self._is_driver and answer.get("unsuitable") is True else UnavailableError
                 raise kind(f"the simulator is not ready: {self._scratch.shown(str(answer['error']))[:300]}")
             if answer.get("ready") is not True:
                 raise NoMeasuresError(Breakdown.ERROR, f'the first answer is not {{"ready": true}}: {answer!r:.200}')

@@ -1,6 +1,5 @@
-"""The child of simulator kind `python`: imports a function of a file and serves it. Runs as `python -I -B -m ... SETTINGS`."""
+"""The child of simulator kind `python`: imports a function of a file and serves it."""
 
-import json
 import multiprocessing.connection
 import platform
 import sys
@@ -116,12 +115,5 @@ def _number(value: Any) -> Any:
     return value if isinstance(value, (int, float)) or not hasattr(value, "__float__") else float(value)
 
 
-def main() -> None:
-    """Serves the function that the settings in the first argument name."""
-    settings = json.loads(sys.argv[1])
-    sys.argv[1:] = []
-    serve(lambda: prepare(settings))
-
-
 if __name__ == "__main__":
-    main()
+    serve(prepare)

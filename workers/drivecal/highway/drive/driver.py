@@ -1,8 +1,5 @@
 """The child of simulator kind `highway`: loads the network, SUMO and the controller, and serves runs.
 
-Runs as `python -I -B -m ... SETTINGS DIGEST`. SETTINGS is a file with the object that `drivecal.adapters.kinds` writes, DIGEST its
-SHA-256.
-
 Until it calls `hold`, it may change the compiled kernels that workers execute. So it reads nothing until then that an earlier child of the
 session, which ran a user's code, could have left.
 """
@@ -11,7 +8,6 @@ import json
 import os
 import sys
 from collections.abc import Callable, Mapping
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -109,31 +105,13 @@ def replay_beside(answer: Mapping[str, Any], make: Callable[[], "ReplayAnswer | 
     return kept if is_short else {"replay": None}
 
 
-def read_settings(file: Path, digest: str) -> dict[str, Any]:
-    """Returns the settings. Raises UnavailableError if an earlier child has changed the file, so that the worker opens a new session."""
-    content = file.read_bytes()
-    if sha256(content).hexdigest() != digest:
-        raise UnavailableError(
-            f"an earlier run has changed {file.name}, the settings of its session; let it leave that file as it is"
-        )
-    settings: dict[str, Any] = json.loads(content)
-    return settings
-
-
-def main() -> None:
-    """Serves the scenario of the settings in the first argument's file, whose digest is the second argument."""
-    file, digest = Path(sys.argv[1]), sys.argv[2]
-    sys.argv[1:] = []
-    os.chdir("/")  # numba reads `.numba_config.yaml` of the working directory, which may name a user's kernels
-
-    def begin() -> Evaluate:
-        settings = read_settings(file, digest)
-        if settings["kernels"] is not None:
-            os.environ["NUMBA_CACHE_DIR"] = settings["kernels"]
-        return prepare(settings)
-
-    serve(begin)
+def begin(settings: Mapping[str, Any]) -> Evaluate:
+    """Prepares the scenario, with the compiled kernels of the machine."""
+    if settings["kernels"] is not None:
+        os.environ["NUMBA_CACHE_DIR"] = settings["kernels"]
+    return prepare(settings)
 
 
 if __name__ == "__main__":
-    main()
+    os.chdir("/")  # numba reads `.numba_config.yaml` of the working directory, which may name a user's kernels
+    serve(begin)
