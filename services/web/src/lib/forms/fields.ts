@@ -17,9 +17,9 @@ const HELP: Readonly<Record<string, string>> = fields.help;
 const TICKED = 24;
 
 /** The scores, measures and scenarios that goals of a problem can name. */
-export function goalChoices(shape: Pick<Shape, "goals" | "scenarios"> | null): Choices {
+export function goalChoices(shape: Pick<Shape, "scores" | "measures" | "scenarios"> | null): Choices {
   if (!shape) return {};
-  const { scores, measures } = shape.goals;
+  const [scores, measures] = [shape.scores.map(({ name }) => name), Object.keys(shape.measures)];
   const scenarios = shape.scenarios.length > TICKED ? [] : shape.scenarios.map((scenario) => scenario.id);
   return Object.fromEntries(["objectives", "constraints"].flatMap((field) => [[`${field}[].score`, scores], [`${field}[].measure`, measures], [`${field}[].scenarios`, scenarios]]));
 }

@@ -21,39 +21,26 @@ export interface ShapeScore {
   failed: number | null;
 }
 
-export interface Shape {
-  name: string;
-  digest: string;
-  description: string;
-  simulator: string;
+/** The answer about a problem with lists of its parameters, scenarios and scores. */
+export interface Shape extends Omit<ProblemAnswer, "parameters" | "scenarios" | "scores"> {
   /** The driving function of drivecal's own planner; null of other simulators. */
   driving: string | null;
-  /** Whether it has side conditions to be robust against. */
-  varied: boolean;
   parameters: ShapeParameter[];
   /** The curve or map of each coefficient, by its name. */
   curves: Readonly<Record<string, string>>;
-  constraints: readonly string[];
-  baseline: Readonly<Record<string, number | string>> | null;
   scenarios: { id: string; title: string }[];
   /** Scores that a campaign can choose. */
   scores: ShapeScore[];
-  /** Names for objectives and constraints. */
-  goals: { scores: readonly string[]; measures: readonly string[] };
 }
 
 export function shapeOf(problem: ProblemAnswer): Shape {
-  const { name, digest, description, constraints, baseline } = problem;
   return {
-    name, digest, description, constraints, baseline,
-    simulator: String(problem.simulator["kind"]),
+    ...problem,
     driving: isDriven(problem) ? String((problem.simulator["controller"] as Record<string, unknown>)["driving_function"]) : null,
-    varied: Object.keys(problem.varied).length > 0,
     parameters: Object.entries(problem.parameters).map(([name, entry]) => declared(name, entry)),
     curves: Object.fromEntries(Object.entries(problem.shapes).flatMap(([curve, { names }]) => names.map((coefficient) => [coefficient, curve]))),
     scenarios: Object.entries(problem.scenarios).map(([id, data]) => ({ id, title: typeof data["title"] === "string" ? data["title"] : dataText(data) })),
     scores: Object.entries(problem.scores).map(([name, entry]) => ({ name, ...(entry as Omit<ShapeScore, "name">) })),
-    goals: { scores: Object.keys(problem.scores), measures: Object.keys(problem.measures) },
   };
 }
 
