@@ -1,7 +1,5 @@
 /** Campaigns that calibrate nothing: they examine what others found. */
 
-import { count, number, percent } from "./format";
-import { condition } from "../charts/robust";
 import type { Campaign, Study } from "../server/types";
 
 export type StudyStage = Study["stage"];
@@ -27,15 +25,6 @@ export function kindOf(campaign: Known): string {
   if (campaign.kind !== "calibration") return campaign.kind;
   if (calibrates(campaign)) return "";
   return studiesOf(campaign).map((stage) => `${stage} study`).join(", ") || (campaign.spec.sensitivity ? "sensitivity analysis" : "");
-}
-
-/** How a study is made, in words. */
-export function settingsText(stage: StudyStage, settings: Readonly<Record<string, unknown>>): string {
-  const value = (name: string): number => Number(settings[name] ?? 0);
-  if (stage === "validation" && settings["of"]) return `at most ${count(value("samples"))} released predictions of each scenario, simulated`;
-  if (stage === "validation") return `${count(value("references"))} variants of each set, of Latin hypercubes from ${count(value("samples"))} to ${count(value("largest"))} sets`;
-  const failing = settings["condition"] === "mean" ? "" : `; up to ${percent(1 - 0.05 ** (1 / value("samples")))} of all vehicles in a box that holds may still break it (95 % confidence, for a set that was chosen before)`;
-  return `up to ${value("steps")} boxes, each wider by ${number(value("delta"), 4)}, with ${count(value("samples"))} simulated vehicles in each; condition: ${condition(settings)}${failing}`;
 }
 
 /** All released predictions of a scenario. */
