@@ -1,6 +1,6 @@
 /** Campaigns that calibrate nothing: they examine what others found. */
 
-import type { Campaign, Study } from "../server/types";
+import type { Campaign, CampaignSetup, Study } from "../server/types";
 
 export type StudyStage = Study["stage"];
 /** What a study examines: the best sets in other vehicles, an influence map, released predictions. */
@@ -31,10 +31,15 @@ export function kindOf(campaign: Known): string {
 const EVERY = 1_000_000;
 const OF_A_STUDY = /( \((robustness|validation)( in [^()]*)?\))+$/;
 
+/** Whether runs have side conditions, such as the vehicle's mass, that a robustness study varies. */
+export function isVaried(setup: { scenarios: readonly Pick<CampaignSetup["scenarios"][number], "vehicle_parameters">[] } | null): boolean {
+  return setup?.scenarios.some(({ vehicle_parameters }) => vehicle_parameters !== null) ?? false;
+}
+
 /** The studies that can be made of an ended search. */
-export function possibleStudies(campaign: Pick<Campaign, "kind" | "spec" | "links" | "best" | "ended_at" | "cells">, drives: boolean): Examined[] {
-  if (campaign.kind !== "calibration" || !calibrates(campaign) || campaign.ended_at === null || campaign.best === null) return [];
-  const there: Record<Examined, boolean> = { robustness: drives, map: campaign.links["influence_map"] !== undefined, predictions: campaign.cells.predicted > 0 };
+export function possibleStudies(campaign: Pick<Campaign, "kind" | "spec" | "links" | "best" | "ended_at" | "cells">, setup: Parameters<typeof isVaried>[0]): Examined[] {
+  if (!calibrates(campaign) || campaign.ended_at === null || campaign.best === null) return [];
+  const there: Record<Examined, boolean> = { robustness: isVaried(setup), map: campaign.links["influence_map"] !== undefined, predictions: campaign.cells.predicted > 0 };
   return (["robustness", "map", "predictions"] as const).filter((examined) => there[examined]);
 }
 

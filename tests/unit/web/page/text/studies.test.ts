@@ -5,13 +5,16 @@ import type { Campaign } from "$lib/server/types";
 const ENDED = { id: "abc", name: "mine (robustness)", kind: "calibration", spec: { optimizer: { kind: "genetic" }, vehicle: { model: "hybrid" }, validation: {} }, links: {}, best: {}, ended_at: "2026-01-01", cells: { predicted: 0 } } as unknown as Campaign;
 const MAPPED = { ...ENDED, links: { influence_map: "/api/v1/influence-maps/m1" } } as unknown as Campaign;
 
+/** A problem without a vehicle model whose runs have a side condition. */
+const VARIED = { scenarios: [{ vehicle: null, vehicle_parameters: { mass: 1500 } }] };
+
 test("studies are offered of an ended search with a result, if there is something to examine", () => {
-  expect(possibleStudies(ENDED, true)).toEqual(["robustness"]);
-  expect(possibleStudies(MAPPED, false)).toEqual(["map"]);
-  expect(possibleStudies({ ...ENDED, cells: { ...ENDED.cells, predicted: 3 } }, false)).toEqual(["predictions"]);
-  expect(possibleStudies({ ...MAPPED, cells: { ...ENDED.cells, predicted: 3 } }, true)).toEqual(["robustness", "map", "predictions"]);
-  expect(possibleStudies({ ...MAPPED, ended_at: null }, true)).toEqual([]);
-  expect(possibleStudies({ ...MAPPED, best: null }, true)).toEqual([]);
+  expect(possibleStudies(ENDED, VARIED)).toEqual(["robustness"]);
+  expect(possibleStudies(MAPPED, null)).toEqual(["map"]);
+  expect(possibleStudies({ ...ENDED, cells: { ...ENDED.cells, predicted: 3 } }, null)).toEqual(["predictions"]);
+  expect(possibleStudies({ ...MAPPED, cells: { ...ENDED.cells, predicted: 3 } }, VARIED)).toEqual(["robustness", "map", "predictions"]);
+  expect(possibleStudies({ ...MAPPED, ended_at: null }, VARIED)).toEqual([]);
+  expect(possibleStudies({ ...MAPPED, best: null }, VARIED)).toEqual([]);
 });
 
 test("a study is a campaign without a search, on the bench of its subject", () => {
