@@ -2,24 +2,15 @@
 
 import { brushText, parse, write, type Place } from "./address";
 
-let place = $state.raw<Place>(parse(location.hash));
+export const route = $state<Place>(parse(location.hash));
 window.addEventListener("hashchange", () => {
   clearTimeout(writing);
-  place = parse(location.hash);
+  Object.assign(route, parse(location.hash));
 });
 
 /** Browsers take some seven changes of the address per second and drop the rest: a slider that is drawn makes sixty. */
 const WRITE_MILLISECONDS = 200;
 let writing: ReturnType<typeof setTimeout> | undefined;
-
-export const route = {
-  get path(): readonly string[] {
-    return place.path;
-  },
-  get query(): Readonly<Record<string, string>> {
-    return place.query;
-  },
-};
 
 export function go(path: readonly string[], query: Record<string, string> = {}): void {
   clearTimeout(writing);
@@ -28,17 +19,17 @@ export function go(path: readonly string[], query: Record<string, string> = {}):
 
 /** Changes parts of the query in place; null takes one out. Going back leads to the view before, not to every step of a slider. */
 export function amend(changes: Record<string, string | null>): void {
-  const query = { ...place.query };
+  const query = { ...route.query };
   for (const [name, value] of Object.entries(changes)) {
     if (value === null || value === "") delete query[name];
     else query[name] = value;
   }
-  place = { path: place.path, query };
+  route.query = query;
   clearTimeout(writing);
   const here = location.hash;
   writing = setTimeout(() => {
     // A user who followed a link meanwhile is not taken back: browsers report it late.
-    if (location.hash === here) history.replaceState(null, "", write(place));
+    if (location.hash === here) history.replaceState(null, "", write(route));
   }, WRITE_MILLISECONDS);
 }
 

@@ -44,31 +44,16 @@ let shut = false;
 const SESSION = "/session";
 
 const RETRY_MILLISECONDS = 1_000;
-let lost = $state(false);
-let returns = $state(0);
 let timer: ReturnType<typeof setTimeout> | undefined;
 
-/** Whether the server can be reached. While it cannot, the page retries; views read what they missed when it is back. */
-export const reach = {
-  get lost(): boolean {
-    return lost;
-  },
-  /** How often it came back, or a user did: what reads this in an effect runs again then. */
-  get returns(): number {
-    return returns;
-  },
-};
-
-/** Has views read what they missed: after a login. */
-export function returned(): void {
-  returns += 1;
-}
+/** Whether the server cannot be reached, so that the page retries, and how often it came back, or a user did: what reads this in an effect runs again then. */
+export const reach = $state({ lost: false, returns: 0 });
 
 function heard(answered: boolean): void {
   clearTimeout(timer);
-  if (answered && lost) returned();
-  lost = !answered;
-  if (lost) timer = setTimeout(() => void ask("/healthz", { cache: "no-store" }, "").catch(() => undefined), RETRY_MILLISECONDS);
+  if (answered && reach.lost) reach.returns += 1;
+  reach.lost = !answered;
+  if (reach.lost) timer = setTimeout(() => void ask("/healthz", { cache: "no-store" }, "").catch(() => undefined), RETRY_MILLISECONDS);
 }
 
 /** Whether a request failed because the server cannot be reached. */

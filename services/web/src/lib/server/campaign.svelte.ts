@@ -1,6 +1,6 @@
 /** One campaign as it is now: read once, moved on by what its event stream tells, read again where more than its progress changed. */
 
-import { Refusal, Tagged, all, isUnreached } from "./api.svelte";
+import { Refusal, Tagged, all } from "./api.svelte";
 import { follow } from "./live";
 import type { Campaign, CampaignEvent, Generation } from "./types";
 
@@ -18,14 +18,10 @@ export class CampaignState {
   problem = $state<Refusal | null>(null);
 
   private readonly tagged: Tagged<Campaign>;
-  private stop: (() => void) | null = null;
   private timer: ReturnType<typeof setTimeout> | undefined;
   /** When the timer rings. */
   private due = Infinity;
-  private tick: ReturnType<typeof setInterval> | undefined;
   private reading = false;
-  /** Something changed while the answer was on its way. */
-  private missed = false;
   private knownGenerations = -1;
 
   constructor(readonly id: string) {
@@ -34,7 +30,7 @@ export class CampaignState {
 
   start(): () => void {
     void this.read();
-    this.stop = follow(this.id, {
+    const leave = follow(this.id, {
       event: (event) => this.take(event),
       progress: (moving) => {
         // An ended campaign moves no more: what was on its way when its end was read is older.
@@ -43,14 +39,13 @@ export class CampaignState {
       over: () => this.soon(0),
     });
     // The answer's tag makes this cheap; it is there for what no event tells, such as audits, and notices that the server is away.
-    this.tick = setInterval(() => {
+    const tick = setInterval(() => {
       if (!document.hidden) this.soon(0);
     }, 5_000);
     return () => {
-      this.stop?.();
-      this.stop = null;
+      leave();
       clearTimeout(this.timer);
-      clearInterval(this.tick);
+      clearInterval(tick);
     };
   }
 
@@ -76,7 +71,7 @@ export class CampaignState {
 
   private async read(): Promise<void> {
     if (this.reading) {
-      this.missed = true;
+      this.soon(); // something changed while the answer was on its way
       return;
     }
     this.reading = true;
@@ -93,11 +88,8 @@ export class CampaignState {
     } catch (error) {
       // While the server is away, the page keeps what it knows.
       if (error instanceof Refusal && (this.campaign === null || error.status === 404)) this.problem = error;
-      if (isUnreached(error) && this.stop !== null) this.soon();
     } finally {
       this.reading = false;
-      if (this.missed && this.stop !== null) this.soon();
-      this.missed = false;
     }
   }
 }
