@@ -6,14 +6,6 @@ import type { Series } from "./plot";
 
 export type Reported = Readonly<Record<string, readonly number[]>>;
 
-export interface SeriesChart {
-  title: string;
-  xTitle: string;
-  yTitle: string;
-  x: readonly number[];
-  series: Series[];
-}
-
 const TIMES = ["time", "time_s", "t", "t_s"];
 const DASHES = [undefined, "6 3"];
 const MOST_LINES = 6;
@@ -27,7 +19,7 @@ export function timeOf(series: Reported): string | null {
 }
 
 /** Charts of all series, each run over its own time, or over its steps if a series has not the length of the time. A single run has the series of one unit in one chart. */
-export function chartsOf(runs: readonly { title: string; colour: string; reported: Reported }[], units: Readonly<Record<string, string>>): SeriesChart[] {
+export function chartsOf(runs: readonly { title: string; colour: string; reported: Reported }[], units: Readonly<Record<string, string>>) {
   const known = runs.map((run) => ({ ...run, time: timeOf(run.reported) }));
   const timeUnit = known.map(({ time }) => units[time ?? ""]).find(Boolean) ?? "s";
   const names = [...new Set(known.flatMap(({ reported, time }) => Object.keys(reported).filter((name) => name !== time && reported[name]?.length)))];

@@ -61,13 +61,3 @@ export function tableFile(id: string, table: string, format: string, query: Read
 export function calibrationFile(id: string, format: string, set: Readonly<Record<string, string>> = {}): string {
   return `/api/v1/campaigns/${id}/calibration-file?${new URLSearchParams({ ...set, format })}`;
 }
-
-/** Copies a text; false if the browser gives the page no clipboard, as on plain http. */
-export async function copied(text: string): Promise<boolean> {
-  try {
-    await navigator.clipboard.writeText(text);
-    return true;
-  } catch {
-    return false;
-  }
-}

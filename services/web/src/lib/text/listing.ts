@@ -11,12 +11,6 @@ export type Order = readonly [Column, "up" | "down"];
 
 type Known = Pick<Campaign, "id" | "name" | "kind" | "state" | "spec" | "links" | "best" | "cells" | "stages" | "seconds" | "created_at" | "tags">;
 
-export interface Listed<T> {
-  campaign: T;
-  /** It is a study of the campaign above. */
-  below: boolean;
-}
-
 /** The cells of the search; without a search, the cells of all stages together. */
 export function countedCells(campaign: Pick<Known, "cells" | "stages">): Pick<CellCounts, "requested" | "simulated" | "repeated" | "reused" | "predicted"> {
   if (campaign.cells.proposed > 0) return campaign.cells;
@@ -78,8 +72,8 @@ function valueOf(campaign: Known, column: Column): number | string | null {
   return column === "took" ? campaign.seconds.wall : (campaign.created_at ?? "");
 }
 
-/** The campaigns that a search finds, in order; studies follow what they examine, if that is listed. `problemOf`: the name of a campaign's problem. */
-export function arranged<T extends Known>(campaigns: readonly T[], search: string, [column, way]: Order, problemOf: (campaign: T) => string = () => ""): Listed<T>[] {
+/** The campaigns that a search finds, in order; studies follow what they examine, `below` it, if that is listed. `problemOf`: the name of a campaign's problem. */
+export function arranged<T extends Known>(campaigns: readonly T[], search: string, [column, way]: Order, problemOf: (campaign: T) => string = () => ""): { campaign: T; below: boolean }[] {
   const sign = way === "up" ? 1 : -1;
   const listed = campaigns.filter((campaign) => isFound(campaign, search, problemOf(campaign)));
   const ordered = [...listed].sort((a, b) => {

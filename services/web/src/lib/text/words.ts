@@ -1,6 +1,6 @@
 /** Meanings of the terms: as tooltips, and in the glossary of the documentation. */
 
-import type { Best, Campaign, CellCounts, Difference, Moving } from "../server/types";
+import type { Best, Campaign, Difference, Moving } from "../server/types";
 import { number, percent } from "./format";
 
 export const OUTCOMES = ["repeated", "reused", "predicted", "simulated", "failed"] as const;
@@ -24,25 +24,15 @@ export function hasEnded(state: string): boolean {
   return ENDED.includes(state);
 }
 
-/** The counters of the stage that runs; of an ended campaign, the counters of the calibration, or of the last stage with cells. */
-export function cellsOf(campaign: Moving, stage: string | null): Partial<CellCounts> {
-  return campaign.stages[stage ?? "calibration"] ?? {};
-}
-
 /** The stages that have asked for cells, in their order. */
 export function stagesOf(campaign: Moving): string[] {
-  return STAGES.filter((stage) => (cellsOf(campaign, stage).proposed ?? 0) > 0 || campaign.stage === stage);
+  return STAGES.filter((stage) => (campaign.stages[stage]?.proposed ?? 0) > 0 || campaign.stage === stage);
 }
 
 /** The stage that represents a campaign in one line: the search, else what it does now, else what it did last. */
 export function leadingStage(campaign: Moving): string {
   if (campaign.cells.proposed > 0) return "calibration";
   return campaign.stage ?? stagesOf(campaign).at(-1) ?? "calibration";
-}
-
-/** What `requested` is made of; the sum of all parts and `pending` is what was asked for altogether. */
-export function parts(cells: Partial<CellCounts>): { outcome: Outcome; cells: number }[] {
-  return OUTCOMES.map((outcome) => ({ outcome, cells: cells[outcome] ?? 0 }));
 }
 
 /** Requested cells that needed no simulation. */
