@@ -132,9 +132,12 @@ export function withWeight(wanted: Wanted, id: string, weight: number): Wanted {
 }
 
 /** The specification of a clone. `analysed`: with an analysis, if the campaign has none; the default of reuse follows it then. `start`: the sets that its search starts with, if it is a list. */
-export function cloneOf({ name, spec }: Pick<Campaign, "name" | "spec">, analysed: boolean, start?: unknown): Wanted {
-  const optimizer = spec.optimizer && { ...spec.optimizer, ...(Array.isArray(start) ? { start_sets: start } : {}) };
-  const clone: Wanted = { ...spec, ...(optimizer ? { optimizer } : {}), name: `${name.slice(0, 190)} again` };
+export function cloneOf({ name, kind, spec }: Pick<Campaign, "name" | "kind" | "spec">, analysed: boolean, start?: unknown): Wanted {
+  const begins = Array.isArray(start);
+  // Settings of single evaluations and of studies that a search with their sets does not have.
+  const left = !begins || spec.optimizer ? [] : kind === "evaluation" ? ["parameters", "scenario", "seeds", "fresh"] : ["robustness", "validation"];
+  const kept = Object.fromEntries(Object.entries(spec).filter(([field]) => !left.includes(field)));
+  const clone: Wanted = { ...kept, ...(begins ? { optimizer: { ...spec.optimizer, start_sets: start } } : {}), name: `${name.slice(0, 190)} again` };
   if (!analysed || (spec.sensitivity ?? null) !== null) return clone;
   return { ...clone, sensitivity: {}, ...(spec.reduction?.mode === "predicted" ? { reduction: changed(spec.reduction, "mode", undefined) } : {}) };
 }

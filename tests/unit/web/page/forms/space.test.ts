@@ -51,14 +51,21 @@ test("another problem begins without what belonged to the one before", () => {
 });
 
 test("a clone with an analysis takes the reuse that goes with one, unless it was chosen", () => {
-  const of = (spec: Record<string, unknown>, analysed = true, start?: unknown): Wanted => cloneOf({ name: "a", spec }, analysed, start);
+  const of = (spec: Record<string, unknown>, analysed = true, start?: unknown): Wanted => cloneOf({ name: "a", kind: "calibration", spec }, analysed, start);
   const reduction = { mode: "predicted", audit: 0.1, max_error: 0.02 };
   expect(of({ reduction, sensitivity: null })).toEqual({ name: "a again", sensitivity: {}, reduction: { audit: 0.1, max_error: 0.02 } });
   expect(of({ reduction: { ...reduction, mode: "exact" } })["reduction"]).toMatchObject({ mode: "exact" });
   expect(of({ reduction }, false)).toEqual({ name: "a again", reduction });
   expect(of({ reduction, sensitivity: { map: "m" } })).toMatchObject({ sensitivity: { map: "m" }, reduction });
   expect(of({ optimizer: { kind: "genetic" } }, false, [{ P1: 1 }])["optimizer"]).toEqual({ kind: "genetic", start_sets: [{ P1: 1 }] });
-  expect(of({ optimizer: null }, false, [{ P1: 1 }])["optimizer"]).toBeNull();
+});
+
+test("a search starts with the set of a study or of a single evaluation, without their own settings", () => {
+  const started = { name: "a again", problem: "p", optimizer: { start_sets: [{ P1: 1 }] } };
+  const study = { problem: "p", optimizer: null, robustness: { of: "b" }, validation: null };
+  expect(cloneOf({ name: "a", kind: "calibration", spec: study }, false, [{ P1: 1 }])).toEqual(started);
+  expect(cloneOf({ name: "a", kind: "calibration", spec: study }, false)).toEqual({ ...study, name: "a again" });
+  expect(cloneOf({ name: "a", kind: "evaluation", spec: { problem: "p", parameters: { P1: 1 }, scenario: "S1", seeds: 1, fresh: false } }, false, [{ P1: 1 }])).toEqual(started);
 });
 
 test("a baseline is pasted as lines, between commas, from a table or as JSON", () => {
