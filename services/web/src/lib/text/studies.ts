@@ -10,9 +10,9 @@ const STAGES: readonly StudyStage[] = ["robustness", "validation"];
 
 type Known = Pick<Campaign, "kind" | "spec">;
 
-/** Whether it searches for parameters; assumed if a list leaves out a long specification. */
+/** Whether it searches for parameters, as no study and no single evaluation does; assumed if a list leaves out a long specification. */
 export function calibrates(campaign: Known): boolean {
-  return campaign.kind !== "calibration" || campaign.spec.optimizer !== null;
+  return campaign.kind === "calibration" && campaign.spec.optimizer !== null;
 }
 
 /** The studies that a campaign makes, whether it calibrates besides or not. */
@@ -20,9 +20,8 @@ export function studiesOf(campaign: Known): StudyStage[] {
   return STAGES.filter((stage) => typeof campaign.spec[stage] === "object" && campaign.spec[stage] !== null);
 }
 
-/** The kind of a campaign without a calibration, shown in place of its best objective. */
+/** What a campaign without a calibration is. */
 export function kindOf(campaign: Known): string {
-  if (campaign.kind !== "calibration") return campaign.kind;
   if (calibrates(campaign)) return "";
   return studiesOf(campaign).map((stage) => `${stage} study`).join(", ") || (campaign.spec.sensitivity ? "sensitivity analysis" : "");
 }
