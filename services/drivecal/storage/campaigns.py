@@ -253,7 +253,6 @@ def by_sequence(connection: Connection, sequence: int) -> StoredCampaign:
 def page(
     connection: Connection,
     *,
-    kind: Kind = "calibration",
     state: CampaignState | None = None,
     limit: int = 50,
     cursor: str | None = None,
@@ -265,27 +264,24 @@ def page(
     """
     short = case((func.length(cast(campaigns.c.spec, Text)) <= LONGEST_LISTED, campaigns.c.spec)).label("spec")
     columns = [short if column is campaigns.c.spec else column for column in campaigns.c] + [by_stage()]
-    rows, following = page_by(connection, listed(columns, kind, state, conditions), campaigns.c.sequence, limit, cursor)
+    rows, following = page_by(connection, listed(columns, state, conditions), campaigns.c.sequence, limit, cursor)
     return [_campaign(row) for row in rows], following
 
 
 def listed(
-    columns: Iterable[ColumnElement[Any]],
-    kind: Kind,
-    state: CampaignState | None,
-    conditions: Sequence[ColumnElement[bool]] = (),
+    columns: Iterable[ColumnElement[Any]], state: CampaignState | None, conditions: Sequence[ColumnElement[bool]] = ()
 ) -> Select[Any]:
-    """Returns the query of these columns of campaigns, without deleted ones; those asked to cancel count as cancelling."""
+    """Returns the query of these columns of campaigns, without deleted ones and single evaluations; those asked to cancel count as
+    cancelling."""
     # Spelt as the condition of the index `ix_campaigns_listed`: no backend takes the index for a condition with a parameter.
-    wanted = campaigns.c.kind == kind if kind == "evaluation" else campaigns.c.kind != text("'evaluation'")
-    query = select(*columns).where(wanted, campaigns.c.deleted_at.is_(None), *conditions)
+    query = select(*columns).where(campaigns.c.kind != text("'evaluation'"), campaigns.c.deleted_at.is_(None), *conditions)
     asked = campaigns.c.requested_action.is_not_distinct_from("cancel") & campaigns.c.ended_at.is_(None)
     if state is CampaignState.CANCELLING:
         return query.where((campaigns.c.state == state) | asked)
     return query if state is None else query.where(campaigns.c.state == state, ~asked)
 
 
-IDS = listed([campaigns.c.id], "calibration", None)
+IDS = listed([campaigns.c.id], None)
 """The ids of campaigns, which may be abbreviated. A single evaluation needs its whole id."""
 
 

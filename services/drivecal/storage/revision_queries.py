@@ -9,7 +9,7 @@ from sqlalchemy import ColumnElement, Connection, bindparam, select
 
 from drivecal.contracts.campaign import Best, Progress
 from drivecal.domain.campaigns import Action, CampaignState, StageName
-from drivecal.storage.campaigns import IDS, CountsByStage, Kind, by_stage, listed
+from drivecal.storage.campaigns import IDS, CountsByStage, by_stage, listed
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.records import identified, page_by, record
 from drivecal.storage.engine.tables import campaigns, processes
@@ -66,14 +66,13 @@ def campaign_revision(connection: Connection, campaign_id: str) -> tuple[Campaig
 def page(
     connection: Connection,
     *,
-    kind: Kind,
     state: CampaignState | None,
     limit: int,
     cursor: str | None,
     conditions: Sequence[ColumnElement[bool]] = (),
 ) -> list[CampaignRevision]:
     """Returns the campaigns that `campaigns.page` returns for the same arguments, and one more if there are more."""
-    rows, _ = page_by(connection, listed(_REVISION, kind, state, conditions), campaigns.c.sequence, limit + 1, cursor)
+    rows, _ = page_by(connection, listed(_REVISION, state, conditions), campaigns.c.sequence, limit + 1, cursor)
     return [_revision(row) for row in rows]
 
 

@@ -45,11 +45,11 @@ def test_a_page_of_glances_is_the_page_of_campaigns(database: Database) -> None:
         first, cursor = campaigns.page(connection, limit=2)
         for state, at in ((None, None), (None, cursor), (CampaignState.RUNNING, None)):
             result, following = campaigns.page(connection, state=state, limit=2, cursor=at)
-            seen = revision_queries.page(connection, kind="calibration", state=state, limit=2, cursor=at)
+            seen = revision_queries.page(connection, state=state, limit=2, cursor=at)
             assert [item.id for item in seen[:2]] == [entry.id for entry in result]
             assert (len(seen) > 2) == (following is not None)
         with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "cursor"):
-            revision_queries.page(connection, kind="calibration", state=None, limit=2, cursor="nonsense")
+            revision_queries.page(connection, state=None, limit=2, cursor="nonsense")
     assert len(first) == 2
 
 

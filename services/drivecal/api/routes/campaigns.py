@@ -53,7 +53,7 @@ def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_
     page_of: dict[str, Any] = {"state": query.state, "limit": query.limit, "cursor": query.cursor}
     page_of["conditions"] = campaigns.having(query.tag)
     with database.read() as connection:
-        seen = revision_queries.page(connection, kind="calibration", **page_of)
+        seen = revision_queries.page(connection, **page_of)
         silent = silence(revision_queries.heartbeat(connection), moment)
         headers = {"ETag": list_etag(seen, silent), "Cache-Control": "no-cache"}
         if matches(if_none_match, headers["ETag"]):
