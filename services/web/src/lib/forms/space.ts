@@ -1,5 +1,7 @@
 /** Scenarios and parameters of a campaign as a form shows them: read from the specification, and written into it only where they differ from the problem's own. */
 
+import { baseOf } from "../front/weights";
+import type { SetSide } from "../server/cells";
 import type { Shape, ShapeParameter } from "../server/shape";
 import type { Campaign } from "../server/types";
 import { changed } from "./schema";
@@ -140,6 +142,17 @@ export function cloneOf({ name, kind, spec }: Pick<Campaign, "name" | "kind" | "
   const clone: Wanted = { ...kept, ...(begins ? { optimizer: { ...spec.optimizer, start_sets: start } } : {}), name: `${name.slice(0, 190)} again` };
   if (!analysed || (spec.sensitivity ?? null) !== null) return clone;
   return { ...clone, sensitivity: {}, ...(spec.reduction?.mode === "predicted" ? { reduction: changed(spec.reduction, "mode", undefined) } : {}) };
+}
+
+/** The single evaluation that simulates a set of a campaign again; null if its scenarios are of several variants: each has its own vehicle. */
+export function checkOf({ spec }: Pick<Campaign, "spec">, { parameters, scores }: Pick<SetSide, "parameters" | "scores">, seeds: readonly number[]): Wanted | null {
+  const [variant, ...others] = new Set(Object.keys(scores).map((scenario) => scenario.split("@")[1]));
+  const [scenario, ...more] = Object.keys(scores).map(baseOf);
+  if (others.length > 0) return null;
+  const { problem, catalogue, driving_function, vehicle, evaluator, variants } = spec;
+  const varied = { ...mapOf(mapOf(vehicle)["parameters"]), ...mapOf(mapOf(mapOf(mapOf(variants)[variant ?? ""])["vehicle"])["parameters"]) };
+  const driven = variant === undefined ? vehicle : { ...mapOf(vehicle), parameters: varied };
+  return { problem, catalogue, driving_function, vehicle: driven, evaluator, parameters, fresh: true, ...(seeds.length > 0 ? { seeds } : {}), ...(more.length === 0 ? { scenario } : {}) };
 }
 
 /** The parts of a specification that belong to a problem: another one begins without them. */

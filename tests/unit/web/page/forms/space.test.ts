@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import type { Shape, ShapeParameter } from "$lib/server/shape";
-import { cloneOf, parameterRows, pastedSet, scenarioRows, withBaselineOf, withProblem, withRange, withScenario, withWeight, type Wanted } from "$lib/forms/space";
+import { checkOf, cloneOf, parameterRows, pastedSet, scenarioRows, withBaselineOf, withProblem, withRange, withScenario, withWeight, type Wanted } from "$lib/forms/space";
 
 const parameter = (name: string, changes: Partial<ShapeParameter>): ShapeParameter => ({ name, kind: "continuous", unit: "1", description: "", lower: 0, upper: 2, step: null, choices: [], ...changes });
 const SHAPE = {
@@ -66,6 +66,15 @@ test("a search starts with the set of a study or of a single evaluation, without
   expect(cloneOf({ name: "a", kind: "calibration", spec: study }, false, [{ P1: 1 }])).toEqual(started);
   expect(cloneOf({ name: "a", kind: "calibration", spec: study }, false)).toEqual({ ...study, name: "a again" });
   expect(cloneOf({ name: "a", kind: "evaluation", spec: { problem: "p", parameters: { P1: 1 }, scenario: "S1", seeds: 1, fresh: false } }, false, [{ P1: 1 }])).toEqual(started);
+});
+
+test("a set is checked in the vehicle of its variant, and not if its scenarios are of several", () => {
+  const spec = { problem: "p", vehicle: { parameters: { mass: 1, grip: 2 } }, variants: { eu: { vehicle: { parameters: { mass: 3 } } } } };
+  const check = (...scenarios: string[]): Wanted | null => checkOf({ spec }, { parameters: { P1: 1 }, scores: Object.fromEntries(scenarios.map((name) => [name, 1])) }, []);
+  const own = { problem: "p", parameters: { P1: 1 }, fresh: true };
+  expect(check("S1@eu")).toEqual({ ...own, scenario: "S1", vehicle: { parameters: { mass: 3, grip: 2 } } });
+  expect(check("S1", "S2")).toEqual({ ...own, vehicle: { parameters: { mass: 1, grip: 2 } } });
+  expect(check("S1@eu", "S1@us")).toBeNull();
 });
 
 test("a baseline is pasted as lines, between commas, from a table or as JSON", () => {
