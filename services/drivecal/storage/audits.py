@@ -90,7 +90,7 @@ def contradictions(
     watermark: int,
     scale: Scale = COMFORT,
 ) -> dict[str, int]:
-    """Returns the number of reference keys whose simulated results differ in their score, by scenario, without zeros.
+    """Returns the number of reference keys whose simulated results in a setup differ in their score, by scenario, without zeros.
 
     Compares the campaign's own simulated cells with each other, and with the stored references of their keys up to `watermark`.
     """
@@ -121,7 +121,7 @@ def contradictions(
             evaluations.c.plan == Outcome.SIMULATED,
             evaluations.c.outcome == Outcome.SIMULATED,
         )
-        .group_by(evaluations.c.scenario, evaluations.c.reference_key)
+        .group_by(evaluations.c.scenario, evaluations.c.reference_key, evaluations.c.setup_id)  # a setup for each seed
         .having(
             (func.max(own) - func.min(own) > scale.rounding)
             | (func.max(other) - func.min(other) > scale.rounding)

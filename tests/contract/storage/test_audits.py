@@ -75,6 +75,8 @@ def test_scores_under_one_key_contradict_once(database: Database, scores: tuple[
         simulate(connection, sequence, [cell(0, setup, sets[0], scenario="S2", reference_key=KEY)], score=0)
         other = campaign(connection).sequence
         simulate(connection, other, [cell(0, setup, sets[-1], reference_key=KEY)], score=0)
+        seeded = cell(0, setup_id(connection, "S1, seed 2"), sets[0], reference_key=KEY, seed=2, has_seed=True)
+        simulate(connection, sequence, [seeded], score=0)
         assert audits.contradictions(connection, sequence, None, EVALUATOR, 10**6) == expected
 
 
