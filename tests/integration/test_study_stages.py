@@ -26,6 +26,7 @@ from tests.support.values import faults_of, present
 from drivecal.bundles.checks import checked
 from drivecal.bundles.installed import Bundle
 from drivecal.campaigns.resolve.problem import resolve
+from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
@@ -75,6 +76,9 @@ def test_sets_are_ranked_by_what_vehicles_they_bear(database: Database) -> None:
     # nominal runs, then 5, 3 and 1 boxes
     assert ended.counts(StageName.ROBUSTNESS).requested == 3 * 3 + (5 + 3 + 1) * 8 * 3
     assert ended.cells.requested == 0
+    first_vehicle = next(row for row in rows_of(database, ended) if row.iteration == 1)
+    with database.read() as connection:
+        assert explain(connection, first_vehicle.id).stored == 0, "the nominal vehicle's runs are of another setup"
 
 
 def test_the_best_sets_of_a_calibration_are_examined_one_of_each_region_first(database: Database) -> None:

@@ -117,10 +117,9 @@ def _nearest(case: _Case) -> tuple[Nearest | None, int]:
     watermark = case.campaign.watermark or 0
     nearest: Nearest | None = None
     stored = 0
-    place = (cell.stage, cell.iteration, cell.individual)
     sources = (
         candidates.stored_sets(case.connection, cell.setup_id, case.pinned.evaluator, watermark, names),
-        candidates.own_sets(case.connection, cell.campaign_sequence, cell.scenario, place, names),
+        candidates.own_sets(case.connection, cell, names),
     )
     for rank, source in enumerate(sources):
         for sets in source:

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from sqlalchemy import Connection, Select, SmallInteger, literal, select, tuple_, type_coerce
 
-from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, runs
 from drivecal.storage.references.parameter_sets import parse
+from drivecal.storage.results import StoredEvaluation
 
 Integers = npt.NDArray[np.int64]
 SETS_AT_A_TIME = 20_000
@@ -47,13 +47,11 @@ def stored_sets(
     yield from _chunks(connection, query, names)
 
 
-def own_sets(
-    connection: Connection, campaign_sequence: int, scenario: str, before: tuple[StageName, int, int], names: Sequence[str]
-) -> Iterator[Candidates]:
-    """The sets that the campaign itself has simulated in a scenario before a (stage, iteration, individual)."""
+def own_sets(connection: Connection, cell: StoredEvaluation, names: Sequence[str]) -> Iterator[Candidates]:
+    """The sets that the campaign of a cell has simulated in the cell's setup before it."""
     place = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual)
     # Typed one by one: a tuple does not hand its types on, and stages are stored as numbers.
-    limit = tuple_(*(literal(value, column.type) for value, column in zip(before, place, strict=True)))
+    before = tuple_(*(literal(getattr(cell, column.name), column.type) for column in place))
     query = (
         select(
             evaluations.c.id,
@@ -65,12 +63,13 @@ def own_sets(
         )
         .join(parameter_sets)
         .where(
-            evaluations.c.campaign_sequence == campaign_sequence,
-            evaluations.c.scenario == scenario,
+            evaluations.c.campaign_sequence == cell.campaign_sequence,
+            evaluations.c.scenario == cell.scenario,
+            evaluations.c.setup_id == cell.setup_id,  # studies drive the same sets in other vehicles
             evaluations.c.plan == Outcome.SIMULATED,
             evaluations.c.outcome == Outcome.SIMULATED,
             evaluations.c.run_id.is_not(None),
-            tuple_(*place) < limit,
+            tuple_(*place) < before,
         )
     )
     yield from _chunks(connection, query, names)
