@@ -79,8 +79,8 @@ class RobustnessStage(StudyStage):
     name = StageName.ROBUSTNESS
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
-        self._goals = problem.goals
-        super().__init__(database, campaign, problem, view, problem.goals.valued)
+        super().__init__(database, campaign, problem, view)
+        self._goals, self._valued = problem.goals, problem.goals.valued
         wanted = problem.specification.robustness
         if wanted is None:
             raise ValueError("the campaign has no robustness stage")

@@ -287,21 +287,11 @@ def exact_policy(problem: CalibrationProblem) -> ReductionSpecification:
 
 
 class StudyStage(Stage):
-    """A study of a campaign. Its cells are answered by equal parameter sets or simulated, never reused. `valued`: computes the values of
-    a run that its answers need besides the score."""
+    """A study of a campaign. Its cells are answered by equal parameter sets or simulated, never reused."""
 
     _problem: CalibrationProblem
-
-    def __init__(
-        self,
-        database: Database,
-        campaign: StoredCampaign,
-        problem: CalibrationProblem,
-        view: View,
-        valued: results.Valued | None = None,
-    ) -> None:
-        super().__init__(database, campaign, problem, replace(view, influence_map=None, influence_map_sequence=None))
-        self._valued = valued
+    _valued: results.Valued | None = None
+    """Computes the values of a run that its answers need besides the score."""
 
     @abstractmethod
     def _take(self, number: int, answers: Sequence[CellScore]) -> None:
