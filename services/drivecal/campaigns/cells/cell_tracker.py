@@ -166,14 +166,8 @@ class CellTracker:
         if self._counts_starts:  # before cells are answered, which gives their starts back
             self.budget.left -= leases.starts(connection, list(self._pending))
             self._counts_starts = False
-        answers: list[AnsweredCell] = []
-        if share_runs:
-            self._share_runs(connection, answers, self._pending.values())
-        while rejected := self._settle(connection, answers):
-            evaluations.simulate(connection, [cell.id for cell in rejected], reference=None)
-            answers = []
-            if share_runs:
-                self._share_runs(connection, answers, self._pending.values())
+        while rejected := self._settle(connection, self._share_runs(connection, self._pending.values())):
+            self._simulate(connection, rejected)
         self._breakdowns = leases.breakdowns(connection, list(self._pending))
         wanted = [cell for cell in self._pending.values() if cell.plan is Outcome.SIMULATED and cell.id not in earlier]
         self._returned = earlier | {cell.id for cell in wanted}
@@ -198,22 +192,20 @@ class CellTracker:
             elif (rating := self._rating(cell, completion.result)) is not None:
                 finished.append((cell, completion, rating))
             else:
-                orphans += self._break_down(cell, completion, answers)
+                failed, copies = self._break_down(cell, completion)
+                answers += failed
+                orphans += copies
         stored = runs.insert_results(connection, [self._new_run(*simulated) for simulated in finished])
         others = {cell.id: each.result.metrics for (cell, each, _), run in zip(finished, stored, strict=True) if not run.agrees}
         evaluations.store(connection, "metrics", others)
         for (cell, simulation, rating), run in zip(finished, stored, strict=True):
-            self._simulated(cell, simulation, rating, run, answers)
+            answers += self._simulated(cell, simulation, rating, run)
             if simulation.result.trace is not None:
                 traces.fill(connection, self._view.campaign, simulation.result.trace)
-        orphans += self._settle(connection, answers)
-        evaluations.simulate(connection, [orphan.id for orphan in orphans], reference=None)
-        if orphans and not self._exclusive:  # the sample of a lot may hold the very cell
-            known: list[AnsweredCell] = []
-            self._share_runs(connection, known, orphans)
-            self._store(connection, known)
-            orphans = [orphan for orphan in orphans if orphan.id in self._pending]
-        return self._work([*again, *orphans])
+        orphans = self._simulate(connection, [*orphans, *self._settle(connection, answers)])
+        if orphans:  # the sample of a lot may hold the very cell
+            self._store(connection, self._share_runs(connection, orphans))
+        return self._work([*again, *(orphan for orphan in orphans if orphan.id in self._pending)])
 
     def _settle(self, connection: Connection, answers: list[AnsweredCell]) -> list[StoredEvaluation]:
         """Stores answers and the verdicts that follow from them; returns the cells that are to be simulated instead."""
@@ -223,9 +215,14 @@ class CellTracker:
             self._close(cell, answer.outcome, is_own=False)
         reused = [answer for _, answer in released if answer.outcome is not Outcome.PREDICTED]
         self._store(connection, reused)
-        for cell in rejected:
-            self._pending[cell.id] = cell._replace(plan=Outcome.SIMULATED, reference=None)
-        return [self._pending[cell.id] for cell in rejected]
+        return rejected
+
+    def _simulate(self, connection: Connection, cells: Sequence[StoredEvaluation]) -> list[StoredEvaluation]:
+        """Has cells simulated that other results were to answer; returns them as they are planned now."""
+        evaluations.simulate(connection, [cell.id for cell in cells], reference=None)
+        planned = [cell._replace(plan=Outcome.SIMULATED, reference=None) for cell in cells]
+        self._pending |= {cell.id: cell for cell in planned}
+        return planned
 
     def _store(self, connection: Connection, answers: Sequence[AnsweredCell]) -> None:
         """Stores answers, and counts the starts of the simulator for their cells."""
@@ -268,11 +265,12 @@ class CellTracker:
         twice = twice and self.budget.take(beyond=self.budget.kept)
         return Cell(pending.id, pending.parameters.floats, check=twice, trace=self._view.traced)
 
-    def _share_runs(self, connection: Connection, answers: list[AnsweredCell], cells: Iterable[StoredEvaluation]) -> None:
-        """Answers cells whose runs are stored by now."""
+    def _share_runs(self, connection: Connection, cells: Iterable[StoredEvaluation]) -> list[AnsweredCell]:
+        """Answers cells whose runs are stored by now, unless every cell is simulated for this campaign alone."""
+        answers: list[AnsweredCell] = []
         wanted: dict[int, list[StoredEvaluation]] = {}
         for waiting in cells:
-            if waiting.plan is Outcome.SIMULATED:
+            if waiting.plan is Outcome.SIMULATED and not self._exclusive:
                 wanted.setdefault(waiting.setup_id, []).append(waiting)
         for setup_id in sorted(runs.stocked(connection, wanted)):
             here = wanted[setup_id]
@@ -281,7 +279,8 @@ class CellTracker:
             taken = [(cell, stored[cell.parameter_set_id]) for cell in here if cell.parameter_set_id in stored]
             self.faults.note_stored(connection, [(cell.scenario, run) for cell, run in taken])
             for cell, run in taken:
-                self._answer(cell, run, answers)
+                answers += self._answer(cell, run)
+        return answers
 
     def _rating(self, cell: StoredEvaluation, result: CellResult) -> Rating | None:
         """Returns a result's rating; None without a run, and if the run cannot be rated."""
@@ -291,38 +290,20 @@ class CellTracker:
         self.faults.note(cell.scenario, rated)
         return Rating(float(rated.rating), plain(rated.score))
 
-    def _simulated(
-        self, cell: StoredEvaluation, completion: Completed, rating: Rating, run: StoredRun, answers: list[AnsweredCell]
-    ) -> None:
+    def _simulated(self, cell: StoredEvaluation, completion: Completed, rating: Rating, run: StoredRun) -> list[AnsweredCell]:
         self._counts["unrepeatable"] += not run.agrees or completion.result.repeats is False
-        donor = Donor(cell.id, run.id, rating.score, rating.rating, completion.result.failure)
-        if completion.shared:  # counted where it was simulated
-            self._answer(cell, donor, answers)
-        else:
-            self.simulating_seconds += completion.result.milliseconds / 1000
-            self.budget.left += completion.unstarted
-            self._answer(cell, donor, answers, completion)
+        own = None if completion.shared else completion  # else counted where it was simulated
+        self.simulating_seconds += 0.0 if own is None else own.result.milliseconds / 1000
+        return self._answer(cell, Donor(cell.id, run.id, rating.score, rating.rating, completion.result.failure), own)
 
-    def _answer(
-        self, cell: StoredEvaluation, result: Donor, answers: list[AnsweredCell], simulation: Completed | None = None
-    ) -> None:
+    def _answer(self, cell: StoredEvaluation, result: Donor, own: Completed | None = None) -> list[AnsweredCell]:
         """Answers a cell with its own result, and the copies that waited for it."""
-        for other in (cell, *self._copies.pop(cell.id, ())):
-            own = simulation if other is cell else None
-            answers.append(
-                AnsweredCell(
-                    *(other.id, other.plan, result.score, result.rating, result.run, result.failure),
-                    **_attempt(own),
-                    agrees=self._inspection.compare(other, result.score),
-                )
-            )
-            self._close(other, other.plan, is_own=own is not None)
+        _, run, score, rating, failure = result
+        cells = (cell, *self._copies.pop(cell.id, ()))
+        return self._answered(cells, own, score=score, rating=rating, run_id=run, failure=failure)
 
-    def _break_down(self, cell: StoredEvaluation, completion: Completed, answers: list[AnsweredCell]) -> list[StoredEvaluation]:
-        """Fails a cell without a result after all attempts. Copies of the same parameter set fail with it; other copies become orphans."""
-        orphans: list[StoredEvaluation] = []
-        if not completion.shared:
-            self.budget.left += completion.unstarted
+    def _break_down(self, cell: StoredEvaluation, completion: Completed) -> tuple[list[AnsweredCell], list[StoredEvaluation]]:
+        """Fails a cell without a result after all attempts, and the copies of its parameter set. Returns the other copies as well."""
         cause, detail = completion.result.breakdown, completion.result.detail
         if cause is None:
             cause, detail = Breakdown.ERROR.value, "the run has no score, or lacks a measure that its score needs"
@@ -330,23 +311,30 @@ class CellTracker:
             detail = detail[:LONGEST_DETAIL].encode(errors="replace").decode().replace("\0", "\ufffd")
         if self.broken is None:
             self.broken = f"{cell.scenario}: {cause}: {detail or 'no message'} ({_place(cell)})"
-        for other in (cell, *self._copies.pop(cell.id, ())):
-            if other.plan is Outcome.REUSED:
-                orphans.append(other)
-                continue
-            own = completion if other is cell and not completion.shared else None
-            answers.append(
-                AnsweredCell(
-                    *(other.id, Outcome.FAILED, None, None, None, cause),
-                    **_attempt(own),
-                    agrees=self._inspection.compare(other, None),
-                    detail=detail,
-                )
+        copies = self._copies.pop(cell.id, [])
+        failed = [cell, *(copy for copy in copies if copy.plan is not Outcome.REUSED)]
+        own = None if completion.shared else completion
+        known = {"score": None, "rating": None, "run_id": None, "failure": cause, "detail": detail}
+        return self._answered(failed, own, Outcome.FAILED, **known), [copy for copy in copies if copy.plan is Outcome.REUSED]
+
+    def _answered(
+        self, cells: Sequence[StoredEvaluation], own: Completed | None, outcome: Outcome | None = None, **known: Any
+    ) -> list[AnsweredCell]:
+        """Answers a cell, the first one, by its `own` attempts (None if it was not sent itself), and its copies."""
+        answers = []
+        for cell in cells:
+            attempt = own if cell is cells[0] else None
+            answer = AnsweredCell(
+                id=cell.id,
+                outcome=outcome or cell.plan,
+                agrees=self._inspection.compare(cell, known["score"]),
+                **known,
+                **_attempt(attempt),
             )
-            self._close(other, Outcome.FAILED, is_own=own is not None)
-        for position, other in enumerate(orphans):
-            orphans[position] = self._pending[other.id] = other._replace(plan=Outcome.SIMULATED, reference=None)
-        return orphans
+            answers.append(answer)
+            self._close(cell, answer.outcome, is_own=attempt is not None)
+        self.budget.left += 0 if own is None else own.unstarted
+        return answers
 
     def _close(self, cell: StoredEvaluation, outcome: Outcome, *, is_own: bool) -> None:
         self.budget.left += not is_own
