@@ -145,7 +145,7 @@ class WorkPool:
 
     def give_back(self, unwanted: Sequence[Completed]) -> None:
         """Gives back unstored results: their cells may be leased again."""
-        leased = [entry for entry in unwanted if entry.lease is not None and not entry.shared]
+        leased = [entry for entry in unwanted if not entry.shared]
         self._returned |= {entry.result.id: entry.attempts - 1 for entry in leased}
         self._unstarted |= {entry.result.id: entry.unstarted for entry in leased}
 
@@ -165,7 +165,7 @@ class WorkPool:
         numbers = {cell: self._numbers.pop(cell, None) for cell in dispatch.breakdowns}
         unstarted = _unstarted(dispatch, event)
         completed = [
-            replace(entry, lease=numbers[entry.leader or entry.result.id], unstarted=unstarted.get(entry.result.id, 0))
+            replace(entry, lease=numbers.get(entry.result.id), unstarted=unstarted.get(entry.result.id, 0))
             for entry in finished
         ]
         final = {entry.result.id for entry in completed}

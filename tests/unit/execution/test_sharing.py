@@ -35,8 +35,8 @@ def test_an_identical_cell_of_another_campaign_is_answered_with_the_first_ones_r
     add(one, "b", 2, [0.25])
     assert one.next_batch(V, idle=True) is None
     leader, follower = finish(one, sent)
-    assert (leader.tag, leader.result.id, leader.shared, leader.leader) == ("a", 1, False, None)
-    assert (follower.tag, follower.result.id, follower.shared, follower.leader) == ("b", 2, True, 1)
+    assert (leader.tag, leader.result.id, leader.shared) == ("a", 1, False)
+    assert (follower.tag, follower.result.id, follower.shared) == ("b", 2, True)
     assert (leader.result.rating, leader.attempts, leader.worker) == (0.25, 1, W)
     assert (follower.result.rating, follower.attempts, follower.worker) == (0.25, 1, W)
     assert one.held("a") == one.held("b") == 0
@@ -51,7 +51,7 @@ def test_the_cell_whose_turn_comes_first_is_the_one_that_is_sent() -> None:
     sent = [send(one), send(one)]
     assert sorted(number for each in sent for number in ids(each)) == [1, 1001]
     completed = [done for each in sent for done in finish(one, each)]
-    assert [(done.result.id, done.leader) for done in completed if done.result.rating == 99.0] == [(1001, None), (100, 1001)]
+    assert [(done.result.id, done.shared) for done in completed if done.result.rating == 99.0] == [(1001, False), (100, True)]
 
 
 def test_a_cell_of_higher_priority_does_not_wait_for_the_priority_of_its_like() -> None:
@@ -110,6 +110,5 @@ def test_every_value_is_simulated_once_and_every_cell_gets_its_value(work: list[
     assert {entry.result.id: entry.result.rating for entry in plant.completed} == values
     assert len(plant.completed) == len(values)
     assert sum(count for _, _, count in plant.order) == len(set(values.values()))
-    leaders = {item.result.id for item in plant.completed if not item.shared}
-    assert all(values[element.leader] == values[element.result.id] for element in plant.completed if element.leader is not None)
-    assert {member.leader for member in plant.completed if member.leader is not None} <= leaders
+    leaders = {item.result.rating for item in plant.completed if not item.shared}
+    assert {member.result.rating for member in plant.completed if member.shared} <= leaders

@@ -397,7 +397,7 @@ class Turmoil(RuleBasedStateMachine):
             for entry in (row, *alike):
                 done = result.pop(entry.id)
                 assert (done.tag, done.attempts, done.worker) == (entry.tag, attempts, sent.worker)
-                assert done.leader == (None if entry is row else row.id)
+                assert done.shared is (entry is not row)
                 assert done.result.breakdown == (None if breakdown is None else breakdown.value)
                 assert done.result.rating == (float(entry.value) if breakdown is None else None)
                 del self.rows[entry.id]

@@ -232,11 +232,7 @@ class CellTracker:
 
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
         """Cells whose results come from a lease that is over. A result obtained for another cell has no lease of its own."""
-        numbers = {
-            completion.result.id: completion.lease
-            for completion in completed
-            if completion.lease is not None and not completion.shared
-        }
+        numbers = {each.result.id: each.lease for each in completed if each.lease is not None}
         late = numbers.keys() - leases.current(connection, numbers)
         if late:
             MEASURES.late_results.inc(len(late))

@@ -182,17 +182,12 @@ class Completed:
     worker: str
     result: CellResult
     attempts: int
-    leader: int | None = None
-    """The id of the identical cell that was sent instead; None if the cell was sent itself."""
+    shared: bool = False
+    """True if an identical cell was simulated instead."""
     lease: int | None = None
-    """The number of the lease of the result (the leader's, if any); the pool fills it in."""
+    """The number of the lease of a cell that was simulated itself; the pool fills it in."""
     unstarted: int = 0
     """Starts of the simulator that the lease counts and that did not happen; the pool fills it in."""
-
-    @property
-    def shared(self) -> bool:
-        """True if an identical cell was simulated instead."""
-        return self.leader is not None
 
 
 @dataclass(frozen=True, slots=True)

@@ -489,7 +489,7 @@ class Scheduler:
         self._forget(leader)
         for follower in list(simulation.claims):
             its = replace(answer, id=follower.cell.id)
-            completed.append(Completed(follower.tag, worker, its, attempts, leader=leader.cell.id))
+            completed.append(Completed(follower.tag, worker, its, attempts, shared=True))
             self._forget(follower)
         return completed
 
