@@ -148,7 +148,7 @@ def last_numbers(connection: Connection, tables: Sequence[Table]) -> dict[str, i
             if sequence is not None:
                 last, called = connection.execute(text(f"SELECT last_value, is_called FROM {sequence}")).one()  # noqa: S608  # its own
                 numbers[table.name] = last if called else 0
-        elif _counts(connection):
+        else:
             query = text("SELECT seq FROM sqlite_sequence WHERE name = :name")
             numbers[table.name] = connection.scalar(query, {"name": table.name}) or 0
     return {name: last for name, last in numbers.items() if last}
@@ -174,11 +174,6 @@ def _postgresql_sequence(connection: Connection, table: str) -> str | None:
     )
     sequence: str | None = connection.scalar(query, {"table": table})
     return sequence
-
-
-def _counts(connection: Connection) -> bool:
-    """Returns whether SQLite has its table of sequences: it comes with the first table that is numbered without gaps."""
-    return bool(connection.scalar(text("SELECT count(*) FROM sqlite_master WHERE name = 'sqlite_sequence'")))
 
 
 PAGES = 4_096
@@ -212,7 +207,7 @@ def write(database: Database, file: Path, progress: Progress) -> Copied:
                 rows = count_rows(connection, tables_of(connection))
                 _copy_pages(connection, partial, progress)
             else:
-                with _opened(partial, _trust) as opened, opened.transaction() as target:
+                with _opened(partial, trusts=True) as opened, opened.transaction() as target:
                     schema.upgrade(target, opened.name, revision)
                     rows = copy_rows(connection, target, progress)
             _check_file(partial, rows)
@@ -306,17 +301,13 @@ def _copy_pages(source: Connection, target: Path, progress: Progress) -> None:
         driver.backup(copy, pages=PAGES, progress=lambda _, left, total: progress("pages", total - left, total))
 
 
-def _trust(connection: sqlite3.Connection, _record: object) -> None:
-    """Leaves foreign keys to the check of the whole file: a look at each row takes a quarter of the copy's time."""
-    connection.execute("PRAGMA foreign_keys = OFF")
-
-
 @contextmanager
-def _opened(file: Path, prepare: Callable[[sqlite3.Connection, object], None] | None = None) -> Iterator[Database]:
+def _opened(file: Path, *, trusts: bool = False) -> Iterator[Database]:
+    """`trusts` leaves foreign keys to the check of the whole file: a look at each row takes a quarter of the copy's time."""
     url = URL.create("sqlite+pysqlite", database=str(file))
     engine = make_engine(url)
-    if prepare is not None:
-        event.listen(engine, "connect", prepare)
+    if trusts:
+        event.listen(engine, "connect", lambda connection, _: connection.execute("PRAGMA foreign_keys = OFF"))
     database = Database(url, engine)
     try:
         yield database
