@@ -101,9 +101,7 @@ def number_at(connection: Connection, campaign_sequence: int, iteration: int, in
     table = evaluations.c
     here = table.campaign_sequence == campaign_sequence, table.stage == StageName.CALIBRATION
     at = select(table.parameter_set_id).where(*here, table.iteration == iteration, table.individual == individual)
-    number = connection.scalar(at.limit(1))  # searches by the cell ask a set's scenarios at several places
-    if number is None:
-        raise NotFoundError("evaluation", f"of individual {individual} in iteration {iteration}, {scenario}")
+    number = at.limit(1).correlate(None).scalar_subquery()  # searches by the cell ask a set's scenarios at several places
     worth = case((table.score.is_(None), 2), (_COPIED, 1), else_=0)
     cells = select(table.id).where(*here, table.scenario == scenario, table.parameter_set_id == number)
     cell = connection.scalar(cells.order_by(worth, *_PLACE).limit(1))
