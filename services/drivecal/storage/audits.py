@@ -63,14 +63,11 @@ def wrong_in_lots(
     return dict(connection.execute(query).all()) if lot_ids else {}
 
 
-def sampled_sets(connection: Connection, campaign_sequence: int, lot_ids: Sequence[int]) -> dict[int, set[int]]:
-    """Returns the parameter sets of the audited cells of lots, by lot."""
+def sampled_sets(connection: Connection, campaign_sequence: int, lot: int) -> set[int]:
+    """Returns the parameter sets of the audited cells of a lot."""
     cell = evaluations.c
-    query = select(cell.lot, cell.parameter_set_id).where(cell.campaign_sequence == campaign_sequence, AUDITED)
-    sets: dict[int, set[int]] = {}
-    for lot, parameter_set in rows_among(connection, query, cell.lot, list(lot_ids)):
-        sets.setdefault(lot, set()).add(parameter_set)
-    return sets
+    query = select(cell.parameter_set_id).where(cell.campaign_sequence == campaign_sequence, cell.lot == lot, AUDITED)
+    return set(connection.scalars(query))
 
 
 def trusted(connection: Connection, campaign_sequence: int, evaluator: str, references: Sequence[int]) -> dict[int, Donor]:

@@ -139,7 +139,7 @@ class Inspection:
         members = list(lot.members.values())
         if lot.lot.kind is Outcome.PREDICTED or not members:
             return members
-        drawn = audits.sampled_sets(connection, self._campaign, [lot.lot.id]).get(lot.lot.id, set())
+        drawn = audits.sampled_sets(connection, self._campaign, lot.lot.id)
         return [cell for cell in members if cell.parameter_set_id not in drawn]
 
     def _answers(self, connection: Connection, kind: Outcome, cells: Collection[StoredEvaluation]) -> dict[int, AnsweredCell]:
