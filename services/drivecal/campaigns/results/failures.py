@@ -22,14 +22,12 @@ _VARYING = re.compile(r"/\S*drivecal-\S+|0x[0-9a-fA-F]+|\d+(\.\d+)?([eE][-+]?\d+
 
 def causes_of(connection: Connection, campaign: StoredCampaign) -> list[FailureCause]:
     """Returns the causes of a campaign's failed cells, frequent ones first."""
-    causes = [*_reported(connection, campaign.sequence), *_undefined(connection, campaign)]
-    return sorted(_merged(causes), key=lambda cause: (-cause.cells, cause.example))[:MOST_CAUSES]
+    return _merged([*_reported(connection, campaign.sequence), *_undefined(connection, campaign)])[:MOST_CAUSES]
 
 
 def broken_down(connection: Connection, campaign_sequence: int) -> list[FailureCause]:
     """Returns the causes of cells without a result, frequent ones first."""
-    causes = [cause for cause in _reported(connection, campaign_sequence) if cause.kind == "no_result"]
-    return sorted(_merged(causes), key=lambda cause: (-cause.cells, cause.example))
+    return _merged(cause for cause in _reported(connection, campaign_sequence) if cause.kind == "no_result")
 
 
 def _reported(connection: Connection, campaign_sequence: int) -> list[FailureCause]:
@@ -66,7 +64,7 @@ def _undefined(connection: Connection, campaign: StoredCampaign) -> list[Failure
 
 
 def _merged(causes: Iterable[FailureCause]) -> list[FailureCause]:
-    """Joins causes whose words differ in numbers and temporary paths only."""
+    """Joins causes whose words differ in numbers and temporary paths only; returns frequent ones first."""
     merged: dict[tuple[str, str, str | None], FailureCause] = {}
     for cause in sorted(causes, key=lambda cause: cause.example):
         key = (cause.kind, _plain(cause.cause) or "", _plain(cause.detail))
@@ -76,7 +74,7 @@ def _merged(causes: Iterable[FailureCause]) -> list[FailureCause]:
         else:
             scenarios = list(dict.fromkeys([*first.scenarios, *cause.scenarios]))
             merged[key] = first.model_copy(update={"cells": first.cells + cause.cells, "scenarios": scenarios})
-    return list(merged.values())
+    return sorted(merged.values(), key=lambda cause: (-cause.cells, cause.example))
 
 
 def _plain(words: str | None) -> str | None:
