@@ -78,11 +78,8 @@ class Webhook:
         for event in due:
             if not self._deliver(event):
                 return
-            self._mark(event.id)
-
-    def _mark(self, event: int) -> None:
-        with self._database.transaction() as connection:
-            events.mark_posted(connection, event)
+            with self._database.transaction() as connection:
+                events.mark_posted(connection, event.id)
 
     def _deliver(self, event: StoredEvent) -> bool:
         """Returns whether an event was taken or is given up; False if the process ends first."""
