@@ -5,7 +5,7 @@ separate them, and puts the reason into a sentence. Pure.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,19 +22,14 @@ Integers = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Nearest:
-    """A stored set: the number of parameters that block it, its distance in them, its place in the order of references, its evaluation."""
+class Nearest(NamedTuple):
+    """A stored set: the number of parameters that block it, its distance in them, its place in the order of references, its evaluation.
+    The nearest sorts first."""
 
     blocking: int
     distance: float
     place: tuple[int, ...]
     evaluation: int
-
-    @property
-    def order(self) -> tuple[int, float, tuple[int, ...]]:
-        """Sorts the nearest first."""
-        return self.blocking, self.distance, self.place
 
 
 class CellComparison:
@@ -72,7 +67,7 @@ class CellComparison:
         """Returns the stored set with the fewest blocking parameters; None without stored sets.
 
         Among equal ones, the smallest distance decides, then the first of the `places`, shape (n, k), which order references. `evaluations`
-        are their ids, shape (n,). To combine two chunks of stored sets, take the result with the smaller `order`.
+        are their ids, shape (n,). To combine two chunks of stored sets, take the smaller result.
         """
         if not len(stored):
             return None

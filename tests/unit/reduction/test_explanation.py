@@ -100,7 +100,7 @@ def test_chunks_give_what_one_pass_gives(
         portion = slice(start, start + size)
         result = present(comparison.nearest(rows[portion], places[portion], ids[portion]))
         parts.append(result)
-    assert min(parts, key=lambda one: one.order) == whole
+    assert min(parts) == whole
 
 
 def test_a_difference_names_both_values_and_the_regions_in_which_they_lie() -> None:

@@ -126,7 +126,7 @@ def _nearest(case: _Case) -> tuple[Nearest | None, int]:
             stored += len(sets.values)
             places = np.insert(sets.places, 0, rank, axis=1)
             candidate = case.comparison.nearest(sets.values, places, sets.evaluations)
-            if candidate is not None and (nearest is None or candidate.order < nearest.order):
+            if candidate is not None and (nearest is None or candidate < nearest):
                 nearest = candidate
     return nearest, stored
 
