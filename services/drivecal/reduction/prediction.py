@@ -183,7 +183,7 @@ class ScenarioLearner:
                 self._known.popleft()
         if self.known >= max(FEWEST_KNOWN, REFIT * self.trained_on):
             self._training, self.trained_on = list(self._known), self.known
-            self._trained = self._left_out = None
+            self._trained = None
 
     def observe(self, predicted: Floats, confidence: Floats, scores: Floats, weight: Floats | float = 1.0) -> None:
         """Compares predicted scores with simulated ones, each of shape (n,); a prediction stands for `weight` ones."""
@@ -194,22 +194,17 @@ class ScenarioLearner:
         wrong: Bools = np.abs(predicted - scores) > self._tolerance + grains(predicted, scores)
         return wrong
 
-    def fitted(self) -> Predictor | None:
-        """Returns the predictor, trained on the newest of the first `trained_on` answers; None with too few."""
-        if self._trained is None and self._training:
-            features, scores, ratings = (np.concatenate(column)[-MOST_KNOWN:] for column in zip(*self._training, strict=True))
-            self._trained = self._predictor()
-            self._trained.fit(features, scores, ratings)
-        return self._trained
-
     def predict(self, features: Floats) -> tuple[Predictions, Floats] | None:
-        """Returns the predictions of n sets with their expected error rates, shape (n,); None with too few known answers."""
-        predictor = self.fitted()
-        if predictor is None:
+        """Returns the predictions of n sets with their expected error rates, shape (n,); None with too few known answers. The predictor is
+        trained on the newest of the first `trained_on` answers when it is first asked."""
+        if not self._training:
             return None
-        predictions = predictor.predict(features)
-        if self._left_out is None:
-            self._left_out = predictor.known_errors()
+        if self._trained is None:
+            known = (np.concatenate(column)[-MOST_KNOWN:] for column in zip(*self._training, strict=True))
+            self._trained = self._predictor()
+            self._trained.fit(*known)
+            self._left_out = self._trained.known_errors()
+        predictions = self._trained.predict(features)
         return predictions, self._record.error_rates(predictions.confidence, self._left_out)
 
 
