@@ -75,7 +75,7 @@ class CalibrationProblem:
         wanted = self.specification.sensitivity
         if not isinstance(wanted, SensitivitySpecification):
             return None
-        return resolvers.plan_analysis(wanted, self.constraints, self.scenarios, self.bench.scale)
+        return SensitivityAnalysis(self.space, self.scenarios, wanted, self.bench.scale, self.constraints)
 
     @cached_property
     def search_constraints(self) -> Constraints:
@@ -119,11 +119,6 @@ class CalibrationProblem:
         return self.specification.replicates.least if self.bench.is_random else 1
 
     @property
-    def rate_seeds(self) -> int:
-        """The number of seeds that constraints on rates need at least; 0 without any."""
-        return self.goals.fewest_seeds
-
-    @property
     def scenarios_of_variants(self) -> int:
         """The number of scenarios of each variant, in sum."""
         return sum(len(goals.objectives[0].shares) for goals in self.variants.values())
@@ -141,7 +136,7 @@ class CalibrationProblem:
         if self.optimization is None or budget is None or budget.simulations is None or not is_random:
             return None if budget is None else budget.simulations
         by_cell, most = not self.optimization.has_populations, self.specification.replicates.most
-        shown, of_variants = self.rate_seeds, self.scenarios_of_variants
+        shown, of_variants = self.goals.fewest_seeds, self.scenarios_of_variants
         kept = kept_back(budget.simulations, len(self.scenarios), most, shown, of_variants, by_cell=by_cell)
         return budget.simulations - kept
 
@@ -261,7 +256,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     resolvers.check_validation(specification, diagnostics)
     analysed = specification.sensitivity
     if constraints is not None and isinstance(analysed, SensitivitySpecification):
-        diagnostics.attempt(lambda: resolvers.plan_analysis(analysed, constraints, tuple(weights)))
+        diagnostics.attempt(lambda: SensitivityAnalysis(constraints.space, tuple(weights), analysed, constraints=constraints))
     make, space, allowed = diagnostics.found(workbench.make), diagnostics.found(space), diagnostics.found(constraints)
     specification = specification.model_copy(update=dict(workbench.settled) | settled_search(specification, optimization))
     bench = replace(make(weights, variants.vehicles), repeat=specification.reduction.repeat)

@@ -9,11 +9,10 @@ from drivecal.contracts.specification import CampaignSpecification, Given, Sensi
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import Diagnostics
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
-from drivecal.domain.scales import COMFORT, Scale
+from drivecal.domain.scales import Scale
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins import registry
 from drivecal.sensitivity import thresholds
-from drivecal.sensitivity.analysis import SensitivityAnalysis
 
 MOST_WRONG_SETS = 200
 """Problems after which further start sets are not checked."""
@@ -164,10 +163,3 @@ def find_constraints(function: Function | None, space: ParameterSpace, diagnosti
         if diagnostics.attempt(lambda: constraints.region(0 * last, last)) is None:
             return None
     return constraints
-
-
-def plan_analysis(
-    wanted: SensitivitySpecification, constraints: Constraints, scenarios: Sequence[str], scale: Scale = COMFORT
-) -> SensitivityAnalysis:
-    """Plans a new sensitivity analysis. Raises InvalidInputError if the space does not allow it."""
-    return SensitivityAnalysis(constraints.space, scenarios, wanted, scale, constraints)

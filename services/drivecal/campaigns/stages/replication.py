@@ -82,7 +82,7 @@ class Replication:
         table count as in the search, so that the same campaign again asks for the same cells."""
         chosen, requested = self._problem.optimization, tracker.counts.get("requested", 0)
         if chosen is None or chosen.budget is None or chosen.budget.simulations is None:
-            most, shown = self._problem.specification.replicates.most, self._problem.rate_seeds
+            most, shown = self._problem.specification.replicates.most, self._problem.goals.fewest_seeds
             fewest = replicates.fewest(len(self._problem.scenarios), most, shown, self._problem.scenarios_of_variants)
             return max(fewest, int((requested - after) * replicates.KEPT / (1 - replicates.KEPT))) - after
         left = int(tracker.budget.left)
