@@ -1,7 +1,7 @@
 """Campaigns as a dispatcher leaves them, without one: what the API has to show."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import campaigns, generations
-from drivecal.storage.campaigns import Snapshot, StoredCampaign
+from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps, parameter_sets, setups
 
@@ -54,10 +54,10 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
         )
         generations.finish(connection, campaign.sequence, figures, [3.0] * individuals)
         best = Best(objective=3.5, parameters=numbers(sets[-1]), scores=dict.fromkeys(problem.scenarios, 3), alternatives=1)
-        snapshot = Snapshot(
+        answered = replace(
+            campaigns.get(connection, campaign_id),
             stage=StageName.CALIBRATION,
             iteration=0,
-            cells={StageName.CALIBRATION: CellCounts(proposed=cells, requested=cells, simulated=cells)},
             progress=Progress(done=cells, total=cells, eta_seconds=0.0),
             error_rate={name: ErrorRate() for name in problem.scenarios},
             best=best,
@@ -65,7 +65,8 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
             simulating_seconds=1.5,
             notes=problem.notes,
         )
-        campaigns.save_progress(connection, campaign.sequence, snapshot)
+        counts = CellCounts(proposed=cells, requested=cells, simulated=cells)
+        campaigns.save_progress(connection, answered, {StageName.CALIBRATION: counts})
         if end:
             campaigns.end(connection, campaign.sequence, CampaignState.SUCCEEDED)
         return Carried(campaigns.get(connection, campaign_id), problem, sets)

@@ -150,24 +150,11 @@ class StoredCampaign(CampaignHeading):
         return CellCounts(**self.stages.get(stage, {}))
 
 
-@dataclass(frozen=True, slots=True)
-class Snapshot:
-    """Progress of a running campaign for `save_progress`; fields after `simulating_seconds` that are None stay as stored."""
-
-    stage: StageName | None
-    iteration: int | None
-    cells: Mapping[StageName, CellCounts]
-    progress: Progress
-    simulating_seconds: float
-    error_rate: Mapping[str, ErrorRate] | None = None
-    released: Mapping[str, Released] | None = None
-    best: Best | None = None
-    search: SearchState | None = None
-    confirmation: Confirmation | None = None
-    baseline: Baseline | None = None
-    notes: tuple[str, ...] | None = None
-
-
+_PROGRESS = (
+    *("stage", "iteration", "progress", "simulating_seconds", "notes"),
+    *("error_rate", "released", "best", "search", "confirmation", "baseline"),
+)
+"""Columns that a campaign's stages write."""
 _SELECT = select(campaigns, by_stage())
 _BY_ID = _SELECT.where(campaigns.c.id == bindparam("identifier"))
 _BY_SEQUENCE = _SELECT.where(campaigns.c.sequence == bindparam("number"))
@@ -381,12 +368,10 @@ def first_watermark(connection: Connection, sequence: int) -> int:
     return int(connection.scalar(query.order_by(campaigns.c.sequence).limit(1)) or 0)
 
 
-def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> None:
-    """Writes the progress of a campaign."""
-    values = {each.name: getattr(snapshot, each.name) for each in fields(Snapshot) if each.name != "cells"}
-    changed = {name: value for name, value in values.items() if value is not None or name in {"stage", "iteration"}}
-    connection.execute(_of(sequence).values(changed))
-    save_counts(connection, sequence, snapshot.cells)
+def save_progress(connection: Connection, campaign: StoredCampaign, cells: Mapping[StageName, CellCounts]) -> None:
+    """Writes the progress of a campaign, and its counts of some stages."""
+    connection.execute(_of(campaign.sequence).values({name: getattr(campaign, name) for name in _PROGRESS}))
+    save_counts(connection, campaign.sequence, cells)
 
 
 def set_resolution(connection: Connection, sequence: int, resolution: Mapping[str, Any]) -> None:

@@ -23,7 +23,7 @@ from drivecal.contracts.campaign import Released
 from drivecal.domain.evaluations import RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.storage import events, generations, results
-from drivecal.storage.campaigns import Snapshot, StoredCampaign
+from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.generations import StoredGeneration
 
@@ -209,5 +209,5 @@ class PopulationSearch(ComputedSearch):
         with self._view.reuse_time.counted(), self._database.transaction() as connection:
             return self._planner.worth_a_look(connection, dismissed, *self._surest())[: limit // 4]
 
-    def _snapshot(self, connection: Connection) -> Snapshot:
+    def _snapshot(self, connection: Connection) -> StoredCampaign:
         return replace(super()._snapshot(connection), released=self._released)

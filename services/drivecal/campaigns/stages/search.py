@@ -32,7 +32,7 @@ from drivecal.domain.evaluations import Purpose, RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.storage import evaluations, events, generations, results
-from drivecal.storage.campaigns import Snapshot, StoredCampaign
+from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
 
@@ -242,7 +242,7 @@ class SearchStage(Stage):
         at = number + 1 if (stood_still or stale >= STALE) and search.stood_still_at is None else search.stood_still_at
         return search.model_copy(update={"simulated": simulated, "better_at": better_at, "stood_still_at": at, "stale": stale})
 
-    def _snapshot(self, connection: Connection) -> Snapshot:
+    def _snapshot(self, connection: Connection) -> StoredCampaign:
         counts = CellCounts(**self._tracker.counts)
         notes = list(self._problem.notes)
         if (rejected := rejected_text(self._error_rate)) is not None:

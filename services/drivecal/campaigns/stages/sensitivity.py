@@ -24,7 +24,7 @@ from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
 from drivecal.sensitivity.analysis import Phase, SensitivityAnalysis
 from drivecal.sensitivity.scenario import ScenarioInfluence
 from drivecal.storage import campaigns, evaluations, events, results
-from drivecal.storage.campaigns import Snapshot, StoredCampaign
+from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
 
@@ -151,5 +151,5 @@ class Sensitivity(Stage):
             "simulated": self._tracker.counts.get("simulated", 0),
         }
 
-    def _snapshot(self, connection: Connection) -> Snapshot:
+    def _snapshot(self, connection: Connection) -> StoredCampaign:
         return replace(super()._snapshot(connection), notes=(*self._problem.notes, *self._score_notes()))

@@ -25,7 +25,7 @@ from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.execution.scheduling.in_flight import Completed, RunBudget, Work
 from drivecal.storage import campaigns, evaluations, events, results, studies
-from drivecal.storage.campaigns import Snapshot, StoredCampaign
+from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
 
@@ -129,14 +129,14 @@ class Stage(ABC):
     def _conclude(self) -> None:  # noqa: B027  # a hook
         """Stores the outcome of the stage."""
 
-    def _snapshot(self, connection: Connection) -> Snapshot:
-        """The progress to store; subclasses extend it."""
+    def _snapshot(self, connection: Connection) -> StoredCampaign:
+        """The campaign with the progress to store; subclasses extend it."""
         self._record_firsts(connection)
         counts = CellCounts(**self._tracker.counts)
-        return Snapshot(
+        return replace(
+            self._campaign,
             stage=self.name,
             iteration=None if self._round is None else self._round.number,
-            cells={self.name: counts},
             progress=self._progress(counts.requested, counts.proposed),
             simulating_seconds=self._tracker.simulating_seconds,
         )
@@ -260,7 +260,7 @@ class Stage(ABC):
         return planned
 
     def _save(self, connection: Connection) -> None:
-        campaigns.save_progress(connection, self._campaign.sequence, self._snapshot(connection))
+        campaigns.save_progress(connection, self._snapshot(connection), {self.name: CellCounts(**self._tracker.counts)})
 
     def _refuse_failures(self) -> None:
         counts = CellCounts(**self._tracker.counts)
