@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice, product
-from math import prod
 from typing import Any
 
 from sqlalchemy import Connection
@@ -98,12 +97,16 @@ def runs_of(specification: ComparisonSpecification) -> list[CampaignSpecificatio
 def _places(specification: ComparisonSpecification) -> Iterator[tuple[int, int | None, int, int]]:
     """Yields place of the optimizer, population, if it has any, seed and place of the reduction of each campaign, in order."""
     for place, optimizer in enumerate(specification.optimizers):
-        populations: Sequence[int | None] = specification.populations
-        with suppress(InvalidInputError):  # an unknown optimizer is refused later
-            if isinstance(registry.optimizer(optimizer.kind), WITHOUT_POPULATIONS):
-                populations = [None]
+        populations = _populations(specification, optimizer)
         for population, seed, reduction in product(populations, specification.seeds, range(len(specification.reductions))):
             yield place, population, seed, reduction
+
+
+def _populations(specification: ComparisonSpecification, optimizer: ComparedOptimizer) -> Sequence[int | None]:
+    with suppress(InvalidInputError):  # an unknown optimizer is refused later
+        if isinstance(registry.optimizer(optimizer.kind), WITHOUT_POPULATIONS):
+            return [None]
+    return specification.populations
 
 
 def _campaign(
@@ -159,7 +162,8 @@ def resolve_comparison(specification: ComparisonSpecification, bundles: BundleSo
 
 
 def _check_lists(specification: ComparisonSpecification, diagnostics: Diagnostics) -> None:
-    count = prod(len(getattr(specification, name)) for name in ("optimizers", "populations", "seeds", "reductions"))
+    searches = sum(len(_populations(specification, optimizer)) for optimizer in specification.optimizers)
+    count = searches * len(specification.seeds) * len(specification.reductions)
     if count > LARGEST_RUNS:
         remedy = f"at most {LARGEST_RUNS:,}; give fewer optimizers, populations, seeds or reductions"
         diagnostics.add("", f"optimizers x populations x seeds x reductions are {count:,} campaigns", remedy)
