@@ -33,8 +33,8 @@ def test_scores_of_runs_and_of_their_keys(database: Database) -> None:
         assert [repr(by_set[item].score) for item in sets] == SHOWN
         by_key = reference_keys.look_up(connection, 1, setup, keys, EVALUATOR, watermark)
         assert [repr(by_key[key].score) for key in keys] == SHOWN
-        scores = runs.scores(connection, [run.id for run in stored], "other 1")
-        assert [repr(scores[run.id]) for run in stored] == SHOWN
+        by_other = runs.look_up_exact(connection, setup, sets, "other 1", watermark)
+        assert [repr(by_other[item].score) for item in sets] == SHOWN
 
 
 @pytest.mark.parametrize("predicted", [False, True])

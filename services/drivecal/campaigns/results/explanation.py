@@ -1,7 +1,7 @@
 """Explains the answer of a cell from the rows that the campaign saw when it requested the cell."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,10 +17,10 @@ from drivecal.domain.evaluations import INSPECTED, Outcome, Purpose
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.values import billionths
 from drivecal.reduction.explanation import CellComparison, Nearest, sentence
-from drivecal.storage import campaigns, lots, results
+from drivecal.storage import audits, campaigns, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.lots import StoredLot
-from drivecal.storage.references import candidates, influence_maps, parameter_sets, runs
+from drivecal.storage.references import candidates, influence_maps, parameter_sets
 from drivecal.storage.results import StoredEvaluation
 
 
@@ -68,10 +68,6 @@ class _Case:
         return None if self.cell.lot is None else lots.by_id(self.connection, self.cell.lot)
 
     @cached_property
-    def prediction(self) -> Prediction | None:
-        return prediction_of(self.connection, self.cell)
-
-    @cached_property
     def pinned(self) -> ResolvedSpec:
         return resolved_spec(self.campaign)
 
@@ -89,7 +85,7 @@ def explain(connection: Connection, evaluation_id: int) -> Explanation:
     if (reason := _HITS.get(cell.plan)) is not None:
         return _explanation(case, reason, *_reference(case, cell.reference))
     if (confirmed := _trusted(case)) is not None:
-        prediction = replace(case, cell=confirmed).prediction if confirmed.outcome is Outcome.PREDICTED else None
+        prediction = prediction_of(connection, confirmed) if confirmed.outcome is Outcome.PREDICTED else None
         return _explanation(case, "checked", *_reference(case, confirmed.reference), prediction=prediction)
     nearest, stored = _nearest(case)
     if nearest is None:
@@ -140,13 +136,9 @@ def _reference(case: _Case, evaluation_id: int | None) -> tuple[Reference | None
     except NotFoundError:
         return None, []
     claimed = sorted(set(donor.parameters.names) ^ set(case.cell.parameters.names))
-    score = donor.score
-    if donor.run_id is not None and donor.campaign_sequence != case.campaign.sequence:
-        score = runs.scores(connection=case.connection, run_ids=[donor.run_id], evaluator=case.pinned.evaluator).get(
-            donor.run_id, score
-        )
+    rated = audits.trusted(case.connection, case.campaign.sequence, case.pinned.evaluator, [donor.id]).get(donor.id, donor)
     owner = campaigns.by_sequence(case.connection, donor.campaign_sequence)
-    reference = Reference.of(donor, evaluation=donor.id, campaign=owner.id, score=score, claimed=claimed)
+    reference = Reference.of(donor, evaluation=donor.id, campaign=owner.id, score=rated.score, claimed=claimed)
     return reference, [] if claimed else case.comparison.differences(case.cell.parameters, donor.parameters)
 
 
@@ -173,7 +165,7 @@ def _explanation(
     prediction: Prediction | None = None,
 ) -> Explanation:
     cell = case.cell
-    prediction = prediction or case.prediction
+    prediction = prediction or prediction_of(case.connection, cell)
     answer = Explanation.of(
         cell,
         evaluation=cell.id,

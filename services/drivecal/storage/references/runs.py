@@ -204,11 +204,6 @@ def of_sets(connection: Connection, setup_id: int, parameter_set_ids: Sequence[i
     return [RunOfSet(row[0], row[1], read(row[2]), row[3]) for row in rows]
 
 
-def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> dict[int, float]:
-    """The scores that an evaluator gave to runs, by their id. Runs that it has not rated are left out."""
-    return {run_id: score for (run_id, by), (score, _) in _ratings(connection, run_ids).items() if by == evaluator}
-
-
 def metrics(connection: Connection, run_ids: Collection[int]) -> dict[int, dict[str, float | None]]:
     """Returns the measured metrics of runs by id, None for values that were not finite. Skips unknown ids."""
     query = select(runs.c.id, runs.c.metrics)
