@@ -46,7 +46,8 @@ class View:
     watermark: int
     bench: Bench
     influence_map: InfluenceMap | None = None
-    influence_map_sequence: int | None = None
+    influence_map_sequence: int = 0
+    """Number of the influence map, if there is one."""
     traced: bool = False
     """The time series of its cells are wanted."""
     workers: int = 1
@@ -80,13 +81,13 @@ def sync_reference_keys(database: Database, view: View) -> None:
 
     The campaign's evaluator must have rated the runs before (`rerating`): unrated runs have no key.
     """
-    if view.influence_map_sequence is None:
+    if view.influence_map is None:
         return
     with database.transaction() as connection:
         setup_ids = ensure_setups(connection, view.bench)
     evaluator = view.bench.evaluator_id
     for scenario, setup_id in setup_ids.items():
-        keys_of = partial(keys_under, view.influence_map or InfluenceMap({}), scenario)
+        keys_of = partial(keys_under, view.influence_map, scenario)
         reference_keys.sync(database, view.influence_map_sequence, setup_id, evaluator, view.watermark, keys_of)
 
 
@@ -155,8 +156,6 @@ def _references(
     connection: Connection, view: View, scenario: str, setup_id: int, keys: Sequence[bytes], before: int | None
 ) -> dict[bytes, Donor]:
     own = evaluations.own_answers(connection, view.campaign, scenario, setup_id, keys, before, by_key=True)
-    if view.influence_map_sequence is None:
-        return own
     return own | reference_keys.look_up(
         connection, view.influence_map_sequence, setup_id, keys, view.bench.evaluator_id, view.watermark
     )

@@ -46,7 +46,7 @@ class ValidationStage(StudyStage):
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
         """`view` with the influence map that is to be validated."""
-        super().__init__(database, campaign, problem, replace(view, influence_map=None, influence_map_sequence=None))
+        super().__init__(database, campaign, problem, replace(view, influence_map=None))
         wanted, influence_map = problem.specification.validation, view.influence_map
         if wanted is None or influence_map is None:
             raise ValueError("the campaign has no map to validate")
