@@ -200,23 +200,15 @@ def map_to_document(influence_map: InfluenceMap) -> Any:
 
 def analysis_to_document(analysis: Mapping[str, ScenarioInfluence]) -> dict[str, Any]:
     """Returns an analysis's result in the form of `map_to_document`, with each parameter's measures added to its bounds."""
-    bounds: dict[str, Any] = map_to_document(
-        InfluenceMap(
-            {
-                scenario: {name: parameter.influence for name, parameter in analysis[scenario].parameters.items()}
-                for scenario in analysis
-            }
-        )
-    )
+    influences = {scenario: {name: each.influence for name, each in of.parameters.items()} for scenario, of in analysis.items()}
+    bounds: dict[str, Any] = map_to_document(InfluenceMap(influences))
     for scenario, listed in analysis.items():
         for name, parameter in listed.parameters.items():
             overall = None if parameter.overall is None else parameter.overall.measures
             bounds[scenario][name] |= {
                 "unknown": listed.unknown,
                 "s_rel_intervals": [finite(value) for value in parameter.s_rel_intervals],
-                "mu": None if overall is None else finite(overall.mu),
-                "sigma": None if overall is None else finite(overall.sigma),
-                "mu_star": None if overall is None else finite(overall.mu_star),
+                **{name: finite(getattr(overall, name, None)) for name in ("mu", "sigma", "mu_star")},
                 "decided_by": decided_by(parameter, unknown=listed.unknown),
             }
     return bounds
