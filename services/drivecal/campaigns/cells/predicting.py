@@ -205,13 +205,14 @@ class LotPlanner:
     def predict(self, sets: Mapping[int, ParameterSet]) -> None:
         """Predicts a batch, by individual, in scenarios whose predictions pay. It takes seconds: call it outside of any transaction, once
         `is_ready`."""
-        self._rows, self._forecasts = {individual: row for row, individual in enumerate(sets)}, {}
+        self._predict(sets, sorted(self._chosen))
+
+    def _predict(self, sets: Mapping[int, ParameterSet], asked: Sequence[str]) -> None:
+        self._rows, self._forecasts = {number: row for row, number in enumerate(sets)}, {}
         if not sets:
             return
         features = self._features(list(sets.values()))
-        self._forecasts = self._forecast(sorted(self._chosen), features)
 
-    def _forecast(self, asked: Sequence[str], features: Floats) -> dict[str, _Forecast]:
         def forecast(scenario: str) -> _Forecast | None:
             began = time.thread_time()
             learner = self._learners[scenario]
@@ -220,7 +221,7 @@ class LotPlanner:
 
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             forecasts = dict(zip(asked, pool.map(forecast, asked), strict=True))
-        return {scenario: each for scenario, each in forecasts.items() if each is not None}
+        self._forecasts = {scenario: each for scenario, each in forecasts.items() if each is not None}
 
     def worth_a_look(
         self,
@@ -238,10 +239,8 @@ class LotPlanner:
             reaches: see `plan`.
         """
         self.learn(connection)
-        numbers = list(dismissed)
-        parameters = parameter_sets.load(connection, numbers)
-        self._rows = {number: row for row, number in enumerate(numbers)}
-        self._forecasts = self._forecast(list(self._learners), self._features([parameters[number] for number in numbers]))
+        parameters = parameter_sets.load(connection, list(dismissed))
+        self._predict({number: parameters[number] for number in dismissed}, list(self._learners))
         self._view.reuse_time.seconds += sum(forecast.seconds for forecast in self._forecasts.values())
         cells = [
             RequestedCell(
@@ -254,7 +253,7 @@ class LotPlanner:
             for scenario, answer in answers.items()
         ]
         reaching = self._promoted(cells, best) if reaches is None or best is None else self._reaching(cells, reaches)
-        return [number for number in numbers if number in reaching]
+        return [number for number in dismissed if number in reaching]
 
     def released(self, connection: Connection) -> dict[str, Released]:
         """Sums up the lots with a verdict, by scenario."""
