@@ -62,19 +62,17 @@ class SearchAnswers(ABC):
         """Returns the answered cells of one iteration, or of all, with the values that the goals need."""
         return list(results.answers(connection, campaign, StageName.CALIBRATION, iteration, valued=self._goals.valued))
 
-    def _worst(self, known: Floats) -> float | None:
-        return (float(known.min()) if self._goals.objectives[0].sign > 0 else float(known.max())) if known.size else None
-
     def figures(self, number: int, cells: GenerationCounts, objectives: Floats) -> Generation:
         """Returns the figures of a round with these counts and objectives, shape (n,), NaN without a result."""
         best, known = self.ranking.best(), objectives[~np.isnan(objectives)]
+        worst = known.min if self._goals.objectives[0].sign > 0 else known.max
         return Generation(
             **cells.model_dump(),
             iteration=number,
             best=None if best is None else best[0].objective,
             rating=None if best is None else best[0].rating,
             mean=float(known.mean()) if known.size else None,
-            minimum=self._worst(known),
+            minimum=float(worst()) if known.size else None,
             alternatives=0 if best is None else best[1],
         )
 
