@@ -149,10 +149,6 @@ class WorkPool:
         self._returned |= {entry.result.id: entry.attempts - 1 for entry in leased}
         self._unstarted |= {entry.result.id: entry.unstarted for entry in leased}
 
-    def close(self) -> None:
-        """Ends the workers and drops unanswered cells."""
-        self._backend.close()
-
     def _take_in(self, event: Finished | Lost) -> list[Completed]:
         if event.batch_id < 0:
             self._take_answer(event)

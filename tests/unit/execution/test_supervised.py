@@ -81,7 +81,7 @@ def test_a_repaired_cache_gets_the_files_again(tmp_path: Path) -> None:
         folder.mkdir()
         folder.chmod(0o777)  # others could change it
     now = 0.0
-    pool = WorkPool(WorkersHere(folders), MemoryLeases(), clock=lambda: now)
+    pool = WorkPool(workers := WorkersHere(folders), MemoryLeases(), clock=lambda: now)
     names = (("x",), (), ("y",), (), ())
     setup = SetupRequest(content_digest(archive()), "mine", "city", {}, SIMULATOR, *names, "fingerprint")
     while now < PATIENCE_WITH_REFUSALS / 2:
@@ -97,7 +97,7 @@ def test_a_repaired_cache_gets_the_files_again(tmp_path: Path) -> None:
         now += 1.0
     assert answer == "2.1"
     assert pool.trouble() is None
-    pool.close()
+    workers.close()
 
 
 @pytest.mark.parametrize("cells", [0, 1, 7])
