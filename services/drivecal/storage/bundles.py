@@ -54,11 +54,11 @@ def add(
     """
     pushed = (connection.scalar(select(func.max(bundles.c.pushed))) or 0) + 1
     moved = update(bundles).where(bundles.c.digest == digest, ~_latest).values(pushed=pushed)
-    if not connection.execute(moved).rowcount and not is_stored(connection, digest):
+    is_new = not connection.execute(moved).rowcount and not is_stored(connection, digest)
+    if is_new:
         row = {"digest": digest, "name": name, "manifest": dict(manifest), "archive": archive, "size": len(archive)}
         connection.execute(bundles.insert().values(**row, pushed=pushed, created_at=now()))
-        return by_digest(connection, digest), True
-    return by_digest(connection, digest), False
+    return by_digest(connection, digest), is_new
 
 
 def is_stored(connection: Connection, digest: str) -> bool:
