@@ -158,7 +158,6 @@ class KnownAnswer:
     """A simulated answer that a predictor may learn from. A cell that was predicted first has `predicted_score` and `confidence`.
     `stands_for` is the number of predictions that a sampled cell of a released lot represents, else 1."""
 
-    id: int
     scenario: str
     stage: StageName
     iteration: int
@@ -198,5 +197,5 @@ def known_answers(
         .order_by(cell.stage, cell.iteration, cell.individual, cell.scenario)
     )
     rows = connection.execute(query).all()
-    answers = [KnownAnswer(*row[:5], parsed(row.parameter_values), *row[6:]) for row in rows]
+    answers = [KnownAnswer(*row[1:5], parsed(row.parameter_values), *row[6:]) for row in rows]
     return answers, max((row.id for row in rows), default=after)
