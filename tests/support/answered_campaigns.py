@@ -55,13 +55,12 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
         generations.finish(connection, campaign.sequence, figures, [3.0] * individuals)
         best = Best(objective=3.5, parameters=numbers(sets[-1]), scores=dict.fromkeys(problem.scenarios, 3), alternatives=1)
         answered = replace(
-            campaigns.get(connection, campaign_id),
+            campaign,
             stage=StageName.CALIBRATION,
             iteration=0,
             progress=Progress(done=cells, total=cells, eta_seconds=0.0),
             error_rate={name: ErrorRate() for name in problem.scenarios},
             best=best,
-            baseline=None,
             simulating_seconds=1.5,
             notes=problem.notes,
         )

@@ -29,12 +29,11 @@ def test_scores_of_runs_and_of_their_keys(database: Database) -> None:
     watermark = stored[-1].id
     reference_keys.sync(database, 1, setup, EVALUATOR, watermark, lambda _, values: keys[: len(values)])
     with database.read() as connection:
-        by_set = runs.look_up_exact(connection, setup, sets, EVALUATOR, watermark)
-        assert [repr(by_set[item].score) for item in sets] == SHOWN
+        for evaluator in (EVALUATOR, "other 1"):
+            by_set = runs.look_up_exact(connection, setup, sets, evaluator, watermark)
+            assert [repr(by_set[item].score) for item in sets] == SHOWN
         by_key = reference_keys.look_up(connection, 1, setup, keys, EVALUATOR, watermark)
         assert [repr(by_key[key].score) for key in keys] == SHOWN
-        by_other = runs.look_up_exact(connection, setup, sets, "other 1", watermark)
-        assert [repr(by_other[item].score) for item in sets] == SHOWN
 
 
 @pytest.mark.parametrize("predicted", [False, True])

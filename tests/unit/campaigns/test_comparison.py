@@ -108,9 +108,7 @@ def test_everything_that_is_wrong_is_told_at_once_and_once() -> None:
     ] == ["optimizers[0].c1", "optimizers[0].c2", "fixed.P9", "optimizers[1].colour"]
 
 
-def test_a_search_by_the_cell_has_one_campaign_for_all_populations_and_every_search_the_budget(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_search_by_the_cell_has_one_campaign_for_all_populations(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivecal.campaigns.comparison.LARGEST_RUNS", 9)
     document = {"optimizers": [{"kind": "surrogate"}, {"kind": "genetic"}], "populations": [20, 50], "seeds": [1, 2, 3]}
     problem = resolve_comparison(ComparisonSpecification.model_validate(document | {"budget": {"simulations": 120}}))
