@@ -281,11 +281,13 @@ def test_the_example_of_rates_can_be_shown_in_one_scenario(database: Database) -
     submit_checked(database, SPEC | RATED | {"weights": {"road": 0}, "budget": {"simulations": 2000}} | given)
 
 
-def test_runs_are_repeated_by_seed(database: Database) -> None:
+def test_runs_are_repeated_by_seed_under_any_score(tmp_path: Path) -> None:
+    gain = {"formula": "10 - y", "direction": "maximise", "range": [0, 10]}
+    database = opened(tmp_path / "drivecal.db", scores={**MANIFEST["scores"], "gain": gain})
     spec: dict[str, Any] = {"optimizer": POPULATIONS | {"iterations": 3}, "budget": None}
-    first, again = carried_out(database, **spec), carried_out(database, **spec)
+    first, again, other = (carried_out(database, evaluator=score, **spec) for score in ("cost", "cost", "gain"))
     assert first.cells.runs > 32
-    assert (again.cells.runs, again.best) == (0, first.best)
+    assert (again.cells.runs, again.best, other.cells.runs) == (0, first.best, 0)
     assert {row.outcome for row in rows_of(database, again)} == {Outcome.REPEATED}
 
 

@@ -13,6 +13,7 @@ from sqlalchemy import Connection
 from drivecal.analysis.scoring import REMEDY
 from drivecal.campaigns.cells.cell_tracker import CellTracker
 from drivecal.campaigns.cells.planning import View, plan_cells
+from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem
 from drivecal.campaigns.results.failures import broken_down
@@ -90,6 +91,8 @@ class Stage(ABC):
         self._view = view
         self._tracker = CellTracker(view, counts.model_dump(), campaign.simulating_seconds)
         self._eta = EtaEstimate(time.monotonic, counts.requested, worked(counts.model_dump()))
+        self._rated_seeds = {view.bench.seed}
+        """Seeds of the runs that the campaign's evaluator has rated."""
         self._resumed = False
         self._round: Round | None = None
         """The newest round."""
@@ -226,6 +229,10 @@ class Stage(ABC):
         """Commits the cells of a round before any is dispatched; resumes them unchanged if an earlier process committed them."""
         sequence, has_lots = self._campaign.sequence, False
         benches = [bench for bench, _ in asked.cells if bench is not self._view.bench]
+        for bench in benches:
+            if bench.seed not in self._rated_seeds:
+                rate_stored_runs(self._database, replace(self._view, bench=bench))
+                self._rated_seeds.add(bench.seed)
         load = partial(self._tracker.load, share_runs=asked.policy.mode != "off", benches=benches)
         first = asked.cells[0][1][0].individual if asked.cells and asked.cells[0][1] else None
         with self._database.transaction() as connection:
