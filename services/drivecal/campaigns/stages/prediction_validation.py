@@ -10,9 +10,9 @@ from drivecal.analysis.validation import compared
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec, specification_of
-from drivecal.campaigns.stages.stage import Round, StudyStage, exact_policy
+from drivecal.campaigns.stages.stage import Round, StudyStage, ended_source, exact_policy
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.reduction.lots import draw
@@ -29,13 +29,7 @@ def check_predictions(connection: Connection, problem: CalibrationProblem) -> No
     wanted = problem.specification.validation
     if wanted is None or wanted.of is None:
         return
-    try:
-        source = campaigns.get(connection, wanted.of)
-    except NotFoundError as error:
-        raise InvalidInputError(Problem(FIELD, str(error), "GET /api/v1/campaigns lists what there is")) from error
-    if source.kind != "calibration" or not source.state.ended:
-        message = f"{wanted.of} is a {source.kind} that is {source.state}"
-        raise InvalidInputError(Problem(FIELD, message, "name a campaign that has ended"))
+    source = ended_source(connection, wanted.of, FIELD)
     if source.cells.predicted == 0:
         raise InvalidInputError(
             Problem(FIELD, f"campaign {wanted.of} released no predictions", "name one with predicted cells")

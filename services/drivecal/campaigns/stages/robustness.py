@@ -17,9 +17,9 @@ from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking
 from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, Alternatives, unit_cube
 from drivecal.campaigns.stages.replication import SeededBenches
-from drivecal.campaigns.stages.stage import Round, StudyStage, exact_policy
+from drivecal.campaigns.stages.stage import Round, StudyStage, ended_source, exact_policy
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import CellScore, RequestedCell
 from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.rounding import levels
@@ -46,18 +46,10 @@ def check_source(connection: Connection, problem: CalibrationProblem) -> None:
     if wanted is None or wanted.of is None:
         return
     field = "robustness.of"
-    try:
-        source = campaigns.get(connection, wanted.of)
-    except NotFoundError as error:
-        raise InvalidInputError(Problem(field, str(error), "GET /api/v1/campaigns lists what there is")) from error
-    if source.kind != "calibration":
-        remedy = "name a campaign"
-        raise InvalidInputError(Problem(field, f"{wanted.of} is a{'n' * (source.kind == 'evaluation')} {source.kind}", remedy))
+    source = ended_source(connection, wanted.of, field)
     if source.cells.requested == 0:
         message = f"campaign {wanted.of} has no solutions: it searched nothing, or ended before it had found any"
         raise InvalidInputError(Problem(field, message, "name one that has searched"))
-    if not source.state.ended:
-        raise InvalidInputError(Problem(field, f"campaign {wanted.of} is {source.state}", "name one that has ended"))
     theirs = resolved_spec(source)
     if set(theirs.space.names) != set(problem.space.names):
         message = f"its sets have the parameters {', '.join(theirs.space.names)}"

@@ -21,7 +21,7 @@ from drivecal.campaigns.stages.eta import EtaEstimate
 from drivecal.contracts.campaign import CellCounts, Progress
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import NoResultError
+from drivecal.domain.errors import InvalidInputError, NoResultError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.execution.scheduling.in_flight import Completed, RunBudget, Work
@@ -291,6 +291,19 @@ class Stage(ABC):
 def exact_policy(problem: CalibrationProblem) -> ReductionSpecification:
     """Returns the policy of stages that reuse nothing: answers by equal sets, or by no stored result if the campaign wants none."""
     return ReductionSpecification(mode="off" if problem.specification.reduction.mode == "off" else "exact")
+
+
+def ended_source(connection: Connection, campaign_id: str, field: str) -> StoredCampaign:
+    """Returns the campaign that a study names. Raises InvalidInputError if there is none, or if it has not ended."""
+    try:
+        source = campaigns.get(connection, campaign_id)
+    except NotFoundError as error:
+        raise InvalidInputError(Problem(field, str(error), "GET /api/v1/campaigns lists what there is")) from error
+    if source.kind != "calibration" or not source.state.ended:
+        kind = "campaign" if source.kind == "calibration" else "single evaluation"
+        message = f"{campaign_id} is a {kind} that is {source.state}"
+        raise InvalidInputError(Problem(field, message, "name a campaign that has ended"))
+    return source
 
 
 class StudyStage(Stage):
