@@ -169,8 +169,9 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
     for name, variant in wanted.variants.items() if isinstance(wanted, CampaignSpecification) else ():
         _check_parameters(variant.vehicle.parameters, manifest.problem, known, diagnostics, f"variants.{name}.vehicle")
         vehicles[name] = values | variant.vehicle.parameters
+    offered = Workbench({"problem": bundle.digest}, tuple(data), function, varied, values, vehicles, notes=_notes(bundle))
     if scored is None or function is None:
-        return Workbench({"problem": bundle.digest}, tuple(data), function, varied, values, vehicles, notes=_notes(bundle))
+        return offered
     score, evaluator = scored
     rates_series = isinstance(evaluator, SeriesEvaluator)
     if rates_series and evaluator is not None and not manifest.has_planner:
@@ -194,18 +195,8 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
         for name, entry in manifest.scores.items()
         if name == score or entry.formula is not None
     }
-    return Workbench(
-        settled,
-        tuple(data),
-        function,
-        varied,
-        values,
-        vehicles,
-        make,
-        baseline=manifest.baseline,
-        notes=_notes(bundle),
-        known=KnownValues(scores, manifest.reported, shapes=function.shapes),
-    )
+    values_of_goals = KnownValues(scores, manifest.reported, shapes=function.shapes)
+    return replace(offered, settled=settled, make=make, baseline=manifest.baseline, known=values_of_goals)
 
 
 def _declared(manifest: Manifest) -> Function:
