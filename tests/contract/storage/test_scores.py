@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from tests.support.storage import EVALUATOR, campaign, new_evaluation, new_run, sample_set_ids, setup_id
+from tests.support.storage import EVALUATOR, campaign, cell, new_run, sample_set_ids, setup_id
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore, Outcome, Rating
@@ -41,16 +41,7 @@ def test_scores_of_cells(database: Database, predicted: bool) -> None:
     with database.transaction() as connection:
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         cells = [
-            new_evaluation(
-                StageName.CALIBRATION,
-                0,
-                number,
-                "S1",
-                setup,
-                one,
-                Outcome.SIMULATED,
-                predicted_score=score if predicted else None,
-            )
+            cell(number, setup, one, predicted_score=score if predicted else None)
             for number, (one, score) in enumerate(zip(sample_set_ids(connection, len(SCORES)), SCORES, strict=True))
         ]
         ids = evaluations.insert(connection, sequence, cells)
@@ -61,7 +52,7 @@ def test_scores_of_cells(database: Database, predicted: bool) -> None:
         assert [repr(row.score) for row in rows] == SHOWN
         assert [repr(row.predicted_score) for row in rows] == (SHOWN if predicted else ["None"] * len(SCORES))
         answered: list[CellScore] = list(results.answers(connection, sequence, StageName.CALIBRATION, corrected_by=EVALUATOR))
-        assert [repr(cell.score) for cell in answered] == SHOWN
+        assert [repr(each.score) for each in answered] == SHOWN
 
 
 def test_campaigns_of_other_setups_rated_nothing_that_is_asked_for(database: Database) -> None:
