@@ -195,14 +195,7 @@ class PopulationSearch(ComputedSearch):
             self._batches.clear()
         return within
 
-    def _confirm(self) -> Round | None:
-        limit = self._problem.specification.reduction.confirm
-        if limit and self._search.last_look is None:
-            self._search = self._search.model_copy(update={"last_look": self._last_look(limit)})
-        return super()._confirm()
-
     def _last_look(self, limit: int) -> list[int]:
-        """Returns the ids of dismissed sets that all answers together believe within reach of the best set."""
         dismissed = self._ranking.dismissed()
         if self._planner is None or not dismissed:
             return []
