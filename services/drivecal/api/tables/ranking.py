@@ -131,7 +131,9 @@ def _pushed_score(database: Database, name: str, own: str, measures: Collection[
         raise InvalidInputError(Problem("score", message, f"one of {', '.join(manifest.scores)}"))
     if entry.formula is None:
         message = f"{score} is an evaluator's, which rates stored runs in a rerun only"
-        raise InvalidInputError(Problem("score", message, "leave it out; drivecal rerun --evaluator, without --from-best, rates them"))
+        raise InvalidInputError(
+            Problem("score", message, "leave it out; drivecal rerun --evaluator, without --from-best, rates them")
+        )
     missing = sorted(Formula(entry.formula).names - set(measures))
     if missing:
         message = f"runs of the campaign have no {', '.join(missing)}"
