@@ -7,6 +7,7 @@ import logging
 import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, MutableMapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import Connection
@@ -288,15 +289,14 @@ class CellTracker:
 
     def _simulated(self, cell: StoredEvaluation, completion: Completed, rating: Rating, run: StoredRun) -> list[AnsweredCell]:
         self._counts["unrepeatable"] += not run.agrees or completion.result.repeats is False
-        own = None if completion.shared else completion  # else counted where it was simulated
+        own = None if completion.shared else completion  # what is shared was counted where it was simulated
         self.simulating_seconds += 0.0 if own is None else own.result.milliseconds / 1000
         return self._answer(cell, Donor(cell.id, run.id, rating.score, rating.rating, completion.result.failure), own)
 
     def _answer(self, cell: StoredEvaluation, result: Donor, own: Completed | None = None) -> list[AnsweredCell]:
         """Answers a cell with its own result, and the copies that waited for it."""
-        _, run, score, rating, failure = result
-        cells = (cell, *self._copies.pop(cell.id, ()))
-        return self._answered(cells, own, score=score, rating=rating, run_id=run, failure=failure)
+        answer = AnsweredCell(cell.id, cell.plan, result.score, result.rating, result.run, result.failure)
+        return self._answered((cell, *self._copies.pop(cell.id, ())), own, answer)
 
     def _break_down(self, cell: StoredEvaluation, completion: Completed) -> tuple[list[AnsweredCell], list[StoredEvaluation]]:
         """Fails a cell without a result after all attempts, and the copies of its parameter set. Returns the other copies as well."""
@@ -310,25 +310,18 @@ class CellTracker:
         copies = self._copies.pop(cell.id, [])
         failed = [cell, *(copy for copy in copies if copy.plan is not Outcome.REUSED)]
         own = None if completion.shared else completion
-        known = {"score": None, "rating": None, "run_id": None, "failure": cause, "detail": detail}
-        return self._answered(failed, own, Outcome.FAILED, **known), [copy for copy in copies if copy.plan is Outcome.REUSED]
+        answer = AnsweredCell(cell.id, Outcome.FAILED, None, None, None, cause, detail=detail)
+        return self._answered(failed, own, answer), [copy for copy in copies if copy.plan is Outcome.REUSED]
 
-    def _answered(
-        self, cells: Sequence[StoredEvaluation], own: Completed | None, outcome: Outcome | None = None, **known: Any
-    ) -> list[AnsweredCell]:
-        """Answers a cell, the first one, by its `own` attempts (None if it was not sent itself), and its copies."""
+    def _answered(self, cells: Sequence[StoredEvaluation], own: Completed | None, answer: AnsweredCell) -> list[AnsweredCell]:
+        """Gives the first cell's answer to all: the others are its copies. `own`: its attempts, None if it was not sent itself."""
         answers = []
         for cell in cells:
             attempt = own if cell is cells[0] else None
-            answer = AnsweredCell(
-                id=cell.id,
-                outcome=outcome or cell.plan,
-                agrees=self._inspection.compare(cell, known["score"]),
-                **known,
-                **_attempt(attempt),
-            )
-            answers.append(answer)
-            self._close(cell, answer.outcome, is_own=attempt is not None)
+            outcome = Outcome.FAILED if answer.outcome is Outcome.FAILED else cell.plan
+            agrees = self._inspection.compare(cell, answer.score)
+            answers.append(replace(answer, id=cell.id, outcome=outcome, agrees=agrees, **_attempt(attempt)))
+            self._close(cell, outcome, is_own=attempt is not None)
         self.budget.left += 0 if own is None else own.unstarted
         return answers
 
