@@ -13,7 +13,7 @@ from rich.progress import Progress as RichProgress
 from rich.progress import TextColumn
 from typer.testing import CliRunner
 
-from drivecal.cli.commands import imported
+from drivecal.cli.commands import campaigns, imported
 from drivecal.cli.commands.campaigns import counted
 from drivecal.cli.commands.evaluate import difference_row
 from drivecal.cli.commands.results import _print
@@ -24,6 +24,7 @@ from drivecal.cli.views.progress import Bar, Lines
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
 from drivecal.contracts.evaluation import Difference
 from drivecal.contracts.outside.imported import ImportedRow
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.scales import objective_text
 
 CELLS = CellCounts(proposed=100, carried_over=40, requested=60, repeated=6, reused=9, simulated=44, failed=1, audited=2)
@@ -49,6 +50,18 @@ def test_results_from_elsewhere_show_curves(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(imported, "connect", lambda _: nullcontext(client))
     printed = CliRunner().invoke(app, ["results", "list", "p"]).stdout
     assert ("g=[" in printed, "c2=" in printed) == (True, False)
+
+
+def test_a_rerun_names_its_option_if_no_best_set_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise InvalidInputError(Problem("score", "it is an evaluator's"))
+
+    first = SimpleNamespace(id="a", spec={"evaluator": "reference", "problem": "highway"})
+    client = SimpleNamespace(campaign=lambda _: first, solutions=refused)
+    monkeypatch.setattr(campaigns, "connect", lambda _: nullcontext(client))
+    printed = CliRunner().invoke(app, ["rerun", "a", "--evaluator", "learned", "--from-best"])
+    assert printed.exit_code == 2
+    assert [line for line in ("score: ", "--from-best: ") if line in printed.output] == ["score: ", "--from-best: "]
 
 
 def test_saved_is_the_share_that_needed_no_simulation() -> None:

@@ -113,7 +113,7 @@ def _other_score(stored: StoredRanking, name: str) -> CellValue | None:
         return _pushed_score(stored.database, name, stored.resolved.evaluator, values.measures)
     if name not in known:
         message = f"the campaign's problem has no score {shown(name)}"
-        remedy = f"one of {', '.join(known)}; drivecal rerun --evaluator, without --from-best, rates stored runs by another evaluator"
+        remedy = f"one of {', '.join(known)}; drivecal rerun --evaluator rates stored runs by another evaluator"
         raise InvalidInputError(Problem("score", message, remedy))
     return None if known[name].key == SCORE else known[name]
 
@@ -131,9 +131,7 @@ def _pushed_score(database: Database, name: str, own: str, measures: Collection[
         raise InvalidInputError(Problem("score", message, f"one of {', '.join(manifest.scores)}"))
     if entry.formula is None:
         message = f"{score} is an evaluator's, which rates stored runs in a rerun only"
-        raise InvalidInputError(
-            Problem("score", message, "leave it out; drivecal rerun --evaluator, without --from-best, rates them")
-        )
+        raise InvalidInputError(Problem("score", message, "leave it out, or type: drivecal rerun --evaluator"))
     missing = sorted(Formula(entry.formula).names - set(measures))
     if missing:
         message = f"runs of the campaign have no {', '.join(missing)}"

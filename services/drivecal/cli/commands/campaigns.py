@@ -24,7 +24,7 @@ from drivecal.configuration.documents import opened_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedRuns
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import ConflictError, NotFoundError
+from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem
 
 Answered = TypeVar("Answered")
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
@@ -95,7 +95,11 @@ def rerun(
             score = (
                 f"{evaluator or first.spec['evaluator']}@{problem or first.spec['problem']}" if evaluator or problem else None
             )
-            best = client.solutions(first.id, wanted or None, 1, score).items
+            try:
+                best = client.solutions(first.id, wanted or None, 1, score).items
+            except InvalidInputError as error:  # such as a learned score, by which nothing is ranked before the rerun
+                unknown = Problem("--from-best", "no best set is known under this score and these weights", "leave it out")
+                raise InvalidInputError(*error.problems, unknown) from None
             changes["optimizer"] = {"start_sets": [row.parameters for row in best]}
         submitted(client, client.rerun(first.id, changes), wait, timeout, as_json)
 
