@@ -150,8 +150,7 @@ export function checkOf({ spec }: Pick<Campaign, "spec">, { parameters, scores }
   const [scenario, ...more] = Object.keys(scores).map(baseOf);
   if (others.length > 0) return null;
   const { problem, catalogue, driving_function, vehicle, evaluator, variants } = spec;
-  const varied = { ...mapOf(mapOf(vehicle)["parameters"]), ...mapOf(mapOf(mapOf(mapOf(variants)[variant ?? ""])["vehicle"])["parameters"]) };
-  const driven = variant === undefined ? vehicle : { ...mapOf(vehicle), parameters: varied };
+  const driven = variant === undefined ? vehicle : { ...vehicle, parameters: { ...vehicle?.parameters, ...variants?.[variant]?.vehicle?.parameters } };
   return { problem, catalogue, driving_function, vehicle: driven, evaluator, parameters, fresh: true, ...(seeds.length > 0 ? { seeds } : {}), ...(more.length === 0 ? { scenario } : {}) };
 }
 

@@ -4,6 +4,11 @@ import type { Campaign as Answer, CampaignProgress } from "../../../schema";
 
 export type * from "../../../schema";
 
+interface Vehicle {
+  model?: string;
+  parameters?: Record<string, number>;
+}
+
 /** A campaign or an evaluation as it was submitted. */
 export interface Specification {
   weights?: Record<string, number>;
@@ -12,6 +17,8 @@ export interface Specification {
   reduction?: { mode: string; audit: number; max_error: number; certified?: boolean; confirm?: number; tolerance?: number | null; limit?: number };
   robustness?: Record<string, unknown> | null;
   validation?: Record<string, unknown> | null;
+  vehicle?: Vehicle;
+  variants?: Record<string, { vehicle?: Vehicle }>;
   [more: string]: unknown;
 }
 
