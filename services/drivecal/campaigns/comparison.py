@@ -166,7 +166,7 @@ def _check_lists(specification: ComparisonSpecification, diagnostics: Diagnostic
     count = searches * len(specification.seeds) * len(specification.reductions)
     if count > LARGEST_RUNS:
         remedy = f"at most {LARGEST_RUNS:,}; give fewer optimizers, populations, seeds or reductions"
-        diagnostics.add("", f"optimizers x populations x seeds x reductions are {count:,} campaigns", remedy)
+        diagnostics.add("", f"these optimizers, populations, seeds and reductions are {count:,} campaigns", remedy)
     reductions = [_settled(reduction) for reduction in specification.reductions]
     _check_unique("optimizers", specification.optimizers, diagnostics)
     _check_unique("populations", specification.populations, diagnostics)

@@ -82,7 +82,7 @@ def trusted(connection: Connection, campaign_sequence: int, evaluator: str, refe
 def contradictions(
     connection: Connection,
     campaign_sequence: int,
-    influence_map_sequence: int | None,
+    influence_map_sequence: int,
     evaluator: str,
     watermark: int,
     scale: Scale = COMFORT,

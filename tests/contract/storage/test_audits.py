@@ -77,7 +77,7 @@ def test_scores_under_one_key_contradict_once(database: Database, scores: tuple[
         simulate(connection, other, [cell(0, setup, sets[-1], reference_key=KEY)], score=0)
         seeded = cell(0, setup_id(connection, "S1, seed 2"), sets[0], reference_key=KEY, seed=2, has_seed=True)
         simulate(connection, sequence, [seeded], score=0)
-        assert audits.contradictions(connection, sequence, None, EVALUATOR, 10**6) == expected
+        assert audits.contradictions(connection, sequence, 0, EVALUATOR, 10**6) == expected
 
 
 def test_a_stored_reference_contradicts_as_well_but_only_one_that_the_campaign_sees(database: Database) -> None:
@@ -112,4 +112,4 @@ def test_scores_without_steps_are_compared_by_their_scale(database: Database) ->
         assert audits.count(connection, sequence, EVALUATOR, COST) == [AuditCount("S1", audited=4, different=3, wrong=1)]
         agrees = {item.id: item.agrees for item in results.stream(connection, sequence) if item.purpose == "audit"}
         assert [agrees[entry] for entry in ids] == [True, False, False, False]
-        assert audits.contradictions(connection, sequence, None, EVALUATOR, 10**6, COST) == {"S1": 1}
+        assert audits.contradictions(connection, sequence, 0, EVALUATOR, 10**6, COST) == {"S1": 1}

@@ -21,7 +21,7 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
     simulated when needed; so do successful runs if it needs time series. Resumable: rated runs are skipped.
     """
     benches = view.bench, view.bench.seeded(1)  # a started campaign lists the setups of its first seed alone
-    fingerprints = [setup.fingerprint for bench in benches for setup in bench.setups.values()]
+    fingerprints = {setup.fingerprint for bench in benches for setup in bench.setups.values()}
     with database.transaction() as connection:
         if ratings.are_all_by(connection, view.bench.evaluator_id, fingerprints):
             return 0
