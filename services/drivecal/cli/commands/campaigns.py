@@ -97,7 +97,7 @@ def rerun(
             )
             try:
                 best = client.solutions(first.id, wanted or None, 1, score).items
-            except InvalidInputError as error:  # such as a learned score, by which nothing is ranked before the rerun
+            except InvalidInputError as error:  # a learned score ranks nothing before the rerun
                 unknown = Problem("--from-best", "no best set is known under this score and these weights", "leave it out")
                 raise InvalidInputError(*error.problems, unknown) from None
             changes["optimizer"] = {"start_sets": [row.parameters for row in best]}
