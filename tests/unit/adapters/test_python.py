@@ -154,6 +154,7 @@ def test_wheels_are_chosen_by_their_tags() -> None:
         "a-1-cp99-cp99-linux_x86_64.whl",
         f"a-1-{own}-{own}-win_amd64.whl",
         f"a-1-{own}-{own}-musllinux_1_2_{platform.machine()}.whl",
+        f"a-1-{own}-{own}-manylinux_2_99_{platform.machine()}.whl",
         "a-1-cp99-abi3-linux_x86_64.whl",
         "a-1-py2-none-any.whl",
     ):

@@ -1,7 +1,6 @@
 """The child of simulator kind `python`: imports a function of a file and serves it."""
 
 import multiprocessing.connection
-import platform
 import sys
 import zipfile
 from collections.abc import Callable, Mapping
@@ -94,16 +93,11 @@ def unpack(wheels: Path, packages: Path) -> Path:
 
 
 def fits(name: str) -> bool:
-    """Returns whether a wheel's tags (PEP 425) fit this interpreter and machine."""
-    python, abi, machine = name.removesuffix(".whl").split("-")[-3:]
-    own = f"cp{sys.version_info.major}{sys.version_info.minor}"
-    is_pure = bool({"py3", f"py{sys.version_info.major}{sys.version_info.minor}"} & set(python.split("."))) and abi == "none"
-    is_own = own in python.split(".") and abi in {own, "none"}
-    is_stable = abi == "abi3" and any(
-        tag.startswith("cp3") and int(tag[3:]) <= sys.version_info.minor for tag in python.split(".")
-    )
-    machines = (tag for tag in machine.split(".") if tag.startswith(("linux", "manylinux")))  # libsumo needs glibc, as these do
-    return (is_pure or is_own or is_stable) and (machine == "any" or any(tag.endswith(platform.machine()) for tag in machines))
+    """Returns whether a wheel's tags fit this interpreter and machine. Raises ValueError for a name that no wheel may have."""
+    from packaging.tags import sys_tags  # few simulators have wheels
+    from packaging.utils import parse_wheel_filename
+
+    return not parse_wheel_filename(name)[3].isdisjoint(sys_tags())
 
 
 def _plain(measures: Mapping[str, Any]) -> dict[str, Any]:
