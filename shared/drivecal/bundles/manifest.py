@@ -231,14 +231,15 @@ class Manifest(Model):
             name: data["resources"] for name, data in scenarios.items() if isinstance(data, Mapping) and "resources" in data
         }
         valid = {name: counts for name, counts in known.items() if are_resources(counts)}
-        if not valid:
+        written = document.get("scenario_resources") or {}
+        if not valid or not isinstance(written, Mapping):
             return document
         rest = {
             name: {key: value for key, value in data.items() if key != "resources"}
             for name, data in scenarios.items()
             if name in valid
         }
-        return {**document, "scenarios": {**scenarios, **rest}, "scenario_resources": valid}
+        return {**document, "scenarios": {**scenarios, **rest}, "scenario_resources": {**written, **valid}}
 
     @property
     def claims(self) -> bool:

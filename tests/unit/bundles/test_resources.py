@@ -31,6 +31,8 @@ def test_a_scenario_adds_to_the_resources_of_the_simulator_and_its_data_have_non
     assert manifest.resources("road") == {"carmaker": 1, "vtd": 1}
     assert manifest.scenarios["city"] == {"gap": 30}
     assert Manifest.model_validate(manifest.model_dump(mode="json")) == manifest
+    written = checked(document(city={"gpu": 2}) | {"scenario_resources": {"road": {"vtd": 1}}})
+    assert [written.resources(scenario) for scenario in ("city", "road")] == [{"gpu": 2}, {"vtd": 1}]
 
 
 def test_resources_change_no_identity_of_a_run() -> None:

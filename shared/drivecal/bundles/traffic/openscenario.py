@@ -219,7 +219,9 @@ class _Init:
         other = action.text("entityRef")
         if any(self.starts[entity].path is not None for entity in (name, other) if entity in self.starts):
             raise action.fault("a distance of an entity that is on no lane is not supported", "give its place")
-        if other not in self.starts or action.decides("continuous", "false"):
+        if other not in self.starts:
+            raise action.fault(f"{shown(other)} has no place yet", "give its place or its actions before")
+        if action.decides("continuous", "false"):
             raise action.fault("a distance that is kept is not supported", 'give continuous="false", or a SpeedAction')
         default = "any" if self.minor == "0" else "trailingReferencedEntity"
         displacement = action.word("displacement", ("leadingReferencedEntity", "trailingReferencedEntity", "any"), default)
