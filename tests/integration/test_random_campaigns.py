@@ -283,10 +283,13 @@ def test_the_example_of_rates_can_be_shown_in_one_scenario(database: Database) -
 
 def test_runs_are_repeated_by_seed_under_any_score(tmp_path: Path) -> None:
     gain = {"formula": "10 - y", "direction": "maximise", "range": [0, 10]}
-    database = opened(tmp_path / "drivecal.db", scores={**MANIFEST["scores"], "gain": gain})
-    spec: dict[str, Any] = {"optimizer": POPULATIONS | {"iterations": 3}, "budget": None}
+    varied = {"mass": {"lower": 1, "upper": 3, "nominal": 2}}
+    database = opened(tmp_path / "drivecal.db", scores={**MANIFEST["scores"], "gain": gain}, varied=varied)
+    robust = {"delta": 0.1, "steps": 2, "samples": 3, "eta": 10, "sets": [{"x": 1}]}
+    spec: dict[str, Any] = {"optimizer": POPULATIONS | {"iterations": 3}, "budget": None, "robustness": robust}
     first, again, other = (carried_out(database, evaluator=score, **spec) for score in ("cost", "cost", "gain"))
     assert first.cells.runs > 32
+    assert [each.counts(StageName.ROBUSTNESS).runs > 0 for each in (first, again, other)] == [True, False, False]
     assert (again.cells.runs, again.best, other.cells.runs) == (0, first.best, 0)
     assert {row.outcome for row in rows_of(database, again)} == {Outcome.REPEATED}
 

@@ -114,8 +114,7 @@ def earlier_versions(connection: Connection, bench: Bench) -> tuple[EarlierVersi
     for document in bundles.manifests(connection, manifest.problem).values():
         version = earlier_version(manifest, Manifest.model_validate(document))
         if version is not None:
-            fingerprints = (setup.fingerprint for setup in bench_of(version, bench).setups.values())
-            versions.setdefault((frozenset(version.manifest.parameters), *fingerprints), version)
+            versions.setdefault((frozenset(version.manifest.parameters), bench_of(version, bench).fingerprints), version)
     return tuple(versions.values())
 
 

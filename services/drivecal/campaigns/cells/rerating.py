@@ -20,8 +20,8 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
     none. Failed runs are worth the scale's `failed` with every evaluator. Runs that lack the evaluator's metrics stay unrated and are
     simulated when needed; so do successful runs if it needs time series. Resumable: rated runs are skipped.
     """
-    benches = view.bench, view.bench.seeded(1)  # a started campaign lists the setups of its first seed alone
-    fingerprints = {setup.fingerprint for bench in benches for setup in bench.setups.values()}
+    listed = view.bench.seeded(1)  # a started campaign lists the setups of its first seed alone
+    fingerprints = view.bench.fingerprints | listed.fingerprints
     with database.transaction() as connection:
         if ratings.are_all_by(connection, view.bench.evaluator_id, fingerprints):
             return 0

@@ -74,6 +74,11 @@ class Bench:
         }
 
     @property
+    def fingerprints(self) -> frozenset[str]:
+        """Fingerprints of the setups."""
+        return frozenset(setup.fingerprint for setup in self.setups.values())
+
+    @property
     def is_random(self) -> bool:
         """True if the manifest says that runs depend on a seed."""
         return self.bundle.manifest.simulator.random

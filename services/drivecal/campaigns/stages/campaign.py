@@ -59,7 +59,7 @@ class SingleEvaluation(Stage):
     def _resume(self) -> list[Work]:
         for bench in () if self._view.traced else map(self._benches.of, self._problem.seeds):
             rate_stored_runs(self._database, replace(self._view, bench=bench), only=self._problem.parameter_set)
-        self._rated_seeds.update(self._problem.seeds)
+        self._rated.update(self._benches.of(seed).fingerprints for seed in self._problem.seeds)
         return []
 
     def _ask(self) -> Round | None:

@@ -91,8 +91,8 @@ class Stage(ABC):
         self._view = view
         self._tracker = CellTracker(view, counts.model_dump(), campaign.simulating_seconds)
         self._eta = EtaEstimate(time.monotonic, counts.requested, worked(counts.model_dump()))
-        self._rated_seeds = {view.bench.seed}
-        """Seeds of the runs that the campaign's evaluator has rated."""
+        self._rated = {view.bench.fingerprints}
+        """Setups whose stored runs the campaign's evaluator has rated."""
         self._resumed = False
         self._round: Round | None = None
         """The newest round."""
@@ -230,9 +230,9 @@ class Stage(ABC):
         sequence, has_lots = self._campaign.sequence, False
         benches = [bench for bench, _ in asked.cells if bench is not self._view.bench]
         for bench in benches:
-            if bench.seed not in self._rated_seeds:
+            if bench.fingerprints not in self._rated:
                 rate_stored_runs(self._database, replace(self._view, bench=bench))
-                self._rated_seeds.add(bench.seed)
+                self._rated.add(bench.fingerprints)
         load = partial(self._tracker.load, share_runs=asked.policy.mode != "off", benches=benches)
         first = asked.cells[0][1][0].individual if asked.cells and asked.cells[0][1] else None
         with self._database.transaction() as connection:
