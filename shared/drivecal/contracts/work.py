@@ -55,7 +55,8 @@ class SetupRequest:
     must not be stored as its own. None: the coordinator rates."""
     seed: int = 1
     session: str = ""
-    """Run fingerprint without the seed: one session of the simulator serves all seeds. Empty: the run fingerprint."""
+    """Run fingerprint without the seed and, in a child process, without `varied`: one session of the simulator serves them all. Empty: the
+    run fingerprint."""
     resources: Mapping[str, int] = field(default_factory=dict)
     """Number of each scarce thing, such as licences, that a run holds."""
     shapes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

@@ -279,6 +279,7 @@ def test_robustness_studies_vary_what_a_problem_declares() -> None:
     assert [each.name for each in problem.bench.varied] == ["slope"]
     steep = replace(problem.bench, values={"slope": 0.1})
     assert steep.requests["wet"].varied == {"slope": 0.1}
+    assert len({bench.requests["wet"].session_key for bench in (problem.bench, steep, replace(steep, seed=2))}) == 1
     assert steep.requests["wet"].run_fingerprint != problem.bench.requests["wet"].run_fingerprint
     assert steep.requests["wet"].kind == problem.bench.requests["wet"].kind
 

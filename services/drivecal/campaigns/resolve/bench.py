@@ -12,7 +12,7 @@ from drivecal.bundles.expressions import Formula
 from drivecal.bundles.fingerprints import score_id, setup_document
 from drivecal.bundles.installed import Bundle
 from drivecal.bundles.manifest import Manifest, ScoreEntry
-from drivecal.contracts.work import CellResult, SetupRequest
+from drivecal.contracts.work import CellResult, SetupRequest, runs_in_worker
 from drivecal.domain.errors import describe
 from drivecal.domain.evaluations import Rating
 from drivecal.domain.parameters import Parameter
@@ -100,7 +100,9 @@ class Bench:
     def requests(self) -> dict[str, SetupRequest]:
         """Run requests to workers by scenario."""
         manifest = self.bundle.manifest
-        unseeded = self._setups(None) if self.has_seed else {}
+        # Each run of a child process is told its side conditions, as it is told its seed.
+        served = self if runs_in_worker(self.section) else replace(self, values={}, vehicles={})
+        sessions = served._setups(None) if self.has_seed or served.fingerprints != self.fingerprints else {}
         return {
             name: SetupRequest(
                 bundle=self.bundle.digest,
@@ -122,7 +124,7 @@ class Bench:
                 varied=self.vehicles.get(name, self.values),
                 evaluator=self.evaluator_id if self.needs_series else None,
                 seed=self.seed,
-                session=unseeded[name].fingerprint if unseeded else "",
+                session=sessions[name].fingerprint if sessions else "",
                 resources=manifest.resources(base_of(name)),
                 renews=manifest.simulator.renews,
             )
