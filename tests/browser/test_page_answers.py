@@ -177,7 +177,7 @@ def test_the_start_page_says_what_happened_since_the_last_visit(shown: Shown, op
     expect(gained).to_contain_text(f"second {round(best + 5, 3):g}")
     expect(gained.get_by_role("link", name="first", exact=True)).to_be_visible()
     expect(news.get_by_role("heading", name="Ended: 3")).to_be_visible()
-    expect(news).to_contain_text("Are the scores right?")
+    expect(news).to_contain_text("Does the result hold?")
     assert barriers_everywhere(page) == []
     gained.get_by_role("button", name="10 s of").press("Enter")
     page.wait_for_url(re.compile(r"/evaluations/\d+\?play=10"))

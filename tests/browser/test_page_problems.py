@@ -281,7 +281,7 @@ def test_a_report_is_the_page_and_opens_without_a_server(heater: Heated, opening
         ("Ranking", "Weigh the scenarios"),
         ("What matters", "winter"),
         ("Savings", "Balance"),
-        ("Trust", "Are the scores right?"),
+        ("Trust", "Does the result hold?"),
     ):
         page.get_by_role("link", name=view, exact=True).click()
         expect(page.get_by_text(text).first).to_be_visible()

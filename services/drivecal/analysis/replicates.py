@@ -86,6 +86,11 @@ class SetStatistics:
     failing: tuple[Floats, npt.NDArray[np.bool_], float | None] | None = None
     """Samples, failed runs and level, as `assess` takes them; None if no run failed."""
 
+    def of(self, rows: Sequence[int]) -> "SetStatistics":
+        """Returns the statistics of some of the sets."""
+        names = ("counts", "means", "variances", "spreads", "freedom", "spread_freedom")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
     @property
     def errors(self) -> Floats:
         """Standard errors of comparisons."""
@@ -169,20 +174,26 @@ class SetStatistics:
         return np.bincount(sound[listed[drawn.argmax(axis=1)]], minlength=len(self.means)) / DRAWS
 
 
-def assess(samples: Floats, level: float | None = None, failed: npt.NDArray[np.bool_] | None = None) -> SetStatistics:
+def assess(
+    samples: Floats, level: float | None = None, failed: npt.NDArray[np.bool_] | None = None, rows: Sequence[int] | None = None
+) -> SetStatistics:
     """Returns what runs say about sets.
 
     Args:
         samples: objective of each set under each seed, higher is better, shape (n, n_seeds); NaN without a run. Each set has a run.
         level: of the quantiles that take the place of means; None for means.
         failed: which runs failed, of the same shape; only probabilities use it.
+        rows: the sets to compare, None for all; the others tell the noise, too.
     """
     known = _means(samples)
+    if level is not None:
+        known = _quantiles(samples, known, level)
+    if rows is not None:
+        known, samples = known.of(rows), samples[rows]
+        failed = None if failed is None else failed[rows]
     if failed is not None and failed.any():
         known = replace(known, failing=(samples, failed, level))
-    if level is not None:
-        return _quantiles(samples, known, level)
-    return _without_luck(known) if known.is_known else known
+    return _without_luck(known) if known.is_known and level is None else known
 
 
 def _means(samples: Floats) -> SetStatistics:

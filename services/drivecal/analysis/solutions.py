@@ -39,6 +39,8 @@ class EvaluatedSet:
     """The first objective's sign: -1 if lower ones are better."""
     span: float
     """Width of the objective's declared range; 0 without one."""
+    failed: tuple[str, ...] = ()
+    """Weighted scenarios in which all its runs failed."""
     replicates: int = 1
     """Seeds under which it has a result in every scenario."""
     failures: int = 0
@@ -136,7 +138,10 @@ class SetJudge:
             reused = tuple(scenario for scenario in self.scenarios if scenario in cells and not cells[scenario].own)
             objective, first = judgement.amounts[0], self.first
             rating = rating if self._is_rated else objective
-            yield EvaluatedSet(place[0], objective, rating, scores, reused, *place[1:], judgement, first.sign, first.span)
+            failed = tuple(scenario for scenario in scores if cells[scenario].failed)
+            yield EvaluatedSet(
+                place[0], objective, rating, scores, reused, *place[1:], judgement, first.sign, first.span, failed
+            )
 
     def by_seed(
         self, places: Mapping[int, tuple[int, int]], runs: Mapping[int, Mapping[int, Cells]]
@@ -312,26 +317,25 @@ class Ranking:
     def statistics(self, seeds: int = 0) -> tuple[list[int], SetStatistics] | None:
         """Returns what is known of the sets by the seeds that choose, and their ids; None without a set. Sets that keep all
         constraints, or may show it under this many further `seeds`, or else all sets."""
-        everything = list(self._solutions.values())
-        needed = [(each, self.to_show(each.parameter_set)) for each in everything]
-        kept = [each for each, further in needed if further is not None and further <= seeds]
-        kept = kept or everything
-        kept.sort(key=lambda each: each.parameter_set)  # sums depend on the order, which is another one after a restart
-        by_seed = {each.parameter_set: self._chosen_by(each) for each in kept}
+        # sums depend on the order, which is another one after a restart
+        by_seed = {number: self._chosen_by(self._solutions[number]) for number in sorted(self._solutions)}
         numbers = [number for number, objectives in by_seed.items() if objectives]
         if not numbers:
             return None
+        further = [self.to_show(number) for number in numbers]
+        kept = [place for place, needed in enumerate(further) if needed is not None and needed <= seeds]
+        sign = self._judge.first.sign
         samples = np.full((len(numbers), max(max(by_seed[number]) for number in numbers)), np.nan)
         failed = np.zeros(samples.shape, dtype=np.bool_)
         for place, number in enumerate(numbers):
             for seed, objective in by_seed[number].items():
-                samples[place, seed - 1] = kept[0].sign * objective
+                samples[place, seed - 1] = sign * objective
                 failed[place, seed - 1] = any(cell.failed for cell in self._runs[number][seed].values())
-        level = self._level if self._level is None or kept[0].sign > 0 else 1 - self._level
-        known = replicates.assess(samples, level, failed)
+        level = self._level if self._level is None or sign > 0 else 1 - self._level
+        known = replicates.assess(samples, level, failed, kept or None)
         if self._varies and known.is_known and not known.is_random:
-            known = replace(known, variances=np.full(len(numbers), np.nan), spreads=np.full(len(numbers), np.nan))
-        return numbers, known
+            known = replace(known, variances=np.full_like(known.means, np.nan), spreads=np.full_like(known.means, np.nan))
+        return [numbers[place] for place in kept] or numbers, known
 
     def by_objective(self) -> tuple[list[int], list[SetStatistics]]:
         """Returns what the seeds that choose say of each objective, and the ids of the sets; nothing while no set has several seeds."""
@@ -537,6 +541,7 @@ def over_seeds(cells: Sequence[CellScore]) -> CellScore:
         score=fmean([cell.score for cell in known if cell.score is not None]),
         rating=fmean([cell.rating for cell in known if cell.rating is not None]),
         own=all(cell.own for cell in known),
+        failed=all(cell.failed for cell in known),
         values={key: fmean([cell.values[key] for cell in known]) for key in keys},
     )
 

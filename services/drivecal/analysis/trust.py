@@ -78,8 +78,9 @@ class BesideBaseline:
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """A set that was chosen. `compared` has the objectives that the baseline has as well, and `copied` the scenarios with a reference's
-    score. Violations are shares. `is_judged`: every objective and constraint has a value. `is_best`: the search ended with this set."""
+    """A set that was chosen. `compared` has the objectives that the baseline has as well. `copied` has the scenarios with a reference's
+    score, and `failed` those of its `scenarios` in which all its runs failed. Violations are shares. `is_judged`: every objective and
+    constraint has a value. `is_best`: the search ended with this set."""
 
     parameters: Mapping[str, float | str]
     compared: Sequence[BesideBaseline] = ()
@@ -89,6 +90,8 @@ class Chosen:
     baseline_violation: float = 0.0
     is_judged: bool = True
     is_best: bool = False
+    failed: Sequence[str] = ()
+    scenarios: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +201,8 @@ def _chosen(chosen: Chosen, search: SearchCourse | None, *, with_origin: bool) -
     if chosen.undecided:
         yield verdict("constraints_undecided", "amber", subject="the chosen set")
     elif chosen.violation > 0:
-        yield verdict("constraints_broken", "red", share=chosen.violation)
+        yield verdict("constraints_broken", "red", subject="The chosen set", share=chosen.violation)
+    yield from _failing("the chosen set", chosen.failed, chosen.scenarios)
     if with_origin:
         copied = list(chosen.copied)
         yield (
@@ -259,10 +263,22 @@ def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:
 
 
 def _constraints(campaign: Campaign) -> Iterator[ResultVerdict]:
-    if campaign.best is not None and campaign.best.undecided:
+    """Yields broken constraints of the best set, and its failed runs."""
+    if campaign.best is None:
+        return
+    if campaign.best.undecided:
         yield verdict("constraints_undecided", "amber", subject="the best set")
-    elif campaign.best is not None and campaign.best.violation > 0:
+    elif campaign.best.violation > 0 and campaign.best.replicates > 1:  # of others, fewer runs may look as if they kept them
+        subject = "By the runs that report it, the best set"
+        yield verdict("constraints_broken", "red", subject=subject, share=campaign.best.violation)
+    elif campaign.best.violation > 0:
         yield verdict("no_set_keeps_constraints", "red", share=campaign.best.violation)
+    yield from _failing("the best set", campaign.best.failed, len(campaign.best.scores))
+
+
+def _failing(subject: str, failed: Sequence[str], scenarios: int) -> Iterator[ResultVerdict]:
+    if failed:
+        yield verdict("fails", "red" if len(failed) == scenarios else "amber", subject=subject, scenarios=list(failed))
 
 
 def _confirmation(campaign: Campaign) -> Iterator[ResultVerdict]:

@@ -32,9 +32,10 @@ SCORES = CONFIRMED | {
     "no_result": "No parameter set has a score in every scenario.",
     "not_judged": "The chosen set has no value of an objective or a constraint of the campaign: not every scenario has a result of its "
     "own.",
-    "constraints_broken": "The chosen set breaks the constraints by {share:.1 %}.",
+    "constraints_broken": "{subject} breaks the constraints by {share:.1 %}.",
     "no_set_keeps_constraints": "No set keeps all constraints; the best set breaks them by {share:.1 %}.",
     "constraints_undecided": "Runs do not decide whether {subject} keeps its rates: more seeds (replicates.most) or a larger budget may.",
+    "fails": "Runs of {subject} fail in {scenarios:list}: see the causes of failures.",
     "scores_copied": "This very set was not simulated in {scenarios:list}: its scores there are copied.",
     "scores_simulated": "Every score of {subject} was simulated or repeats a simulation.",
     "never_confirmed": "The best set was not simulated again after the search (reduction.confirm is 0): a score may be a copy.",
@@ -90,7 +91,7 @@ SEARCH = {
 QUESTIONS: Mapping[Question, Mapping[str, str]] = {"scores": SCORES, "search": SEARCH, "baseline": BASELINE}
 SENTENCES: Mapping[str, str] = SCORES | SEARCH | BASELINE
 _ANSWERS: Mapping[Question, tuple[str, Mapping[Light, str]]] = {
-    "scores": ("Are the scores right?", {"green": "Yes", "amber": "Check first", "red": "No"}),
+    "scores": ("Does the result hold?", {"green": "Yes", "amber": "Check first", "red": "No"}),
     "search": ("Is the search finished?", {"green": "Yes", "amber": "Perhaps not", "red": "No"}),
     "baseline": ("Is it better than the baseline?", {"green": "Yes", "amber": "Not clearly", "red": "No"}),
 }

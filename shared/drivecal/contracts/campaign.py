@@ -173,6 +173,8 @@ class Best(Answer):
     """Its runs do not decide whether it keeps its rates; `violation` is small then, and above 0."""
     constraints: dict[str, float] = {}
     """The constrained amounts, as of `Solution`."""
+    failed: list[str] = []
+    """Scenarios in which all its runs failed."""
     replicates: int = 1
     """Seeds under which it ran."""
     failures: int = 0

@@ -21,6 +21,7 @@ from drivecal.domain.evaluations import CellScore
 from drivecal.domain.scales import Direction, Scale
 
 SETS, CONFIDENCE, MOST = 12, 0.95, 300
+COST_OF_RUNS = Objective("cost", CellValue(measure="cost"), {"S1": 1.0}, Aggregate("mean"), -1, 0.0)
 
 
 @dataclass
@@ -190,11 +191,8 @@ def test_second_runs_go_to_several_sets_before_the_noise_is_known() -> None:
 
 
 def test_runs_that_report_choose_nothing_through_constraints() -> None:
-    shares, cost, gap = {"S1": 1.0}, CellValue(measure="cost"), CellValue(measure="gap")
-    goals = Goals(
-        (Objective("cost", cost, shares, Aggregate("mean"), -1, 0.0),),
-        (Bound("gap", gap, shares, Aggregate("mean"), 1, 2.0, 1.0),),
-    )
+    shares, cost, gap = {"S1": 1.0}, COST_OF_RUNS.value, CellValue(measure="gap")
+    goals = Goals((COST_OF_RUNS,), (Bound("gap", gap, shares, Aggregate("mean"), 1, 2.0, 1.0),))
     ranking = Ranking(shares, goals, ReplicatesSpecification(most=5))
     kept = {1: [(1.0, 2.5), (1.1, 2.5), (1.2, 2.5), (1.3, 0.5), (1.4, 0.5)], 2: [(3.0, 2.5), (3.1, 2.5), (3.2, 2.5)]}
     for number, runs in kept.items():
@@ -207,6 +205,19 @@ def test_runs_that_report_choose_nothing_through_constraints() -> None:
     assert best[0].violation == pytest.approx(1.5)
     [front] = ranking.front()  # a set is on it by the values that it shows
     assert (front.solution.replicates, front.solution.violation, front.cells["S1"].values[gap.key]) == (3, 0.0, 2.5)
+
+
+def test_sets_that_break_constraints_tell_the_noise_of_those_that_keep_them() -> None:
+    shares, gap = {"S1": 1.0}, CellValue(measure="gap")
+    goals = Goals((COST_OF_RUNS,), (Bound("gap", gap, shares, Aggregate("mean"), 1, 2.0, 1.0),))
+    ranking = Ranking(shares, goals, ReplicatesSpecification(most=5))
+    broken = {number: [(1.0, 2.5), (5.0, 0.5)] for number in range(1, 5)}
+    for number, runs in (broken | {5: [(2.9, 2.5), (3.1, 2.5)], 6: [(2.5, 2.5)]}).items():
+        values = [{COST_OF_RUNS.value.key: cost, gap.key: width} for cost, width in runs]
+        ranking.add(
+            CellScore(number, "S1", 0, 0, True, 0, number, seed=seed, values=each) for seed, each in enumerate(values, 1)
+        )
+    assert [each.parameter_set for each in ranking.best_first()[:2]] == [5, 6], "one lucky run"
 
 
 def test_the_noise_of_each_scenario_is_told() -> None:

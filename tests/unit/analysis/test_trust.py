@@ -353,6 +353,8 @@ def test_a_chosen_set_is_judged_by_its_own_scores() -> None:
     result = lights(campaign(), chosen=Chosen({}, copied=["S2"], violation=0.2))
     assert (result["scores_copied"], result["constraints_broken"]) == ("amber", "red")
     assert lights(campaign(), chosen=Chosen({}, is_judged=False))["not_judged"] == "red"
+    assert lights(campaign(), chosen=Chosen({}, failed=["S2"], scenarios=2))["fails"] == "amber"
+    assert lights(campaign(best=BEST.model_copy(update={"failed": ["S1"]})))["fails"] == "red"
     assert lights(campaign(), chosen=Chosen({}, baseline_violation=0.1))["baseline_breaks_more"] == "green"
 
 

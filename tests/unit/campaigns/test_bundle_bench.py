@@ -266,6 +266,10 @@ def test_constraints_on_results_name_scores_and_measures_of_the_bundle() -> None
     problem = resolved(constraints=limits, optimizer={"kind": "surrogate"})
     assert [objective.name for objective in problem.goals.objectives] == ["discomfort"]
     assert [(bound.aggregate.kind, bound.span) for bound in problem.goals.bounds] == [("min", 2.0), ("max", 100.0)]
+    random = bundle(simulator={"kind": "process", "command": ["mysim"], "random": True})
+    for worth, noted in ({}, 1), ({"failed": 0}, 0):
+        notes = resolved(random, constraints=[limits[0] | worth], optimizer={"kind": "surrogate"}).notes
+        assert sum("min_gap_m" in note for note in notes) == noted
     assert fields(constraints=[{"measure": "gap", "at_least": 2.0}], optimizer={"kind": "surrogate"}) == {
         "constraints[0].measure"
     }

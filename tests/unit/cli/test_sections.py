@@ -28,7 +28,7 @@ def test_verdicts_are_listed_below_the_answers_to_their_questions() -> None:
     scores, failed, baseline, not_better = sections.trust_blocks(
         ResultTrust(answers=answers(given, ended=True), verdicts=given)
     )
-    assert [scores, baseline] == ["Are the scores right? No.", "Is it better than the baseline? Not clearly."]
+    assert [scores, baseline] == ["Does the result hold? No.", "Is it better than the baseline? Not clearly."]
     assert [failed, not_better] == [f"  {each.light}: {each.text}" for each in given]
     assert sections.trust_blocks(ResultTrust(answers=[], verdicts=[])) == []
 

@@ -62,9 +62,10 @@ class Bench:
     @cached_property
     def setups(self) -> dict[str, Setup]:
         """Setups by scenario."""
-        return self._setups(self.seed if self.has_seed else None)
+        return self.setups_under(self.seed if self.has_seed else None)
 
-    def _setups(self, seed: int | None) -> dict[str, Setup]:
+    def setups_under(self, seed: int | None) -> dict[str, Setup]:
+        """Returns the setups under a seed, None for none, by scenario."""
         manifest, files, tools = self.earlier or self.bundle.manifest, self.bundle.files, self.bundle.tools
         settings: dict[str, Any] = {"section": self.section, "tools": tools, "seed": seed}
         return {
@@ -102,7 +103,7 @@ class Bench:
         manifest = self.bundle.manifest
         # Each run of a child process is told its side conditions, as it is told its seed.
         served = self if runs_in_worker(self.section) else replace(self, values={}, vehicles={})
-        sessions = served._setups(None) if self.has_seed or served.fingerprints != self.fingerprints else {}
+        sessions = served.setups_under(None) if self.has_seed or served.fingerprints != self.fingerprints else {}
         return {
             name: SetupRequest(
                 bundle=self.bundle.digest,

@@ -87,6 +87,15 @@ def check_reuse(
     return reduction.model_copy(update={"mode": "exact"}), (note,)
 
 
+def note_lost(goals: Goals) -> tuple[str, ...]:
+    """Returns a note on measures that failed runs lack, under the goals of a random simulator, where many sets fail now and then."""
+    named = sorted(
+        {goal.value.measure for goal in (*goals.objectives, *goals.bounds) if goal.value.measure and goal.value.failed is None}
+    )
+    lost = f"a set with a failed run has no {', '.join(named)} and no rank; `failed` beside the measure says what such a run is worth"
+    return (lost,) if named else ()
+
+
 def _objective(
     given: ObjectiveSpecification, field: str, known: KnownValues, weights: Mapping[str, float], diagnostics: Diagnostics
 ) -> Objective | None:

@@ -16,7 +16,7 @@ from drivecal.analysis.goals import Goals
 from drivecal.analysis.replicates import choosing, fewest, kept_back, rate_bounds
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
-from drivecal.campaigns.resolve.goals import check_reuse, find_goals, normalise_weights
+from drivecal.campaigns.resolve.goals import check_reuse, find_goals, normalise_weights, note_lost
 from drivecal.campaigns.resolve.optimizer import Optimization, check_abilities, choose_optimizer, note_search, settled_search
 from drivecal.campaigns.resolve.spaces import (
     fixed_to_document,
@@ -244,9 +244,8 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     own_goals: dict[str, Goals] = {}
     if not diagnostics.problems:
         goals, own_goals = goals_of_variants(specification, goals, variants)
-    reduction, more = check_reuse(specification.reduction, goals, diagnostics, has_variants=bool(variants.shares))
+    reduction, on_reuse = check_reuse(specification.reduction, goals, diagnostics, has_variants=bool(variants.shares))
     specification = specification.model_copy(update={"reduction": reduction})
-    notes += more
     check_abilities(optimization, constraints, goals, diagnostics)
     notes += note_search(optimization, constraints)
     population = optimization.population if optimization is not None and optimization.has_populations else None
@@ -261,7 +260,10 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     specification = specification.model_copy(update=dict(workbench.settled) | settled_search(specification, optimization))
     bench = replace(make(weights, variants.vehicles), repeat=specification.reduction.repeat)
     resolvers.check_units(specification, bench.scale, diagnostics)
-    notes += () if bench.is_random else resolvers.note_predictions(specification, bench.scale)
+    if bench.is_random:
+        notes += note_lost(goals)
+    else:
+        notes += on_reuse + resolvers.note_predictions(specification, bench.scale)
     sets = baseline, start_sets, robust_sets
     problem = CalibrationProblem(specification, bench, space, weights, optimization, *sets, notes, allowed, goals, own_goals)
     _check_rates(problem, diagnostics)

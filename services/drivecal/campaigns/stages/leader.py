@@ -39,6 +39,7 @@ class Leader:
                 violation=solution.violation,
                 undecided=solution.is_undecided,
                 constraints=goals.named_bounds(solution.judgement),
+                failed=list(solution.failed),
                 failure_interval=clopper_pearson(*self._ranking.failed_runs(number)) if solution.replicates > 1 else None,
                 **self._ranking.uncertainty(solution),
             )
@@ -80,8 +81,13 @@ class Leader:
         best = self._ranking.best()
         if self.best is None or best is None or self.best.violation <= 0:
             return []
-        broken = "is not known to keep them" if self.best.undecided else f"breaks them by {100 * self.best.violation:.1f} %"
+        broken = (
+            "is not known to keep the constraints"
+            if self.best.undecided
+            else f"breaks the constraints by {100 * self.best.violation:.1f} %"
+        )
         if self.best.undecided and (seeds := self._ranking.to_show(best[0].parameter_set, ever=True)):
             runs = seeds * len(self._problem.scenarios)
             broken += f": budget or `most` is too small; {runs:,} more runs, all within limits, show it"
-        return [f"no set keeps all constraints on results: the best set {broken}"]
+        others = "by the runs that report it" if self.best.replicates > 1 else "no set keeps all constraints on results"
+        return [f"{others}: the best set {broken}"]
