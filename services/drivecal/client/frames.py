@@ -71,9 +71,7 @@ class Rows(list[RowModel], Frames):
         """Returns a `pyarrow.Table`. Without rows it lacks columns of scores, objectives and parameters."""
         _package("pyarrow")
         keys = {name: self._kinds(name) for name in self._model.model_fields}
-        schema = arrow_schema(columns_of(self._model, keys))
-        missing = dict.fromkeys(schema.names)
-        return arrow_table(schema, [missing | file_row(row) for row in self])
+        return arrow_table(arrow_schema(columns_of(self._model, keys)), map(file_row, self))
 
     def _kinds(self, name: str) -> dict[str, Kind]:
         """Returns the keys of a mapping in all rows with the kinds of their values; nothing for another field."""

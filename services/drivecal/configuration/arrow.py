@@ -21,9 +21,9 @@ def arrow_schema(columns: Sequence[Column]) -> Any:
 
 
 def arrow_table(schema: Any, rows: Iterable[Mapping[str, Any]]) -> Any:
-    """Returns a `pyarrow.Table` of rows that have a value, or None, for each column of the schema."""
+    """Returns a `pyarrow.Table` of rows, which may lack columns of the schema."""
     import pyarrow as pa
 
     listed = list(rows)
-    arrays = [pa.array([row[column.name] for row in listed], column.type) for column in schema]
+    arrays = [pa.array([row.get(column.name) for row in listed], column.type) for column in schema]
     return pa.Table.from_arrays(arrays, schema=schema)

@@ -27,11 +27,11 @@ def download(
 
 
 def csv_pieces(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:
-    """Yields CSV with a header, see `csv_text`."""
+    """Yields CSV with a header, see `csv_text`; a row may lack columns."""
     names = [column.name for column in columns]
     head = csv_text([names])
     for piece in pieces:
-        yield (head + csv_text([row[name] for name in names] for row in piece)).encode()
+        yield (head + csv_text(map(row.get, names) for row in piece)).encode()
         head = ""
     yield head.encode()
 

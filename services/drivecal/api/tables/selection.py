@@ -39,8 +39,8 @@ def selection(conditions: Sequence[str], columns: Sequence[Column]) -> Keeps:
         raise InvalidInputError(*problems)
 
     def keeps(row: Row) -> bool:
-        return all(row[name] in wanted for name, wanted in values.items()) and all(
-            row[name] is not None and (row[name] >= bound if sign == ">=" else row[name] <= bound)
+        return all(row.get(name) in wanted for name, wanted in values.items()) and all(
+            (value := row.get(name)) is not None and (value >= bound if sign == ">=" else value <= bound)
             for name, sign, bound in ranges
         )
 
