@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from drivecal.contracts.assignments import settings
+from drivecal.contracts.assignments import finite_number, settings
 from drivecal.contracts.inventory import ProblemAnswer
 from drivecal.domain.errors import InvalidInputError, Problem, file_faults
 
@@ -43,7 +43,7 @@ def read_results(path: Path, problem: ProblemAnswer) -> tuple[list[dict[str, Any
             elif kind == "parameters" and name in problem.shapes and value:
                 row[kind] |= settings([f"{name}={value}"], f"{path}, row {number}, {name}")  # a list, or its text
             elif value not in (None, ""):
-                row[kind][name] = _value(value, is_choice=bool(problem.parameters.get(name, {}).get("choices")))
+                row[kind][name] = str(value) if problem.parameters.get(name, {}).get("choices") else finite_number(value)
                 if row[kind][name] is None:
                     fault = Problem(
                         f"{path}, row {number}, {name}", f"{value!r} is not a number", "give a number with a decimal point"
@@ -116,12 +116,3 @@ def _kind(name: str, problem: ProblemAnswer, path: str) -> tuple[str, str]:
             return kind, name.removeprefix(prefix)
     known = ", ".join(["scenario", *known_names["parameters"], *problem.scores, *problem.measures])
     raise InvalidInputError(Problem(path, f"{problem.name} knows no column {name!r}", f"one of {known}"))
-
-
-def _value(value: object, *, is_choice: bool) -> float | str | None:
-    if is_choice:
-        return str(value)
-    try:
-        return float(value)  # type: ignore[arg-type]  # whatever a file holds
-    except (TypeError, ValueError):
-        return None

@@ -1,13 +1,16 @@
 """Reads and writes `NAME=VALUE`, as it stands on a command line and in a query."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
 from drivecal.contracts.specification import Given
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
+
+Value = TypeVar("Value")
 
 
 def value_text(value: Given, digits: int | None = 6) -> str:
@@ -19,19 +22,12 @@ def value_text(value: Given, digits: int | None = 6) -> str:
 
 def settings(parts: Iterable[str], field: str) -> dict[str, Given]:
     """Returns `P1=0.5`, `mode=eco`, `gain=[1, 2]` by name: numbers, lists, else text. Raises InvalidInputError as `assignments`."""
-    listed = list(parts)
-    texts = {}
-    for part in listed:
-        name, _, given = (piece.strip() for piece in part.partition("="))
-        if name and given and _number(given) is None:
-            texts[part] = given
-    numbers = assignments([f"{part.partition('=')[0]}=0" if part in texts else part for part in listed], field)
-    return {**numbers, **{part.partition("=")[0].strip(): _listed(given, field) for part, given in texts.items()}}
+    return _named(parts, field, lambda given: _value(given, field))
 
 
-def _listed(given: str, field: str) -> Given:
+def _value(given: str, field: str) -> Given | None:
     if not given.startswith("["):
-        return given
+        return given or None if (number := finite_number(given)) is None else number
     try:
         return TypeAdapter[Given](Given).validate_json(given)
     except ValidationError as error:
@@ -40,15 +36,19 @@ def _listed(given: str, field: str) -> Given:
 
 def assignments(parts: Iterable[str], field: str) -> dict[str, float]:
     """Returns `P1=0.5`, `P2=3` as numbers by name. Raises InvalidInputError naming `field` and each faulty part."""
-    values: dict[str, float] = {}
+    return _named(parts, field, finite_number)
+
+
+def _named(parts: Iterable[str], field: str, read: Callable[[str], Value | None]) -> dict[str, Value]:
+    """Returns what `read` makes of each value, by name; None is a fault."""
+    values: dict[str, Value] = {}
     problems: list[Problem] = []
     for part in parts:
-        name, equals, digits = (piece.strip() for piece in part.partition("="))
-        value = _number(digits)
+        name, equals, given = (piece.strip() for piece in part.partition("="))
         if not equals or not name:
             problems.append(Problem(field, f"{shown(part)} is not an assignment", "write NAME=NUMBER"))
-        elif value is None:
-            problems.append(Problem(f"{field} {name}", f"{shown(digits)} is not a number", "give a finite number, e.g. 0.5"))
+        elif (value := read(given)) is None:
+            problems.append(Problem(f"{field} {name}", f"{shown(given)} is not a number", "give a finite number, e.g. 0.5"))
         elif name in values:
             problems.append(Problem(f"{field} {name}", "it is given twice", "give it once"))
         else:
@@ -58,9 +58,10 @@ def assignments(parts: Iterable[str], field: str) -> dict[str, float]:
     return values
 
 
-def _number(digits: str) -> float | None:
+def finite_number(given: Any) -> float | None:
+    """Returns what is given as a finite number; None if it is none."""
     try:
-        value = float(digits)
-    except ValueError:
+        value = float(given)
+    except (TypeError, ValueError):
         return None
     return value if math.isfinite(value) else None

@@ -65,6 +65,7 @@ def test_a_measure_with_the_name_of_a_parameter_has_a_prefix(tmp_path: Path) -> 
     [
         ("rig.csv", "scenario,gain,mode,comfort\nwinter,0.5,eco,3"),
         ("rig.csv", "scenario,gain,mode,cost\nwinter,half,eco,3"),
+        ("rig.csv", "scenario,gain,mode,cost\nwinter,0.5,eco,nan"),
         ("rig.csv", "gain,mode,cost\n0.5,eco,3"),
         ("rig.csv", "scenario,gain,mode,cost\n"),
         ("rig.csv", "scenario,gain,mode,cost\nwinter,0.5,eco,3,4"),

@@ -1,10 +1,10 @@
 """Conditions that select rows of tables: `where=COLUMN>=NUMBER` and the like. Pure."""
 
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from drivecal.contracts.assignments import finite_number
 from drivecal.contracts.tables import Column
 from drivecal.domain.errors import InvalidInputError, Problem
 
@@ -65,10 +65,6 @@ def _read(condition: str, known: Mapping[str, Column]) -> tuple[str, str, object
         if sign != "=" or text not in _TRUTH:
             raise ValueError(f"{name} is true or false", f"write {name}=true or {name}=false")
         return name, sign, _TRUTH[text]
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
+    if (amount := finite_number(text)) is None:
         raise ValueError(f"{text[:100]!r} is not a number", f"write {name}{sign}NUMBER")
-    return name, sign, number
+    return name, sign, amount
