@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import httpx
 from pydantic import ValidationError
 
-from drivecal.client.documents import Document, plain, weights_text
+from drivecal.client.documents import Document, in_pieces, plain, weights_text
 from drivecal.client.following import READ_SECONDS, EventParser, Following, Sent, Told, displayed
 from drivecal.client.frames import DownloadedTable, RankedSets, Rows
-from drivecal.client.imported import in_pieces
 from drivecal.client.outside import AskTell
 from drivecal.client.report import report_of
 from drivecal.client.transport import Answer, Transport, harmless, named, path_of, raise_for, unreachable

@@ -1,15 +1,19 @@
 """Bodies of calls: documents of users."""
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from typing import Any
 
 from pydantic import BaseModel
 
 from drivecal.configuration.documents import read_document
+from drivecal.contracts.outside.sets import MOST_SETS
 
 Document = Mapping[str, Any] | BaseModel | str | PathLike[str]
 """A submitted document: plain data, a specification of `drivecal.contracts`, or the path of a YAML or JSON file."""
+LARGEST_PIECE = 200_000
+"""Bytes. The server takes a megabyte and 100,000 values, each of two bytes or more."""
 
 
 def plain(document: Document) -> Mapping[str, Any]:
@@ -24,3 +28,11 @@ def weights_text(weights: Mapping[str, float] | str | None) -> str | None:
     if isinstance(weights, Mapping):
         return ",".join(f"{name}={weight:.12g}" for name, weight in weights.items())
     return weights
+
+
+def in_pieces(items: Sequence[Mapping[str, Any]]) -> Iterator[Sequence[Mapping[str, Any]]]:
+    """Yields sets or rows in pieces that fit into a request, however long their lists are."""
+    longest = max((len(json.dumps(each)) for each in items), default=1)
+    size = max(1, min(MOST_SETS, LARGEST_PIECE // longest))
+    for start in range(0, len(items), size):
+        yield items[start : start + size]

@@ -4,7 +4,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,6 @@ HEADER = re.compile(r"(?P<name>[^\[]*?)\s*(?:\[(?P<unit>[^\]]*)\])?\s*")
 """A column's name, with its unit in brackets: `gap [m]`."""
 PREFIXES = {"parameter_": "parameters", "measure_": "measures"}
 """Optional prefixes of columns, as in tables of evaluations."""
-AT_A_TIME = 50_000
-"""Values of a request."""
 
 
 def read_results(path: Path, problem: ProblemAnswer) -> tuple[list[dict[str, Any]], dict[str, str]]:
@@ -59,14 +57,6 @@ def read_results(path: Path, problem: ProblemAnswer) -> tuple[list[dict[str, Any
     if not rows:
         raise InvalidInputError(Problem(str(path), "the file has no rows", "give a row for each set and scenario"))
     return rows, units
-
-
-def in_pieces(rows: Sequence[Mapping[str, Any]]) -> Iterator[Sequence[Mapping[str, Any]]]:
-    """Yields rows in pieces that fit into a request."""
-    kinds = "parameters", "scores", "measures"
-    each = max(1, AT_A_TIME // max((4 + sum(len(row.get(kind, ())) for kind in kinds) for row in rows), default=1))
-    for start in range(0, len(rows), each):
-        yield rows[start : start + each]
 
 
 def _lines(path: Path) -> list[dict[str, Any]]:

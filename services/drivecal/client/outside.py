@@ -7,8 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, Self
 
+from drivecal.client.documents import in_pieces
 from drivecal.contracts.campaign import Campaign
-from drivecal.contracts.outside.sets import MOST_SETS, AcceptedSets, AnswerPage, CellAnswered
+from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CellAnswered
 from drivecal.contracts.specification import Given
 from drivecal.domain.errors import ConflictError, DrivecalError
 
@@ -77,9 +78,8 @@ class AskTell:
         listed = list(sets)
         wanted = {_key(each): each for each in listed}
         keys = [key for key in wanted if not self._is_answered(key)]
-        for start in range(0, len(keys), MOST_SETS):
-            chunk = keys[start : start + MOST_SETS]
-            self._propose([{"key": key, "parameters": dict(wanted[key])} for key in chunk])
+        for piece in in_pieces([{"key": key, "parameters": dict(wanted[key])} for key in keys]):
+            self._propose(piece)
         while not all(map(self._is_answered, keys)):
             self._listen()
         return [self._answer(_key(each)) for each in listed]
