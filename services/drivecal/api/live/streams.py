@@ -16,7 +16,7 @@ from typing import Any
 
 from drivecal.api.live.dispatcher_health import degraded, silence
 from drivecal.api.responses import seconds_of, state_of
-from drivecal.contracts.campaign import PROGRESS, CampaignEvent, CampaignProgress
+from drivecal.contracts.campaign import CampaignEvent, CampaignProgress
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.events import EventKind, event_text
 from drivecal.storage import events, revision_queries
@@ -35,13 +35,7 @@ PAGE = 100
 """Events that are read at once."""
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
-    """An event of a campaign, or its progress, which has no number. `content` is JSON."""
-
-    number: int | None
-    kind: str
-    content: str
+Sent = CampaignEvent | CampaignProgress
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +63,7 @@ class EventHub:
         """Ends all streams. Their clients resume them at the next server."""
         self._closing.set()
 
-    async def stream(self, sequence: int, campaign: str, last_id: int) -> AsyncGenerator[Sequence[Message]]:
+    async def stream(self, sequence: int, campaign: str, last_id: int) -> AsyncGenerator[Sequence[Sent]]:
         """Yields a campaign's events after the event `last_id`, past and future, until its end; without any for KEEPALIVE_SECONDS an empty
         list."""
         position, revision, told = last_id, -1, time.monotonic()
@@ -82,13 +76,13 @@ class EventHub:
                 await asyncio.wait([looking], timeout=PATIENCE_SECONDS)
                 look, reason = self._result(looking)
                 looking = None if looking.done() else looking
-                messages: list[Message] = []
+                messages: list[Sent] = []
                 said, moment = None, now()
                 if look is not None:
                     snapshot = look.snapshot or snapshot
                     if snapshot is None:
                         return  # the campaign is gone
-                    messages += [stored(event, campaign) for event in look.events]
+                    messages += [_event(each.id, each.kind, campaign, each.created_at, each.data) for each in look.events]
                     position = look.events[-1].id if look.events else position
                     said = degraded(snapshot, silence(look.heartbeat_at, moment))
                     reason = None if said == snapshot.degraded else said
@@ -100,7 +94,8 @@ class EventHub:
                 if look is not None and snapshot is not None:
                     revision = -1 if has_more else snapshot.revision
                     if not has_more and (look.snapshot is not None or is_changed):
-                        messages.append(Message(None, PROGRESS, progress_of(snapshot, said, moment).model_dump_json()))
+                        progress = {"state": state_of(snapshot), "degraded": said, "seconds": seconds_of(snapshot, moment)}
+                        messages.append(CampaignProgress.of(snapshot, **progress))
                 if messages or time.monotonic() - told >= KEEPALIVE_SECONDS:
                     told = time.monotonic()
                     yield messages
@@ -133,23 +128,12 @@ class EventHub:
             return _Look(heartbeat_at, snapshots[0] if snapshots else None, events.since(connection, sequence, position, PAGE))
 
 
-def stored(event: StoredEvent, campaign: str) -> Message:
-    """Returns a stored event as a message."""
-    return _event(event.id, event.kind, campaign, event.created_at, event.data)
-
-
-def progress_of(snapshot: ProgressSnapshot, said: str | None, moment: datetime) -> CampaignProgress:
-    """Returns the `CampaignProgress` of a running campaign. `said`: why it is degraded."""
-    return CampaignProgress.of(snapshot, state=state_of(snapshot), degraded=said, seconds=seconds_of(snapshot, moment))
-
-
-def _unstored(campaign: str, trouble: str | None) -> Message:
+def _unstored(campaign: str, trouble: str | None) -> CampaignEvent:
     """Returns the event that the dispatcher or the database is silent, or answers again. No table holds it: its writer is silent."""
     if trouble is None:
         return _event(None, EventKind.RECOVERED, campaign, now(), {})
     return _event(None, EventKind.DEGRADED, campaign, now(), {"reason": trouble})
 
 
-def _event(number: int | None, kind: str, campaign: str, at: datetime, data: Mapping[str, Any]) -> Message:
-    event = CampaignEvent(id=number, kind=kind, campaign=campaign, at=at, text=event_text(kind, data), data=dict(data))
-    return Message(number, kind, event.model_dump_json())
+def _event(number: int | None, kind: str, campaign: str, at: datetime, data: Mapping[str, Any]) -> CampaignEvent:
+    return CampaignEvent(id=number, kind=kind, campaign=campaign, at=at, text=event_text(kind, data), data=dict(data))

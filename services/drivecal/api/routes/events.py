@@ -15,8 +15,8 @@ from starlette.types import Send
 from drivecal.api.dependencies import DatabaseDependency, EventStreamPlace
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import Parameters
-from drivecal.api.live.streams import EventHub, Message
-from drivecal.contracts.campaign import CampaignEvent, CampaignProgress
+from drivecal.api.live.streams import EventHub, Sent
+from drivecal.contracts.campaign import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.domain.events import EventKind
 from drivecal.storage import events, revision_queries
 from drivecal.storage.engine.database import Database
@@ -48,7 +48,7 @@ class EventStream(StreamingResponse):
 
     media_type = "text/event-stream"
 
-    def __init__(self, messages: AsyncGenerator[Sequence[Message]], is_admitted: Callable[[], bool]) -> None:
+    def __init__(self, messages: AsyncGenerator[Sequence[Sent]], is_admitted: Callable[[], bool]) -> None:
         # Buffering proxies would hold events back until there are many.
         self._chunks, self._is_admitted = encoded(messages), is_admitted
         super().__init__(self._chunks, headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"})
@@ -65,18 +65,17 @@ class EventStream(StreamingResponse):
         await send({"type": "http.response.body", "body": b"", "more_body": False})
 
 
-async def encoded(stream: AsyncGenerator[Sequence[Message]]) -> AsyncGenerator[bytes]:
+async def encoded(stream: AsyncGenerator[Sequence[Sent]]) -> AsyncGenerator[bytes]:
     """Yields the text of an event stream."""
     yield format_sse_event(retry=RETRY_MILLISECONDS)
     async with aclosing(stream):
         async for messages in stream:
-            events = [
-                format_sse_event(
-                    id=None if message.number is None else str(message.number), event=message.kind, data_str=message.content
-                )
-                for message in messages
-            ]
-            yield b"".join(events) or KEEPALIVE_COMMENT
+            yield b"".join(map(_event, messages)) or KEEPALIVE_COMMENT
+
+
+def _event(sent: Sent) -> bytes:
+    number, kind = (None, PROGRESS) if isinstance(sent, CampaignProgress) else (sent.id, sent.kind)
+    return format_sse_event(id=None if number is None else str(number), event=kind, data_str=sent.model_dump_json())
 
 
 @router.get(
