@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import httpx
 from pydantic import ValidationError
 
-from drivecal.client.documents import Document, in_pieces, plain, weights_text
+from drivecal.client.documents import Document, in_pieces, plain
 from drivecal.client.following import READ_SECONDS, EventParser, Following, Sent, Told, displayed
 from drivecal.client.frames import DownloadedTable, RankedSets, Rows
 from drivecal.client.outside import AskTell
@@ -253,7 +253,7 @@ class Client(Transport):
             score: Another score of the problem, or `NAME@PUSH`: a score that another push declares.
             variant: A variant of the campaign, for which sets are ranked.
         """
-        query = {"weights": weights_text(weights), "limit": limit, "score": score, "variant": variant}
+        query = {"weights": weights, "limit": limit, "score": score, "variant": variant}
         return self._get(RankedSets, "campaigns", identifier, "solutions", **query)
 
     def evaluations(self, identifier: str, **query: Any) -> DownloadedTable:
@@ -273,10 +273,8 @@ class Client(Transport):
             form: Format of the file.
             query: Parameters of the REST call, e.g. `where=["scenario=S1"]`.
         """
-        weights = query.get("weights")
-        given = query if weights is None else query | {"weights": weights_text(weights)}
         place = ("campaigns", identifier, *table.split("/"))
-        yield from self._pieces(path_of(place), given | {"format": form}, *named(place))
+        yield from self._pieces(path_of(place), query | {"format": form}, *named(place))
 
     def rows(self, identifier: str, table: Table, **query: Any) -> Iterator[dict[str, Any]]:
         """Yields every row of a table."""
@@ -309,12 +307,11 @@ class Client(Transport):
             identifier: Id of the campaign.
             weights: Weights of the objectives, for the order of the sets.
         """
-        return self._rows_of(identifier, "front", FrontRow, weights=weights_text(weights))
+        return self._rows_of(identifier, "front", FrontRow, weights=weights)
 
     def front_summary(self, identifier: str, weights: Mapping[str, float] | str | None = None) -> FrontSummary:
         """Returns the objectives, knee, extremes and growth of a front, with ranks as `front` has them."""
-        query = {"weights": weights_text(weights)}
-        return self._get(FrontSummary, "campaigns", identifier, "front", "summary", **query)
+        return self._get(FrontSummary, "campaigns", identifier, "front", "summary", weights=weights)
 
     def evaluated_sets(self, identifier: str) -> Rows[JudgedSet]:
         """Returns all sets that have a value of every objective, dominated ones as well."""
@@ -500,7 +497,7 @@ class Client(Transport):
         form: Literal["dcm", "cdfx", "csv"],
         rank: int | None = None,
         front: int | None = None,
-        weights: str | None = None,
+        weights: Mapping[str, float] | str | None = None,
         score: str | None = None,
         labels: Mapping[str, str] | None = None,
         base: Path | None = None,

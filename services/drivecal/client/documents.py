@@ -23,11 +23,11 @@ def plain(document: Document) -> Mapping[str, Any]:
     return document if isinstance(document, Mapping) else read_document(str(document))
 
 
-def weights_text(weights: Mapping[str, float] | str | None) -> str | None:
-    """Returns weights as a query has them: `S1=2,S2=1`."""
-    if isinstance(weights, Mapping):
-        return ",".join(f"{name}={weight:.12g}" for name, weight in weights.items())
-    return weights
+def query_of(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the parameters of a query that have a value; weights are written `S1=2,S2=1`."""
+    known = {name: value for name, value in given.items() if value is not None}
+    weights = {name: value.items() for name, value in known.items() if isinstance(value, Mapping)}
+    return known | {name: ",".join(f"{each}={weight:.12g}" for each, weight in pairs) for name, pairs in weights.items()}
 
 
 def in_pieces(items: Sequence[Mapping[str, Any]]) -> Iterator[Sequence[Mapping[str, Any]]]:

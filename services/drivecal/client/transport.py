@@ -12,7 +12,7 @@ from urllib.parse import quote
 import httpx
 from pydantic import BaseModel, ValidationError
 
-from drivecal.client.documents import Document, plain
+from drivecal.client.documents import Document, plain, query_of
 from drivecal.configuration.tokens import is_this_machine
 from drivecal.domain.errors import (
     ConflictError,
@@ -231,7 +231,7 @@ class Transport:
 
         Does not ask again if a proxy gave up on the server: it would begin the same work anew. `kind`, `identifier`: as of `raise_for`.
         """
-        params, waited = {name: value for name, value in query.items() if value is not None} or None, 0.0
+        params, waited = query_of(query) or None, 0.0
         timeout = httpx.Timeout(self._http.timeout.connect, read=SLOW_SECONDS)
         while True:
             try:
@@ -257,8 +257,7 @@ class Transport:
         document: Mapping[str, Any] | None = None,
         content: bytes | None = None,
     ) -> httpx.Response:
-        params = {name: value for name, value in (query or {}).items() if value is not None}
-        path, attempt = path_of(place), 0
+        params, path, attempt = query_of(query or {}), path_of(place), 0
         while True:
             try:
                 return self._http.request(method, path, params=params, headers=headers, json=document, content=content)

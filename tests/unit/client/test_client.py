@@ -239,8 +239,8 @@ def test_an_id_cannot_leave_its_path() -> None:
 def test_rows_come_from_all_pages() -> None:
     pages = [json.dumps({"items": [{"id": 1}], "next_cursor": "x"}), json.dumps({"items": [{"id": 2}], "next_cursor": None})]
     with server(*((200, {}, page.encode()) for page in pages)) as (client, script):
-        assert [row["id"] for row in client.rows("abc", "evaluations")] == [1, 2]
-    assert script.requests[1][1].endswith("limit=1000&cursor=x")
+        assert [row["id"] for row in client.rows("abc", "solutions", weights={"S1": 2})] == [1, 2]
+    assert script.requests[1][1].endswith("limit=1000&weights=S1%3D2&cursor=x")
 
 
 def test_a_table_that_breaks_off_is_an_error() -> None:
