@@ -95,11 +95,13 @@ def problem_response(
 
 def install(app: FastAPI) -> None:
     """Registers the handlers, so that every error of the service has this shape."""
-    app.add_exception_handler(DrivecalError, _drivecal_error)
-    app.add_exception_handler(RequestValidationError, _validation_error)
-    app.add_exception_handler(HTTPException, _http_error)
-    app.add_exception_handler(SQLAlchemyError, _database_error)
-    app.add_exception_handler(Exception, _unexpected)
+    app.exception_handlers |= {
+        DrivecalError: _drivecal_error,
+        RequestValidationError: _validation_error,
+        HTTPException: _http_error,
+        SQLAlchemyError: _database_error,
+        Exception: _unexpected,
+    }
 
 
 async def _drivecal_error(request: Request, error: Exception) -> Response:
@@ -117,10 +119,8 @@ async def _drivecal_error(request: Request, error: Exception) -> Response:
     return await _unexpected(request, error)
 
 
-async def _validation_error(request: Request, error: Exception) -> Response:
+async def _validation_error(request: Request, error: RequestValidationError) -> Response:
     """Answers FastAPI's own errors of query, path and header parameters; `drivecal.api.http.bodies` reads bodies."""
-    if not isinstance(error, RequestValidationError):
-        raise error
     problems = [
         input_errors.problem(".".join(shown(part) for part in detail["loc"][1:]), detail)
         for detail in error.errors()[: MOST_PROBLEMS + 1]
@@ -135,9 +135,7 @@ async def _database_error(request: Request, error: Exception) -> Response:
     return problem_response(request, 503, detail, headers={"Retry-After": str(RETRY_SECONDS)})
 
 
-async def _http_error(request: Request, error: Exception) -> Response:
-    if not isinstance(error, HTTPException):
-        raise error
+async def _http_error(request: Request, error: HTTPException) -> Response:
     detail = str(error.detail)
     if error.status_code == HTTPStatus.NOT_FOUND and detail == HTTPStatus.NOT_FOUND.phrase:
         detail = f"there is nothing at {shown(request.url.path)}; see /docs for what there is"
