@@ -14,7 +14,7 @@ from drivecal.bundles.shapes import Shape
 from drivecal.campaigns.resolve.resolved_spec import stored_goals, stored_scale
 from drivecal.contracts.campaign import Campaign, FirstObjective, Repaired, Seconds, Spent
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
-from drivecal.contracts.tables import PLACE, CampaignTable, EvaluationRow, parameter_column
+from drivecal.contracts.tables import PLACE, EvaluationRow, TableName, parameter_column
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.parameters import ParameterSet
@@ -27,7 +27,7 @@ from drivecal.storage.revision_queries import CampaignRevision, ProgressSnapshot
 ROOT = "/api/v1"
 SECONDS_BETWEEN_POLLS = 1
 """`Retry-After` of what is still running."""
-TABLES = (*get_args(CampaignTable), "results", "setup", "studies", "calibration-file")
+TABLES = (*get_args(TableName), "results", "setup", "studies", "calibration-file")
 """Links of a campaign besides `events`."""
 _FIELDS = tuple(EvaluationRow.model_fields)
 _place, _rest = attrgetter(*_FIELDS[:PLACE]), attrgetter(*_FIELDS[PLACE:])

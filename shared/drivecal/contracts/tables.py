@@ -182,8 +182,7 @@ def _counts_by_bin(histogram: Mapping[int, int]) -> list[float]:
     return counts
 
 
-CampaignTable = Literal["evaluations", "generations", "solutions", "optima", "front", "influence", "robustness", "validation"]
-TableName = CampaignTable
+TableName = Literal["evaluations", "generations", "solutions", "optima", "front", "influence", "robustness", "validation"]
 
 PLACE = 5
 """Leading fields of an evaluation's row, which say which cell it is; its parameters follow."""
