@@ -1,7 +1,7 @@
 """Results of a campaign: their document, and a chosen set as a file for calibration tools."""
 
 from collections.abc import Sequence
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
 from pydantic import Field, StringConstraints
@@ -30,7 +30,6 @@ from drivecal.storage.engine.database import Database
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
 
 MEDIA_TYPES: dict[CalibrationFormat, str] = {"dcm": "text/plain", "cdfx": "application/xml", "csv": "text/csv"}
-Ranked = TypeVar("Ranked", Solution, FrontRow)
 
 LARGEST_RANK = 10**6
 Rank = Annotated[int, Field(ge=1, le=LARGEST_RANK)]
@@ -127,13 +126,16 @@ def _written(database: Database, campaign: str, query: CalibrationFileOf) -> byt
     if on_front and query.score is not None:
         raise InvalidInputError(Problem("score", "a front has no single score", "give set, the rank in the solutions"))
     given = None if query.weights is None else assignments(query.weights.split(","), "weights")
-    chosen: Solution | FrontRow
-    if on_front:
-        chosen = _ranked(front_table(database, stored, front, query.weights), query, stored.id, "front")
-    else:
-        _, rank = query.place
-        listed = solution_pages(wanted, query.weights, query.score).solutions(rank - 1, rank)
-        chosen = _ranked(listed, query, stored.id, "solutions")
+    field, rank = query.place
+    rows: Sequence[Solution | FrontRow] = (
+        front_table(database, stored, front, query.weights)[rank - 1 : rank]
+        if on_front
+        else solution_pages(wanted, query.weights, query.score).solutions(rank - 1, rank)
+    )
+    if not rows:
+        remedy = f"drivecal {'front' if on_front else 'solutions'} {stored.id} lists those that it has"
+        raise InvalidInputError(Problem(field, f"campaign {stored.id} has no set of rank {rank}", remedy))
+    chosen = rows[0]
     known = results_of(whole, front, (chosen.iteration, chosen.individual))
     figures = [*figures_of(known, chosen, given, query.score), *([("variant", query.variant)] if query.variant else [])]
     shapes = known.setup.shapes
@@ -141,13 +143,3 @@ def _written(database: Database, campaign: str, query: CalibrationFileOf) -> byt
     named = labels_of(settings(query.label, "label"), [*shapes, *(parameter.name for parameter in parameters)])
     content = characteristics_of(chosen.parameters, parameters, named) + curves_of(chosen.parameters, shapes, named)
     return write(query.format, content, quality_of(known, chosen, figures))
-
-
-def _ranked(listed: Sequence[Ranked], query: CalibrationFileOf, campaign: str, table: str) -> Ranked:
-    """Returns the row of the wanted rank. Raises InvalidInputError if there is none."""
-    field, rank = query.place
-    for row in listed:
-        if row.rank == rank:
-            return row
-    remedy = f"drivecal {table} {campaign} lists those that it has"
-    raise InvalidInputError(Problem(field, f"campaign {campaign} has no set of rank {rank}", remedy))
