@@ -52,10 +52,9 @@ def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDepe
     """The iterations of the calibration stage, in order."""
     campaign = _campaign(database, campaign_id)
 
-    def pages(limit: int, cursor: str | None) -> tuple[list[Row], str | None]:
+    def pages(limit: int, cursor: str | None) -> tuple[list[Generation], str | None]:
         with database.read() as connection:
-            page, following = generations.page(connection, campaign.sequence, limit=limit, cursor=cursor)
-        return [figures.model_dump() for figures in page], following
+            return generations.page(connection, campaign.sequence, limit=limit, cursor=cursor)
 
     return table_answer(f"generations-{campaign.id}", query, accept, lambda: columns_of(Generation), pages)
 
