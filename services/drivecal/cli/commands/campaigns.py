@@ -1,11 +1,21 @@
 """Commands about campaigns as a whole."""
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Annotated, TypeVar
+from typing import Annotated, TypeVar, get_args
 
 import typer
 
-from drivecal.cli.application import CampaignArgument, ExitCode, JsonOption, UrlOption, app, code_of_state, connect, say
+from drivecal.cli.application import (
+    COMMANDS,
+    CampaignArgument,
+    ExitCode,
+    JsonOption,
+    UrlOption,
+    app,
+    code_of_state,
+    connect,
+    say,
+)
 from drivecal.cli.views.output import (
     duration,
     print_answer,
@@ -139,28 +149,29 @@ def watch(
     raise typer.Exit(code_of_state(campaign.state))
 
 
-@app.command()
-def pause(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """Pause a campaign; running simulations are finished and kept."""
-    _act(identifier, tag, "pause", url, as_json)
+def _steering(action: Action) -> None:
+    """Adds the command that asks for an action."""
+
+    @app.command(action, help=COMMANDS[action][1])
+    def steer(
+        identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False
+    ) -> None:
+        with connect(url) as client:
+            chosen = _chosen(client, identifier, tag)
+            if identifier is not None:
+                _print_whole(client, client.act(chosen[0].id, action), as_json)
+                return
+            open_ones = [campaign.id for campaign in chosen if not CampaignState(campaign.state).ended]
+            changed, refused = _each(open_ones, lambda campaign: client.act(campaign, action))
+            ended = len(chosen) - len(open_ones)
+            say(f"asked {len(changed)} of {len(chosen)} campaigns to {action}; {ended} have ended, {len(refused)} refuse")
+            if as_json:
+                print_json(list(changed.values()))
+            _raise(refused)
 
 
-@app.command()
-def resume(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """Resume a paused campaign."""
-    _act(identifier, tag, "resume", url, as_json)
-
-
-@app.command()
-def cancel(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """End a campaign; finished simulations are kept."""
-    _act(identifier, tag, "cancel", url, as_json)
-
-
-@app.command()
-def finish(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """End a campaign that another program feeds, as soon as the sets that it has are answered."""
-    _act(identifier, tag, "finish", url, as_json)
+for _action in get_args(Action):
+    _steering(_action)
 
 
 @app.command()
@@ -226,21 +237,6 @@ def _chosen(client: Client, identifier: str | None, tag: str | None) -> list[Cam
     if not chosen:
         raise NotFoundError("campaign with the tag", tag or "")
     return chosen
-
-
-def _act(identifier: str | None, tag: str | None, action: Action, url: str | None, as_json: bool) -> None:
-    with connect(url) as client:
-        chosen = _chosen(client, identifier, tag)
-        if identifier is None:
-            open_ones = [campaign.id for campaign in chosen if not CampaignState(campaign.state).ended]
-            changed, refused = _each(open_ones, lambda campaign: client.act(campaign, action))
-            ended = len(chosen) - len(open_ones)
-            say(f"asked {len(changed)} of {len(chosen)} campaigns to {action}; {ended} have ended, {len(refused)} refuse")
-            if as_json:
-                print_json(list(changed.values()))
-            _raise(refused)
-            return
-        _print_whole(client, client.act(chosen[0].id, action), as_json)
 
 
 def refuse_ignored(wait: bool, timeout: float | None, *, dry_run: bool = False) -> None:
