@@ -95,27 +95,6 @@ class CellCounts(GenerationCounts):
     """Cells whose score is worse than the worth of a failed run, which they count as; simulated, or answered by stored runs."""
 
 
-class CellsByStage(Answer):
-    """Cells of a campaign by stage; a stage that has not begun is missing. The other fields repeat two stages."""
-
-    stages: dict[str, CellCounts] = {}
-
-    @computed_field  # type: ignore[prop-decorator]  # decorated properties
-    @property
-    def cells(self) -> CellCounts:
-        """The calibration stage, or a single evaluation."""
-        return self._of("calibration")
-
-    @computed_field  # type: ignore[prop-decorator]  # decorated properties
-    @property
-    def sensitivity_cells(self) -> CellCounts:
-        """The sensitivity stage."""
-        return self._of("sensitivity")
-
-    def _of(self, stage: str) -> CellCounts:
-        return self.stages.get(stage, CellCounts())
-
-
 class ErrorRate(Answer):
     """Results of the self-check in a scenario. Audited answers with any change are `different`, beyond the tolerance `wrong`.
 
@@ -315,9 +294,10 @@ class CampaignEvent(Answer):
     data: dict[str, Any] = Field(default_factory=dict)
 
 
-class CampaignProgress(CellsByStage):
+class CampaignProgress(Answer):
     """Fields of `Campaign` that change while it runs."""
 
+    stages: dict[str, CellCounts] = {}  # without stages that have not begun
     state: str
     requested_action: str | None = None
     """`pause`, `resume` or `cancel` if requested and not done yet."""
@@ -330,6 +310,18 @@ class CampaignProgress(CellsByStage):
     """Iteration of the search, counted from 0."""
     progress: Progress = Progress()
     seconds: Seconds = Seconds()
+
+    @computed_field  # type: ignore[prop-decorator]  # decorated properties
+    @property
+    def cells(self) -> CellCounts:
+        """The calibration stage, or a single evaluation."""
+        return self.stages.get("calibration", CellCounts())
+
+    @computed_field  # type: ignore[prop-decorator]  # decorated properties
+    @property
+    def sensitivity_cells(self) -> CellCounts:
+        """The sensitivity stage."""
+        return self.stages.get("sensitivity", CellCounts())
 
 
 class Campaign(CampaignProgress):
