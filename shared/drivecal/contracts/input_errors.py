@@ -60,16 +60,11 @@ def validated(model: type[Specification], document: object) -> Specification:
         return model.model_validate(document)
     except ValidationError as error:
         details = error.errors(include_url=False)[:MOST_FINDINGS]
-    # Raised out here, without pydantic's error, which holds on to the whole document.
-    raise InvalidInputError(*problems(details, model, document))
-
-
-def problems(details: Sequence[Any], model: type[BaseModel], document: object) -> list[Problem]:
-    """Returns a problem per field and cause. `details` as from `ValidationError.errors()`, of `model` read from `document`."""
     located = [(_path(detail, document), detail) for detail in details]
     meant = {_meant(path, model) for path, detail in located if detail["type"] == "extra_forbidden"}
     located = [(path, detail) for path, detail in located if detail["type"] != "missing" or path not in meant]
-    return list(dict.fromkeys(_merged(located, model)))
+    # Raised out here, without pydantic's error, which holds on to the whole document.
+    raise InvalidInputError(*dict.fromkeys(_merged(located, model)))
 
 
 def _meant(path: tuple[int | str, ...], model: type[BaseModel]) -> tuple[int | str, ...] | None:
