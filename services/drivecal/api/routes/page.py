@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Annotated
 
-from fastapi import APIRouter, Header, Response
+from fastapi import APIRouter, Request, Response
 from fastapi.responses import RedirectResponse
 from starlette.exceptions import HTTPException
 
@@ -53,9 +52,6 @@ MANUAL_GUARD = GUARD | {"Content-Security-Policy": POLICY.replace("style-src 'se
 FOREVER = "public, max-age=31536000, immutable"
 """`Cache-Control` of files whose names change with their content."""
 
-AcceptEncoding = Annotated[str, Header()]
-IfNoneMatch = Annotated[str, Header()]
-
 
 @dataclass(frozen=True, slots=True)
 class _File:
@@ -65,19 +61,19 @@ class _File:
 
 
 @router.get("/")
-def start(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
+def start(request: Request) -> Response:
     """The page; if it was not built, a plain one with the reason and the alternatives."""
     if not (FILES / START).is_file():
         return _instead(FILES)
-    return _answer(FILES / START, "no-cache", accept_encoding, if_none_match)
+    return _answer(request, FILES / START, "no-cache")
 
 
 @router.get("/docs")
-def docs(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
+def docs(request: Request) -> Response:
     """The documentation of the API, which asks no other host."""
     if not (FILES / DOCS).is_file():
         return _instead(FILES)
-    return _answer(FILES / DOCS, "no-cache", accept_encoding, if_none_match)
+    return _answer(request, FILES / DOCS, "no-cache")
 
 
 @router.get(HELP)
@@ -87,21 +83,21 @@ def manual() -> RedirectResponse:
 
 
 @router.get(HELP + "/{name:path}")
-def manual_page(name: str, accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
+def manual_page(name: str, request: Request) -> Response:
     """A page or file of the documentation."""
     if not (MANUAL / START).is_file():
         return _instead(MANUAL)
     if not _holds(MANUAL, name or START):
         raise HTTPException(404, f"the documentation has no such page; it starts at {HELP}/")
-    return _answer(MANUAL / (name or START), "no-cache", accept_encoding, if_none_match, MANUAL_GUARD)
+    return _answer(request, MANUAL / (name or START), "no-cache", MANUAL_GUARD)
 
 
 @router.get(PAGE + "{name:path}")
-def file(name: str, accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
+def file(name: str, request: Request) -> Response:
     """A file of the page."""
     if not _holds(FILES, name):
         raise HTTPException(404, "the page has no such file; the page may have changed since: load it again")
-    return _answer(FILES / name, FOREVER if name.startswith("assets/") else "no-cache", accept_encoding, if_none_match)
+    return _answer(request, FILES / name, FOREVER if name.startswith("assets/") else "no-cache")
 
 
 def _holds(folder: Path, name: str) -> bool:
@@ -115,13 +111,13 @@ def _holds(folder: Path, name: str) -> bool:
         return False
 
 
-def _answer(path: Path, caching: str, accept_encoding: str, if_none_match: str, guard: Mapping[str, str] = GUARD) -> Response:
+def _answer(request: Request, path: Path, caching: str, guard: Mapping[str, str] = GUARD) -> Response:
     asset = _read(path, path.stat().st_mtime_ns)
     headers = {**guard, "Cache-Control": caching, "ETag": asset.tag, "Vary": "Accept-Encoding"}
-    if matches(if_none_match, asset.tag):
+    if matches(request.headers.get("if-none-match"), asset.tag):
         return Response(status_code=304, headers=headers)
     content = asset.content
-    if takes_gzip(accept_encoding) and len(asset.compressed) < len(content):
+    if takes_gzip(request.headers.get("accept-encoding", "")) and len(asset.compressed) < len(content):
         content, headers["Content-Encoding"] = asset.compressed, "gzip"
     headers["Content-Type"] = TYPES[path.suffix]
     return Response(content, headers=headers)
