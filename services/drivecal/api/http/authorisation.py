@@ -180,13 +180,9 @@ def _holder(request: Request, tokens: TokenFile) -> Token | None:
 
 
 def _is_open(request: Request) -> bool:
-    return request.scope["path"] in OPEN or is_of_the_page(request.scope)
-
-
-def is_of_the_page(scope: Scope) -> bool:
-    """Returns whether a request reads the page, one of its files, or the documentation, which need no token."""
-    path = scope["path"]
-    return scope["method"] in READING and (path in {"/", HELP} or path.startswith((PAGE, HELP + "/")))
+    """Returns whether a request needs no token: of a probe, or for the page, its files and the documentation."""
+    path = request.scope["path"]
+    return path in OPEN or (request.method in READING and (path in {"/", HELP} or path.startswith((PAGE, HELP + "/"))))
 
 
 def _bearer(header: str) -> bytes | None:
