@@ -44,17 +44,14 @@ class StrictRoute(APIRoute):
             limits: Limits = request.app.state.limits
             with limits.waiting_bodies.take():
                 async with limits.large_bodies:
-                    return await large(request, content)
-
-        async def large(request: Request, content: bytes) -> Response:
-            try:
-                return await handle(await to_thread.run_sync(read, request, content))
-            except DrivecalError as error:
-                # Its sentences are all that is needed; the frames and errors behind it hold on to the document.
-                error.__cause__ = error.__context__ = None
-                raise error.with_traceback(None) from None
-            finally:
-                await to_thread.run_sync(give_back)
+                    try:
+                        return await handle(await to_thread.run_sync(read, request, content))
+                    except DrivecalError as error:
+                        # Its sentences are all that is needed; the frames and errors behind it hold on to the document.
+                        error.__cause__ = error.__context__ = None
+                        raise error.with_traceback(None) from None
+                    finally:
+                        await to_thread.run_sync(give_back)
 
         return strictly
 
