@@ -72,11 +72,7 @@ async def _limits(request: Request) -> Limits:
 LimitsDependency = Annotated[Limits, Depends(_limits)]
 
 
-async def _owner(request: Request) -> str | None:
-    return owner_of(request)
-
-
-Owner = Annotated[str | None, Depends(_owner)]
+Owner = Annotated[str | None, Depends(owner_of)]
 """Name of the request's token, None on a server without tokens."""
 
 

@@ -118,7 +118,7 @@ def refuse_reader(request: Request) -> None:
         raise HTTPException(status, detail, headers)
 
 
-def owner_of(request: Request) -> str | None:
+async def owner_of(request: Request) -> str | None:
     """Returns the owner of what a request submits, None on a server without tokens."""
     token: Token = request.state.token
     return None if token is ANYBODY else token.name
