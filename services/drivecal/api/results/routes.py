@@ -25,7 +25,6 @@ from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import FrontRow, Solution
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.storage import campaigns
-from drivecal.storage.engine.database import Database
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
 
@@ -44,11 +43,6 @@ class CalibrationFileOf(RankedOf):
     front: Rank | None = None
     format: CalibrationFormat
     label: Annotated[list[Annotated[str, StringConstraints(max_length=300)]], Field(max_length=2000, default_factory=list)]
-
-    @property
-    def place(self) -> tuple[str, int]:
-        """The field that names the rank, and the rank."""
-        return ("set", self.rank or 1) if self.front is None else ("front", self.front)
 
 
 CalibrationFileQuery = Annotated[CalibrationFileOf, Query()]
@@ -102,23 +96,10 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
 def calibration_file(campaign_id: str, query: CalibrationFileQuery, database: DatabaseDependency) -> Response:
     """A chosen set as a DCM, CDFX or CSV file (the latter without quality data): its values, how sure they are, and what is known of
     them."""
-    content = _written(database, campaign_id, query)
-    field, rank = query.place
-    name = f"{field}-{rank}-{campaign_id}.{query.format}"
-    headers = {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-cache"}
-    return Response(content, headers=headers, media_type=MEDIA_TYPES[query.format])
-
-
-def _written(database: Database, campaign: str, query: CalibrationFileOf) -> bytes:
-    """Returns the file of a campaign's set.
-
-    Raises NotFoundError for an unknown campaign, InvalidInputError for a set that it does not have and unusable options, and
-    ConflictError for a single evaluation.
-    """
     if query.rank is not None and query.front is not None:
         raise InvalidInputError(Problem("front", "a set is of the solutions or of the front", "give set or front"))
     with database.read() as connection:
-        stored = calibration(campaigns.get(connection, campaign), ", which ranks nothing")
+        stored = calibration(campaigns.get(connection, campaign_id), ", which ranks nothing")
     whole = StoredRanking(database, stored, resolved_spec(stored))
     wanted = whole.under(whole.resolved.of_variant(query.variant))
     front = front_of(wanted)
@@ -126,7 +107,7 @@ def _written(database: Database, campaign: str, query: CalibrationFileOf) -> byt
     if on_front and query.score is not None:
         raise InvalidInputError(Problem("score", "a front has no single score", "give set, the rank in the solutions"))
     given = None if query.weights is None else assignments(query.weights.split(","), "weights")
-    field, rank = query.place
+    field, rank = ("front", query.front or 1) if on_front else ("set", query.rank or 1)
     rows: Sequence[Solution | FrontRow] = (
         front_table(database, stored, front, query.weights)[rank - 1 : rank]
         if on_front
@@ -142,4 +123,7 @@ def _written(database: Database, campaign: str, query: CalibrationFileOf) -> byt
     parameters = [each for each in known.setup.parameters if not any(each.name in shape.names for shape in shapes.values())]
     named = labels_of(settings(query.label, "label"), [*shapes, *(parameter.name for parameter in parameters)])
     content = characteristics_of(chosen.parameters, parameters, named) + curves_of(chosen.parameters, shapes, named)
-    return write(query.format, content, quality_of(known, chosen, figures))
+    name = f"{field}-{rank}-{campaign_id}.{query.format}"
+    headers = {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-cache"}
+    written = write(query.format, content, quality_of(known, chosen, figures))
+    return Response(written, headers=headers, media_type=MEDIA_TYPES[query.format])
