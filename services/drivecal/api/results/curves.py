@@ -24,12 +24,9 @@ def shapes_of(manifest: Manifest) -> dict[str, ShapeAnswer]:
     answers = {}
     for name, entry in manifest.parameters.items():
         if isinstance(entry, ShapeEntry):
-            shape, described = (
-                manifest.shapes[name],
-                entry.model_dump(include={"lower", "upper", "step", "unit", "description"}),
-            )
-            described |= {"axes": list(map(list, shape.axes)), "axis_units": list(entry.axis_units), "names": list(shape.names)}
-            answers[name] = ShapeAnswer(weights=[each.tolist() for each in shape.weights], **described)
+            shape = manifest.shapes[name]
+            about = {"axes": list(map(list, shape.axes)), "axis_units": list(entry.axis_units), "names": list(shape.names)}
+            answers[name] = ShapeAnswer.of(entry, weights=[each.tolist() for each in shape.weights], **about)
     return answers
 
 

@@ -155,8 +155,7 @@ def _items(place: int, row: ImportedValues, first: _Simulated, scores: Mapping[s
         value = row.scores.get(name, None if made is None else made.score)
         values.append(("score", name, None, value, simulated[cell].score if cell in simulated else None))
     values += [("measure", name, units.get(name), value, measures.get(name)) for name, value in row.measures.items()]
-    about = {"source": row.source, "date": row.date, "owner": row.owner, "scenario": row.scenario}
     for kind, name, unit, value, known in values:
         if value is not None:
             both = {"value": value, "simulated": known, "difference": None if known is None else value - known}
-            yield ImportedRow(parameters=row.parameters.floats, kind=kind, name=name, unit=unit, **about, **both)
+            yield ImportedRow.of(row, parameters=row.parameters.floats, kind=kind, name=name, unit=unit, **both)

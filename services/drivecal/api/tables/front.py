@@ -69,12 +69,10 @@ def judged_sets(front: CampaignFront) -> list[JudgedSet]:
     """Returns every evaluated set by its objectives, in the order of the ranking."""
     names = [goal.name for goal in front.goals.objectives]
     return [
-        JudgedSet(
+        JudgedSet.of(
+            solution,
             objectives=dict(zip(names, solution.judgement.amounts, strict=True)),
-            violation=solution.violation,
             on_front=solution.parameter_set in front.ranks,
-            iteration=solution.iteration,
-            individual=solution.individual,
         )
         for solution in front.ranked
     ]
@@ -99,9 +97,9 @@ def summary(front: CampaignFront, baseline: EvaluatedSet | None = None) -> Front
 
 def _baseline(front: CampaignFront, baseline: EvaluatedSet) -> FrontBaseline:
     names = [goal.name for goal in front.goals.objectives]
-    return FrontBaseline(
+    return FrontBaseline.of(
+        baseline,
         objectives=dict(zip(names, baseline.judgement.amounts, strict=True)),
-        violation=baseline.violation,
         undecided=baseline.is_undecided,
         constraints=front.goals.named_bounds(baseline.judgement),
         rank=front.ranks.get(baseline.parameter_set),
