@@ -17,11 +17,11 @@ from drivecal.cli.application import (
     say,
 )
 from drivecal.cli.views.output import (
-    duration,
     print_answer,
     print_campaign,
     print_evaluation,
     print_json,
+    print_pace,
     print_page,
     print_results,
     saved,
@@ -281,14 +281,7 @@ def _print_expected(expected: ExpectedRuns) -> None:
     runs_of = {"sensitivity": expected.sensitivity_at_most, "calibration": expected.calibration_at_most}
     for stage, runs in (runs_of | {study: getattr(expected, study) for study in STUDIES}).items():
         typer.echo(f"  {stage:<12}{runs:>12,}")
-    if expected.seconds is not None:
-        how = "measured" if expected.measured else "assumed"
-        typer.echo(
-            f"about {duration(expected.seconds)} at most on {expected.workers} workers ({expected.milliseconds:.1f} ms of one each, {how})"
-            "; planning, other optimizers and predictions take further time"
-        )
-    for note in expected.notes:
-        typer.echo(f"note: {note}")
+    print_pace(expected)
 
 
 def counted(campaign: Campaign) -> CellCounts:

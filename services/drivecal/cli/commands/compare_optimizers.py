@@ -6,7 +6,7 @@ import typer
 
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, code_of_state, connect, say
 from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption, refuse_ignored
-from drivecal.cli.views.output import duration, print_answer, print_columns
+from drivecal.cli.views.output import print_answer, print_columns, print_pace
 from drivecal.cli.views.progress import attached, pauses
 from drivecal.cli.views.sections import fixed, objective_number
 from drivecal.client.client import Client
@@ -107,12 +107,4 @@ def _print_expected(expected: ExpectedComparison) -> None:
     typer.echo(
         f"and simulate at most {expected.at_most:,}; what they have in common, their start first of all, is simulated once"
     )
-    if expected.seconds is not None:
-        workers = "1 worker" if expected.workers == 1 else f"{expected.workers} workers"
-        assumed = "" if expected.measured else ", which is assumed: none was made yet"
-        each = f"{expected.milliseconds:.1f} ms of a worker per simulation{assumed}"
-        typer.echo(f"the simulations alone take at most about {duration(expected.seconds)} on {workers}, at {each}")
-    else:
-        typer.echo("the duration is unknown: there are no workers now")
-    for note in expected.notes:
-        typer.echo(f"note: {note}")
+    print_pace(expected)

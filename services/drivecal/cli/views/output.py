@@ -27,7 +27,8 @@ from drivecal.cli.views.sections import (
     variants_table,
 )
 from drivecal.contracts.assignments import value_text
-from drivecal.contracts.campaign import Best, Campaign, CellCounts
+from drivecal.contracts.campaign import Best, Campaign, CellCounts, ExpectedRuns
+from drivecal.contracts.comparison import ExpectedComparison
 from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.results import CampaignResults
 from drivecal.contracts.setup import ShapeAnswer
@@ -115,6 +116,19 @@ def print_campaign(campaign: Campaign) -> None:
     width = max(len(name) for name, _ in lines)
     for name, text in lines:
         typer.echo(f"{name.ljust(width)}  {text}")
+
+
+def print_pace(expected: ExpectedRuns | ExpectedComparison) -> None:
+    """Prints how long the simulations take at most, as far as it is known, and the notes."""
+    workers = "1 worker" if expected.workers == 1 else f"{expected.workers} workers"
+    how = "measured" if expected.measured else "assumed: none was made yet"
+    if expected.seconds is not None:
+        each = f"{expected.milliseconds:.1f} ms of one per simulation, {how}"
+        typer.echo(f"the simulations alone take at most about {duration(expected.seconds)} on {workers} ({each})")
+    elif expected.workers is None:
+        typer.echo("the duration is unknown: there are no workers now")
+    for note in expected.notes:
+        typer.echo(f"note: {note}")
 
 
 def print_curves(shapes: Mapping[str, ShapeAnswer], sets: Mapping[str, Mapping[str, float | str]]) -> None:
