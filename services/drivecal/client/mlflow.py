@@ -16,7 +16,6 @@ from typing import Any
 
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
-from drivecal.contracts.tables import Solution
 from drivecal.domain.errors import ConflictError
 
 MOST_SETS = 1000
@@ -52,23 +51,12 @@ def write_runs(client: Client, campaign_id: str, folder: Path) -> int:
     tags = {"drivecal.campaign": campaign.id, "drivecal.owner": campaign.owner or "", "drivecal.tags": " ".join(campaign.tags)}
     _write_run(experiment, parent, campaign, campaign.name, settings, counts | best, tags)
     for solution in solutions:
-        _write_set(experiment, parent, campaign, solution)
+        scores = {f"score_{name}": score for name, score in solution.scores.items() if score is not None}
+        metrics = {name: getattr(solution, name) for name in ("objective", "rating", "rank", "violation")} | scores
+        tags = {"mlflow.parentRunId": parent, "drivecal.copied": " ".join(solution.reused)}
+        identifier, title = _run_id(campaign, solution.rank), f"rank {solution.rank}"
+        _write_run(experiment, identifier, campaign, title, solution.parameters, metrics, tags)
     return 1 + len(solutions)
-
-
-def _write_set(experiment: Path, parent: str, campaign: Campaign, solution: Solution) -> None:
-    scores = {f"score_{name}": score for name, score in solution.scores.items() if score is not None}
-    metrics = {
-        "objective": solution.objective,
-        "rating": solution.rating,
-        "rank": solution.rank,
-        "violation": solution.violation,
-        **scores,
-    }
-    tags = {"mlflow.parentRunId": parent, "drivecal.copied": " ".join(solution.reused)}
-    _write_run(
-        experiment, _run_id(campaign, solution.rank), campaign, f"rank {solution.rank}", solution.parameters, metrics, tags
-    )
 
 
 def _write_run(
