@@ -109,7 +109,7 @@ def push(database: Database, folder: Path, **changes: Any) -> StoredBundle:
     (folder / "run.sh").write_text("exit 1\n")
     archive = pack(folder)
     files = files_of(archive, 2**20)
-    manifest = read_archived(files)
+    manifest, _ = read_archived(files)
     digest = content_digest(archive)
     with database.transaction() as connection:
         admission.admit_problem(connection, digest, 1000)

@@ -46,7 +46,7 @@ def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[s
     networks, notes = _read(manifest_text(files), lambda _: conversions(manifest, files))
     archive = with_files(archive, networks) if networks else archive
     with restated(lambda problem: _with_notes(problem, notes)):
-        manifest, road_notes = _read_archived(files_of(archive))
+        manifest, road_notes = read_archived(files_of(archive))
     return manifest, archive, (*fmu_notes, *notes, *road_notes)
 
 
@@ -57,16 +57,11 @@ def _with_notes(problem: Problem, notes: Sequence[str]) -> Problem:
     return replace(problem, remedy=f"{problem.remedy}; notes on the roads: {'; '.join(notes[:3])}")
 
 
-def read_archived(files: Mapping[str, BundleFile]) -> Manifest:
-    """Returns the manifest among the files of an archive, checked with their content.
+def read_archived(files: Mapping[str, BundleFile]) -> tuple[Manifest, tuple[str, ...]]:
+    """Returns the manifest among the files of an archive, checked with their content, and notes on the roads of its scenarios.
 
     Raises InvalidInputError with the lines of all faults.
     """
-    return _read_archived(files)[0]
-
-
-def _read_archived(files: Mapping[str, BundleFile]) -> tuple[Manifest, tuple[str, ...]]:
-    """Returns manifest and notes on the roads of its scenarios. Raises InvalidInputError as `read_archived`."""
 
     def whole(document: Any) -> tuple[Manifest, tuple[str, ...]]:
         manifest, _ = _whole_with_fmus(document, files)

@@ -100,7 +100,7 @@ def _store(database: Database, limits: Limits, content: bytes, signed: str | Non
     if signed is not None and sha256(content).hexdigest() != signed:
         raise HTTPException(403, f"the header {HEADER} signs another body")
     files = files_of(content, limits.settings.problem_mb * 2**20)
-    manifest = read_archived(files)
+    manifest, _ = read_archived(files)
     digest = content_digest(content)
     document = manifest.model_dump(mode="json")
     with database.transaction() as connection:

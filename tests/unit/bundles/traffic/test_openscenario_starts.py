@@ -357,7 +357,7 @@ def folder(path: Path, content: bytes, **data: object) -> Path:
 @pytest.mark.parametrize("name", FILES)
 def test_a_folder_with_a_file_and_its_road_is_packed_and_checked_again_in_the_archive(name: str, tmp_path: Path) -> None:
     manifest, archive, notes = read_bundle_with_notes(folder(tmp_path / "b", FILES[name]()))
-    assert read_archived(files_of(archive)) == manifest
+    assert read_archived(files_of(archive))[0] == manifest
     assert any("the route is" in note for note in notes)
 
 
