@@ -84,13 +84,15 @@ class CheckedScenario(CheckedRun):
 
 def trial_set(manifest: Manifest) -> dict[str, Setting]:
     """Returns the baseline, or the middle of the space. Raises InvalidInputError if the middle breaks a constraint."""
-    if manifest.start is not None:
-        return {name: _typed(entry, manifest.start[name]) for name, entry in manifest.scalars.items()}
-    values = {name: _middle(entry) for name, entry in manifest.scalars.items()}
-    for text in manifest.conditions:
-        if not Constraint(text, choices_of(manifest)).holds(values):
-            raise InvalidInputError(Problem("baseline", f"the middle of the space breaks {text!r}", "give a baseline to try"))
-    return values
+    values: Mapping[str, Setting] | None = manifest.start
+    if values is None:
+        space = ParameterSpace(parameters_of(manifest))
+        values = space.parameter_set((each.n_values - (each.kind != "choice")) // 2 for each in space.parameters).floats
+        for text in manifest.conditions:
+            if not Constraint(text, choices_of(manifest)).holds(values):
+                message = f"the middle of the space breaks {text!r}"
+                raise InvalidInputError(Problem("baseline", message, "give a baseline to try"))
+    return {name: _typed(entry, values[name]) for name, entry in manifest.scalars.items()}
 
 
 def other_set(manifest: Manifest) -> dict[str, Setting] | None:
@@ -289,15 +291,6 @@ def _bits(outcome: RunOutcome) -> tuple[object, ...]:
     measures = {name: float(value).hex() for name, value in outcome.measures.items()}
     series = {name: [float(value).hex() for value in values] for name, values in outcome.series.items()}
     return outcome.failure, measures, series
-
-
-def _middle(entry: ParameterEntry) -> Setting:
-    if entry.choices is not None:
-        return entry.choices[len(entry.choices) // 2]
-    lower, upper = entry.lower or 0.0, entry.upper or 0.0
-    step = 1.0 if entry.integer else entry.step
-    value = (lower + upper) / 2 if step is None else lower + round((upper - lower) / step) // 2 * step
-    return _typed(entry, round(value, 9))
 
 
 def _typed(entry: ParameterEntry, value: Setting) -> Setting:
