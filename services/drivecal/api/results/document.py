@@ -29,7 +29,6 @@ from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Study
 from drivecal.contracts.results import Accounting, CampaignResults, ResultTrust, StudyResult
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
-from drivecal.contracts.tables import RobustnessRow, ValidationRow
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import Diagnostics
 from drivecal.domain.evaluations import Outcome
@@ -99,16 +98,8 @@ def studies_of(connection: Connection, campaign: StoredCampaign) -> list[StudyRe
     result = []
     for study in sorted(made, key=lambda each: not studies.is_in_own_vehicle(each, campaign)):
         document = studies.get(connection, study.campaign_sequence, study.stage) or {"items": []}
-        answer = study_answer(study, campaign)
-        if not document["items"]:
-            continue
-        if study.stage == StageName.ROBUSTNESS:
-            rows = [RobustnessRow.model_validate(item) for item in document["items"]]
-            result.append(StudyResult(study=answer, robustness=rows))
-        else:
-            result.append(
-                StudyResult(study=answer, validation=[ValidationRow.model_validate(item) for item in document["items"]])
-            )
+        if document["items"]:
+            result.append(StudyResult(study=study_answer(study, campaign), **{study.stage: document["items"]}))
     return result
 
 
