@@ -136,19 +136,8 @@ def _end_of(log: Path) -> str:
     return "\n".join(log.read_text(errors="replace").splitlines()[-15:])
 
 
-BASELINE: dict[str, float] = {
-    "P1": 0,
-    "P2": 1,
-    "P3": 100,
-    "P4": 1000,
-    "P5": 750,
-    "P6": 0.5,
-    "P7": 100,
-    "P8": 1000,
-    "P9": 5,
-    "P10": 10,
-    "P11": 100,
-}
+MIDDLES = (0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100)
+BASELINE: dict[str, float] = {f"P{number}": middle for number, middle in enumerate(MIDDLES, 1)}
 """The middle of every range, as a first guess."""
 CAMPAIGN: Mapping[str, Any] = {
     "name": "demo: comfort in six motorway scenarios",
