@@ -194,19 +194,15 @@ def _calibration_file(
     """Returns the set of a rank as a calibration file."""
     if form not in get_args(CalibrationFormat):
         raise InvalidInputError(Problem("--format", f"{form} holds no single set", "give dcm, cdfx or csv"))
-    _refuse_unranked(table, query)
+    if table not in {"solutions", "front"}:
+        raise InvalidInputError(Problem("--table", f"{table} holds no ranked sets", "give --table solutions or front"))
+    if "where" in query:
+        raise InvalidInputError(Problem("--where", "a single set is chosen by its rank", "give --row, and --weights if wanted"))
     labels = {} if names is None else labels_of(read_document(names))
     rank, front = (None, row) if table == "front" else (row, None)
     kind = cast("CalibrationFormat", form)
     given = {name: value for name, value in query.items() if name in {"weights", "score", "variant", "base"}}
     return client.calibration_file(identifier, kind, rank, front, labels=labels, **given)
-
-
-def _refuse_unranked(table: TableName, query: Mapping[str, Any]) -> None:
-    if table not in {"solutions", "front"}:
-        raise InvalidInputError(Problem("--table", f"{table} holds no ranked sets", "give --table solutions or front"))
-    if "where" in query:
-        raise InvalidInputError(Problem("--where", "a single set is chosen by its rank", "give --row, and --weights if wanted"))
 
 
 def _pieces(client: Client, identifier: str, table: TableName, form: Format, query: Mapping[str, Any]) -> Iterator[bytes]:
