@@ -10,6 +10,7 @@ is read. Names show something.
 import json
 import math
 import unicodedata
+from collections import Counter
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -94,11 +95,8 @@ def _check_text(value: str, path: Sequence[int | str]) -> None:
 def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
     document = dict(pairs)
     if len(document) != len(pairs):
-        seen: set[str] = set()
-        for key, _ in pairs:
-            if key in seen:
-                raise InvalidInputError(Problem(shown(key), "the key appears twice", "give each key once"))
-            seen.add(key)
+        [(key, _)] = Counter(key for key, _ in pairs).most_common(1)
+        raise InvalidInputError(Problem(shown(key), "the key appears twice", "give each key once"))
     return document
 
 

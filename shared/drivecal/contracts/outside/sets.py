@@ -1,5 +1,6 @@
 """Sets that an outside optimizer proposes to a campaign, and their answers."""
 
+from collections import Counter
 from typing import Annotated
 
 from pydantic import Field, StringConstraints, field_validator
@@ -34,11 +35,9 @@ class ProposedSets(Model):
     @field_validator("sets")
     @classmethod
     def _each_key_once(cls, value: list[ProposedSet]) -> list[ProposedSet]:
-        keys: set[str] = set()
-        for each in value:
-            if each.key in keys:
-                raise ValueError(f"the key {each.key} is given twice; give each set a key of its own")
-            keys.add(each.key)
+        [(key, count)] = Counter(each.key for each in value).most_common(1)
+        if count > 1:
+            raise ValueError(f"the key {key} is given twice; give each set a key of its own")
         return value
 
 
