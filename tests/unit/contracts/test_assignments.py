@@ -38,10 +38,5 @@ def test_weights_stay_numbers() -> None:
 
 
 def test_a_value_has_the_digits_that_give_it_again() -> None:
-    assert [value_text(value, None) for value in (8.2, 28.0, 1e-7, 0.1 + 0.2, "eco")] == [
-        "8.2",
-        "28",
-        "1e-07",
-        "0.30000000000000004",
-        "eco",
-    ]
+    texts: dict[float | str, str] = {8.2: "8.2", 28.0: "28", 1e-7: "1e-07", 0.1 + 0.2: "0.30000000000000004", "eco": "eco"}
+    assert {value: value_text(value, None) for value in texts} == texts
