@@ -114,25 +114,19 @@ Keys = Mapping[str, Sequence[str] | Mapping[str, "Kind"]]
 
 def columns_of(model: type[BaseModel], keys: Keys | None = None, *, whole_scores: bool = True) -> list[Column]:
     """Returns the columns of a file of such rows. `keys`: the keys of its mappings, by field."""
-    return [
-        replace(column, kind="integer" if whole_scores else "number") if column.kind == "score" else column
-        for column in _columns_of(model, keys or {})
-    ]
-
-
-def _columns_of(model: type[BaseModel], keys: Keys) -> list[Column]:
     columns: list[Column] = []
     for name, field in model.model_fields.items():
         mark = _mark(field.metadata, field.annotation)
         if isinstance(mark, Spread):
-            listed = keys[name]
+            listed = (keys or {})[name]
             kinds = listed if isinstance(listed, Mapping) else dict.fromkeys(listed, _kind(get_args(field.annotation)[1]))
             columns += [Column(mark.column(key), kind) for key, kind in kinds.items()]
         elif isinstance(mark, FileForm):
             columns.append(Column(name, mark.kind))
         elif mark is None:
             columns.append(Column(name, _kind(field.annotation)))
-    return columns
+    score: Kind = "integer" if whole_scores else "number"
+    return [replace(column, kind=score) if column.kind == "score" else column for column in columns]
 
 
 def file_row(row: BaseModel) -> dict[str, Any]:
