@@ -79,7 +79,10 @@ class AskTell:
         wanted = {_key(each): each for each in listed}
         keys = [key for key in wanted if not self._is_answered(key)]
         for piece in in_pieces([{"key": key, "parameters": dict(wanted[key])} for key in keys]):
-            self._propose(piece)
+            try:
+                self._weights = self._client.propose(self.campaign.id, piece).weights
+            except ConflictError as error:
+                raise SearchEndedError(str(error)) from error
         while not all(map(self._is_answered, keys)):
             self._listen()
         return [self._answer(_key(each)) for each in listed]
@@ -99,12 +102,6 @@ class AskTell:
     def result(self) -> Campaign:
         """Returns the campaign when it has ended."""
         return self._client.wait(self.campaign.id)
-
-    def _propose(self, sets: Sequence[Mapping[str, object]]) -> None:
-        try:
-            self._weights = self._client.propose(self.campaign.id, sets).weights
-        except ConflictError as error:
-            raise SearchEndedError(str(error)) from error
 
     def _listen(self) -> None:
         answers = self._client.answers(self.campaign.id, after=self._last, wait=WAIT_SECONDS)
