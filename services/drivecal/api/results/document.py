@@ -266,11 +266,6 @@ def about(connection: Connection, campaign: StoredCampaign) -> list[StoredStudy]
     return [study for study in made if _of_the_same(study, campaign)]
 
 
-def _vehicle(spec: Mapping[str, Any]) -> str | None:
-    model: str | None = (spec.get("vehicle") or {}).get("model")
-    return model
-
-
 def _of_the_same(made: StoredStudy, campaign: StoredCampaign) -> bool:
     """Returns whether a study is about this campaign: about its sets, or about its map with equal scenarios, space, evaluator and scale."""
     if made.campaign_sequence == campaign.sequence or made.stage == "robustness":
@@ -288,7 +283,7 @@ def is_same_for_a_map(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> boo
 def study_answer(made: StoredStudy, campaign: StoredCampaign) -> Study:
     """Returns a study of the results of a campaign."""
     own, settings = studies.is_in_own_vehicle(made, campaign), made.spec.get(made.stage) or {}
-    return Study.of(made, settings=settings, vehicle=_vehicle(made.spec), in_own_vehicle=own)
+    return Study.of(made, settings=settings, vehicle=(made.spec.get("vehicle") or {}).get("model"), in_own_vehicle=own)
 
 
 def settings_text(value: object) -> str:
