@@ -51,18 +51,17 @@ def _row(
 ) -> InfluenceRow:
     entry: Mapping[str, Any] | None = stored.scenarios.get(scenario, {}).get(name)
     influential, lower, upper = _bounds(influence, parameter)
-    return InfluenceRow(
+    space = {} if parameter is None else {"space_lower": parameter.lower, "space_upper": parameter.upper}
+    return InfluenceRow.of(
+        parameter,  # its unit and number of values
         scenario=scenario,
         parameter=name,
         influential=influential,
-        lower=None if lower is None else float(lower),
-        upper=None if upper is None else float(upper),
+        lower=lower,
+        upper=upper,
         **{measure: None if entry is None else entry.get(measure) for measure in MEASURES},
         unknown=entry is None or entry.get("unknown", False),
-        unit=None if parameter is None else parameter.unit,
-        space_lower=None if parameter is None else float(parameter.lower),
-        space_upper=None if parameter is None else float(parameter.upper),
-        n_values=None if parameter is None else parameter.n_values,
+        **space,
         decided_by=_decided_by(stored, entry, outside=influence.influential and not influential),
     )
 
