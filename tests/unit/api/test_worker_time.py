@@ -26,7 +26,7 @@ def test_runs_that_are_stored_together_lie_end_to_end() -> None:
 
 def test_a_run_spreads_over_the_parts_that_it_took_and_one_that_runs_has_no_campaign() -> None:
     (time,) = window([run(0, 30, RUNNING), run(60, 90, 2), run(180, 60, 3)], UNTIL, 60, NAMES).workers
-    assert time.busy[-4:] == [60, 30, 60, 30]
+    assert (time.runs, time.busy[-4:]) == (2, [60, 30, 60, 30])
     assert time.campaigns[-4:] == ["deleted", "b", "b", None]
 
 

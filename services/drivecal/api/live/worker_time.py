@@ -60,7 +60,7 @@ def window(work: Sequence[Worked], until: datetime, minutes: int, campaigns: Map
         start = free[run.worker] = end - run.seconds
         if end <= begin:
             continue
-        runs[run.worker] += 1
+        runs[run.worker] += run.campaign_sequence != RUNNING
         start = max(start, begin)
         for place in range(int(start // part), min(PARTS - 1, int(end // part)) + 1):
             seconds[run.worker][place][run.campaign_sequence] += min(end, (place + 1) * part) - max(start, place * part)
