@@ -6,6 +6,7 @@ requests.
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -56,27 +57,22 @@ class BodyLimit:
         await self.app(scope, counting, send)
 
 
+@dataclass(slots=True)
 class Places:
     """A limited number of places, which the event loop takes and gives back."""
 
-    def __init__(self, most: int, noun: str, retry_seconds: int) -> None:
-        """Creates the places, all of them free.
-
-        Args:
-            most: Number of places.
-            noun: What takes a place, e.g. `event streams are open`.
-            retry_seconds: Time after which a refused client should try again.
-        """
-        self._most = most
-        self._noun = noun
-        self._retry_seconds = retry_seconds
-        self.taken = 0
+    most: int
+    noun: str
+    """Use of a place, e.g. `event streams are open`."""
+    retry_seconds: int
+    """Time after which a refused client should try again."""
+    taken: int = 0
 
     @contextmanager
     def take(self) -> Iterator[None]:
         """Takes a place for a block. Raises OverloadError if all are taken."""
-        if self.taken >= self._most:
-            raise OverloadError(f"{self._most:,} {self._noun} already; try again later", self._retry_seconds)
+        if self.taken >= self.most:
+            raise OverloadError(f"{self.most:,} {self.noun} already; try again later", self.retry_seconds)
         self.taken += 1
         try:
             yield
