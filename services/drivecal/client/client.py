@@ -127,7 +127,7 @@ class Client(Transport):
             told: Is called with each event.
             from_beginning: `told` also gets the events before this call.
         """
-        return iter(Following(self, identifier, deadline, told, from_beginning=from_beginning))
+        return iter(Following(self.campaign_unless, self.events, identifier, deadline, told, tells=from_beginning))
 
     def wait(self, identifier: str, timeout: float | None = None, *, progress: bool = True) -> Campaign:
         """Returns the campaign once it has ended.

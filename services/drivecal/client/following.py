@@ -3,8 +3,9 @@
 import sys
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
+from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Any
 
 from drivecal.contracts.campaign import Best, Campaign, CampaignEvent, CampaignProgress
 from drivecal.domain.campaigns import CampaignState
@@ -25,38 +26,30 @@ Sent = CampaignEvent | CampaignProgress | None
 """None: a sign of life."""
 
 
-class Source(Protocol):
-    """Reads campaigns, as `Client` does."""
-
-    def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
-        """Returns the campaign unless its ETag is `etag`."""
-
-    def events(self, identifier: str, last_id: int | None = None) -> Iterator[Sent]:
-        """Yields the events after an event until the stream ends."""
-
-
+@dataclass(slots=True)
 class Following:
-    """The states of a campaign until its end. Calls `told` with each event, or with later events only if `from_beginning` is False.
+    """The states of a campaign until its end. Calls `told` with each event, or with later events only if `tells` is False.
 
     Iterating raises TimeoutError when the monotonic clock passes `deadline`, and UnavailableError if the server is silent from the start
     or for SILENCE_SECONDS.
     """
 
-    def __init__(
-        self, source: Source, identifier: str, deadline: float | None, told: Told | None, *, from_beginning: bool
-    ) -> None:
-        self._source = source
-        self._identifier = identifier
-        self._deadline = deadline
-        self._told = told
-        self._etag = ""
-        self._position: int | None = None
-        self._empty_streams = 0
-        self._silent_since: float | None = None
-        self._wait = WAIT_SECONDS
-        self._campaign: Campaign | None = None
-        """The last known state."""
-        self._tells = from_beginning
+    ask: Callable[[str, str], tuple[Campaign | None, str, float | None]]
+    """Returns the campaign with this id unless its ETag is this one, as `Client.campaign_unless`."""
+    events: Callable[[str, int | None], Iterator[Sent]]
+    """Yields the events of the campaign after this one until the stream ends, as `Client.events`."""
+    identifier: str
+    deadline: float | None
+    told: Told | None
+    tells: bool
+    """True once events are told."""
+    etag: str = ""
+    position: int | None = None
+    empty_streams: int = 0
+    silent_since: float | None = None
+    wait: float = WAIT_SECONDS
+    campaign: Campaign | None = None
+    """The last known state."""
 
     def __iter__(self) -> Iterator[Campaign]:
         """Yields the campaign now and after each change."""
@@ -71,34 +64,34 @@ class Following:
 
     @property
     def _has_ended(self) -> bool:
-        return self._campaign is not None and CampaignState(self._campaign.state).ended
+        return self.campaign is not None and CampaignState(self.campaign.state).ended
 
     @property
     def _streams(self) -> bool:
         """True if a stream may be opened. It may be silent for READ_SECONDS, so that none is opened shortly before the deadline."""
-        in_time = self._deadline is None or self._deadline - time.monotonic() > READ_SECONDS
-        return in_time and self._empty_streams < EMPTY_STREAMS
+        in_time = self.deadline is None or self.deadline - time.monotonic() > READ_SECONDS
+        return in_time and self.empty_streams < EMPTY_STREAMS
 
     def _ask(self) -> Generator[Campaign, None, bool]:
         """Yields a changed campaign, and returns whether there was an answer."""
         try:
-            campaign, self._etag, wait = self._source.campaign_unless(self._identifier, self._etag)
+            campaign, self.etag, wait = self.ask(self.identifier, self.etag)
         except UnavailableError:
-            self._silent_since = self._silent_since or time.monotonic()
-            if self._campaign is None or time.monotonic() - self._silent_since > SILENCE_SECONDS:
+            self.silent_since = self.silent_since or time.monotonic()
+            if self.campaign is None or time.monotonic() - self.silent_since > SILENCE_SECONDS:
                 raise
             return False
-        self._silent_since = None
-        self._wait = WAIT_SECONDS if wait is None else wait
+        self.silent_since = None
+        self.wait = WAIT_SECONDS if wait is None else wait
         if campaign is not None:
-            self._campaign, self._identifier = campaign, campaign.id  # another campaign may begin like an abbreviation
+            self.campaign, self.identifier = campaign, campaign.id  # another campaign may begin like an abbreviation
             yield campaign
         return True
 
     def _stream(self) -> Iterator[Campaign]:
         received = False
         try:
-            for sent in self._source.events(self._identifier, self._position):
+            for sent in self.events(self.identifier, self.position):
                 received = received or sent is not None
                 campaign = self._take(sent)
                 if campaign is not None:
@@ -106,32 +99,32 @@ class Following:
                 if not self._streams:
                     break
         except (OverloadError, NotFoundError, InvalidInputError):
-            self._empty_streams = EMPTY_STREAMS  # no place for another one, or a server that has none
+            self.empty_streams = EMPTY_STREAMS  # no place for another one, or a server that has none
         except UnavailableError:
             pass  # the question that follows says whether the server is away
-        self._empty_streams = 0 if received else self._empty_streams + 1
+        self.empty_streams = 0 if received else self.empty_streams + 1
 
     def _take(self, sent: Sent) -> Campaign | None:
         """Returns the campaign as changed by a message of the stream; None if it changes nothing of a campaign."""
-        if self._campaign is None or sent is None:
+        if self.campaign is None or sent is None:
             return None
         if isinstance(sent, CampaignEvent):
             if sent.id is not None:
-                self._position = sent.id
-            if self._told is not None and self._tells:
-                self._told(sent)
+                self.position = sent.id
+            if self.told is not None and self.tells:
+                self.told(sent)
             if sent.kind == EventKind.BEST:
-                self._campaign = self._campaign.model_copy(update={"best": Best.model_validate(sent.data)})
+                self.campaign = self.campaign.model_copy(update={"best": Best.model_validate(sent.data)})
             return None
-        self._tells = True  # what had happened before comes before the first progress
-        self._campaign = self._campaign.model_copy(update=dict(sent))
-        return self._campaign
+        self.tells = True  # what had happened before comes before the first progress
+        self.campaign = self.campaign.model_copy(update=dict(sent))
+        return self.campaign
 
     def _pause(self) -> None:
-        if self._deadline is not None and time.monotonic() + self._wait > self._deadline:
-            time.sleep(max(0.0, self._deadline - time.monotonic()))
+        if self.deadline is not None and time.monotonic() + self.wait > self.deadline:
+            time.sleep(max(0.0, self.deadline - time.monotonic()))
             raise TimeoutError("the campaign has not ended within the time limit; it continues")
-        time.sleep(self._wait)
+        time.sleep(self.wait)
 
 
 class EventParser:
