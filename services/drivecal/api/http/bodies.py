@@ -81,7 +81,10 @@ def check_encoding(request: Request) -> None:
 def _check_declaration(request: Request) -> None:
     """Raises HTTPException 415 for a body that is not declared as plain JSON."""
     check_encoding(request)
-    if not _is_json(request.headers.get("content-type", "")):
+    message = Message()
+    message["content-type"] = request.headers.get("content-type", "")
+    main, _, sub = message.get_content_type().partition("/")
+    if main != "application" or not (sub == "json" or sub.endswith("+json")):
         raise HTTPException(415, "the body is not declared as JSON; send Content-Type: application/json")
 
 
@@ -91,10 +94,3 @@ async def body_of(request: Request) -> bytes:
         return await request.body()
     except ClientDisconnect as error:
         raise HTTPException(400, "the client went away before its body was complete") from error
-
-
-def _is_json(content_type: str) -> bool:
-    message = Message()
-    message["content-type"] = content_type
-    main, _, sub = message.get_content_type().partition("/")
-    return main == "application" and (sub == "json" or sub.endswith("+json"))
