@@ -88,8 +88,10 @@ class EventHub:
                     reason = None if said == snapshot.degraded else said
                 is_changed, trouble = reason != trouble, reason
                 has_ended = snapshot is not None and snapshot.state.ended
-                if is_changed and not has_ended:
-                    messages.append(_unstored(campaign, trouble or (snapshot.degraded if snapshot else None)))
+                if is_changed and not has_ended:  # no table holds it: its writer is silent, or was
+                    said_now = trouble or (snapshot.degraded if snapshot else None)
+                    kind = EventKind.RECOVERED if said_now is None else EventKind.DEGRADED
+                    messages.append(_event(None, kind, campaign, moment, {} if said_now is None else {"reason": said_now}))
                 has_more = look is not None and len(look.events) == PAGE
                 if look is not None and snapshot is not None:
                     revision = -1 if has_more else snapshot.revision
@@ -126,13 +128,6 @@ class EventHub:
                 return _Look(heartbeat_at)
             snapshots = revision_queries.snapshots(connection, [sequence])
             return _Look(heartbeat_at, snapshots[0] if snapshots else None, events.since(connection, sequence, position, PAGE))
-
-
-def _unstored(campaign: str, trouble: str | None) -> CampaignEvent:
-    """Returns the event that the dispatcher or the database is silent, or answers again. No table holds it: its writer is silent."""
-    if trouble is None:
-        return _event(None, EventKind.RECOVERED, campaign, now(), {})
-    return _event(None, EventKind.DEGRADED, campaign, now(), {"reason": trouble})
 
 
 def _event(number: int | None, kind: str, campaign: str, at: datetime, data: Mapping[str, Any]) -> CampaignEvent:
