@@ -136,7 +136,12 @@ def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependenc
 def list_influence(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The influence map that the campaign uses: one row per scenario and searched parameter, none if it has no map (yet)."""
     campaign = _campaign(database, campaign_id)
-    return listed(f"influence-{campaign.id}", query, accept, columns_of(InfluenceRow), _influence_rows(database, campaign))
+    rows: list[InfluenceRow] = []
+    if campaign.influence_map_id is not None:
+        with database.read() as connection:
+            stored = influence_maps.get(connection, campaign.influence_map_id)
+        rows = influence.campaign_rows(stored, _pinned(campaign))
+    return listed(f"influence-{campaign.id}", query, accept, columns_of(InfluenceRow), rows)
 
 
 @router.get("/robustness", responses=page_or_file(RobustnessRow))
@@ -199,14 +204,6 @@ def _evaluation_columns(database: Database, campaign: StoredCampaign) -> list[Co
         values = rows[0].parameters.floats
         kinds = {name: "text" if isinstance(value, str) else "number" for name, value in values.items()}
     return EvaluationRow.file_columns(kinds, whole_scores=begun_with.scale.is_whole)
-
-
-def _influence_rows(database: Database, campaign: StoredCampaign) -> list[InfluenceRow]:
-    if campaign.influence_map_id is None:
-        return []
-    with database.read() as connection:
-        stored = influence_maps.get(connection, campaign.influence_map_id)
-    return influence.campaign_rows(stored, _pinned(campaign))
 
 
 @router.get("/front", responses=page_or_file(FrontRow))
