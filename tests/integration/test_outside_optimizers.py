@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
@@ -341,7 +342,8 @@ def test_the_example_of_an_optimizer_uses_its_budget(sqlite: RunningApi, tmp_pat
 
 
 def test_a_program_that_starts_again_goes_on_without_new_simulations(sqlite: RunningApi) -> None:
-    backend, points = ComputedBackend(), [{"P1": number / 20, "P3": 0.5} for number in range(10)]
+    half: Any = np.float32(0.5)
+    backend, points = ComputedBackend(), [{"P1": number / 20, "P3": half} for number in range(10)]
     with working(sqlite.database, backend), Client(sqlite.url) as client:
         search = client.ask_tell(SPEC)
         first = search.evaluate(points[:6])

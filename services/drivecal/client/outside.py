@@ -78,7 +78,7 @@ class AskTell:
         listed = list(sets)
         wanted = {_key(each): each for each in listed}
         keys = [key for key in wanted if not self._is_answered(key)]
-        for piece in in_pieces([{"key": key, "parameters": dict(wanted[key])} for key in keys]):
+        for piece in in_pieces([{"key": key, "parameters": json.loads(_text(wanted[key]))} for key in keys]):
             try:
                 self._weights = self._client.propose(self.campaign.id, piece).weights
             except ConflictError as error:
@@ -125,5 +125,9 @@ class AskTell:
 
 def _key(parameters: Parameters) -> str:
     """Returns a name that follows from the values, so that a program that starts again asks for the same sets."""
-    document = json.dumps({name: parameters[name] for name in sorted(parameters)}, default=float)
-    return hashlib.blake2b(document.encode(), digest_size=12).hexdigest()
+    return hashlib.blake2b(_text(parameters).encode(), digest_size=12).hexdigest()
+
+
+def _text(parameters: Parameters) -> str:
+    """Returns a set as JSON; numbers of numpy are numbers."""
+    return json.dumps({name: parameters[name] for name in sorted(parameters)}, default=float)
