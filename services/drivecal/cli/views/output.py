@@ -124,7 +124,8 @@ def print_pace(expected: ExpectedRuns | ExpectedComparison) -> None:
     how = "measured" if expected.measured else "assumed: none was made yet"
     if expected.seconds is not None:
         each = f"{expected.milliseconds:.1f} ms of one per simulation, {how}"
-        typer.echo(f"the simulations alone take at most about {duration(expected.seconds)} on {workers} ({each})")
+        further = "planning, optimizers and predictions may take further time"
+        typer.echo(f"at most about {duration(expected.seconds)} on {workers} ({each}); {further}")
     elif expected.workers is None:
         typer.echo("the duration is unknown: there are no workers now")
     for note in expected.notes:
