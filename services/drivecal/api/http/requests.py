@@ -75,14 +75,11 @@ class RequestRecords:
             self.meters.request_seconds.labels(route, method).observe(seconds)
         level = logging.DEBUG if method in READING else logging.INFO
         if log.isEnabledFor(level):
-            known = {
-                "campaign": scope.get("path_params", {}).get("campaign_id"),
-                "method": method,
-                "path": scope["path"][:LONGEST_PATH],
-            }
-            known |= {"status": status, "milliseconds": None if seconds is None else round(1000 * seconds, 1)}
+            path, campaign = scope["path"][:LONGEST_PATH], scope.get("path_params", {}).get("campaign_id")
+            known = {"campaign": campaign, "method": method, "path": path, "status": status}
+            known["milliseconds"] = None if seconds is None else round(1000 * seconds, 1)
             fields = {name: value for name, value in known.items() if value is not None}
-            log.log(level, "%s %s: %d", method, known["path"], status, extra=fields)
+            log.log(level, "%s %s: %d", method, path, status, extra=fields)
 
 
 def _template(scope: Scope) -> str:
