@@ -74,16 +74,12 @@ def prepare_database(settings: Settings) -> Database:
         problem = Problem("home", f"{settings.home} cannot be made: {error.strerror}", "set DRIVECAL_HOME to a folder of yours")
         raise InvalidInputError(problem) from error
     database = Database.open(settings.database_url)
-    remember(_secrets(settings))
+    file = sqlite_file(parse(settings.database_url))
+    files = [] if file is None else [Path(f"{file}{ending}") for ending in DATABASE_ENDINGS]
+    remember([settings.home, *filter(None, (settings.tokens_file, settings.database_password_file)), *files])
     with server_lock.hold(settings.database_url):  # the dispatcher takes it for good
         database.upgrade()
     return database
-
-
-def _secrets(settings: Settings) -> list[Path]:
-    database = sqlite_file(parse(settings.database_url))
-    files = [] if database is None else [Path(f"{database}{ending}") for ending in DATABASE_ENDINGS]
-    return [settings.home, *filter(None, (settings.tokens_file, settings.database_password_file)), *files]
 
 
 class Startup:
