@@ -91,13 +91,9 @@ def _line(row: InfluenceRow, measured: bool, decided: bool) -> list[object]:
     answer = "unknown" if row.unknown else "yes" if row.influential else "no"
     line: list[object] = [row.parameter, answer, row.lower, row.upper, row.unit]
     if measured:
-        line += [fixed(value, 3) for value in (row.mu, row.sigma, row.mu_star, _largest(row))]
+        largest = max((value for value in row.s_rel_intervals or [] if value is not None), default=None)
+        line += [fixed(value, 3) for value in (row.mu, row.sigma, row.mu_star, largest)]
     return [*line, row.decided_by] if decided else line
-
-
-def _largest(row: InfluenceRow) -> float | None:
-    """Returns the largest s_rel of the intervals."""
-    return max((value for value in row.s_rel_intervals or [] if value is not None), default=None)
 
 
 def _rests_on(basis: Mapping[str, Any]) -> str:
