@@ -76,8 +76,11 @@ def _meant(path: tuple[int | str, ...], model: type[BaseModel]) -> tuple[int | s
 def _path(detail: Detail, document: object) -> tuple[int | str, ...]:
     """Returns the location without the names of union members, which pydantic inserts."""
     path: list[int | str] = []
-    value = document
+    value, named = document, None
     for part in detail["loc"]:
+        if isinstance(value, dict) and value.get("kind") == part and named is not value:
+            named = value  # by its kind, which may have a field of this name, as `command` has
+            continue
         here = isinstance(value, dict) and part in value
         here = here or (isinstance(value, list) and isinstance(part, int) and part < len(value))
         if here:

@@ -150,6 +150,7 @@ def test_the_examples_pass_with_their_files(name: str) -> None:
         ("simulator", PYTHON | {"file": "data.csv"}, "simulator.file"),
         ("simulator", PYTHON | {"wheels": "wheel"}, "simulator.wheels"),
         ("simulator", COMMAND | {"command": ["./mysim", "{results}"]}, "simulator.command"),
+        ("simulator", COMMAND | {"timeout": "5 s"}, "simulator.timeout"),
         ("simulator", COMMAND | {"command": ["./mysim", "{parameters}", "{result}"]}, "simulator.command[2]"),
         ("simulator", FMU | {"step": 30}, "simulator.step"),
         ("simulator", FMU | {"measures": FMU["measures"] | {"E": "last(E)"}}, "simulator.measures.E"),

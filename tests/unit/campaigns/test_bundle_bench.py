@@ -270,6 +270,9 @@ def test_constraints_on_results_name_scores_and_measures_of_the_bundle() -> None
     for worth, noted in ({}, 1), ({"failed": 0}, 0):
         notes = resolved(random, constraints=[limits[0] | worth], optimizer={"kind": "surrogate"}).notes
         assert sum("min_gap_m" in note for note in notes) == noted
+    unsaid = {"kind": "command", "command": ["mysim", "{parameters}", "{results}", "{seed}"]}
+    for said, noted in ({}, 1), ({"random": True}, 0):
+        assert sum("{seed}" in note for note in resolved(bundle(simulator=unsaid | said)).notes) == noted
     assert fields(constraints=[{"measure": "gap", "at_least": 2.0}], optimizer={"kind": "surrogate"}) == {
         "constraints[0].measure"
     }

@@ -13,7 +13,7 @@ from drivecal.bundles.expressions import Constraint
 from drivecal.bundles.fingerprints import model_of
 from drivecal.bundles.highway import TaskScenario
 from drivecal.bundles.installed import Bundle, installed
-from drivecal.bundles.manifest import Manifest
+from drivecal.bundles.manifest import CommandSimulator, Manifest
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.goals import KnownValues
@@ -263,12 +263,15 @@ def _check_parameters(
 
 def _notes(bundle: Bundle) -> tuple[str, ...]:
     section = bundle.manifest.simulator
+    given_seed = isinstance(section, CommandSimulator) and any("{seed}" in word for word in section.command)
+    unsaid = "its command gets {seed}, and problem.yaml does not say `random: true`: each set runs under seed 1 alone"
+    notes = (unsaid,) if given_seed and not section.random else ()
     if not section.asks_workers or bundle.tools is None:
-        return ()
+        return notes
     answer = " ".join(bundle.tools.split())
     shown = answer if len(answer) <= LONGEST_ANSWER else f"{answer[:LONGEST_ANSWER]}..."
     asked = "tools and inputs outside of the folder" if section.probe is None else f"`{' '.join(section.probe)}`"
-    return (f"{asked}: the answer on the workers is {shown!r}; results under another one are not reused",)
+    return (*notes, f"{asked}: the answer on the workers is {shown!r}; results under another one are not reused")
 
 
 def _refuse_driving_settings(wanted: Wanted, problem: str, diagnostics: Diagnostics) -> None:

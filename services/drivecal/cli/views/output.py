@@ -94,9 +94,10 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("search", _search_text(campaign)))
     hidden = {name for curve in campaign.curves.values() for name in curve["names"]}
     if campaign.baseline:
-        lines.append(
-            ("baseline", f"{judged_text(campaign.baseline)}  {parameters_text(campaign.baseline.parameters, None, hidden)}")
-        )
+        ended = CampaignState(campaign.state).ended
+        missing = "no objective: a scenario has no result, or a failed run lacks a measure" if ended else "no result yet"
+        parameters = parameters_text(campaign.baseline.parameters, None, hidden)
+        lines.append(("baseline", f"{judged_text(campaign.baseline, missing)}  {parameters}"))
     if campaign.best:
         best = campaign.best
         lines.append(("best", f"{judged_text(best)}  {parameters_text(best.parameters, None, hidden)}"))

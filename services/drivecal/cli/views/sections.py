@@ -141,9 +141,9 @@ def broken_text(judged: Best | Baseline | FrontBaseline | Solution | FrontRow) -
     return "not known to keep its rates" if judged.undecided else f"breaks constraints by {100 * judged.violation:.1f} %"
 
 
-def judged_text(shown: Best | Baseline) -> str:
-    """Returns the objective of a set, and whether it breaks constraints."""
-    objective = "no result yet" if shown.objective is None else objective_text(shown.objective)
+def judged_text(shown: Best | Baseline, missing: str = "no result yet") -> str:
+    """Returns the objective of a set, or what it means that it is `missing`, and whether it breaks constraints."""
+    objective = missing if shown.objective is None else objective_text(shown.objective)
     return f"{objective}, {broken_text(shown)}" if shown.violation > 0 else objective
 
 
