@@ -222,7 +222,7 @@ class RobustnessStage(StudyStage):
     def _recommend(self, objectives: Floats, ratings: Floats, known: Sequence[Robustness]) -> tuple[int, str] | None:
         """Returns the most robust of the sets with the best objective or on the front, and the reason. Higher `ratings` are better."""
         usable = [number for number in range(len(known)) if not np.isnan(objectives[number])]
-        if self._study is None or not usable:
+        if not usable or not any(each.trials for each in known):  # nothing is known before the first box
             return None
         best = self._best_of(usable)
         chosen = max(best, key=lambda number: (known[number].degree, known[number].radius, ratings[number], -number))
