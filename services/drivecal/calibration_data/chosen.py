@@ -81,7 +81,7 @@ def _trust(deserved: ResultTrust) -> Iterator[tuple[str, str]]:
 def figures_of(
     known: CampaignResults, chosen: Solution | FrontRow, weights: Mapping[str, float] | None, score: str | None
 ) -> Iterator[tuple[str, str]]:
-    """Yields the rank of a set, what it is ranked by, and its objectives and scores. The campaign has the rest.
+    """Yields the rank of a set, what it is ranked by, its objectives, constrained amounts and scores. The campaign has the rest.
 
     Args:
         known: the results of the campaign.
@@ -100,6 +100,7 @@ def figures_of(
     yield "score", score or known.campaign.scale.name
     if weights is not None:
         yield "weights", ",".join(f"{name}={_number(weight)}" for name, weight in weights.items())
+    yield from ((f"constrained {name}", _number(amount)) for name, amount in chosen.constraints.items())
     if chosen.violation > 0 and chosen.undecided:
         yield "limits on rates", "not known to be kept"
     elif chosen.violation > 0:

@@ -144,7 +144,8 @@ def _nearest(explanation: Explanation, nearest: str) -> str:
     blocking = [difference for difference in explanation.differences if difference.blocks]
     if not blocking:
         return f"{nearest} would fit, but had no result when the campaign asked, or reuse was off{doubt}"
-    return f"none of {explanation.stored:,} stored sets is the same, or alike by a map; the nearest, {nearest}, differs in {_values(blocking)}{doubt}"
+    none = f"none of {explanation.stored:,} stored sets is the same, or alike by a map"
+    return f"{none}; the nearest, {nearest}, differs in {_values(blocking)}{doubt}"
 
 
 def _prediction(prediction: Prediction | None) -> str:

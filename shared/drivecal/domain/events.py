@@ -83,7 +83,7 @@ _TEXTS: dict[str, str] = {
     EventKind.PHASE: "phase {name} finished: {requested:,} cells so far, {simulated:,} simulated",
     EventKind.INFLUENCE_MAP: "influence map {id}; influential: {influential}",
     EventKind.GENERATION: "iteration {iteration}: best {best:.4f}, mean {mean:.4f}",
-    EventKind.BEST: "new best {objective:.4f} in iteration {iteration}: {scores}",
+    EventKind.BEST: "new best {objective:.4f} in iteration {iteration}{violation}: {scores}",
     EventKind.BASELINE: "baseline: objective {objective:.4f}",
     EventKind.LOT_REJECTED: "a lot of references rejected in {scenario} and simulated: {wrong:,} of {audited:,} audited cells were wrong",
     EventKind.NOTE: "note: {text}",
@@ -117,6 +117,8 @@ class _Unknown:
 def _word(name: str, value: Any) -> Any:
     if name == "iteration":
         return value + 1  # readers count from 1
+    if name == "violation":
+        return f", which breaks constraints by {100 * value:.1f} %" if value > 0 else ""
     if name == "influential":
         return "; ".join(f"{scenario} {' '.join(names) or '-'}" for scenario, names in value.items())
     if name == "scores":
