@@ -184,7 +184,7 @@ def test_sets_given_up_for_certain_would_not_be_better(seed: int, steps: bool) -
     best = played.best()
     sets = {cell.indices for cell in played.cells}
     order = list(dict.fromkeys(cell.indices for cell in played.cells))
-    for (_, _, beaten), indices in zip(search.state()["sets"], order, strict=True):
+    for (_, _, beaten, _), indices in zip(search.state()["sets"], order, strict=True):
         if beaten:
             values = [[value(AskedCell(indices, scenario))[0]] for scenario in range(3)]
             assert task.aim.judge(np.array([values]))[0][0, 0] <= best + 1e-9
@@ -460,14 +460,26 @@ def test_a_small_budget_repeats_a_set_of_a_random_simulator() -> None:
         assert len({cell.indices for cell in cells[:first]}) >= 6
 
 
-def test_a_resumed_random_search_asks_for_the_same_cells() -> None:
-    task = random_task(100)
-    whole, first = Played(task, noisy, 2).play(begun(task)), begun(task)
-    part = Played(task, noisy, 2).play(first, 42)
-    assert any(cell.replicate > 1 for cell in part.cells)
+def assert_same_after(rounds: int, played: Played) -> Played:
+    """Asserts that a search which is resumed after so many rounds asks for the same cells; returns what was played before."""
+    whole, first = played.play(begun(played.task)), begun(played.task)
+    part = Played(played.task, played.value, played.room).play(first, rounds)
     state = json.loads(json.dumps(first.state(), allow_nan=False))
-    again = SURROGATE.resume(SurrogateSettings(seed=1), task, part.rounds, part.answers, state)
-    assert part.play(again).rounds == whole.rounds
+    again = SURROGATE.resume(SurrogateSettings(seed=1), played.task, part.rounds, part.answers, state)
+    assert replace(part, rounds=[*part.rounds], answers=[*part.answers]).play(again).rounds == whole.rounds
+    return part
+
+
+def test_a_resumed_random_search_asks_for_the_same_cells() -> None:
+    assert any(cell.replicate > 1 for cell in assert_same_after(42, Played(random_task(100), noisy, 2)).cells)
+
+
+def test_a_search_of_variants_is_resumed_amid_a_partly_known_set() -> None:
+    task = task_of(mean_of(COST, 4), 32)
+    before = Played(task, cost, 2).play(begun(task)).answers
+    known = [answer for answers in before for answer in answers if answer.cell.scenario < 2]
+    variants = [WeightedScore({f"S{place}": (place != left) / 3 for place in range(4)}, COST) for left in (0, 3)]
+    assert_same_after(18, Played(replace(task, known=known, variants=variants, start=task.start[:0]), cost, 1))
 
 
 def test_the_settings_are_checked() -> None:

@@ -110,10 +110,10 @@ class SurrogateSearch:
             self._answers.take(answer)
 
     def state(self) -> dict[str, Any]:
-        """Returns the hyperparameters and the promise of each set; rounds and answers give the rest."""
+        """Returns the hyperparameters, and the promise and fate of each set; rounds and answers give the rest."""
         return {
             "models": [model.to_json() for model in self._models],
-            "sets": [[begun.promise, begun.improbable, begun.beaten] for begun in self._answers.sets],
+            "sets": [[each.promise, each.improbable, each.beaten, each.whole] for each in self._answers.sets],
         }
 
     def restore(
@@ -128,8 +128,8 @@ class SurrogateSearch:
             self._spent += 1
         for told in answers:
             self.tell(told)
-        for begun, (promise, was_improbable, was_beaten) in zip(self._answers.sets, state.get("sets", ()), strict=False):
-            begun.promise, begun.improbable, begun.beaten = promise, was_improbable, was_beaten
+        for begun, fate in zip(self._answers.sets, state.get("sets", ()), strict=False):
+            begun.promise, begun.improbable, begun.beaten, begun.whole = fate
         for model, document in zip(self._models, state.get("models", ()), strict=False):
             model.restore(document)
 
