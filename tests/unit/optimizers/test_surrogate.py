@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
+from threadpoolctl import threadpool_info  # type: ignore[import-untyped]  # it ships no types
 
 from drivecal.analysis.aims import JudgedGoals, WeightedScore
 from drivecal.analysis.goals import Aggregate, Bound, CellValue, Goals, Objective
@@ -480,6 +481,11 @@ def test_a_search_of_variants_is_resumed_amid_a_partly_known_set() -> None:
     known = [answer for answers in before for answer in answers if answer.cell.scenario < 2]
     variants = [WeightedScore({f"S{place}": (place != left) / 3 for place in range(4)}, COST) for left in (0, 3)]
     assert_same_after(18, Played(replace(task, known=known, variants=variants, start=task.start[:0]), cost, 1))
+
+
+def test_searches_beside_each_other_compute_with_one_thread_each() -> None:
+    begun(random_task()).ask(1)
+    assert {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"} == {1}
 
 
 def test_the_settings_are_checked() -> None:

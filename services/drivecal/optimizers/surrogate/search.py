@@ -86,7 +86,8 @@ class SurrogateSearch:
             self._answers.take(answer)
         self._answers.end_of_known()
         self._begin_first_sets()
-        self._threads = ThreadpoolController()
+        # other bits with more threads; for good, as searches of other campaigns compute in this process meanwhile
+        ThreadpoolController().limit(limits=1)
 
     def _begin_first_sets(self) -> None:
         cells = self._task.cells
@@ -143,8 +144,7 @@ class SurrogateSearch:
             if begun.whole and len(cells) < room:
                 self._ask_all(begun, room, cells)
         if len(cells) < room:
-            with self._threads.limit(limits=1):
-                self._search(room, at_once, cells)
+            self._search(room, at_once, cells)
         return cells
 
     @property
