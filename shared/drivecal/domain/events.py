@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import Any
 
-from drivecal.domain.scales import score_text
+from drivecal.domain.scales import objective_text, score_text
 
 
 class EventKind(StrEnum):
@@ -82,9 +82,9 @@ _TEXTS: dict[str, str] = {
     EventKind.STAGE: "stage {stage} begins: at most {cells:,} cells",
     EventKind.PHASE: "phase {name} finished: {requested:,} cells so far, {simulated:,} simulated",
     EventKind.INFLUENCE_MAP: "influence map {id}; influential: {influential}",
-    EventKind.GENERATION: "iteration {iteration}: best {best:.4f}, mean {mean:.4f}",
-    EventKind.BEST: "new best {objective:.4f} in iteration {iteration}{violation}: {scores}",
-    EventKind.BASELINE: "baseline: objective {objective:.4f}",
+    EventKind.GENERATION: "iteration {iteration}: best {best}, mean {mean}",
+    EventKind.BEST: "new best {objective} in iteration {iteration}{violation}: {scores}",
+    EventKind.BASELINE: "baseline: objective {objective}",
     EventKind.LOT_REJECTED: "a lot of references rejected in {scenario} and simulated: {wrong:,} of {audited:,} audited cells were wrong",
     EventKind.NOTE: "note: {text}",
 }
@@ -119,6 +119,8 @@ def _word(name: str, value: Any) -> Any:
         return value + 1  # readers count from 1
     if name == "violation":
         return f", which breaks constraints by {100 * value:.1f} %" if value > 0 else ""
+    if name in {"best", "mean", "objective"}:
+        return objective_text(value)
     if name == "influential":
         return "; ".join(f"{scenario} {' '.join(names) or '-'}" for scenario, names in value.items())
     if name == "scores":

@@ -16,7 +16,7 @@ FIGURES: list[tuple[EventKind, dict[str, Any], list[str]]] = [
         {"objective": 5.5, "iteration": 2, "scores": {"S1": 6, "S2": 5}},
         ["5.5000", "iteration 3", "S1 6", "S2 5"],
     ),
-    (EventKind.BASELINE, {"objective": 5.25}, ["5.2500"]),
+    (EventKind.BASELINE, {"objective": 0.0000525}, ["5.25e-05"]),
     (EventKind.LOT_REJECTED, {"scenario": "S3", "wrong": 4, "audited": 20}, ["S3", "4", "20"]),
     (EventKind.NOTE, {"text": "S2 has weight 0"}, ["S2 has weight 0"]),
     (EventKind.DEGRADED, {"reason": "no workers"}, ["no workers"]),
