@@ -129,8 +129,9 @@ class SurrogateSearch:
             self._spent += 1
         for told in answers:
             self.tell(told)
-        for begun, fate in zip(self._answers.sets, state.get("sets", ()), strict=False):
-            begun.promise, begun.improbable, begun.beaten, begun.whole = fate
+        for begun, (*fate, was_whole) in zip(self._answers.sets, state.get("sets", ()), strict=False):
+            begun.promise, begun.improbable, begun.beaten = fate
+            begun.whole |= was_whole  # or an answer since has made it so
         for model, document in zip(self._models, state.get("models", ()), strict=False):
             model.restore(document)
 
