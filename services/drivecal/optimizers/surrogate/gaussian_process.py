@@ -70,10 +70,11 @@ class Encoding:
 
 @dataclass(frozen=True, slots=True)
 class Hyperparameters:
-    """Logarithms of lengths, shape (n_parameters,), and of the noise's share of the variance."""
+    """Logarithms of lengths, shape (n_parameters,), and of the noise's share of the variance; `count`: answers that they were fitted to."""
 
     lengths: Floats
     noise: float
+    count: int = 0
 
     @classmethod
     def usual(cls, n_parameters: int, noise: NoisePrior = EXACT) -> "Hyperparameters":

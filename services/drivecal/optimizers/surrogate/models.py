@@ -1,7 +1,7 @@
 """A model for each scenario: what its values and failures probably are at sets that were not asked there."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -61,27 +61,10 @@ class Warp:
 
 
 @dataclass(slots=True)
-class Tuned:
-    """Hyperparameters of a process, and how many answers they were fitted to."""
-
-    hyperparameters: Hyperparameters
-    count: int = 0
-
-    def to_json(self) -> dict[str, Any]:
-        """Returns plain data."""
-        return {"lengths": self.hyperparameters.lengths.tolist(), "noise": self.hyperparameters.noise, "count": self.count}
-
-    @classmethod
-    def from_json(cls, document: Mapping[str, Any]) -> "Tuned":
-        """Inverts `to_json`."""
-        return cls(Hyperparameters(np.array(document["lengths"], dtype=np.float64), document["noise"]), document["count"])
-
-
-@dataclass(slots=True)
 class Output:
     """One of a scenario's values, or its failures as 0 and 1, as a process."""
 
-    tuned: Tuned
+    tuned: Hyperparameters
     prior: NoisePrior = EXACT
     warp: Warp = field(default_factory=Warp)
     process: GaussianProcess | None = None
@@ -99,10 +82,8 @@ class Output:
         if known >= max(self.tuned.count + 1, GROWTH * self.tuned.count):
             chosen = slice(None, None, -(-len(targets) // MOST_TUNED))
             centred = (warped[chosen] - warped[chosen].mean()) / self.spread
-            self.tuned = Tuned(fitted(features[chosen], centred, owners, self.tuned.hyperparameters, self.prior), known)
-        self.process = GaussianProcess(
-            features, (warped - self.constant) / self.spread, owners, self.tuned.hyperparameters, pending
-        )
+            self.tuned = replace(fitted(features[chosen], centred, owners, self.tuned, self.prior), count=known)
+        self.process = GaussianProcess(features, (warped - self.constant) / self.spread, owners, self.tuned, pending)
 
     def predict(self, features: Floats, *, pending: bool) -> tuple[Floats, Floats]:
         """Returns means and deviations of the warped value."""
@@ -136,9 +117,7 @@ class ScenarioModel:
     ) -> None:
         self._owners, self._best, self._worst, self._random = owners, best, worst, random
         prior = SAMPLED if random else EXACT
-        *self._outputs, self._failure = (
-            Output(Tuned(Hyperparameters.usual(n_parameters, prior)), prior) for _ in range(n_values + 1)
-        )
+        *self._outputs, self._failure = (Output(Hyperparameters.usual(n_parameters, prior), prior) for _ in range(n_values + 1))
 
     def learn(self, features: Floats, values: Floats, failed: Bools, pending: Floats) -> None:
         """Learns from answers in the order of asking: features, shape (n, n_features), values, shape (n, n_values), and failures."""
@@ -191,12 +170,13 @@ class ScenarioModel:
 
     def to_json(self) -> list[dict[str, Any]]:
         """Returns as plain data what answers alone do not tell."""
-        return [output.tuned.to_json() for output in (*self._outputs, self._failure)]
+        tuned = (output.tuned for output in (*self._outputs, self._failure))
+        return [{"lengths": each.lengths.tolist(), "noise": each.noise, "count": each.count} for each in tuned]
 
     def restore(self, documents: Sequence[Mapping[str, Any]]) -> None:
         """Inverts `to_json`."""
         for output, document in zip((*self._outputs, self._failure), documents, strict=True):
-            output.tuned = Tuned.from_json(document)
+            output.tuned = Hyperparameters(**{**document, "lengths": np.array(document["lengths"], dtype=np.float64)})
 
 
 def _kept(features: Floats) -> Indices:
