@@ -103,7 +103,7 @@ class CmaEs:
         for objectives, ties in state["told"]:
             self.ask()
             self._compare(state)
-            self.tell(np.array(load_floats(objectives)), np.array(load_floats(ties)))
+            self.tell(load_floats(objectives), load_floats(ties))
         if state["asked"]:
             self.ask()
             self._compare(state)

@@ -24,19 +24,17 @@ def load_generator(state: Mapping[str, Any]) -> np.random.Generator:
     return generator
 
 
-def dump_floats(values: Floats | None) -> list[Any] | None:
+def dump_floats(values: Floats) -> list[Any]:
     """Lists of the array's shape; NaN becomes null, which JSON knows."""
-    if values is None:
-        return None
     plain = values.astype(object)
     plain[np.isnan(values)] = None
     nested: list[Any] = plain.tolist()
     return nested
 
 
-def load_floats(values: Sequence[Any] | None) -> Floats | None:
+def load_floats(values: Sequence[Any]) -> Floats:
     """The inverse of `dump_floats`."""
-    return None if values is None else np.array(values, dtype=np.float64)  # None becomes NaN
+    return np.array(values, dtype=np.float64)  # None becomes NaN
 
 
 Design = Literal["lhs", "halton"]
@@ -91,8 +89,7 @@ class ReplacementOptimizer(ABC):
         self._individuals = individuals
         self._generator = generator
         self._changed = np.ones(len(individuals), dtype=np.bool_)
-        self._objectives: Floats | None = None
-        self._tie_breakers: Floats | None = None
+        self._answers: tuple[Floats, Floats] | None = None
 
     @abstractmethod
     def _indices(self, individuals: Indices) -> Indices:
@@ -104,15 +101,15 @@ class ReplacementOptimizer(ABC):
 
     def ask(self) -> Proposal:
         """The next population; its individuals that were replaced are `changed`, in the first iteration all."""
-        if self._objectives is not None and self._tie_breakers is not None:
-            order = ranking(self._objectives, self._tie_breakers)
+        if self._answers is not None:
+            order = ranking(*self._answers)
             newcomers = self._newcomers(order)
             replaced = order[len(order) - len(newcomers) :]
             self._individuals = self._individuals.copy()
             self._individuals[replaced] = newcomers
             self._changed = np.zeros(len(order), dtype=np.bool_)
             self._changed[replaced] = True
-            self._objectives = self._tie_breakers = None
+            self._answers = None
         return Proposal(self._indices(self._individuals), self._changed.copy())
 
     def tell(self, objectives: Floats, tie_breakers: Floats) -> None:
@@ -120,17 +117,16 @@ class ReplacementOptimizer(ABC):
 
         Raises RuntimeError if they were given already, ValueError if there is no finite number or NaN per individual.
         """
-        if self._objectives is not None:
+        if self._answers is not None:
             raise RuntimeError("the objectives of this population are known already; ask for the next one")
-        self._objectives, self._tie_breakers = checked_answers(objectives, tie_breakers, len(self._changed))
+        self._answers = checked_answers(objectives, tie_breakers, len(self._changed))
 
     def state(self) -> dict[str, Any]:
         """The state as data for strict JSON: individuals, what the last `ask` changed, their answers if known, the generator."""
         return {
             "individuals": self._individuals.tolist(),
             "changed": self._changed.tolist(),
-            "objectives": dump_floats(self._objectives),
-            "tie_breakers": dump_floats(self._tie_breakers),
+            "answers": None if self._answers is None else [dump_floats(each) for each in self._answers],
             "generator": dump_generator(self._generator),
         }
 
@@ -138,8 +134,8 @@ class ReplacementOptimizer(ABC):
         """Continues from `state`. Raises InvalidInputError if it belongs to a population of another size or another space."""
         self._individuals = fitting(np.array(state["individuals"], dtype=np.int64), self._individuals)
         self._changed = np.array(state["changed"], dtype=np.bool_)
-        self._objectives = load_floats(state["objectives"])
-        self._tie_breakers = load_floats(state["tie_breakers"])
+        answers = state["answers"]
+        self._answers = None if answers is None else (load_floats(answers[0]), load_floats(answers[1]))
         self._generator = load_generator(state["generator"])
 
 

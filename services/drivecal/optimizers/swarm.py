@@ -67,7 +67,7 @@ class ParticleSwarm:
             "individuals": self._positions.tolist(),
             "velocities": self._velocities.tolist(),
             "best_individuals": self._best_positions.tolist(),
-            "best_fitness": [dump_floats(np.where(np.isinf(column), np.nan, column)) for column in self._best_fitness.T],
+            "best_fitness": dump_floats(np.where(np.isinf(self._best_fitness), np.nan, self._best_fitness)),
             "changed": self._changed.tolist(),
             "told": self._told,
             "generator": dump_generator(self._generator),
@@ -78,8 +78,7 @@ class ParticleSwarm:
         self._positions = fitting(np.array(state["individuals"], dtype=np.float64), self._positions)
         self._velocities = np.array(state["velocities"], dtype=np.float64)
         self._best_positions = np.array(state["best_individuals"], dtype=np.float64)
-        columns = [load_floats(column) for column in state["best_fitness"]]
-        self._best_fitness = np.nan_to_num(np.column_stack([column for column in columns if column is not None]), nan=-np.inf)
+        self._best_fitness = np.nan_to_num(load_floats(state["best_fitness"]), nan=-np.inf)
         self._changed = np.array(state["changed"], dtype=np.bool_)
         self._told = bool(state["told"])
         self._generator = load_generator(state["generator"])
