@@ -13,19 +13,12 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Disagreement:
-    """A pair on which two maps do not agree."""
-
-    first: InfluenceRow
-    second: InfluenceRow
-
-
-@dataclass(frozen=True, slots=True)
 class Agreement:
-    """`pairs`: how many both maps know. `only_first`, `only_second`: pairs that the other does not know."""
+    """`pairs`: how many both maps know. `differences`: both rows of each pair on which they disagree. `only_first`, `only_second`: pairs
+    that the other does not know."""
 
     pairs: int
-    differences: tuple[Disagreement, ...]
+    differences: tuple[tuple[InfluenceRow, InfluenceRow], ...]
     only_first: tuple[Pair, ...]
     only_second: tuple[Pair, ...]
 
@@ -50,13 +43,8 @@ class Agreement:
             "agreeing": self.agreeing,
             "share": self.share,
             "differences": [
-                {
-                    "scenario": difference.first.scenario,
-                    "parameter": difference.first.parameter,
-                    "first": side(difference.first),
-                    "second": side(difference.second),
-                }
-                for difference in self.differences
+                {"scenario": row.scenario, "parameter": row.parameter, "first": side(row), "second": side(other)}
+                for row, other in self.differences
             ],
             "only_first": [list(pair) for pair in self.only_first],
             "only_second": [list(pair) for pair in self.only_second],
@@ -80,7 +68,7 @@ def agreement(
     return Agreement(
         pairs=len(shared),
         differences=tuple(
-            Disagreement(ours[pair], theirs[pair])
+            (ours[pair], theirs[pair])
             for pair in shared
             if not agree(ours[pair], theirs[pair], (our_intervals[pair], their_intervals[pair]))
         ),

@@ -48,7 +48,7 @@ def test_what_only_one_map_knows_is_listed_and_not_counted() -> None:
     theirs = [row(0.5, 1), row(parameter="P2"), row(parameter="P3")]
     result = agreement(ours, theirs)
     assert (result.pairs, result.agreeing, result.share) == (2, 1, 0.5)
-    assert [(difference.first.lower, difference.second.lower) for difference in result.differences] == [(0, 0.5)]
+    assert [tuple(each.lower for each in rows) for rows in result.differences] == [(0, 0.5)]
     assert (result.only_first, result.only_second) == ((("S2", "P1"),), (("S1", "P3"),))
     assert result.document()["differences"] == [
         {

@@ -144,8 +144,7 @@ def _print_agreement(agreement: Agreement) -> None:
     if agreement.differences:
         typer.echo("")
         header = ["scenario", "parameter", "first", "second"]
-        both = [(difference.first, difference.second) for difference in agreement.differences]
-        rows = [[pair[0].scenario, pair[0].parameter, *map(bounds_text, pair)] for pair in both]
+        rows = [[pair[0].scenario, pair[0].parameter, *map(bounds_text, pair)] for pair in agreement.differences]
         print_columns(header, rows)
     for name, pairs in (("first", agreement.only_first), ("second", agreement.only_second)):
         if pairs:
