@@ -223,20 +223,12 @@ class SensitivityAnalysis:
         return None
 
     def tell(self, scores: Mapping[str, Floats]) -> None:
-        """The scores of the points of the phase asked last, by scenario, shape (n,); NaN if a run failed.
+        """The finite scores of the points of the phase asked last, by scenario, shape (n,); NaN if a run failed.
 
-        Raises ValueError if they do not fit the phase, RuntimeError if nothing was asked.
+        Raises RuntimeError if nothing was asked.
         """
-        if self._points is None or self._name is None:
+        if self._points is None:
             raise RuntimeError("no phase awaits scores; ask for a phase first")
-        expected = {scenario: int(mask.sum()) for scenario, mask in self._asked.items() if mask.any()}
-        if set(scores) != set(expected):
-            raise ValueError(f"scores must be of {', '.join(expected)}, not of {', '.join(scores)}")
-        for scenario, count in expected.items():
-            if scores[scenario].shape != (count,):
-                raise ValueError(f"scores of {scenario} must be {count} numbers, not of shape {scores[scenario].shape}")
-            if np.any(np.isinf(scores[scenario])):
-                raise ValueError(f"scores of {scenario} must be finite, or NaN if a run failed")
         complete = {scenario: np.full(len(points), np.nan) for scenario, points in self._points.items()}
         for scenario, known in scores.items():
             complete[scenario][self._asked[scenario]] = known

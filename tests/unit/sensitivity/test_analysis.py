@@ -150,19 +150,10 @@ def test_asking_twice_gives_the_same_phase_and_its_points_cannot_be_changed() ->
         one.points["S1"][0, 0] = 1
 
 
-def test_answers_that_do_not_fit_are_refused() -> None:
+def test_answers_that_were_not_asked_for_are_refused() -> None:
     analysis = SensitivityAnalysis(SPACE, ["S1"], SETTINGS)
     with pytest.raises(RuntimeError):
         analysis.tell({"S1": np.zeros(3)})
-    phase = present(analysis.ask())
-    count = len(phase.points["S1"])
-    with pytest.raises(ValueError, match=r"S1.*S2"):
-        analysis.tell({"S2": np.zeros(count)})
-    with pytest.raises(ValueError, match=rf"\b{count}\b"):
-        analysis.tell({"S1": np.zeros(count - 1)})
-    for wrong in (-np.inf, np.inf):
-        with pytest.raises(ValueError, match="finite"):
-            analysis.tell({"S1": np.full(count, wrong)})
     with pytest.raises(RuntimeError):
         analysis.result()
     drive(analysis, {"S1": constant(2)})
