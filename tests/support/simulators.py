@@ -17,7 +17,7 @@ import psutil
 import pytest
 
 from drivecal.adapters.environment import Scratch
-from drivecal.adapters.kinds import simulator
+from drivecal.adapters.kinds import simulator_of
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
 from drivecal.plugins.simulators import Declared, NoMeasuresError, SimulatorSession
@@ -79,8 +79,8 @@ def opened(
 ) -> Iterator[SimulatorSession]:
     """Opens a session of scenario `S`."""
     defaults = {"function": "evaluate"} if kind == "python" else {}
-    settings = {"timeout": 300.0, "memory_mb": 1000} | defaults | section
-    session = simulator(kind).open(settings, "S", data, folder, declared)
+    settings = {"kind": kind, "timeout": 300.0, "memory_mb": 1000} | defaults | section
+    session = simulator_of(settings).open(settings, "S", data, folder, declared)
     try:
         yield session
     finally:

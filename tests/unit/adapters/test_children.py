@@ -210,10 +210,10 @@ def test_everything_ends_with_a_worker_that_is_killed(tmp_path: Path, mark: str)
     worker = textwrap.dedent(f"""
         import time
         from pathlib import Path
-        from drivecal.adapters.kinds import simulator
+        from drivecal.adapters.kinds import simulator_of
         from drivecal.plugins.simulators import Declared
-        section = {{"command": [{PYTHON!r}, "-S", "sim.py", {mark!r}], "timeout": 60.0, "memory_mb": 1000}}
-        session = simulator("process").open(section, "S", {{}}, Path({str(bundle)!r}), Declared("p", ("y",)))
+        section = {{"kind": "process", "command": [{PYTHON!r}, "-S", "sim.py", {mark!r}], "timeout": 60.0, "memory_mb": 1000}}
+        session = simulator_of(section).open(section, "S", {{}}, Path({str(bundle)!r}), Declared("p", ("y",)))
         session.evaluate({{"x": 1.0}})
         print(session._scratch.folder, flush=True)
         time.sleep(600)

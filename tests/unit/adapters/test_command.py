@@ -7,8 +7,7 @@ import pytest
 from tests.support.simulators import eventually, hung, lost, opened, running, scratch_of, write_script
 
 from drivecal.adapters.environment import GRANTED
-from drivecal.adapters.kinds import simulator
-from drivecal.domain.errors import NotFoundError
+from drivecal.adapters.kinds import simulator_of
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import VERSIONS, BusyError
 
@@ -139,9 +138,6 @@ def test_the_scratch_folder_is_removed(tmp_path: Path) -> None:
     eventually(lambda: not folder.exists())
 
 
-def test_kinds_have_versions_and_unknown_ones_are_named() -> None:
-    assert {kind: simulator(kind).version for kind in VERSIONS} == VERSIONS
-    with pytest.raises(NotFoundError) as missing:
-        simulator("matlab")
-    assert missing.value.identifier == "matlab"
-    assert all(kind in missing.value.hint for kind in VERSIONS)
+@pytest.mark.parametrize("kind", VERSIONS)
+def test_kinds_have_versions(kind: str) -> None:
+    assert simulator_of({"kind": kind, "controller": {"kind": "fmu"}}).version == VERSIONS[kind]

@@ -30,8 +30,8 @@ def test_a_controller_that_is_not_reset_has_a_child_for_each_run(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # the folder of a session that does not open remains
     for name in ("acc.fmu", "acc.py", "road.net.xml"):
         (tmp_path / name).touch()
-    section = {"controller": controller, "vehicle": "single_track", "timeout": 1.0, "memory_mb": 100}
-    kinds.simulator("highway").open(section, "S", {"network": "road.net.xml"}, tmp_path, Declared("trial", ("energy_kwh",)))
+    section = {"kind": "highway", "controller": controller, "vehicle": "single_track", "timeout": 1.0, "memory_mb": 100}
+    kinds.simulator_of(section).open(section, "S", {"network": "road.net.xml"}, tmp_path, Declared("trial", ("energy_kwh",)))
     assert [settings["most_runs"] for settings in opened] == [most_runs]
 
 
@@ -40,9 +40,11 @@ def test_a_missing_library_names_its_extra(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(kinds, "find_spec", lambda name: None if name == package else name)
     for name in ("acc.fmu", "road.net.xml"):
         (tmp_path / name).touch()
-    section = {"controller": CONTROLLER, "vehicle": "single_track", "timeout": 1.0, "memory_mb": 100}
+    section = {"kind": "highway", "controller": CONTROLLER, "vehicle": "single_track", "timeout": 1.0, "memory_mb": 100}
     with pytest.raises(UnavailableError) as error:
-        kinds.simulator("highway").open(section, "S", {"network": "road.net.xml"}, tmp_path, Declared("trial", ("energy_kwh",)))
+        kinds.simulator_of(section).open(
+            section, "S", {"network": "road.net.xml"}, tmp_path, Declared("trial", ("energy_kwh",))
+        )
     assert type(error.value) is UnavailableError  # another machine may have it
     assert package in str(error.value)
     assert f"drivecal[{extra}]" in str(error.value)
@@ -52,7 +54,7 @@ def test_a_missing_library_names_its_extra(tmp_path: Path, monkeypatch: pytest.M
 def test_a_bundle_without_a_file_suits_no_machine(tmp_path: Path, missing: str) -> None:
     for name in {"acc.fmu", "road.net.xml", "day.rou.xml"} - {missing}:
         (tmp_path / name).touch()
-    section = {"controller": CONTROLLER, "vehicle": "single_track", "timeout": 1.0, "memory_mb": 100}
+    section = {"kind": "highway", "controller": CONTROLLER, "vehicle": "single_track", "timeout": 1.0, "memory_mb": 100}
     data = {"network": "road.net.xml", "routes": "day.rou.xml"}
     with pytest.raises(UnsuitableError, match=missing):
-        kinds.simulator("highway").open(section, "S", data, tmp_path, Declared("trial", ("energy_kwh",)))
+        kinds.simulator_of(section).open(section, "S", data, tmp_path, Declared("trial", ("energy_kwh",)))

@@ -19,7 +19,7 @@ from drivecal.adapters.environment import Scratch
 from drivecal.adapters.process import ProcessSession
 from drivecal.bundles import units
 from drivecal.contracts.work import runs_in_worker
-from drivecal.domain.errors import NotFoundError, UnavailableError
+from drivecal.domain.errors import UnavailableError
 from drivecal.plugins import registry, setups
 from drivecal.plugins.simulators import VERSIONS, Declared, Simulator, SimulatorSession, UnsuitableError
 from drivecal.roads.network import network_file
@@ -55,14 +55,11 @@ class _Kind:
 
 
 def simulator_of(section: Section) -> Simulator:
-    """Returns the simulator of a manifest's section. Raises as `simulator`, and InvalidInputError if it is not installed."""
-    return registry.simulator(section["kind"]) if runs_in_worker(section) else simulator(section["kind"])
-
-
-def simulator(kind: str) -> Simulator:
-    """Returns the simulator of a kind. Raises NotFoundError, and UnavailableError if this system cannot hold child processes back."""
-    if kind not in _START:
-        raise NotFoundError("simulator kind", kind, f"there are {', '.join(_START)}")
+    """Returns the simulator of a manifest's section. Raises InvalidInputError if it is not installed, and UnavailableError if this system
+    cannot hold child processes back."""
+    kind = section["kind"]
+    if runs_in_worker(section):
+        return registry.simulator(kind)
     if sys.platform != "linux":
         raise UnavailableError(f"simulators of kind {kind} need Linux; this system is {sys.platform}")
     return _Kind(VERSIONS[kind], _START[kind])
@@ -154,7 +151,7 @@ def _start_highway(
         "folder": str(folder),
         "work": str(scratch.work),
         "scratch": str(scratch.folder),
-        "simulator": {"kind": "highway", **section},
+        "simulator": dict(section),
         "scenario": scenario,
         "data": dict(data),
         "sumo": setups.sumo(),
