@@ -6,7 +6,7 @@ lights, stop signs, and ways of others that cross the route's at junctions are r
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from graphlib import CycleError, TopologicalSorter
+from graphlib import TopologicalSorter
 from itertools import pairwise
 
 import numpy as np
@@ -281,11 +281,8 @@ def _chains(edges: Sequence[Edge], chosen: Sequence[Sequence[Way]]) -> tuple[Cha
             order.add(left, right)
         order.add(next(iter(here.values())))
         open_ = here
-    try:
-        ordered = list(order.static_order())
-    except CycleError:  # impossible for ways that do not cross
-        ordered = list(range(len(chains)))
-    return tuple(Chain(first, tuple(lanes), tuple(inside)) for first, lanes, inside in (chains[index] for index in ordered))
+    ordered = (chains[index] for index in order.static_order())  # without circles, as ways do not cross
+    return tuple(Chain(first, tuple(lanes), tuple(inside)) for first, lanes, inside in ordered)
 
 
 TOLERANCE = 0.09
