@@ -34,7 +34,7 @@ class Pose(NamedTuple):
 
 
 class Polyline(NamedTuple):
-    """A polyline (n, 2); of a route also its edges and the number of its first lane in the OpenDRIVE file."""
+    """A polyline (n, 2); of a route also its edges."""
 
     points: Floats
     edges: tuple[str, ...] = ()
@@ -167,7 +167,7 @@ class WayReader:
             way = self.trajectory(kind, places, poses, depth)
             pose = way.pose(kind.number("s", 0.0, 1e6), kind.number("t", -1e3, 1e3, 0.0))
         elif kind.element == "RoutePosition":
-            pose = self.on_route(kind, places)[1]
+            pose = self._on_route(kind, places)
         else:
             other = kind.text("entityRef")
             if other not in poses:
@@ -183,16 +183,16 @@ class WayReader:
         is_absolute = orientation.word("type", ("relative", "absolute"), unsaid) == "absolute"
         return pose._replace(heading=turn if is_absolute else pose.heading + turn)
 
-    def on_route(self, kind: Element, places: Mapping[str, FilePlace]) -> tuple[Polyline, Pose]:
-        """Returns the route of a <RoutePosition>, and the pose on it."""
+    def _on_route(self, kind: Element, places: Mapping[str, FilePlace]) -> Pose:
+        """Returns the pose of a <RoutePosition>."""
         way = self.route(kind.only("RouteRef"), places)
         at = kind.only("InRoutePosition").only("FromRoadCoordinates", "FromLaneCoordinates")
         along = at.number("pathS", 0.0, 1e6)
         if at.element == "FromRoadCoordinates":
             at.number("t", -1e3, 1e3)  # the lane of the first waypoint counts
-            return way, way.pose(along)
+            return way.pose(along)
         at.integer("laneId", -64, 64)
-        return way, way.pose(along, at.number("laneOffset", -50.0, 50.0, 0.0))
+        return way.pose(along, at.number("laneOffset", -50.0, 50.0, 0.0))
 
     def pose_of(self, place: FilePlace) -> Pose:
         """Returns the pose of a place on a lane, in the lane's direction."""
