@@ -5,5 +5,5 @@
     values = dcm.read(Path("acc.dcm").read_bytes(), "acc.dcm").characteristics
     Path("acc.cdfx").write_bytes(cdfx.write(values))
 
-Only scalar characteristics have a counterpart among drivecal's parameters; the names of others are listed as `skipped`.
+Values, curves, maps and arrays have a counterpart among drivecal's parameters; the names of others are listed as `skipped`.
 """
