@@ -239,6 +239,7 @@ class Ranking:
         self._is_assessed = False
         for number, by_seed in self._judge.by_seed(self._places, {number: self._runs[number] for number in touched}):
             runs = self._runs[number]
+            self._samples.pop(number, None)  # a run that failed since may have no value
             if by_seed and len(runs) > 1:
                 self._samples[number] = {seed: each.objective for seed, each in by_seed.items()}
                 self._varies |= len({each.rating for each in by_seed.values()}) > 1

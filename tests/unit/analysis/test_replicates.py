@@ -333,6 +333,19 @@ def test_intervals_are_those_of_a_ranking_that_takes_all_answers_at_once() -> No
     ]
 
 
+def test_a_set_that_lost_its_value_to_a_failed_run_tells_nothing_of_others() -> None:
+    gap = CellValue(measure="gap")
+    goals = Goals((Objective("gap", gap, {"S1": 1.0}, Aggregate(), 1),))
+    values = [(1, seed, {gap.key: float(seed)}) for seed in range(1, 5)] + [
+        (number, 1, {gap.key: 0.0}) for number in range(2, 8)
+    ]
+    cells = [CellScore(number, "S1", 1.0, 1.0, True, 0, number, seed=seed, values=known) for number, seed, known in values]
+    ranking = Ranking({"S1": 1}, goals, ReplicatesSpecification())
+    ranking.add(cells)
+    ranking.add([replace(cells[0], seed=5, failed=True, values={})])
+    assert ranking.uncertainty(ranking.best_first()[0])["close"] == 0
+
+
 def test_reports_with_equal_scores_have_an_interval() -> None:
     ranking, random = by_score({"S1": 1}, wanted=ReplicatesSpecification()), np.random.default_rng(1)
     for number, scores in enumerate(6.0 + random.integers(-1, 2, (2, 20)) / 6):
