@@ -391,8 +391,9 @@ def variance(values: Sequence[float], spread: float, freedom: float) -> float:
     return (freedom * spread + own * float(np.var(values, ddof=1))) / (freedom + own)
 
 
-def rate_bounds(bad: int, runs: int, confidence: float) -> tuple[float, float]:
-    """Returns what a rate is at least and at most, each with this confidence, if `bad` of `runs` count (Clopper, Pearson 1934)."""
+def rate_bounds(bad: int, runs: int, confidence: float = 0.975) -> tuple[float, float]:
+    """Returns what a rate is at least and at most, each with this confidence, if `bad` of `runs` count (Clopper, Pearson 1934); (0, 1)
+    without runs. By default both are the exact two-sided 95 % interval."""
     from scipy.special import betaincinv
 
     least = 0.0 if bad == 0 else float(betaincinv(bad, runs - bad + 1, 1 - confidence))

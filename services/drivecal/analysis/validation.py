@@ -4,7 +4,7 @@ Sets are drawn over the whole space until the sets in non-influential regions co
 parameters. Each of these sets is compared with variants that differ from it only inside its regions.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.analysis.replicates import rate_bounds
+from drivecal.contracts.campaign import ErrorRate
+from drivecal.domain.evaluations import AuditCount
 from drivecal.domain.parameters import Indices
 from drivecal.domain.scales import Scale
 from drivecal.plugins.ports import Floats
@@ -243,7 +245,7 @@ def mean_interval(shares: Floats) -> tuple[float, float]:
     if not shares.size:
         return 0.0, 1.0
     if np.minimum(shares, 1.0 - shares).max() <= SMALLEST:
-        return rate_bounds(round(float(shares.sum())), len(shares), (1.0 + CONFIDENCE) / 2.0)
+        return rate_bounds(round(float(shares.sum())), len(shares))
     return _lower_limit(shares), 1.0 - _lower_limit(1.0 - shares)
 
 
@@ -293,3 +295,28 @@ def _bars(differences: Floats, scale: Scale) -> Indices:
     sizes = np.where(wrong, np.maximum(sizes, agreeing + 1), np.minimum(sizes, agreeing))
     bars: Indices = (np.copysign(1, differences) * sizes).astype(np.int64)
     return bars
+
+
+def error_rates(
+    counts: Iterable[AuditCount],
+    scenarios: Iterable[str],
+    contradictions: Mapping[str, int] | None = None,
+    lots: Mapping[str, tuple[int, int]] | None = None,
+    released: Mapping[str, float] | None = None,
+) -> dict[str, ErrorRate]:
+    """Returns the error rate of each scenario (Eq. 8: wrong / audited), with `contradictions` and inspected and rejected `lots`.
+
+    `released` has upper limits of the share of wrong answers that lots released. Lots are sampled in different shares, so only audits
+    without lots have a Clopper-Pearson interval."""
+    by_scenario = {count.scenario: count for count in counts}
+    rates: dict[str, ErrorRate] = {}
+    for scenario in scenarios:
+        inspected, rejected = (lots or {}).get(scenario, (0, 0))
+        rate = ErrorRate(contradictions=(contradictions or {}).get(scenario, 0), lots=inspected, rejected=rejected)
+        count = by_scenario.get(scenario)
+        if count is not None and count.audited:
+            upper = (released or {}).get(scenario) if inspected else rate_bounds(count.wrong, count.audited)[1]
+            counted = {"audited": count.audited, "different": count.different, "wrong": count.wrong, "upper_95": upper}
+            rate = rate.model_copy(update=counted)
+        rates[scenario] = rate
+    return rates

@@ -11,10 +11,9 @@ import pytest
 
 from drivecal.analysis.front import non_dominated
 from drivecal.analysis.importance import _interval
-from drivecal.analysis.replicates import assess, interval
+from drivecal.analysis.replicates import assess, interval, rate_bounds
 from drivecal.analysis.robustness import undetected_share
 from drivecal.analysis.validation import mean_interval
-from drivecal.reduction.audit import clopper_pearson
 from drivecal.reduction.lots import SamplingPlan, most_released, smallest_plan
 
 REPEATS = 2_000
@@ -25,7 +24,7 @@ Row = tuple[float, float, float | None]
 def counts(share: float, size: int) -> Row:
     """R_err of audits and of released predictions: Clopper and Pearson, which is the exact one."""
     random = np.random.default_rng(1)
-    ends = np.array([clopper_pearson(int(wrong), size) for wrong in random.binomial(size, share, REPEATS)])
+    ends = np.array([rate_bounds(int(wrong), size) for wrong in random.binomial(size, share, REPEATS)])
     width = float((ends[:, 1] - ends[:, 0]).mean())
     return float(((ends[:, 0] <= share) & (share <= ends[:, 1])).mean()), width, width
 
@@ -38,7 +37,7 @@ def means(share: float, size: int, variants: int) -> Row:
         wrong = random.random(size) < share
         shares = wrong.astype(np.float64) if variants == 1 else random.binomial(variants, share, size) / variants
         ends[repeat] = mean_interval(shares)
-        exact[repeat] = clopper_pearson(int(wrong.sum()), size)
+        exact[repeat] = rate_bounds(int(wrong.sum()), size)
     held = (ends[:, 0] <= share) & (share <= ends[:, 1])
     known = float((exact[:, 1] - exact[:, 0]).mean()) if variants == 1 else None
     return float(held.mean()), float((ends[:, 1] - ends[:, 0]).mean()), known

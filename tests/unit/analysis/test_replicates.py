@@ -8,6 +8,7 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from scipy.stats import binomtest
 from tests.support.scales import COST, by_score
 from tests.support.values import present
 
@@ -417,9 +418,11 @@ def test_bounds_of_a_rate_have_names_of_their_own() -> None:
         assert len(goals.named_bounds(present(next(goals.judge([cells]))))) == 7
 
 
-def test_bounds_of_rates_are_exact() -> None:
+@pytest.mark.parametrize(("bad", "runs"), [(0, 1), (1, 50), (278, 500), (7, 7)])
+def test_bounds_of_rates_are_exact(bad: int, runs: int) -> None:
+    expected = binomtest(bad, runs).proportion_ci(confidence_level=0.95, method="exact")
+    assert rate_bounds(bad, runs) == pytest.approx((expected.low, expected.high), abs=1e-12)
     assert rate_bounds(0, 299, 0.95) == pytest.approx((0.0, 1 - 0.05 ** (1 / 299)))
-    assert rate_bounds(1, 50, 0.975) == pytest.approx((1 - 0.975 ** (1 / 50), 0.1064692), abs=1e-6)
 
 
 @pytest.mark.parametrize(

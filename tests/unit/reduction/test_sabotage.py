@@ -5,16 +5,15 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy import stats
 from tests.support.effort import tries
 from tests.support.inspected_lots import Tally, inspect, inspect_references, plan_of_references
 from tests.support.scales import COST
 
+from drivecal.analysis.replicates import rate_bounds
+from drivecal.analysis.validation import error_rates
 from drivecal.contracts.campaign import ErrorRate
 from drivecal.domain.evaluations import AuditCount
-from drivecal.reduction.audit import clopper_pearson, error_rates, expected_error_rate
+from drivecal.reduction.audit import expected_error_rate
 from drivecal.reduction.forest import predictor_on
 from drivecal.reduction.lots import outgoing_errors
 from drivecal.reduction.prediction import Bools, Floats, Predictions, ScenarioLearner
@@ -239,15 +238,7 @@ def test_a_wrong_sample_stops_no_map_for_good() -> None:
     assert released > 300
 
 
-@given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
-def test_the_interval_is_that_of_scipy(counts: tuple[int, int]) -> None:
-    wrong, audited = counts
-    expected = stats.binomtest(wrong, audited).proportion_ci(confidence_level=0.95, method="exact")
-    assert clopper_pearson(wrong, audited) == pytest.approx((expected.low, expected.high), abs=1e-12)
-
-
 def test_before_the_first_audit_nothing_is_known() -> None:
-    assert clopper_pearson(0, 0) == (0.0, 1.0)
     assert error_rates([], ["S1"]) == {"S1": ErrorRate()}
 
 
@@ -275,4 +266,4 @@ def test_lots_have_the_limit_of_what_they_released_and_no_interval_over_unlike_s
     lots = {"S1": (21, 0), "S2": (1, 1), "S3": (0, 0)}
     rates = error_rates(counts, lots, lots=lots, released={"S1": 0.08})
     assert (rates["S1"].upper_95, rates["S2"].upper_95) == (0.08, None)
-    assert rates["S3"].upper_95 == clopper_pearson(2, 278)[1]
+    assert rates["S3"].upper_95 == rate_bounds(2, 278)[1]

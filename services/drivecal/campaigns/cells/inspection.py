@@ -11,13 +11,14 @@ from dataclasses import dataclass, field, replace
 
 from sqlalchemy import Connection
 
+from drivecal.analysis.validation import error_rates
 from drivecal.campaigns.cells.planning import View
 from drivecal.contracts.campaign import ErrorRate
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import INSPECTED, Outcome, Purpose, RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.domain.scales import Scale
-from drivecal.reduction.audit import error_rates, expected_error_rate
+from drivecal.reduction.audit import expected_error_rate
 from drivecal.reduction.lots import SamplingPlan, best_plan, draw, most_released
 from drivecal.storage import audits, evaluations, events, lots
 from drivecal.storage.evaluations import AnsweredCell

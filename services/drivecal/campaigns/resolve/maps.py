@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import TypeAdapter
 from sqlalchemy import Connection
 
+from drivecal.analysis.replicates import rate_bounds
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.spaces import (
     covers,
@@ -30,7 +31,6 @@ from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.scales import Scale
 from drivecal.domain.values import decimal, shown, text
-from drivecal.reduction.audit import clopper_pearson
 from drivecal.sensitivity.scenario import ScenarioInfluence, decided_by
 from drivecal.storage.engine.types import finite
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
@@ -172,7 +172,7 @@ def doubts(connection: Connection, influence_map_id: str, largest_error: float, 
     largest_error = largest_error if largest_error < 1 else ReductionSpecification().max_error
     worst: dict[str, MapError] = {}
     for error in errors_of_map(connection, influence_map_id, before):
-        surely, _ = clopper_pearson(error.wrong, error.compared)
+        surely, _ = rate_bounds(error.wrong, error.compared)
         exceeds = surely > largest_error if error.audited else error.wrong > largest_error * error.compared
         if exceeds:
             known = worst.get(error.scenario)

@@ -2,12 +2,12 @@
 
 from sqlalchemy import Connection
 
+from drivecal.analysis.replicates import rate_bounds
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.contracts.campaign import Baseline, Best
 from drivecal.domain.events import EventKind
 from drivecal.domain.rounding import same
-from drivecal.reduction.audit import clopper_pearson
 from drivecal.storage import events
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.references import parameter_sets
@@ -40,7 +40,7 @@ class Leader:
                 undecided=solution.is_undecided,
                 constraints=goals.named_bounds(solution.judgement),
                 failed=list(solution.failed),
-                failure_interval=clopper_pearson(*self._ranking.failed_runs(number)) if solution.replicates > 1 else None,
+                failure_interval=rate_bounds(*self._ranking.failed_runs(number)) if solution.replicates > 1 else None,
                 **self._ranking.uncertainty(solution),
             )
             changed = before is None or not same(solution.objective, before.objective, solution.span)

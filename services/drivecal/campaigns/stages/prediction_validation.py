@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection
 
+from drivecal.analysis.replicates import rate_bounds
 from drivecal.analysis.validation import compared
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
@@ -14,7 +15,6 @@ from drivecal.campaigns.stages.stage import Round, StudyStage, ended_source, exa
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
-from drivecal.reduction.audit import clopper_pearson
 from drivecal.reduction.lots import draw
 from drivecal.storage import campaigns, lots, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -104,7 +104,7 @@ class PredictionValidation(StudyStage):
         scale = self._problem.bench.scale
         counts = compared(np.array(differences, dtype=np.float64), scale)
         tolerance = self._reduction.tolerance_on(scale) + scale.grain
-        lower, upper = clopper_pearson(counts["wrong"], counts["compared"]) if differences else (None, None)
+        lower, upper = rate_bounds(counts["wrong"], counts["compared"]) if differences else (None, None)
         drawn, beyond = len(self._drawn[scenario]), unanswered + sum(abs(difference) > tolerance for difference in differences)
         return {
             "scenario": scenario,
@@ -117,7 +117,7 @@ class PredictionValidation(StudyStage):
             "released": len(self._released[scenario]),
             "inspected": self._inspected[scenario],
             "beyond": beyond,
-            "beyond_lower_95": clopper_pearson(beyond, drawn)[0] if drawn and self._differences is not None else None,
+            "beyond_lower_95": rate_bounds(beyond, drawn)[0] if drawn and self._differences is not None else None,
             "limit": self._reduction.limit,
             **counts,
             "lower_95": lower,
