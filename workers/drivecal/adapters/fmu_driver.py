@@ -15,15 +15,13 @@ from typing import Any
 from drivecal.adapters.driver import Evaluate, UnusableError, described, serve
 from drivecal.bundles import units
 from drivecal.bundles.fmus.checks import output_problems, reduction_of, unit_problems, wanted_by
-from drivecal.bundles.fmus.description import INTEGERS, FmuVariable, Variables, number
+from drivecal.bundles.fmus.description import INTEGERS, NUMBERS, FmuVariable, Variables, number
 from drivecal.domain.errors import Problem, UnavailableError
 
 FATAL = 4
 """FMI's status after which no function of the FMU may be called."""
-_ACCESS = {"Real": "Real", "Boolean": "Boolean", "String": "String", "Float32": "Float32", "Float64": "Float64"} | {
-    name: name for name in INTEGERS
-}
-"""Type of a variable and the end of the names of the functions that read and write it."""
+_ACCESS = NUMBERS | INTEGERS.keys() | {"Boolean", "String"}
+"""Types of variables, which are the ends of the names of the functions that read and write them."""
 
 
 class Fmu:
@@ -118,8 +116,8 @@ class Fmu:
         kind = self.variables[name].type
         if self.variables[name].dimensions:
             raise UnusableError(f"the variable {name} is an array, which is not supported")
-        access = ("Int64" if self.is_third else "Integer") if kind == "Enumeration" else _ACCESS.get(kind)
-        if access is None:
+        access = ("Int64" if self.is_third else "Integer") if kind == "Enumeration" else str(kind)
+        if access not in _ACCESS:
             raise UnusableError(f"the variable {name} is of type {kind}, which is not supported")
         return access
 
@@ -131,7 +129,7 @@ class Fmu:
             value = self._item(name, value)
         elif (wanted := wanted_by(self.described[name], value)) is not None:
             raise UnusableError(f"{value} does not fit the variable {name} of type {variable.type}: {wanted}")
-        elif access not in {"Real", "Float64", "Float32"}:
+        elif access not in NUMBERS:
             value = int(value)
         getattr(self._slave, f"set{access}")([variable.valueReference], [value])
 
@@ -200,11 +198,7 @@ class Writer:
         """`groups`: names and value references by the end of the name of the function that writes them."""
         self.names = [name for group in groups.values() for name, _ in group]
         self._calls = [
-            (
-                getattr(slave, f"set{access}"),
-                None if access in {"Real", "Float64", "Float32"} else access,
-                [r for _, r in group],
-            )
+            (getattr(slave, f"set{access}"), None if access in NUMBERS else access, [r for _, r in group])
             for access, group in groups.items()
         ]
 
