@@ -62,8 +62,6 @@ class BaggedTrees:
 
     def _leaves_of(self, features: Floats) -> Indices:
         """Returns the leaf of each set in each tree, shape (n_trees, n)."""
-        if not self._trees:
-            raise RuntimeError("the forest has not learned yet")
         points = np.ascontiguousarray(features, dtype=np.float32)
         return np.stack([tree.tree_.apply(points) for tree in self._trees])
 
@@ -94,7 +92,7 @@ class Forest(BaggedTrees):
         self._grow(features, scores)
 
     def predict(self, features: Floats) -> Predictions:
-        """Predicts n sets. Raises RuntimeError before `fit`."""
+        """Predicts n sets, after `fit`."""
         leaves = self._leaves_of(features)
         votes = self._shares(leaves)
         chosen, confidence = self._choose(votes)
@@ -146,7 +144,7 @@ class RegressionForest(BaggedTrees):
         self._grow(features, scores)
 
     def predict(self, features: Floats) -> Predictions:
-        """Predicts n sets. Raises RuntimeError before `fit`."""
+        """Predicts n sets, after `fit`."""
         votes = self._votes(self._leaves_of(features))
         scores, confidence = self._choose(votes)
         return Predictions(scores, scores.copy(), confidence, votes.mean(axis=0), votes.var(axis=0))
