@@ -26,9 +26,10 @@ def read(content: bytes, file: str) -> Content:
 
 
 def write(form: CalibrationFormat, characteristics: Sequence[Characteristic], quality: Quality | None) -> bytes:
-    """Returns a file. CSV holds no quality data."""
+    """Returns a file. CSV, in UTF-8, has a row for each characteristic and no quality data."""
     if form == "csv":
-        return write_table(characteristics)
+        rows = ((row.name, row.given, row.unit, row.lower, row.upper, row.description) for row in characteristics)
+        return csv_text([COLUMNS, *rows]).encode()
     return dcm.write(characteristics, quality) if form == "dcm" else cdfx.write(characteristics, quality)
 
 
@@ -50,9 +51,3 @@ def labels_of(document: object, parameters: Sequence[str] | None = None) -> dict
     if problems:
         raise InvalidInputError(*problems)
     return {name: label for label, name in used.items()}
-
-
-def write_table(characteristics: Sequence[Characteristic]) -> bytes:
-    """Returns a table in CSV, UTF-8, with one row per characteristic."""
-    rows = ((row.name, row.given, row.unit, row.lower, row.upper, row.description) for row in characteristics)
-    return csv_text([COLUMNS, *rows]).encode()

@@ -20,7 +20,7 @@ from drivecal.api.tables.influence import map_rows
 from drivecal.api.tables.paging import ROWS_AT_A_TIME, ROWS_AT_FIRST, download, slices, table_answer
 from drivecal.api.tables.selection import selection
 from drivecal.calibration_data.characteristics import Characteristic
-from drivecal.calibration_data.files import write_table
+from drivecal.calibration_data.files import write
 from drivecal.campaigns.resolve.maps import map_to_document
 from drivecal.campaigns.resolve.spaces import space_to_document
 from drivecal.cli.commands.influence import bounds_text
@@ -117,7 +117,7 @@ FORMULAS = [
 def test_no_reader_of_any_separator_finds_a_formula(text: str, delimiter: str) -> None:
     rows = [{"id": 1, "score": -1.5, "name": text, "audited": None, "effects": [-1.0]}]
     characteristics = [Characteristic(name=text, value=-1.5, unit=text, description=text)]
-    for written in (content("csv", [rows]), write_table(characteristics)):
+    for written in (content("csv", [rows]), write("csv", characteristics, None)):
         lines = csv.reader(io.StringIO(written.decode(), newline=""), delimiter=delimiter)
         cells = [cell for line in lines for cell in line]
         assert not [cell for cell in cells if cell.lstrip(' "')[:1] in set("=+@\t\r＝") or (cell[:1] == "-" and cell != "-1.5")]
