@@ -1,6 +1,5 @@
 """Reads the modelDescription.xml of an FMU (FMI 2.0 and 3.0, co-simulation): variables with their units."""
 
-import math
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,7 +8,7 @@ from io import BytesIO
 from drivecal.bundles import units
 from drivecal.bundles.archives import UNREADABLE
 from drivecal.domain.errors import InvalidInputError
-from drivecal.roads.documents import Attributes, read_elements
+from drivecal.roads.documents import Attributes, finite, read_elements
 
 LARGEST_DESCRIPTION = 32 << 20
 LARGEST_DIRECTORY = 4 << 20
@@ -176,10 +175,4 @@ class _Reader:
 
 def number(text: str | None) -> float | None:
     """Returns a finite number, 1 or 0 of a Boolean; None if there is none, or an array of several."""
-    if text in {"true", "false"}:
-        return float(text == "true")
-    try:
-        value = float(text or "")
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
+    return float(text == "true") if text in {"true", "false"} else finite(text or "")

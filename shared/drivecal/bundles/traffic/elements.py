@@ -1,6 +1,5 @@
 """Small XML documents as trees that record which parts were read: the rest is listed as ignored."""
 
-import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -9,7 +8,7 @@ from drivecal.bundles.traffic.expressions import ExpressionError, evaluated
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.roads.documents import Attributes, cut, read_elements
+from drivecal.roads.documents import Attributes, cut, finite, read_elements
 
 MOST_ELEMENTS = 200_000
 LONGEST_NOTE = 200
@@ -179,15 +178,6 @@ def read_tree(content: bytes, name: str, root: str, substitution: Substitution |
     read_elements(content, name, root, start, end)
     whole[0].is_read = True
     return whole[0]
-
-
-def finite(text: str) -> float | None:
-    """Returns the number in a text, None if there is none."""
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) and "_" not in text else None
 
 
 def in_file(problem: Problem, place: str) -> Problem:

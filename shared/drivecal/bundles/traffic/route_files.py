@@ -17,10 +17,11 @@ from xml.etree import ElementTree as ET
 from drivecal.bundles.highway import CLASSES, Surroundings
 from drivecal.bundles.highway_actions import EGO
 from drivecal.bundles.highway_catalogue import TYPE_PARAMETERS
-from drivecal.bundles.traffic.elements import Element, Notes, finite, read_tree
+from drivecal.bundles.traffic.elements import Element, Notes, read_tree
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.roads.documents import finite
 from drivecal.roads.network import Network
 
 _TYPE = re.compile(r"(?:atomic|union) type '(?:xs:)?(\w+)'")
