@@ -66,13 +66,20 @@ class Design:
         return changes / self.steps
 
 
+SHORTEST = 0.25
+"""The shortest step as a share of the box: shorter ones inflate the effects of a discrete score."""
+
+
 class DesignBuilder:
     """Collects the points and pairs of a design."""
 
-    def __init__(self, n_values: Indices, unordered: Unordered | None = None) -> None:
-        """`n_values`: grid sizes of the searched parameters; `unordered`: which of them are choices; shape (n_searched,)."""
+    def __init__(self, n_values: Indices, unordered: Unordered | None = None, shortest: float = SHORTEST) -> None:
+        """`n_values`: grid sizes of the searched parameters; `unordered`: which of them are choices; shape (n_searched,). `shortest`: the
+        shortest step as a share of the box."""
         self._n_values = n_values
         self._unordered = np.zeros(len(n_values), dtype=np.bool_) if unordered is None else unordered
+        self.shortest = np.where(self._unordered, 0.0, shortest)
+        """Shortest step of each parameter: between choices every change is as long."""
         self._points: list[Indices] = []
         self._pairs: list[tuple[int, Indices, Indices, float]] = []
         self._count = 0
@@ -109,10 +116,6 @@ class DesignBuilder:
 
 SHIFT = 4
 """Rows between a base point and its auxiliary point."""
-SHORTEST = 0.25
-"""The shortest step as a share of the box: shorter ones inflate the effects of a discrete score."""
-
-
 COLUMNS = 3
 """Columns per parameter: the base point's, the auxiliary point's, and those for drawing again."""
 
@@ -139,11 +142,6 @@ def snapped(unit: Floats, lower: Indices, upper: Indices) -> Indices:
     """Grid indices from `lower` to `upper`, both included and all equally likely, for numbers in [0, 1)."""
     indices: Indices = lower + np.floor(unit * (upper - lower + 1)).astype(np.int64)
     return indices
-
-
-def shortest_shares(unordered: Unordered | None, shortest: float = SHORTEST) -> float | Floats:
-    """Returns the shortest step as a share of the box; by parameter if there are choices, between which every change is as long."""
-    return shortest if unordered is None else np.where(unordered, 0.0, shortest)
 
 
 def auxiliary_points(
@@ -178,18 +176,18 @@ def radial_design(
     unordered: Unordered | None = None,
 ) -> Design:
     """r (n_p + 1) runs in the box from `lower` to `upper`, shape (n_p,); effects of shape (n_p, r)."""
-    builder = DesignBuilder(n_values, unordered)
-    for column, first, second in add_radial(builder, rows, lower, upper, samples, shortest_shares(unordered, shortest)):
+    builder = DesignBuilder(n_values, unordered, shortest)
+    for column, first, second in add_radial(builder, rows, lower, upper, samples):
         builder.add_pairs(column, first, second)
     return builder.design(len(n_values))
 
 
 def add_radial(
-    builder: DesignBuilder, rows: SobolRows, lower: Indices, upper: Indices, samples: int, shortest: float | Floats = SHORTEST
+    builder: DesignBuilder, rows: SobolRows, lower: Indices, upper: Indices, samples: int
 ) -> list[tuple[int, Indices, Indices]]:
     """Adds the runs of a radial design; gives per parameter its column and the rows of its pairs, each of shape (samples,)."""
     base = snapped(rows.upto(samples)[:samples, : len(lower)], lower, upper)
-    auxiliary = auxiliary_points(rows, len(lower), base, lower, upper, shortest)
+    auxiliary = auxiliary_points(rows, len(lower), base, lower, upper, builder.shortest)
     first = builder.add_points(base)
     blocks = []
     for column in range(base.shape[1]):
@@ -214,8 +212,7 @@ def paper_design(
             lower, upper = np.zeros_like(n_values), n_values - 1
             lower[column], upper[column] = marks[interval], marks[interval + 1]
             rows = SobolRows(COLUMNS * len(n_values), seed, tag, column, interval + 1)
-            pairs = add_radial(builder, rows, lower, upper, samples, shortest_shares(unordered))
-            builder.add_pairs(*pairs[column])
+            builder.add_pairs(*add_radial(builder, rows, lower, upper, samples)[column])
         builder.add_gaps(column, samples, most - len(marks) + 1)
     return builder.design(len(n_values), most)
 
@@ -233,7 +230,7 @@ def base_points(n_values: Indices, samples: int, *key: int) -> Indices:
 
 
 def pairs_inside(
-    own: Indices, mine: npt.NDArray[np.bool_], lower: Indices, upper: Indices, *key: int, shortest: float = SHORTEST
+    own: Indices, mine: npt.NDArray[np.bool_], lower: Indices, upper: Indices, *key: int, shortest: float
 ) -> tuple[Indices, Indices]:
     """Two values of one parameter per base point, both of shape (samples,), inside [lower, upper], at least a step apart.
 
@@ -260,9 +257,9 @@ def lines_design(
         home = np.minimum(np.searchsorted(marks, base[:, column], side="right") - 1, len(marks) - 2)
         for interval, (lower, upper) in enumerate(pairwise(marks.tolist())):
             mine = home == interval
-            shortest = float(np.broadcast_to(shortest_shares(unordered), n_values.shape)[column])
             key = (seed, tag, column, interval)
-            first, second = pairs_inside(base[:, column], mine, np.array([lower]), np.array([upper]), *key, shortest=shortest)
+            box, shortest = (np.array([lower]), np.array([upper])), float(builder.shortest[column])
+            first, second = pairs_inside(base[:, column], mine, *box, *key, shortest=shortest)
             first_rows = base_rows.copy()
             first_rows[~mine] = builder.add_points(_moved(base[~mine], column, first[~mine]))
             builder.add_pairs(column, first_rows, builder.add_points(_moved(base, column, second)))
@@ -302,8 +299,7 @@ def regions_design(
             chosen = np.argsort(-room, kind="stable")[:samples]
             base, lower = pool[chosen], np.clip(start[chosen], least, most - 1)
             upper = np.clip(end[chosen], lower + 1, most)
-        own, key = base[:, column], (seed, tag, column)
-        shortest = float(np.broadcast_to(shortest_shares(unordered), n_values.shape)[column])
+        own, key, shortest = base[:, column], (seed, tag, column), float(builder.shortest[column])
         first, second = pairs_inside(own, (own >= lower) & (own <= upper), lower, upper, *key, shortest=shortest)
         judged = shortest * (most - least) / (n_values[column] - 1) if rooms else 0.0
         rows = builder.add_points(_moved(base, column, first))
