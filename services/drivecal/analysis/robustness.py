@@ -90,11 +90,12 @@ def vehicles_text(settings: Mapping[str, Any], compared: int, replicates: int = 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """The next box: `radius` and vehicles by solution. `number` counts from 1."""
+    """The next box, of half width `radius`: its vehicles, and the solutions to drive in them. `number` counts from 1."""
 
     number: int
-    radius: Mapping[int, float]
-    vehicles: Mapping[int, Sequence[Mapping[str, float]]]
+    radius: float
+    solutions: Sequence[int]
+    vehicles: Sequence[Mapping[str, float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,26 +141,25 @@ class RobustnessStudy:
     def ask(self) -> Box | None:
         """Returns the next box, the same until its scores arrive. None when the study is complete."""
         if self._asked is None:
-            radius = self._next_radii()
-            if not radius:
+            left = [solution for solution, trials in enumerate(self._trials) if all(trial.holds for trial in trials)]
+            if not left or self._boxes == self._settings.steps:
                 return None
-            number = self._boxes + 1
+            number, radius = self._boxes + 1, (self._boxes + 1) * self._settings.delta
             points = directions(len(self._parameters), self._settings.samples, self._settings.seed, number)
-            drawn = {width: vehicles(self._parameters, self._nominal, width, points) for width in set(radius.values())}
-            self._asked = Box(number, radius, {solution: drawn[width] for solution, width in radius.items()})
+            self._asked = Box(number, radius, left, vehicles(self._parameters, self._nominal, radius, points))
         return self._asked
 
     def tell(self, scores: Mapping[int, Floats]) -> None:
         """The scores of the asked solutions in their vehicles, shape (samples, n_s) each, NaN for cells without a result."""
         if self._asked is None:
             raise RuntimeError("ask first")
-        for solution, radius in self._asked.radius.items():
+        for solution in self._asked.solutions:
             away = deviation(self._scores[solution], scores[solution], self._settings.condition, self._least)
             deviations = {
                 name: None if np.isnan(size) else size for name, size in zip(self._scenarios, away.tolist(), strict=True)
             }
             is_kept = holds(away, self._scores[solution], self._settings)
-            trial = BoxTrial(box=self._asked.number, radius=radius, holds=is_kept, deviations=deviations)
+            trial = BoxTrial(box=self._asked.number, radius=self._asked.radius, holds=is_kept, deviations=deviations)
             self._trials[solution].append(trial)
         self._boxes, self._asked = self._asked.number, None
 
@@ -170,13 +170,6 @@ class RobustnessStudy:
     def _robustness(self, trials: Sequence[BoxTrial]) -> Robustness:
         inside = [trial.radius for trial in trials if trial.holds]
         return Robustness(len(inside), len(inside) == self._settings.steps, max(inside, default=0.0), tuple(trials))
-
-    def _next_radii(self) -> dict[int, float]:
-        step = self._boxes + 1
-        if step > self._settings.steps:
-            return {}
-        radius = step * self._settings.delta
-        return {solution: radius for solution, trials in enumerate(self._trials) if all(trial.holds for trial in trials)}
 
 
 def key_of(parameters: Mapping[str, float | str]) -> tuple[tuple[str, float | str], ...]:

@@ -84,10 +84,10 @@ def run(limits: list[float], chosen: RobustnessSpecification) -> tuple[Robustnes
     driven = 0
     while (box := study.ask()) is not None:
         scores: dict[int, Floats] = {}
-        for solution, radius in box.radius.items():
-            assert len(box.vehicles[solution]) == chosen.samples
+        assert len(box.vehicles) == chosen.samples
+        for solution in box.solutions:
             scores[solution] = np.full((chosen.samples, 2), 6.0)
-            if radius > limits[solution]:
+            if box.radius > limits[solution]:
                 scores[solution][0, 1] = 4.0
             driven += chosen.samples
         study.tell(scores)
@@ -109,12 +109,12 @@ def test_a_study_that_is_told_the_same_goes_on_as_the_first() -> None:
     first, boxes = RobustnessStudy(nominal, ("S1", "S2"), TABLE_8, NOMINAL, chosen), []
     while (box := first.ask()) is not None:
         boxes.append(box)
-        first.tell({one: np.round(nominal[one] - 60 * radius) + np.zeros((3, 2)) for one, radius in box.radius.items()})
+        first.tell({one: np.round(nominal[one] - 60 * box.radius) + np.zeros((3, 2)) for one in box.solutions})
     second = RobustnessStudy(nominal, ("S1", "S2"), TABLE_8, NOMINAL, chosen)
     for box in boxes:
         assert second.ask() == box
         assert second.ask() == box
-        second.tell({one: np.round(nominal[one] - 60 * radius) + np.zeros((3, 2)) for one, radius in box.radius.items()})
+        second.tell({one: np.round(nominal[one] - 60 * box.radius) + np.zeros((3, 2)) for one in box.solutions})
     assert second.ask() is None
     assert second.result() == first.result()
 

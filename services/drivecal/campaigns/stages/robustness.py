@@ -155,8 +155,8 @@ class RobustnessStage(StudyStage):
         samples = self._wanted.samples
         asked: list[tuple[Bench, list[RequestedCell]]] = []
         by_vehicle: dict[tuple[int, tuple[tuple[str, float], ...]], list[RequestedCell]] = {}
-        for solution, vehicles in box.vehicles.items():
-            for sample, vehicle in enumerate(vehicles):
+        for solution in box.solutions:
+            for sample, vehicle in enumerate(box.vehicles):
                 cells = by_vehicle.setdefault((bench.seed_of(sample), tuple(vehicle.items())), [])
                 cells += [
                     RequestedCell(solution * samples + sample, scenario, self._examined[solution].parameters)
@@ -184,7 +184,7 @@ class RobustnessStage(StudyStage):
         if self._study is None or box is None:
             raise RuntimeError(f"round {number} was not asked for")
         samples = self._wanted.samples
-        scores = {solution: np.full((samples, len(columns)), np.nan) for solution in box.radius}
+        scores = {solution: np.full((samples, len(columns)), np.nan) for solution in box.solutions}
         for answer in answers:
             solution, sample = divmod(answer.individual, samples)
             scores[solution][sample, columns[answer.scenario]] = np.nan if answer.score is None else answer.score
