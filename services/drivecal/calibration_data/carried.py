@@ -31,7 +31,7 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
     with file_faults(base, "read", "give a DCM, CDFX or A2L file"):
         held = base.read_bytes()
     if ending != form:
-        known = {each.name: each for each in files.read(held, file).characteristics}
+        known = {each.name: each for each in joined([files.read(held, file).characteristics])}
         return files.write(form, [each for each in replaced(known, chosen, file).values() if each.given is not None], None)
     if b"\0" in held[:64]:
         raise InvalidInputError(Problem(shown(file, 200), "its encoding is not one of single bytes", "save it as UTF-8"))
@@ -73,8 +73,9 @@ def replaced(known: Mapping[str, Characteristic], chosen: Sequence[Characteristi
         fits = name not in given or _fits(old, new, given)
         for letter, axis, own in zip(AXES, old.axes, new.axes, strict=False):
             moved = given.get(f"{name}.{letter}", given.get(axis.shared))
-            points = moved.values if moved and axis.points else axis.points if old.values else own.points
-            fits = fits and (not old.values or len(points) == len(axis.points))
+            held = axis.points if old.values else ()
+            points = moved.values if moved and axis.points else held or own.points
+            fits = fits and (not held or len(points) == len(held))
             axes.append(replace(axis, points=points))
             unknown.discard(f"{name}.{letter}")
         if not fits:

@@ -77,8 +77,9 @@ class Characteristic:
 
     @property
     def given(self) -> Any:
-        """The value as a problem has it: of a curve a list, of a map a list for each point of x. None without a value."""
-        if not self.axes or not self.values:
+        """The value as a problem has it: of a curve a list, of a map a list for each point of x. None without one for each
+        of its points."""
+        if not self.axes or not self.values or math.prod(len(axis.points) for axis in self.axes) != len(self.values):
             return self.value
         return list(self.values) if len(self.axes) == 1 else [list(column) for column in zip(*self.rows, strict=True)]
 

@@ -1,6 +1,7 @@
 """Curves, maps, arrays and shared axes in DCM and CDFX: kept to the last bit, also in another reader, and in files that others wrote."""
 
 import math
+import re
 import string
 from collections.abc import Mapping
 from dataclasses import replace
@@ -192,3 +193,14 @@ def test_an_a2l_gives_the_axes_of_a_set_their_kinds(tmp_path: Path) -> None:
     for form, module in FORMS.items():
         (read,) = module.read(carried(base, form, [chosen]), "set").characteristics
         assert plain(read) == replace(chosen, axes=(replace(axis, kind="COM_AXIS", shared="speeds"),))
+
+
+def test_a_base_that_refers_to_its_shared_axes_is_written_in_another_format(tmp_path: Path) -> None:
+    shared = [Characteristic(name, kind="COM_AXIS", axes=(index(2),), values=(1.0, 2.0)) for name in ("ax", "ay")]
+    axes = tuple(Axis("COM_AXIS", each.values, shared=each.name) for each in shared)
+    table = Characteristic("m", kind="MAP", axes=axes, values=(1.0, 2.0, 3.0, 4.0))
+    base = tmp_path / "b.cdfx"
+    for held, chosen, expected in (([*shared, table], [], [*shared, table]), ([table], [table], [table]), ([table], [], [])):
+        content = re.sub(rb"(?s)(-REF>a.</SW-INSTANCE-REF>\s*)<SW-VALUES-PHYS>.*?</SW-VALUES-PHYS>", rb"\1", cdfx.write(held))
+        base.write_bytes(content)
+        assert list(map(plain, dcm.read(carried(base, "dcm", chosen), "b.dcm").characteristics)) == expected
