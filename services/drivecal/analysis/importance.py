@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from drivecal.plugins.ports import Floats
 
 LEAST_SETS = 40
 """Fewer sets leave too few for a judgement by held-out ones."""

@@ -17,9 +17,9 @@ from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.scales import score_text
 from drivecal.domain.values import TEXTS
 from drivecal.reduction.keys import MapColumns
+from drivecal.reduction.prediction import Bools, Floats
 
 Integers = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
 
 
 class Nearest(NamedTuple):
@@ -45,12 +45,12 @@ class CellComparison:
         self._values = values
         self._ranges = ranges
 
-    def blocking(self, stored: Integers) -> npt.NDArray[np.bool_]:
+    def blocking(self, stored: Integers) -> Bools:
         """Returns the parameters of stored sets that forbid reuse, for `stored` coded as the cell's values; both of shape (n, n_p)."""
-        blocks: npt.NDArray[np.bool_] = self._map.codes(stored) != self._map.codes(self._values)
+        blocks: Bools = self._map.codes(stored) != self._map.codes(self._values)
         return blocks
 
-    def distances(self, stored: Integers, blocking: npt.NDArray[np.bool_]) -> Floats:
+    def distances(self, stored: Integers, blocking: Bools) -> Floats:
         """Euclidean, of the blocking parameters alone, each in units of its range, shape (n,): what differs elsewhere does not matter.
 
         Another choice is as far away as the whole range.

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 import sklearn
 from sklearn.tree import ExtraTreeRegressor
 
+from drivecal.domain.parameters import Indices
 from drivecal.domain.rounding import grain
 from drivecal.domain.scales import Scale
 from drivecal.reduction.prediction import Bools, Floats, Predictions, Predictor
@@ -24,8 +24,6 @@ MOST_CLASSES = 100
 """Largest number of scores of a scale that are classes."""
 STEPS = 2.0**18
 """Whole numbers over the range of the scores that trees split by: their sums are exact, so that no unit or offset changes a split."""
-
-Indices = npt.NDArray[np.int64]
 
 
 class BaggedTrees:

@@ -12,14 +12,13 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace
 from drivecal.domain.rounding import grains
 from drivecal.domain.values import billionths
 from drivecal.reduction.lots import SamplingPlan, best_plan
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
-Positions = npt.NDArray[np.int64]
 
 RECENT = 6
 """Batches that a calibration remembers."""
@@ -212,7 +211,7 @@ class ScenarioLearner:
 class Lot:
     """Accepted predictions, by position, and their inspection."""
 
-    members: Positions
+    members: Indices
     plan: SamplingPlan
 
 

@@ -4,14 +4,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.surrogate.gaussian_process import Encoding
+from drivecal.optimizers.surrogate.models import Bools
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, CellAnswer
 
-Bools = npt.NDArray[np.bool_]
 EQUAL_REPEATS = 8
 """Equal repeats in each scenario after which a simulator counts as not random."""
 
