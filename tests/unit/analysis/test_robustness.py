@@ -109,12 +109,12 @@ def test_a_study_that_is_told_the_same_goes_on_as_the_first() -> None:
     first, boxes = RobustnessStudy(nominal, ("S1", "S2"), TABLE_8, NOMINAL, chosen), []
     while (box := first.ask()) is not None:
         boxes.append(box)
-        first.tell({one: np.round(nominal[one] - 60 * box.radius) + np.zeros((3, 2)) for one in box.solutions})
+        first.tell({each: np.round(nominal[each] - 60 * box.radius) + np.zeros((3, 2)) for each in box.solutions})
     second = RobustnessStudy(nominal, ("S1", "S2"), TABLE_8, NOMINAL, chosen)
     for box in boxes:
         assert second.ask() == box
         assert second.ask() == box
-        second.tell({one: np.round(nominal[one] - 60 * box.radius) + np.zeros((3, 2)) for one in box.solutions})
+        second.tell({each: np.round(nominal[each] - 60 * box.radius) + np.zeros((3, 2)) for each in box.solutions})
     assert second.ask() is None
     assert second.result() == first.result()
 

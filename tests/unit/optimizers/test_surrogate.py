@@ -145,7 +145,7 @@ def begun(task: SearchTask, seed: int = 1) -> Search:
 
 
 def assert_same_after(rounds: int, whole: Played, seed: int = 1) -> None:
-    """Asserts that a search which is resumed after so many rounds asks for the same cells."""
+    """Asserts that a search that is resumed after these rounds asks for the same cells."""
     first = begun(whole.task, seed)
     part = Played(whole.task, whole.value, whole.room).play(first, rounds)
     state = json.loads(json.dumps(first.state(), allow_nan=False))
