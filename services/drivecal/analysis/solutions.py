@@ -40,7 +40,7 @@ class EvaluatedSet:
     span: float
     """Width of the objective's declared range; 0 without one."""
     failed: tuple[str, ...] = ()
-    """Weighted scenarios in which all its runs failed."""
+    """Weighted scenarios where each of its runs failed."""
     replicates: int = 1
     """Seeds under which it has a result in every scenario."""
     failures: int = 0

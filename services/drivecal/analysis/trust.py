@@ -79,8 +79,8 @@ class BesideBaseline:
 @dataclass(frozen=True, slots=True)
 class Chosen:
     """A set that was chosen. `compared` has the objectives that the baseline has as well. `copied` has the scenarios with a reference's
-    score, and `failed` those of its `scenarios` in which all its runs failed. Violations are shares. `is_judged`: every objective and
-    constraint has a value. `is_best`: the search ended with this set."""
+    score, and `failed` the scenarios, of `scenarios` in all, where each of its runs failed. Violations are shares. `is_judged`: every
+    objective and constraint has a value. `is_best`: the search ended with this set."""
 
     parameters: Mapping[str, float | str]
     compared: Sequence[BesideBaseline] = ()

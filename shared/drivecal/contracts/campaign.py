@@ -153,7 +153,7 @@ class Best(Answer):
     constraints: dict[str, float] = {}
     """The constrained amounts, as of `Solution`."""
     failed: list[str] = []
-    """Scenarios in which all its runs failed."""
+    """Scenarios where each of its runs failed."""
     replicates: int = 1
     """Seeds under which it ran."""
     failures: int = 0
