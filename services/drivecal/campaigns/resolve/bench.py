@@ -102,8 +102,9 @@ class Bench:
         """Run requests to workers by scenario."""
         manifest = self.bundle.manifest
         # Each run of a child process is told its side conditions, as it is told its seed.
-        served = self if runs_in_worker(self.section) else replace(self, values={}, vehicles={})
-        sessions = served.setups_under(None) if self.has_seed or served.fingerprints != self.fingerprints else {}
+        is_told = bool(self.values or self.vehicles) and not runs_in_worker(self.section)
+        served = replace(self, values={}, vehicles={}) if is_told else self
+        sessions = served.setups_under(None) if self.has_seed or is_told else {}
         return {
             name: SetupRequest(
                 bundle=self.bundle.digest,

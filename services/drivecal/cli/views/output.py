@@ -157,7 +157,7 @@ def _uncertainty_texts(best: Best, aggregate: str | Mapping[str, float]) -> Iter
     if best.lower is not None or best.upper is not None:
         what = aggregate if isinstance(aggregate, str) else f"quantile {aggregate['quantile']:g}"
         ends = " to ".join("unknown" if end is None else score_text(end) for end in (best.lower, best.upper))
-        yield f"objective {ends} ({what} of the last of {best.replicates} seeds); {best.close} other sets may be as good"
+        yield f"objective {ends} ({what} of the seeds that report it, of {best.replicates}); {best.close} other sets may be as good"
     if best.failure_interval is not None:
         lower, upper = best.failure_interval
         yield f"{best.failures} failed runs; {percent(lower, 1)} to {percent(upper, 1)} of its runs fail"
@@ -174,6 +174,9 @@ def _search_text(campaign: Campaign) -> str:
     text = (
         f"{campaign.spent.simulations:,}{simulations} simulations, {campaign.spent.minutes:.1f}{minutes} min of the wall clock"
     )
+    stored = campaign.cells.requested - campaign.spent.simulations
+    if simulations and stored > 0 and (campaign.spec.get("optimizer") or {}).get("kind") == "surrogate":
+        text += f"; {stored:,} stored answers count as simulations"
     text += f"; {campaign.cells.discarded:,} cells of given-up sets left out" if campaign.cells.discarded else ""
     return text if campaign.ended_by is None else f"{text}; ended by: {campaign.ended_by}"
 
