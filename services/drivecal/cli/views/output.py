@@ -125,7 +125,7 @@ def print_pace(expected: ExpectedRuns | ExpectedComparison) -> None:
     how = "measured" if expected.measured else "assumed: none was made yet"
     if expected.seconds is not None:
         each = f"{expected.milliseconds:.1f} ms of one per simulation, {how}"
-        further = "planning, optimizers and predictions may take further time"
+        further = "planning, optimizers, predictions and starts of a simulator may take further time"
         typer.echo(f"at most about {duration(expected.seconds)} on {workers} ({each}); {further}")
     elif expected.workers is None:
         typer.echo("the duration is unknown: there are no workers now")
