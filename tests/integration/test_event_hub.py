@@ -115,9 +115,8 @@ def test_a_silent_database_and_its_return_are_reported(database: Database, monke
         hub = EventHub(database)
         async with asyncio.timeout(20):
             async for messages in hub.stream(stored.sequence, stored.id, 0):
-                result += [
-                    f"{getattr(message, 'kind', PROGRESS)} {reason in message.model_dump_json()}" for message in messages
-                ]
+                told = [(getattr(message, "kind", PROGRESS), message.model_dump_json()) for message in messages]
+                result += [f"{kind} {reason in text}" for kind, text in told]
                 if result[-1:] == ["progress False"] and not away:
                     away = True
                 elif result[-1:] == ["degraded True"]:

@@ -269,7 +269,7 @@ def _constraints(campaign: Campaign) -> Iterator[ResultVerdict]:
     if campaign.best.undecided:
         yield verdict("constraints_undecided", "amber", subject="the best set")
     elif campaign.best.violation > 0 and campaign.best.replicates > 1:  # of others, fewer runs may look as if they kept them
-        subject = "By the runs that report it, the best set"
+        subject = "By its runs, the best set"
         yield verdict("constraints_broken", "red", subject=subject, share=campaign.best.violation)
     elif campaign.best.violation > 0:
         yield verdict("no_set_keeps_constraints", "red", share=campaign.best.violation)

@@ -7,6 +7,8 @@ from statistics import NormalDist
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.stats import binomtest
 from tests.support.scales import COST, by_score
@@ -22,7 +24,8 @@ from drivecal.domain.evaluations import CellScore
 from drivecal.domain.scales import Direction, Scale
 
 SETS, CONFIDENCE, MOST = 12, 0.95, 300
-COST_OF_RUNS = Objective("cost", CellValue(measure="cost"), {"S1": 1.0}, Aggregate("mean"), -1, 0.0)
+PRICE, GAP, ALONE = CellValue(measure="cost"), CellValue(measure="gap"), {"S1": 1.0}
+LIMITED = Goals((Objective("cost", PRICE, ALONE, Aggregate(), -1),), (Bound("gap", GAP, ALONE, Aggregate(), 1, 2.0, 1.0),))
 
 
 @dataclass
@@ -192,32 +195,27 @@ def test_second_runs_go_to_several_sets_before_the_noise_is_known() -> None:
 
 
 def test_runs_that_report_choose_nothing_through_constraints() -> None:
-    shares, cost, gap = {"S1": 1.0}, COST_OF_RUNS.value, CellValue(measure="gap")
-    goals = Goals((COST_OF_RUNS,), (Bound("gap", gap, shares, Aggregate("mean"), 1, 2.0, 1.0),))
-    ranking = Ranking(shares, goals, ReplicatesSpecification(most=5))
+    ranking = Ranking({"S1": 1}, LIMITED, ReplicatesSpecification(most=5))
     kept = {1: [(1.0, 2.5), (1.1, 2.5), (1.2, 2.5), (1.3, 0.5), (1.4, 0.5)], 2: [(3.0, 2.5), (3.1, 2.5), (3.2, 2.5)]}
     for number, runs in kept.items():
         ranking.add(
-            CellScore(number, "S1", 0.0, 0.0, True, 0, number, seed=seed, values={cost.key: run[0], gap.key: run[1]})
+            CellScore(number, "S1", 0.0, 0.0, True, 0, number, seed=seed, values={PRICE.key: run[0], GAP.key: run[1]})
             for seed, run in enumerate(runs, 1)
         )
     best = present(ranking.best())
     assert best[0].parameter_set == 1
     assert best[0].violation == pytest.approx(1.5)
     [front] = ranking.front()  # a set is on it by the values that it shows
-    assert (front.solution.replicates, front.solution.violation, front.cells["S1"].values[gap.key]) == (3, 0.0, 2.5)
+    assert (front.solution.replicates, front.solution.violation, front.cells["S1"].values[GAP.key]) == (3, 0.0, 2.5)
 
 
 def test_sets_that_break_constraints_tell_the_noise_of_those_that_keep_them() -> None:
-    shares, gap = {"S1": 1.0}, CellValue(measure="gap")
-    goals = Goals((COST_OF_RUNS,), (Bound("gap", gap, shares, Aggregate("mean"), 1, 2.0, 1.0),))
-    ranking = Ranking(shares, goals, ReplicatesSpecification(most=5))
+    ranking = Ranking({"S1": 1}, LIMITED, ReplicatesSpecification(most=5))
     broken = {number: [(1.0, 2.5), (5.0, 0.5)] for number in range(1, 5)}
     for number, runs in (broken | {5: [(2.9, 2.5), (3.1, 2.5)], 6: [(2.5, 2.5)]}).items():
-        values = [{COST_OF_RUNS.value.key: cost, gap.key: width} for cost, width in runs]
-        ranking.add(
-            CellScore(number, "S1", 0, 0, True, 0, number, seed=seed, values=each) for seed, each in enumerate(values, 1)
-        )
+        for seed, (cost, width) in enumerate(runs, 1):
+            values = {PRICE.key: cost, GAP.key: width}
+            ranking.add([CellScore(number, "S1", 0, 0, True, 0, number, seed=seed, values=values)])
     assert [each.parameter_set for each in ranking.best_first()[:2]] == [5, 6], "one lucky run"
 
 
@@ -335,11 +333,9 @@ def test_intervals_are_those_of_a_ranking_that_takes_all_answers_at_once() -> No
 
 
 def test_a_set_that_lost_its_value_to_a_failed_run_tells_nothing_of_others() -> None:
-    gap = CellValue(measure="gap")
-    goals = Goals((Objective("gap", gap, {"S1": 1.0}, Aggregate(), 1),))
-    values = [(1, seed, {gap.key: float(seed)}) for seed in range(1, 5)] + [
-        (number, 1, {gap.key: 0.0}) for number in range(2, 8)
-    ]
+    goals = Goals((Objective("gap", GAP, {"S1": 1.0}, Aggregate(), 1),))
+    values = [(1, seed, {GAP.key: float(seed)}) for seed in range(1, 5)]
+    values += [(number, 1, {GAP.key: 0.0}) for number in range(2, 8)]
     cells = [CellScore(number, "S1", 1.0, 1.0, True, 0, number, seed=seed, values=known) for number, seed, known in values]
     ranking = Ranking({"S1": 1}, goals, ReplicatesSpecification())
     ranking.add(cells)
@@ -418,10 +414,12 @@ def test_bounds_of_a_rate_have_names_of_their_own() -> None:
         assert len(goals.named_bounds(present(next(goals.judge([cells]))))) == 7
 
 
-@pytest.mark.parametrize(("bad", "runs"), [(0, 1), (1, 50), (278, 500), (7, 7)])
-def test_bounds_of_rates_are_exact(bad: int, runs: int) -> None:
+@given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_bounds_of_rates_are_exact(counts: tuple[int, int]) -> None:
+    bad, runs = counts
     expected = binomtest(bad, runs).proportion_ci(confidence_level=0.95, method="exact")
     assert rate_bounds(bad, runs) == pytest.approx((expected.low, expected.high), abs=1e-12)
+    assert rate_bounds(0, 0) == (0.0, 1.0)
     assert rate_bounds(0, 299, 0.95) == pytest.approx((0.0, 1 - 0.05 ** (1 / 299)))
 
 

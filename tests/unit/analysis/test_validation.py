@@ -1,5 +1,6 @@
 """The sets of Section V: all effects of the reducible parameters covered, and variants that stay in their regions."""
 
+from collections.abc import Sequence
 from itertools import combinations, product
 
 import numpy as np
@@ -7,11 +8,11 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.support.classified import classified
 from tests.support.effort import examples
 from tests.support.values import present
 
-from drivecal.analysis.validation import MOST_EXACT, Differences, _kept, coverage, design, generator
+from drivecal.analysis.validation import MOST_EXACT, Differences, ReducibleSpace, _kept, coverage, design, generator
+from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import GENETIC, GeneticSettings
 
 EVERY = np.arange(10)
@@ -19,6 +20,12 @@ LOW = np.array([-1, -1, -1, 3, 4, 5, 6, 7, 8, 9])
 BOTH = np.array([-1, -1, 2, 3, 4, 5, 6, 99, 99, 99])
 SINGLE = np.array([-1, 1, 2, 3, 4, 5, 6, 7, 8, 99])
 FREE = np.zeros(10, dtype=np.int64)
+
+
+def classified(classes: Sequence[Indices]) -> ReducibleSpace:
+    """Returns a space whose regions are the values of one class. `classes` has an array of shape (n_values,) for each parameter."""
+    regions = [[tuple(np.flatnonzero(listed == number).tolist()) for number in np.unique(listed)] for listed in classes]
+    return ReducibleSpace(np.array([len(listed) for listed in classes]), regions)
 
 
 def brute_force(masks: npt.NDArray[np.bool_], orders: int) -> tuple[int, int]:

@@ -1,11 +1,54 @@
-"""The unit tests of the page's own sources, where what runs them is there."""
+"""The page's own sources: their unit tests, where what runs them is there; words that the glossary explains; texts of existing fields."""
 
+import json
 import re
 import subprocess
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from tests.support.tree import PROJECT
 from tests.support.web import WEB, hook
+
+from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.plugins import registry
+
+FIELDS = json.loads((PROJECT / "services" / "web" / "src" / "lib" / "forms" / "fields.json").read_text())
+GROUPS = {
+    "vehicle.model": "vehicles",
+    "evaluator": "evaluators",
+    "optimizer.kind": "optimizers",
+    "optimizers[].kind": "optimizers",
+}
+
+
+def paths(schema: dict[str, Any], definitions: dict[str, Any], at: str = "") -> Iterator[str]:
+    """All fields of a schema as the page names them."""
+    if "$ref" in schema:
+        yield from paths(definitions[schema["$ref"].rpartition("/")[2]], definitions, at)
+    for variant in [*schema.get("anyOf", []), *schema.get("oneOf", [])]:
+        yield from paths(variant, definitions, at)
+    if "items" in schema:
+        yield from paths(schema["items"], definitions, f"{at}[]")
+    for name, inner in schema.get("properties", {}).items():
+        path = f"{at}.{name}" if at else name
+        yield path
+        yield from paths(inner, definitions, path)
+
+
+def test_every_field_that_is_explained_exists() -> None:
+    known: set[str] = set()
+    for model in (CampaignSpecification, ComparisonSpecification):
+        schema = model.model_json_schema()
+        known.update(paths(schema, schema["$defs"]))
+    assert set(FIELDS["help"]) | set(FIELDS["names"]) <= known
+
+
+@pytest.mark.parametrize("path", sorted(GROUPS))
+def test_every_plug_in_that_comes_with_drivecal_can_be_chosen(path: str) -> None:
+    left_out = {"external"} if path == "optimizers[].kind" else set()  # comparisons refuse it
+    assert sorted({*FIELDS["names"][path], *left_out}) == registry.names(f"drivecal.{GROUPS[path]}")
 
 
 def test_the_pure_parts_of_the_page_do_what_their_tests_say() -> None:

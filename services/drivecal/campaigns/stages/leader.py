@@ -89,5 +89,5 @@ class Leader:
         if self.best.undecided and (seeds := self._ranking.to_show(best[0].parameter_set, ever=True)):
             runs = seeds * len(self._problem.scenarios)
             broken += f": budget or `most` is too small; {runs:,} more runs, all within limits, show it"
-        others = "by the runs that report it" if self.best.replicates > 1 else "no set keeps all constraints on results"
+        others = "by its runs" if self.best.replicates > 1 else "no set keeps all constraints on results"
         return [f"{others}: the best set {broken}"]

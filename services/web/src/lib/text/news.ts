@@ -80,7 +80,7 @@ export function needsOf(known: readonly Campaign[], since: number, trust: Readon
     if (state === "failed") return [{ campaign, kind: "failed", why: campaign.error ?? "It ended with an error.", title: "Start it again", ...again }];
     if (!calibrates(campaign)) return [];
     if (!best) return [{ campaign, kind: "nothing feasible", why: "No set has a result in every scenario.", title: "See the log", path: ["campaigns", id, "overview"], query: { at: "log" } }];
-    if (best.violation > 0 && !best.undecided) return [{ campaign, kind: "nothing feasible", why: `${(best.replicates ?? 1) > 1 ? "By the runs that report it, the best set breaks the constraints" : "No set keeps all constraints; the best one breaks them"} by ${percent(best.violation)}.`, title: "Change the constraints", ...again }];
+    if (best.violation > 0 && !best.undecided) return [{ campaign, kind: "nothing feasible", why: `${(best.replicates ?? 1) > 1 ? "By its runs, the best set breaks the constraints" : "No set keeps all constraints; the best one breaks them"} by ${percent(best.violation)}.`, title: "Change the constraints", ...again }];
     const doubt = trust[id]?.verdicts.find(({ light }) => light === "red" || light === "amber");
     if (!doubt) return [];
     const on = { ...again, query: { from: id, start: JSON.stringify([best.parameters]) } };
