@@ -7,6 +7,7 @@
   random sets, and as much that all sets have in common, or `random_motorway`: the TRUE objective of the set that a campaign of `--cells`
   runs reports, over `--seeds` seeds, how far the report is off in the mean, in how many seeds an arm is better or worse than the first
   one, and how many 95 % intervals hold the truth. `single` believes single samples, `after` has replicates after the search alone.
+  `--smooth`: the luck of a run is alike for similar sets.
 """
 
 import argparse
@@ -15,7 +16,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,8 @@ NOISES = (0.5, 1.0, 3.0)
 MANY, USUAL = ReplicatesSpecification(most=200), ReplicatesSpecification()
 SEEDS, FRESH, REPORTING = 10_000, range(1001, 1101), 8
 """Number of a campaign's seeds, the seeds for the truth of its best set, and the number of seeds for its report."""
+WAVES, LENGTH = 100, 0.3
+"""Waves of luck that is alike for similar sets, and its length for one parameter, in ranges."""
 ROOM = 8
 """Runs of a round."""
 DISTANCE, BEST, SCENARIOS = 0.2, 6.0, 6
@@ -130,15 +133,34 @@ def allocated(
         yield f"{kind:10}{sets:>5}{noise:>7}{100 * right:>7.1f} %{runs:>9.1f}{100 * share:>10.0f} %{100 * held:>14.1f} %"
 
 
+def smooth(seed: tuple[int, ...], shares: Floats) -> float:
+    """Returns a draw of variance 1 at a set, by shares of its ranges, that is alike for sets near each other: under one seed a sum of
+    waves with random frequencies (Rahimi and Recht 2007)."""
+    frequencies, phases, weights = waves(seed, len(shares))
+    return float(weights @ np.cos(frequencies @ shares + phases))
+
+
+@lru_cache(10_000)
+def waves(seed: tuple[int, ...], parameters: int) -> tuple[Floats, Floats, Floats]:
+    generator = np.random.default_rng([*seed, WAVES])
+    frequencies = generator.normal(size=(WAVES, parameters)) / (LENGTH * parameters**0.5)
+    return frequencies, generator.uniform(0, 2 * np.pi, WAVES), generator.normal(size=WAVES) * (2 / WAVES) ** 0.5
+
+
 class RandomRun(Run):
     """Runs a problem of `economy` under the seeds of a campaign, and ranks its sets."""
 
-    def __init__(self, chosen: EconomyProblem, cells: int, noise: float, number: int) -> None:
+    def __init__(self, chosen: EconomyProblem, cells: int, noise: float, number: int, *, is_smooth: bool = False) -> None:
         """`noise`: deviation of a run's objective, and as much again for what all sets have in common."""
         super().__init__(chosen, cells)
+        self._smooth = is_smooth
         self._noise, self._number, self.sets = noise * len(chosen.scenarios) ** 0.5, number, dict[tuple[int, ...], int]()
         self._answers: list[CellScore] = []
         self.ranking = self._ranked()
+
+    def _shares(self, cell: AskedCell) -> Floats:
+        shares: Floats = np.array(cell.indices) / np.maximum(np.asarray(self.problem.space.n_values) - 1, 1)
+        return shares
 
     def _ranked(self) -> Ranking:
         return by_score(dict.fromkeys(self.problem.scenarios, 1.0), self.problem.scale, USUAL)
@@ -151,7 +173,8 @@ class RandomRun(Run):
         if answer.failed:
             return answer
         seed = (self._number, cell.scenario, cell.replicate)
-        drawn = np.random.default_rng([*seed, *cell.indices]).normal() + np.random.default_rng(seed).normal()
+        own = smooth(seed, self._shares(cell)) if self._smooth else np.random.default_rng([*seed, *cell.indices]).normal()
+        drawn = own + np.random.default_rng(seed).normal()
         return CellAnswer(cell, (scale.worth(answer.values[0] + self._noise * drawn),))
 
     def _scored(self, answer: CellAnswer) -> CellScore:
@@ -211,10 +234,12 @@ SEARCHES: Mapping[str, Callable[[Run, int], None]] = {
 }
 
 
-def reported(chosen: EconomyProblem, arm: str, seed: int, cells: int, noise: float) -> tuple[float, float, list[bool]]:
+def reported(
+    chosen: EconomyProblem, arm: str, seed: int, cells: int, noise: float, *, is_smooth: bool = False
+) -> tuple[float, float, list[bool]]:
     """Returns the result of a campaign."""
     kept = 0 if arm == "single" else kept_back(cells, len(chosen.scenarios), USUAL.most, by_cell=arm == "surrogate")
-    run = RandomRun(chosen, cells - kept, noise, seed)
+    run = RandomRun(chosen, cells - kept, noise, seed, is_smooth=is_smooth)
     with suppress(Ended):
         SEARCHES[arm](run, seed)
     if kept:
@@ -237,7 +262,10 @@ def compared(options: Any, figures: dict[str, list[float]]) -> Iterator[str]:
         chosen = problem(name, options.cache)
         for noise in [0.0] if name == "random_motorway" else options.noises:
             deviation, seeds = noise * distance(chosen) if noise else 0.0, range(1, options.seeds + 1)
-            by_seed = [[reported(chosen, arm, seed, cells, deviation) for arm in options.arms] for seed in seeds]
+            by_seed = [
+                [reported(chosen, arm, seed, cells, deviation, is_smooth=options.smooth) for arm in options.arms]
+                for seed in seeds
+            ]
             for arm, results in zip(options.arms, zip(*by_seed, strict=True), strict=True):
                 truths = figures[f"{name} {noise} {cells} {arm}"] = [truth for truth, *_ in results]
                 off, held = (
@@ -263,6 +291,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--arms", nargs="+", choices=SEARCHES, default=list(SEARCHES))
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--cells", type=int, nargs="+", default=[300, 600])
+    parser.add_argument("--smooth", action="store_true", help="luck that is alike for similar sets")
     parser.add_argument("--cache", type=Path, help="folder of simulated answers")
     options, figures = parser.parse_args(arguments), dict[str, list[float]]()
     synthetic = allocated(options.kinds, options.sets, options.noises, options.campaigns, figures)

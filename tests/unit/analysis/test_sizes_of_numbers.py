@@ -22,6 +22,7 @@ from drivecal.contracts.tables import Generation
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.scales import Direction, Scale
 from drivecal.optimizers.population import ranking
+from drivecal.optimizers.surrogate.gaussian_process import Points
 from drivecal.optimizers.surrogate.merits import Standing
 from drivecal.optimizers.surrogate.models import ScenarioModel
 from drivecal.plugins.ports import Floats
@@ -165,9 +166,9 @@ def test_models_of_the_surrogate_do_not_depend_on_the_unit(size: float, offset: 
         value = CellValue(measure="m")
         aim = JudgedGoals(Goals((Objective("m", value, {"s": 1.0}, Aggregate(), -1),)), ("s",))
         model = ScenarioModel(1, 2, np.arange(2), aim.best[0], aim.worst[0])
-        model.learn(
-            features[:60], (unit * np.exp(usual[:60] / 4) + away)[:, np.newaxis], np.zeros(60, dtype=np.bool_), features[:0]
-        )
+        points = Points(features, np.ones(len(features), dtype=np.int64))
+        values = (unit * np.exp(usual[:60] / 4) + away)[:, np.newaxis]
+        model.learn(points[:60], values, np.zeros(60, dtype=np.bool_), points[:0])
         belief = model.predict(features[60:90], pending=True)
         drawn = model.values(belief, np.full((1, 1, 1), 0.5), np.full((1, 1), 0.9))
         beliefs.append((drawn - away) / unit)

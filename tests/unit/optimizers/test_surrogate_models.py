@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import Matern
 
-from drivecal.optimizers.surrogate.gaussian_process import Encoding, GaussianProcess, Hyperparameters, fitted
+from drivecal.optimizers.surrogate.gaussian_process import SAMPLED, Encoding, GaussianProcess, Hyperparameters, Points, fitted
 from drivecal.optimizers.surrogate.models import FEWEST, MOST, ScenarioModel, Warp
 from drivecal.plugins.ports import Floats
 
+NONE = Points(np.empty((0, 6)), np.empty(0, dtype=np.int64))
 ENCODING = Encoding(np.array([101, 51, 4], dtype=np.int64), ("grid", "integer", "choice"))
 
 
@@ -22,37 +23,78 @@ def drawn(count: int, seed: int) -> tuple[Floats, Floats]:
     return features, targets - targets.mean()
 
 
+class Seeded(Matern):  # type: ignore[misc]  # scikit-learn ships no types
+    """The covariance of answers whose seeds are the last column."""
+
+    def __init__(self, length_scale: Floats, own: float, common: float) -> None:
+        super().__init__(length_scale, nu=2.5)
+        self.own, self.common = own, common
+
+    def __call__(self, X: Floats, Y: Floats | None = None) -> Floats:  # noqa: N803  # its names
+        others = X if Y is None else Y
+        covariance = super().__call__(X[:, :-1], others[:, :-1])
+        result: Floats = covariance + (X[:, -1:] == others[:, -1]) * (self.own * covariance + self.common)
+        return result
+
+
 @settings(max_examples=20, deadline=None)
 @given(
     count=st.integers(3, 60),
     seed=st.integers(0, 99),
     lengths=st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3),
     noise=st.floats(-9, -2),
+    luck=st.none() | st.tuples(st.floats(-5, 1), st.floats(-5, 1)),
 )
-def test_means_and_deviations_are_those_of_scikit_learn(count: int, seed: int, lengths: list[float], noise: float) -> None:
+def test_means_and_deviations_are_those_of_scikit_learn(
+    count: int, seed: int, lengths: list[float], noise: float, luck: tuple[float, float] | None
+) -> None:
     features, targets = drawn(count, seed)
-    process = GaussianProcess(features, targets, ENCODING.owners, Hyperparameters(np.array(lengths), noise), features[:0])
-    kernel = Matern(np.exp(lengths)[ENCODING.owners], nu=2.5)
-    oracle = GaussianProcessRegressor(kernel, alpha=np.exp(noise) + 1e-8, optimizer=None).fit(features, targets)
+    seeds = np.random.default_rng(seed).integers(1, 4, count)
+    tuned = Hyperparameters(np.array(lengths), noise, luck)
+    process = GaussianProcess(Points(features, seeds), targets, ENCODING.owners, tuned, NONE)
+    own, common = (0.0, 0.0) if luck is None else np.exp(luck)
+    kernel = Seeded(np.exp(lengths)[ENCODING.owners], own, common)
+    oracle = GaussianProcessRegressor(kernel, alpha=np.exp(noise) + 1e-8, optimizer=None)
+    oracle.fit(np.column_stack([features, seeds]), targets)
     others, _ = drawn(20, seed + 1)
     means, deviations = process.predict(others, pending=False)
-    expected_means, expected_deviations = oracle.predict(others, return_std=True)
+    unknown = np.column_stack([others, np.full(20, -1)])  # what all seeds have in common
+    expected_means, expected_deviations = oracle.predict(unknown, return_std=True)  # of the diagonal of a Matérn kernel, 1
     np.testing.assert_allclose(means, expected_means, atol=1e-5)
     np.testing.assert_allclose(deviations, np.sqrt(process.variance) * expected_deviations, atol=2e-4)
+
+
+def under(features: Floats, seed: int = 1) -> Points:
+    """Returns points under one seed."""
+    return Points(features, np.full(len(features), seed))
 
 
 def test_fitted_lengths_tell_what_matters() -> None:
     features, _ = drawn(60, 1)
     targets = np.sin(6 * features[:, 0])
-    tuned = fitted(features, targets - targets.mean(), ENCODING.owners, Hyperparameters.usual(3))
+    tuned = fitted(under(features), targets - targets.mean(), ENCODING.owners, Hyperparameters.usual(3))
     assert tuned.lengths[0] < min(tuned.lengths[1:]) - 1
     assert tuned.noise < -6
+
+
+@pytest.mark.parametrize(("alike", "common", "alone"), [(0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 0.5)])
+def test_fitted_variances_tell_what_luck_is_alike(alike: float, common: float, alone: float) -> None:
+    generator = np.random.default_rng(1)
+    features, targets = drawn(60, 1)
+    points = under(features).followed_by(under(features, 2))
+    luck = [alike * np.sin(place + 4 * features[:, 1]) * 2**0.5 for place in (0, 2)]
+    targets = np.concatenate([targets, targets]) + np.concatenate(luck) + alone * generator.normal(size=120)
+    targets += np.repeat([common, -common], 60)
+    tuned = fitted(points, targets - targets.mean(), ENCODING.owners, Hyperparameters.usual(3, SAMPLED), SAMPLED)
+    assert tuned.luck is not None
+    largest = np.argmax([*tuned.luck, tuned.noise])
+    assert largest == np.argmax([alike, common, alone])
 
 
 def test_pending_points_shrink_the_deviation_and_not_the_mean() -> None:
     features, targets = drawn(10, 1)
     pending, _ = drawn(3, 2)
-    process = GaussianProcess(features, targets, ENCODING.owners, Hyperparameters.usual(3), pending)
+    process = GaussianProcess(under(features), targets, ENCODING.owners, Hyperparameters.usual(3), under(pending))
     means, surer = process.predict(pending, pending=True)
     same, deviations = process.predict(pending, pending=False)
     np.testing.assert_allclose(means, same, rtol=1e-9)
@@ -77,24 +119,11 @@ def scenario_model() -> ScenarioModel:
     return ScenarioModel(1, 3, ENCODING.owners, np.array([0.0]), np.array([100.0]))
 
 
-def test_the_noise_of_a_random_simulator_is_estimated() -> None:
-    generator = np.random.default_rng(3)
-    for noise in (0.1, 0.5):
-        features, targets = drawn(60, 1)
-        features, targets = np.concatenate([features, features[:10]]), np.concatenate([targets, targets[:10]])
-        values = (10 + targets + noise * generator.normal(size=70))[:, np.newaxis]
-        model = ScenarioModel(1, 3, ENCODING.owners, np.array([-np.inf]), np.array([100.0]), random=True)
-        model.learn(features, values, np.zeros(70, dtype=np.bool_), features[:0])
-        runs = model.runs(features[:1], generator.normal(size=(500, 1, 1)), np.ones((500, 1)))
-        assert runs.std() == pytest.approx(noise, rel=0.5)
-        assert abs(model.expected(features) - 10 - targets[:, np.newaxis]).mean() < noise
-
-
 def test_random_failures_count_by_their_share() -> None:
     features, _ = drawn(80, 1)
     failed = np.random.default_rng(1).random(80) < 0.25
     model = ScenarioModel(1, 3, ENCODING.owners, np.array([0.0]), np.array([100.0]), random=True)
-    model.learn(features, np.where(failed, 100.0, 5.0)[:, np.newaxis], failed, features[:0])
+    model.learn(Points(features, np.arange(80) % 4), np.where(failed, 100.0, 5.0)[:, np.newaxis], failed, NONE)
     assert model.expected(features).mean() == pytest.approx(5 + 0.25 * 95, abs=10)
 
 
@@ -103,7 +132,7 @@ def test_failures_are_a_class_of_their_own() -> None:
     failed = features[:, 0] > 0.6
     values = np.where(failed, 100.0, 5 + targets)[:, np.newaxis]
     model = scenario_model()
-    model.learn(features, values, failed, features[:0])
+    model.learn(under(features), values, failed, NONE)
     others, _ = drawn(200, 4)
     others = others[np.abs(others[:, 0] - 0.6) > 0.15]
     prediction = model.predict(others, pending=False)
@@ -118,7 +147,7 @@ def test_failures_are_a_class_of_their_own() -> None:
 def test_any_number_of_answers_is_learned(count: int) -> None:
     features, targets = drawn(count, 5) if count else (np.empty((0, len(ENCODING.owners))), np.empty(0))
     model = scenario_model()
-    model.learn(features, 5 + targets[:, np.newaxis], np.zeros(count, dtype=np.bool_), features[:0])
+    model.learn(under(features), 5 + targets[:, np.newaxis], np.zeros(count, dtype=np.bool_), NONE)
     prediction = model.predict(drawn(5, 6)[0], pending=True)
     assert np.isfinite(prediction.means).all()
     assert np.isfinite(prediction.deviations).all()
@@ -126,7 +155,7 @@ def test_any_number_of_answers_is_learned(count: int) -> None:
 
 def test_saved_hyperparameters_are_restored() -> None:
     features, targets = drawn(30, 7)
-    known = (features, 5 + targets[:, np.newaxis], np.zeros(30, dtype=np.bool_), features[:0])
+    known = (under(features), 5 + targets[:, np.newaxis], np.zeros(30, dtype=np.bool_), NONE)
     model, other = scenario_model(), scenario_model()
     model.learn(*known)
     other.restore(model.to_json())

@@ -207,7 +207,9 @@ def rated(
         limit: most runs of each version.
     """
     names = tuple(parameter.name for parameter in bench.parameters)
-    own = runs.rated(connection, setups.ensure(connection, [bench.setups[scenario]])[0], bench.evaluator_id, watermark, limit)
+    known, own = _setup_ids(connection, bench), list[RatedRun]()
+    if scenario in known:
+        own = runs.rated(connection, known[scenario], bench.evaluator_id, watermark, limit)
     seen, earlier = {run.parameters for run in own}, list[RatedRun]()
     for version in versions:
         known = _setup_ids(connection, bench_of(version, bench))

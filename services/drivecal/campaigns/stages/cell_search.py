@@ -4,7 +4,7 @@ Its task is the space, the aim, and the answers that are stored before the campa
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -12,19 +12,21 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.aims import JudgedGoals, WeightedScore
 from drivecal.analysis.goals import SCORE
-from drivecal.analysis.replicates import choosing
+from drivecal.analysis.replicates import assess, choosing
+from drivecal.analysis.solutions import over_seeds
 from drivecal.campaigns.cells import earlier
 from drivecal.campaigns.cells.earlier import place_in
 from drivecal.campaigns.cells.planning import View
+from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.answers import CellAnswers, asked_rounds
 from drivecal.campaigns.stages.asking import WINDOW, CellAsker, cells_of
+from drivecal.campaigns.stages.replication import SeededBenches
 from drivecal.campaigns.stages.search import ComputedSearch
 from drivecal.campaigns.stages.stage import Round
 from drivecal.domain.evaluations import CellScore, RequestedCell
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.population import start_population
-from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, AskedCell, CellAnswer, SearchPlugin, SearchTask
 from drivecal.storage import campaigns, generations
 from drivecal.storage.campaigns import StoredCampaign
@@ -34,6 +36,8 @@ from drivecal.storage.references import runs
 
 MOST_BEST = 3
 """Best stored sets by each objective that a search begins with."""
+SURE = 0.95
+"""Confidence of what such a set reaches at least if its runs are random."""
 MOST_KNOWN = 2_000
 """Newest stored runs of each scenario from which a search begins."""
 
@@ -69,7 +73,7 @@ class CellSearch(ComputedSearch):
         plugin, settings = self._optimization.plugin, self._optimization.settings
         if not isinstance(plugin, SearchPlugin):
             raise TypeError(f"{plugin.name} does not search by the cell")
-        task = _search_task(self._database, self._view, self._problem, self._answers)
+        task = _search_task(self._database, self._view, self._problem, self._answers, self._benches)
         state = {} if last is None else (last.optimizer_state or {}).get("search", {})
         search = plugin.begin(settings, task) if last is None else plugin.resume(settings, task, rounds, answers, state)
         return CellAsker(search, self._search.room, self._problem.least_replicates)
@@ -108,7 +112,9 @@ class CellSearch(ComputedSearch):
         return planned[:room]
 
 
-def _search_task(database: Database, view: View, problem: CalibrationProblem, answers: CellAnswers) -> SearchTask:
+def _search_task(
+    database: Database, view: View, problem: CalibrationProblem, answers: CellAnswers, benches: SeededBenches
+) -> SearchTask:
     """Returns the task of a campaign's search. It depends on what was stored when the campaign began, and on nothing later."""
     space, constraints = problem.space, problem.search_constraints
     region = constraints.whole_region if constraints else None
@@ -124,7 +130,9 @@ def _search_task(database: Database, view: View, problem: CalibrationProblem, an
     limit = problem.search_simulations()
     is_cut_off = problem.specification.reduction.mode == "off"
     aim, variants = answers.aim, answers.aims_of_variants
-    known = [] if is_cut_off else _known(database, view, problem, aim)
+    most = problem.specification.replicates.most
+    replicates = max(1, choosing(most) // problem.least_replicates) if problem.bench.is_random else 1
+    known = [] if is_cut_off else _known(database, view, problem, aim, benches, replicates)
     start, changes = problem.start_indices, problem.goals.changes
     best = [indices for indices in _best_known((aim, *variants), known) if list(indices) not in start.tolist()]
     first = {*best, *map(tuple, start.tolist())}  # asked all the same, so that the campaign ranks them
@@ -136,13 +144,11 @@ def _search_task(database: Database, view: View, problem: CalibrationProblem, an
         repair=repair,
         sample=sample,
         start=np.concatenate([start, np.array(best, dtype=np.int64).reshape(len(best), len(space.n_values))]),
-        known=[answer for answer in known if answer.cell.indices not in first],
+        known=[answer for answer in known if answer.cell.indices not in first or answer.cell.replicate > 1],
         cells=None if limit is None else _most_cells(limit, problem.bench.repeated_share) // problem.least_replicates,
         window=WINDOW,
         random=problem.bench.is_random,
-        replicates=choosing(problem.specification.replicates.most) // problem.least_replicates
-        if problem.bench.is_random
-        else 1,
+        replicates=replicates,
         given=(lambda rows: aim.given(constraints.entries(rows))) if changes and isinstance(aim, JudgedGoals) else None,
         references=np.unique([each.row(space) for each in changes.values()], axis=0) if changes else None,
         variants=variants,
@@ -162,40 +168,71 @@ def _best_known(aims: Sequence[Aim], known: Sequence[CellAnswer]) -> list[tuple[
         known: stored answers.
 
     Returns:
-        grid indices of the MOST_BEST best sets by each objective; constraints on results come first.
+        grid indices of the MOST_BEST best sets by each objective, of random runs by what they reach at least; constraints on results come
+        first.
     """
-    sets, aim = dict[tuple[int, ...], Floats](), aims[0]
+    aim, listed = aims[0], {answer.cell.indices: None for answer in known}
+    places = dict(zip(listed, range(len(listed)), strict=True))
+    replicates = max((answer.cell.replicate for answer in known), default=0)
+    values = np.full((len(listed), replicates, aim.scenarios, aim.values), np.nan)
     for answer in known:
-        cells = sets.setdefault(answer.cell.indices, np.full((aim.scenarios, aim.values), np.nan))
-        cells[answer.cell.scenario] = answer.values
-    listed, best = list(sets), dict[tuple[int, ...], None]()
+        values[places[answer.cell.indices], answer.cell.replicate - 1, answer.cell.scenario] = answer.values
+    best, sets = dict[tuple[int, ...], None](), list(listed)
     for each in aims if listed else ():
-        objectives, violations = each.judge(np.array(list(sets.values())))
-        whole = np.flatnonzero(np.isfinite(violations) & np.isfinite(objectives).all(axis=1))
-        for objective in objectives[whole].T:
-            order = np.lexsort((-objective, violations[whole]))[:MOST_BEST]
-            best |= dict.fromkeys(listed[place] for place in whole[order].tolist())
+        objectives, violations = each.judge(values.reshape(-1, *values.shape[2:]))
+        violations = np.where(np.isfinite(objectives).all(axis=1), violations, np.nan).reshape(values.shape[:2])
+        whole = np.flatnonzero(np.isfinite(violations).any(axis=1))
+        for samples in objectives.T.reshape(-1, *violations.shape) if len(whole) else ():
+            standing = assess(np.where(np.isnan(violations), np.nan, samples)[whole])
+            order = np.lexsort((-standing.bounds(SURE), np.nanmean(violations[whole], axis=1)))[:MOST_BEST]
+            best |= dict.fromkeys(sets[place] for place in whole[order].tolist())
     return list(best)
 
 
-def _known(database: Database, view: View, problem: CalibrationProblem, aim: WeightedScore | JudgedGoals) -> list[CellAnswer]:
-    """Returns the stored answers of sets in the space, in the order of references."""
-    answers = []
+def _known(
+    database: Database,
+    view: View,
+    problem: CalibrationProblem,
+    aim: WeightedScore | JudgedGoals,
+    benches: SeededBenches,
+    replicates: int,
+) -> list[CellAnswer]:
+    """Returns the stored answers of sets in the space, by replicate, scenario, and in the order of references. An answer is the mean over
+    the seeds of a replicate, if all are stored."""
+    answers, least = list[CellAnswer](), problem.least_replicates
     with database.transaction() as connection:
         watermark = campaigns.first_watermark(connection, view.campaign)  # the same again is the same
-        for place, scenario in enumerate(problem.scenarios):
-            stored = earlier.rated(connection, view.bench, view.earlier, scenario, watermark, MOST_KNOWN)
-            measured = {} if problem.goals.valued is None else runs.values_of(connection, [run.evaluation for run in stored])
-            for run in stored:
-                indices = place_in(problem.space, run.parameters)
-                if indices is None:
-                    continue
-                values = {SCORE: run.score}
-                if measured:
-                    values |= problem.goals.values(*measured[run.evaluation], run.parameters)
-                failed = bool(measured) and measured[run.evaluation][1] is not None
-                cell = CellScore(
-                    0, scenario, run.score, run.rating, own=True, iteration=0, individual=0, failed=failed, values=values
-                )
-                answers.append(CellAnswer(AskedCell(indices, place), aim.of(cell), failed=aim.is_failure(cell)))
+        for replicate in range(1, replicates + 1):
+            before, seeds = len(answers), range(1 + (replicate - 1) * least, 1 + replicate * least)
+            for place, scenario in enumerate(problem.scenarios):
+                cells = dict[tuple[int, ...], dict[int, CellScore]]()
+                for seed in seeds:
+                    for indices, cell in _stored(connection, view, problem, benches.of(seed), scenario, watermark):
+                        cells.setdefault(indices, {})[seed] = cell
+                for indices, by_seed in cells.items():
+                    if len(known := list(by_seed.values())) == least:
+                        failed, asked = all(map(aim.is_failure, known)), AskedCell(indices, place, replicate)
+                        answers.append(CellAnswer(asked, aim.of(over_seeds(known)), failed=failed))
+            if len(answers) == before:  # no search has come so far
+                break
     return answers
+
+
+def _stored(
+    connection: Connection, view: View, problem: CalibrationProblem, bench: Bench, scenario: str, watermark: int
+) -> Iterator[tuple[tuple[int, ...], CellScore]]:
+    """Yields the stored runs of a bench in a scenario, with the grid indices of their sets."""
+    stored = earlier.rated(connection, bench, view.earlier, scenario, watermark, MOST_KNOWN)
+    measured = {} if problem.goals.valued is None else runs.values_of(connection, [run.evaluation for run in stored])
+    for run in stored:
+        indices = place_in(problem.space, run.parameters)
+        if indices is None:
+            continue
+        values = {SCORE: run.score}
+        if measured:
+            values |= problem.goals.values(*measured[run.evaluation], run.parameters)
+        failed = bool(measured) and measured[run.evaluation][1] is not None
+        yield (
+            indices,
+            CellScore(0, scenario, run.score, run.rating, own=True, iteration=0, individual=0, failed=failed, values=values),
+        )

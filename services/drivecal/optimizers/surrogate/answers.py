@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivecal.domain.parameters import Indices
-from drivecal.optimizers.surrogate.gaussian_process import Encoding
+from drivecal.optimizers.surrogate.gaussian_process import Encoding, Points
 from drivecal.optimizers.surrogate.models import Bools
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, CellAnswer
@@ -41,20 +41,19 @@ class BegunSet:
 class Answers:
     """Tables of n sets, in the order of beginning."""
 
-    def __init__(self, encoding: Encoding, aim: Aim) -> None:
-        self._encoding, self._aim = encoding, aim
+    def __init__(self, encoding: Encoding, aim: Aim, replicates: int) -> None:
+        self._encoding, self._aim, self._most = encoding, aim, replicates
         self.sets: list[BegunSet] = []
         self._numbers: dict[tuple[int, ...], int] = {}
-        cells = (64, aim.scenarios)
+        cells, runs = (64, aim.scenarios), (64, aim.scenarios, replicates)
         self._features: Floats = np.empty((64, len(encoding.owners)))
         self._values: Floats = np.full((*cells, aim.values), np.nan)
-        self._asked: Indices = np.zeros(cells, dtype=np.int64)
-        """Replicates that were asked."""
-        self._answered: Indices = np.zeros(cells, dtype=np.int64)
+        self._asked: Bools = np.zeros(runs, dtype=np.bool_)
+        self._answered: Bools = np.zeros(runs, dtype=np.bool_)
         self._failed: Bools = np.zeros(cells, dtype=np.bool_)
         self.order: list[list[int]] = [[] for _ in range(aim.scenarios)]
         """The sets that are answered in each scenario, by number, in the order of the answers."""
-        self._replicates: list[list[tuple[int, Floats, bool]]] = [[] for _ in range(aim.scenarios)]
+        self._listed: list[list[tuple[int, Floats, bool]]] = [[] for _ in range(aim.scenarios)]
         """Replicate, values and failure of each answer in `order`."""
         self._repeats: Floats = np.zeros(aim.scenarios)
         """Repeats in each scenario while all are equal; infinite afterwards."""
@@ -97,46 +96,38 @@ class Answers:
         if begun.number in self._from_before:
             self._from_before.remove(begun.number)
             self._asked_on.add(begun.number)
-            self._asked[begun.number] = 0
-        self._asked[begun.number, scenario] = begun.replicate
+            self._asked[begun.number] = False
+        self._asked[begun.number, scenario, begun.replicate - 1] = True
 
     def take(self, answer: CellAnswer) -> None:
         """Notes an answer."""
-        begun, scenario, replicate = self.begin(answer.cell.indices), answer.cell.scenario, answer.cell.replicate
+        begun, scenario, place = self.begin(answer.cell.indices), answer.cell.scenario, answer.cell.replicate - 1
         values, before = np.array(answer.values, dtype=np.float64), self._values[begun.number, scenario].copy()
-        self._asked[begun.number, scenario] = max(self._asked[begun.number, scenario], replicate)
         self._values[begun.number, scenario] = values
         self._failed[begun.number, scenario] = answer.failed or not np.isfinite(values).all()
-        if self._answered[begun.number, scenario] < replicate:
-            if replicate > 1:
+        known: Bools = self._answered[begun.number, scenario]
+        if not known[place]:
+            if known.any():
                 self._repeats[scenario] += 1 if np.array_equal(values, before, equal_nan=True) else np.inf
-            self._answered[begun.number, scenario] = replicate
             self.order[scenario].append(begun.number)
-            self._replicates[scenario].append((replicate, values, bool(self._failed[begun.number, scenario])))
-        if begun.number in self._asked_on and self._answered[begun.number].all():
+            self._listed[scenario].append((answer.cell.replicate, values, bool(self._failed[begun.number, scenario])))
+        self._asked[begun.number, scenario, place] = known[place] = True
+        if begun.number in self._asked_on and self._answered[begun.number].any(axis=1).all():
             begun.whole = True
         if not self._failed[begun.number, scenario]:
             better = self._upwards[scenario] * (values - self.best[scenario]) > 0
             self.best[scenario] = np.where(better, values, self.best[scenario])
 
-    def features(self, numbers: Sequence[int]) -> Floats:
-        """Returns the features of sets, shape (n, n_features)."""
-        return self._features[list(numbers)]
+    def points(self, sets: Sequence[BegunSet]) -> Points:
+        """Returns sets under their newest seeds."""
+        numbers, seeds = [begun.number for begun in sets], [begun.replicate for begun in sets]
+        return Points(self._features[numbers], np.array(seeds, dtype=np.int64))
 
-    def known(self, scenario: int) -> tuple[Floats, Floats, Bools]:
-        """Returns features, values without the effects of seeds, and failures of the answers in a scenario, in their order."""
-        order, listed = self.order[scenario], self._replicates[scenario]
-        values = np.array([each for _, each, _ in listed]).reshape(len(order), self._aim.values)
-        failed = np.array([has_failed for _, _, has_failed in listed], dtype=np.bool_)
-        replicates = np.array([replicate for replicate, _, _ in listed], dtype=np.int64)
-        firsts = {number: row for row, number in enumerate(order) if replicates[row] == 1}
-        for replicate in range(2, replicates.max(initial=1) + 1):
-            rows = np.flatnonzero((replicates == replicate) & ~failed)
-            rows = rows[~failed[[firsts[order[row]] for row in rows]]]
-            differences = values[rows] - values[[firsts[order[row]] for row in rows]]
-            # shrunk as if what sets have in common varied as much as the rest
-            values[rows] -= differences.sum(axis=0) / (len(rows) + 1)
-        return self._features[order], values, failed
+    def known(self, scenario: int) -> tuple[Points, Floats, Bools]:
+        """Returns points, values and failures of the answers in a scenario, in their order."""
+        seeds, values, failed = ([each[place] for each in self._listed[scenario]] for place in range(3))
+        points = Points(self._features[self.order[scenario]], np.array(seeds, dtype=np.int64))
+        return points, np.array(values).reshape(len(seeds), self._aim.values), np.array(failed, dtype=np.bool_)
 
     def values(self, sets: Iterable[BegunSet]) -> Floats:
         """Returns the values of sets, shape (n, n_scenarios, n_values); NaN without an answer."""
@@ -144,41 +135,48 @@ class Answers:
 
     def answered(self, begun: BegunSet) -> Bools:
         """Returns a mask of the scenarios that a set was answered in."""
-        answered: Bools = self._answered[begun.number] > 0
+        answered: Bools = self._answered[begun.number].any(axis=1)
         return answered
 
     def missing(self, begun: BegunSet, needs: Bools | None = None) -> Indices:
         """Returns the scenarios that a set was not asked in under its newest replicate, rising, of an aim's `needs`."""
-        missing = self._asked[begun.number] < begun.replicate
+        missing: Bools = ~self._asked[begun.number, :, begun.replicate - 1]
         return np.flatnonzero(missing if needs is None else missing & needs)
 
     def pending(self, begun: BegunSet) -> int:
         """Returns the number of cells of a set that are under way."""
-        return int((self._asked[begun.number] - self._answered[begun.number]).sum())
+        return int((self._asked[begun.number] & ~self._answered[begun.number]).sum())
 
     def complete(self, needs: Bools | None = None) -> list[BegunSet]:
         """Returns the sets with an answer in every scenario, or in the scenarios of an aim."""
-        answered = (self._answered[: len(self.sets)] > 0) | (False if needs is None else ~needs)
+        answered = np.any(self._answered[: len(self.sets)], axis=2) | (False if needs is None else ~needs)
         return [self.sets[number] for number in np.flatnonzero(answered.all(axis=1)).tolist()]
 
-    def repeatable(self, most: int) -> list[BegunSet]:
-        """Returns the complete sets that may be asked again, at most `most` times in all; none if all repeats so far are equal."""
+    def repeatable(self) -> list[BegunSet]:
+        """Returns the complete sets of the search that may be asked again under another seed; none if all repeats so far are equal."""
         if np.all((self._repeats >= EQUAL_REPEATS) & np.isfinite(self._repeats)):
             return []
+        spent = np.all(self._asked, axis=(1, 2))
         return [
-            each for each in self.complete() if each.replicate < most and not len(self.missing(each)) and not self.pending(each)
+            each
+            for each in self.complete()
+            if not (each.number in self._from_before or spent[each.number] or len(self.missing(each)) or self.pending(each))
         ]
+
+    def next_unasked(self, begun: BegunSet) -> int:
+        """Returns the first replicate that a set was not asked for in all scenarios."""
+        return 1 + int(np.argmin(np.all(self._asked[begun.number], axis=0)))
 
     @property
     def open(self) -> list[BegunSet]:
         """The sets that a promise was made for, that were not asked in every scenario and not given up."""
-        whole = np.all(self._asked[: len(self.sets)], axis=1)
+        whole = np.any(self._asked, axis=2).all(axis=1)
         return [begun for begun in self.sets if not whole[begun.number] and not begun.given_up and begun.promise is not None]
 
     @property
     def unanswered(self) -> list[BegunSet]:
         """The sets that are going to be complete, as it seems."""
-        whole = np.all(self._answered[: len(self.sets)], axis=1)
+        whole = np.any(self._answered, axis=2).all(axis=1)
         return [
             begun
             for begun in self.sets
@@ -198,4 +196,4 @@ class Answers:
     def discarded(self) -> int:
         """Cells of given-up sets that were not asked."""
         given_up = [begun.number for begun in self.sets if begun.given_up]
-        return int((self._asked[given_up] == 0).sum())
+        return int((~np.any(self._asked[given_up], axis=2)).sum())

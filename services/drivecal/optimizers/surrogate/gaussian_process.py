@@ -2,12 +2,17 @@
 
 Lengths and noise maximise the posterior density; the prior of the lengths grows with the number of parameters (Hvarfner, Hellsten and
 Nardi 2024, "Vanilla Bayesian optimization performs great in high dimensions"). The variance is what maximises the likelihood.
+
+Answers of a random simulator have seeds. What a seed does to them is a process of its own, alike for similar sets, and a constant (Pearce,
+Poloczek and Branke 2022, "Bayesian optimization allowing for common random numbers"): otherwise the luck of one seed would look like merit.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.optimize import minimize
@@ -28,17 +33,18 @@ ROOT = np.sqrt(5.0)
 
 @dataclass(frozen=True, slots=True)
 class NoisePrior:
-    """Normal distribution of the noise's logarithm, a share of the variance, and its largest value."""
+    """Normal distribution of the logarithms of the noise and of what a seed adds, in variances, and their largest value."""
 
     mean: float
     deviation: float
     largest: float
+    is_random: bool = False
     least: float = -11.0
 
 
 EXACT = NoisePrior(-9.0, 2.0, 0.0)
 """Steps of scores, and shapes that the kernel lacks."""
-SAMPLED = NoisePrior(-2.0, 2.0, 3.0)
+SAMPLED = NoisePrior(-2.0, 2.0, 3.0, is_random=True)
 """Runs that depend on a seed. What replicates say outweighs it."""
 
 
@@ -69,17 +75,41 @@ class Encoding:
 
 
 @dataclass(frozen=True, slots=True)
+class Points:
+    """Features of n answered sets, shape (n, n_features), and the seeds of the answers, shape (n,)."""
+
+    features: Floats
+    seeds: Indices
+
+    def __getitem__(self, rows: Any) -> "Points":
+        return Points(self.features[rows], self.seeds[rows])
+
+    @property
+    def alike(self) -> npt.NDArray[np.bool_]:
+        """Which answers have their seed in common, shape (n, n)."""
+        result: npt.NDArray[np.bool_] = self.seeds[:, np.newaxis] == self.seeds
+        return result
+
+    def followed_by(self, others: "Points") -> "Points":
+        """Returns these and others."""
+        return Points(np.concatenate([self.features, others.features]), np.concatenate([self.seeds, others.seeds]))
+
+
+@dataclass(frozen=True, slots=True)
 class Hyperparameters:
     """Logarithms of lengths, shape (n_parameters,), and of the noise's share of the variance; `count`: answers that they were fitted to."""
 
     lengths: Floats
     noise: float
+    luck: tuple[float, float] | None = None
+    """Logarithms of the variances that a seed adds, alike for similar sets and equal for all sets; None without seeds."""
     count: int = 0
 
     @classmethod
     def usual(cls, n_parameters: int, noise: NoisePrior = EXACT) -> "Hyperparameters":
         """The middle of the prior."""
-        return cls(np.full(n_parameters, LENGTH_MEAN + np.log(n_parameters) / 2), noise.mean)
+        luck = (noise.mean, noise.mean) if noise.is_random else None
+        return cls(np.full(n_parameters, LENGTH_MEAN + np.log(n_parameters) / 2), noise.mean, luck)
 
 
 def _squares(first: Floats, second: Floats) -> Floats:
@@ -95,23 +125,27 @@ def _correlations(squares: Floats) -> Floats:
 
 
 def fitted(
-    features: Floats, targets: Floats, owners: Indices, start: Hyperparameters, prior: NoisePrior = EXACT
+    points: Points, targets: Floats, owners: Indices, start: Hyperparameters, prior: NoisePrior = EXACT
 ) -> Hyperparameters:
     """Returns hyperparameters of the largest posterior density near a start. Targets have a mean of 0."""
-    n_parameters, count = len(start.lengths), len(targets)
+    features, alike, luck = points.features, points.alike, start.luck or ()
+    n_parameters, count, variances = len(start.lengths), len(targets), np.array([start.noise, *luck])
     centre = LENGTH_MEAN + np.log(n_parameters) / 2
     squared = features**2
     diagonal = np.diag_indices(count)
 
     def loss(theta: Floats) -> tuple[float, Floats]:
-        inverse = np.exp(-2.0 * theta[:-1])[owners]
+        inverse = np.exp(-2.0 * theta[:n_parameters])[owners]
         scaled = features * np.sqrt(inverse)
         squares = _squares(scaled, scaled)
         squares[diagonal] = 0.0
         away = ROOT * np.sqrt(squares)
         decay = np.exp(-away)
         matrix = (1.0 + away + (5.0 / 3.0) * squares) * decay
-        noise = np.exp(theta[-1])
+        noise, *added = np.exp(theta[n_parameters:])
+        if added:
+            own, common = np.where(alike, added[0] * matrix, 0.0), added[1] * alike
+            matrix += own + common
         matrix[diagonal] += noise + 1e-8
         factor, info = dpotrf(matrix, lower=1, overwrite_a=0)
         if info:
@@ -122,45 +156,52 @@ def fitted(
         fit = float(targets @ weights) + 1e-12
         value = 0.5 * count * np.log(fit / count) + np.log(factor.diagonal()).sum()
         sensitivity = count / fit * np.outer(weights, weights) - inverted
-        gradient_noise = -0.5 * noise * np.trace(sensitivity)
+        slopes = [noise * np.trace(sensitivity)]
         slope = sensitivity * ((5.0 / 3.0) * (1.0 + away) * decay)
+        if added:
+            slopes += [(sensitivity * each).sum() for each in (own, common)]
+            slope *= np.where(alike, 1.0 + added[0], 1.0)
         by_feature = 2.0 * (slope.sum(axis=1) @ squared) - 2.0 * (features * (slope @ features)).sum(axis=0)
-        gradient = np.append(-0.5 * np.bincount(owners, by_feature * inverse, n_parameters), gradient_noise)
-        away_from_prior = np.append((theta[:-1] - centre) / LENGTH_DEVIATION, (theta[-1] - prior.mean) / prior.deviation)
-        deviations = np.append(np.full(n_parameters, LENGTH_DEVIATION), prior.deviation)
+        gradient = -0.5 * np.append(np.bincount(owners, by_feature * inverse, n_parameters), slopes)
+        away_from_prior = np.append(
+            (theta[:n_parameters] - centre) / LENGTH_DEVIATION, (theta[n_parameters:] - prior.mean) / prior.deviation
+        )
+        deviations = np.append(np.full(n_parameters, LENGTH_DEVIATION), np.full(len(variances), prior.deviation))
         return value + 0.5 * float(away_from_prior @ away_from_prior), gradient + away_from_prior / deviations
 
-    bounds = [LENGTHS] * n_parameters + [(prior.least, prior.largest)]
+    bounds = [LENGTHS] * n_parameters + [(prior.least, prior.largest)] * len(variances)
     optimum = minimize(
-        loss, np.append(start.lengths, start.noise), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": ITERATIONS}
+        loss, np.append(start.lengths, variances), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": ITERATIONS}
     )
-    return Hyperparameters(optimum.x[:-1].copy(), float(optimum.x[-1]))
+    noise, *added = optimum.x[n_parameters:].tolist()
+    return Hyperparameters(optimum.x[:n_parameters].copy(), noise, (added[0], added[1]) if added else None)
 
 
 class GaussianProcess:
     """A process that knows targets at some points. Further points without targets may shrink its deviation (fantasies at its own mean)."""
 
     def __init__(
-        self, features: Floats, targets: Floats, owners: Indices, hyperparameters: Hyperparameters, pending: Floats
+        self, points: Points, targets: Floats, owners: Indices, hyperparameters: Hyperparameters, pending: Points
     ) -> None:
+        self._luck = np.zeros(2) if hyperparameters.luck is None else np.exp(hyperparameters.luck)
         self._scale = np.exp(-hyperparameters.lengths)[owners]
-        self._known = features * self._scale
+        self._known = points.features * self._scale
         self._mean = float(targets.mean()) if len(targets) else 0.0
         centred = targets - self._mean
         count = len(targets)
         self._noise = float(np.exp(hyperparameters.noise)) + 1e-8
-        factor = self._factor(self._known)
+        factor = self._factor(points)
         self._weights = solve_triangular(factor, solve_triangular(factor, centred, lower=True), lower=True, trans=1)
         self.variance = max(float(centred @ self._weights) / max(count, 1), 1e-12)
         self.variance *= self._surprise(factor)
-        self._asked = np.concatenate([self._known, pending * self._scale]) if len(pending) else self._known
-        self._own = factor
-        self._all = self._factor(self._asked) if len(pending) else factor
+        asked = points.followed_by(pending)
+        self._asked, self._own = asked.features * self._scale, factor
+        self._all = self._factor(asked) if len(pending.seeds) else factor
 
     @property
     def noise(self) -> float:
-        """Standard deviation of a target around the process."""
-        return float(np.sqrt(self.variance * self._noise))
+        """Standard deviation of a target around the process, without what its seed does to all sets."""
+        return float(np.sqrt(self.variance * (self._noise + self._luck[0])))
 
     def _surprise(self, factor: Floats) -> float:
         """Returns the mean squared error at the newest answers, each predicted from all others, in variances; at least 1 (Rasmussen and
@@ -169,10 +210,13 @@ class GaussianProcess:
         errors = (self._weights**2 / inverse.diagonal() / self.variance)[-RECENT:]
         return max(1.0, float(np.minimum(errors, FARTHEST).mean())) if len(errors) else 1.0
 
-    def _factor(self, points: Floats) -> Floats:
-        squares = _squares(points, points)
+    def _factor(self, points: Points) -> Floats:
+        scaled, (own, common) = points.features * self._scale, self._luck
+        squares = _squares(scaled, scaled)
         np.fill_diagonal(squares, 0.0)
         matrix = _correlations(squares)
+        if own + common > 0:
+            matrix += np.where(points.alike, own * matrix + common, 0.0)
         matrix[np.diag_indices(len(matrix))] += self._noise
         factor: Floats
         factor, info = dpotrf(matrix, lower=1, clean=1)

@@ -6,11 +6,19 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from drivecal.domain.parameters import Indices
 from drivecal.domain.rounding import grain
-from drivecal.optimizers.surrogate.gaussian_process import EXACT, SAMPLED, GaussianProcess, Hyperparameters, NoisePrior, fitted
+from drivecal.optimizers.surrogate.gaussian_process import (
+    EXACT,
+    SAMPLED,
+    GaussianProcess,
+    Hyperparameters,
+    NoisePrior,
+    Points,
+    fitted,
+)
 from drivecal.plugins.ports import Floats
 
 Bools = npt.NDArray[np.bool_]
@@ -22,6 +30,8 @@ MOST_TUNED = 150
 """Answers that hyperparameters are fitted to; of more, every second or third."""
 FEWEST = 3
 """Answers with which a process begins."""
+OUT_OF_REACH = 1e3
+"""Feature that no set is near, in ranges."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +81,7 @@ class Output:
     constant: float = 0.0
     spread: float = 0.0
 
-    def learn(self, features: Floats, targets: Floats, owners: Indices, pending: Floats, warp: Warp, known: int) -> None:
+    def learn(self, points: Points, targets: Floats, owners: Indices, pending: Points, warp: Warp, known: int) -> None:
         """Learns from at least one answer. `known`: number of all answers, those left out included."""
         self.warp = warp
         warped = warp(targets)
@@ -82,8 +92,8 @@ class Output:
         if known >= max(self.tuned.count + 1, GROWTH * self.tuned.count):
             chosen = slice(None, None, -(-len(targets) // MOST_TUNED))
             centred = (warped[chosen] - warped[chosen].mean()) / self.spread
-            self.tuned = replace(fitted(features[chosen], centred, owners, self.tuned, self.prior), count=known)
-        self.process = GaussianProcess(features, (warped - self.constant) / self.spread, owners, self.tuned, pending)
+            self.tuned = replace(fitted(points[chosen], centred, owners, self.tuned, self.prior), count=known)
+        self.process = GaussianProcess(points, (warped - self.constant) / self.spread, owners, self.tuned, pending)
 
     def predict(self, features: Floats, *, pending: bool) -> tuple[Floats, Floats]:
         """Returns means and deviations of the warped value."""
@@ -107,6 +117,8 @@ class Belief:
     deviations: Floats
     failing: Floats
     """Probabilities of a failure, shape (n,)."""
+    unsure: Floats
+    """Deviations of the share of runs that fail, of random runs while all fail."""
 
 
 class ScenarioModel:
@@ -118,28 +130,50 @@ class ScenarioModel:
         self._owners, self._best, self._worst, self._random = owners, best, worst, random
         prior = SAMPLED if random else EXACT
         *self._outputs, self._failure = (Output(Hyperparameters.usual(n_parameters, prior), prior) for _ in range(n_values + 1))
+        self._hopes = False
+        """All answers so far failed."""
 
-    def learn(self, features: Floats, values: Floats, failed: Bools, pending: Floats) -> None:
-        """Learns from answers in the order of asking: features, shape (n, n_features), values, shape (n, n_values), and failures."""
+    def learn(self, points: Points, values: Floats, failed: Bools, pending: Points) -> None:
+        """Learns from answers in the order of asking: values, shape (n, n_values), and failures, shape (n,)."""
         known = len(failed)
-        held = _kept(features)
-        features, values, failed = features[held], values[held], failed[held]
-        for place, output in enumerate(self._outputs):
-            if not failed.all():
-                own = values[~failed, place]
-                output.learn(features[~failed], own, self._owners, pending, Warp.chosen(own, float(self._best[place])), known)
-        if len(failed):
-            self._failure.learn(features, failed.astype(np.float64), self._owners, pending[:0], Warp(), known)
+        held = _kept(points.features)
+        points, values, failed = points[held], values[held], failed[held]
+        self._hopes = known > 0 and bool(failed.all())
+        if self._hopes:
+            self._hope(points, pending[:0])
+            return
+        for place, output in enumerate(self._outputs if known else ()):
+            own = values[~failed, place]
+            output.learn(points[~failed], own, self._owners, pending, Warp.chosen(own, float(self._best[place])), known)
+        if known:
+            self._failure.learn(points, failed.astype(np.float64), self._owners, pending[:0], Warp(), known)
+
+    def _hope(self, points: Points, none: Points) -> None:
+        """Learns from failures alone: that other sets fail as well is not certain, or a search would never leave them. It is as likely as
+        if one answer were sound, out of reach of all sets (Laplace), with the best value to be expected."""
+        labels = np.ones(len(points.seeds))
+        if np.isfinite(self._best).all():
+            for output, best in zip(self._outputs, self._best.tolist(), strict=True):
+                output.constant = best
+            sound = Points(np.full_like(points.features[:1], OUT_OF_REACH), points.seeds[:1])
+            points, labels = points.followed_by(sound), np.append(labels, 0.0)
+        self._failure.learn(points, labels, self._owners, none, Warp(), known=0)  # equal answers tell no lengths
 
     def predict(self, features: Floats, *, pending: bool) -> Belief:
         """Predicts n sets. Pending points shrink the deviation or do not."""
         predictions = [output.predict(features, pending=pending) for output in self._outputs]
         label, unsure = self._failure.predict(features, pending=False)
-        failing = label if self._failure.process is None else ndtr((label - 0.5) / np.sqrt(unsure**2 + 0.04))
+        is_drawn = self._random and self._hopes
+        if self._random and not is_drawn and self._failure.process is not None:
+            # the mean of a share that is normally distributed, but not negative
+            label = label * ndtr(label / unsure) + unsure * np.exp(-0.5 * (label / unsure) ** 2) / np.sqrt(2 * np.pi)
+        elif self._failure.process is not None and not is_drawn:
+            label = ndtr((label - 0.5) / np.sqrt(unsure**2 + 0.04))
         return Belief(
             np.stack([means for means, _ in predictions], axis=1),
             np.stack([deviations for _, deviations in predictions], axis=1),
-            np.clip(failing, 0.0, 1.0),
+            np.clip(label, 0.0, 1.0),
+            unsure if is_drawn else np.zeros_like(unsure),
         )
 
     def values(self, prediction: Belief, normal: Floats, uniform: Floats) -> Floats:
@@ -151,7 +185,7 @@ class ScenarioModel:
         drawn = np.where(failing[:, :, np.newaxis], self._worst, values)
         if not self._random:
             return drawn
-        rate = np.broadcast_to(prediction.failing, failing.shape)[:, :, np.newaxis]
+        rate = np.clip(prediction.failing + prediction.unsure * ndtri(uniform), 0.0, 1.0)[:, :, np.newaxis]
         mixed = np.where(rate > 0, values + rate * (self._worst - values), values)
         return np.where(np.isnan(self._worst), drawn, mixed)  # a failure that has no worth leaves no mean
 
@@ -165,13 +199,16 @@ class ScenarioModel:
         """Returns draws of single answers at n sets as the model expects them; shapes as of `values`."""
         belief = self.predict(features, pending=False)
         noise = np.broadcast_to([output.noise for output in self._outputs], belief.means.shape)
-        values = self.values(Belief(belief.means, noise, np.zeros(len(features))), normal, uniform)
+        none = np.zeros(len(features))
+        values = self.values(Belief(belief.means, noise, none, none), normal, uniform)
         return np.where((uniform < belief.failing)[:, :, np.newaxis], self._worst, values)
 
     def to_json(self) -> list[dict[str, Any]]:
         """Returns as plain data what answers alone do not tell."""
         tuned = (output.tuned for output in (*self._outputs, self._failure))
-        return [{"lengths": each.lengths.tolist(), "noise": each.noise, "count": each.count} for each in tuned]
+        return [
+            {"lengths": each.lengths.tolist(), "noise": each.noise, "luck": each.luck, "count": each.count} for each in tuned
+        ]
 
     def restore(self, documents: Sequence[Mapping[str, Any]]) -> None:
         """Inverts `to_json`."""

@@ -66,7 +66,7 @@ class SurrogateSearch:
         self._seed, self._task, self._aim = seed, task, task.aim
         encoding = Encoding(task.n_values, task.kinds)
         self._encoding = encoding
-        self._answers = Answers(encoding, task.aim)
+        self._answers = Answers(encoding, task.aim, max(1, task.replicates) if task.random else 1)
         self._aims = (task.aim, *task.variants)
         improving, bounding = zip(*map(_needed, self._aims), strict=True)
         self._needs = [np.ones(task.aim.scenarios, dtype=np.bool_), *np.any([improving, bounding], axis=(0, 3))[1:]]
@@ -123,8 +123,7 @@ class SurrogateSearch:
         """Continues a search that has just begun after these rounds."""
         for cell in (cell for cells in rounds for cell in cells):
             begun = self._answers.begin(cell.indices)
-            if cell.replicate > 1:
-                begun.replicate, begun.whole = cell.replicate, True
+            begun.replicate = cell.replicate
             self._answers.ask(begun, cell.scenario)
             self._spent += 1
         for told in answers:
@@ -212,10 +211,10 @@ class SurrogateSearch:
     def _learn(self) -> None:
         pending = self._answers.unanswered[-PENDING:]
         for scenario, model in enumerate(self._models):
-            numbers = [begun.number for begun in pending if not self._answers.answered(begun)[scenario]]
-            basis = (len(self._answers.order[scenario]), *numbers)
+            sets = [begun for begun in pending if not self._answers.answered(begun)[scenario]]
+            basis = (len(self._answers.order[scenario]), *(begun.number for begun in sets))
             if basis != self._learned[scenario]:
-                model.learn(*self._answers.known(scenario), self._answers.features(numbers))
+                model.learn(*self._answers.known(scenario), self._answers.points(sets))
                 self._learned[scenario] = basis
 
     def _merit(self, number: int, aim: int | None = None) -> Merit:
@@ -236,14 +235,14 @@ class SurrogateSearch:
         that are known without an answer stay as they are."""
         values = self._answers.values(sets)
         if self._task.random and len(sets):
-            features = self._answers.features([begun.number for begun in sets])
+            features = self._answers.points(sets).features
             expected = np.stack([model.expected(features) for model in self._models], axis=1)
             values = np.where(np.isnan(values), np.nan, self._task.with_given(self._rows(sets), expected))
         return values
 
     def _noise(self, begun: BegunSet, merit: Merit) -> float:
         """Returns the deviation of a set's merit by a sample in each scenario."""
-        features, generator = self._answers.features([begun.number]), self._generator(NOISE)
+        features, generator = self._answers.points([begun]).features, self._generator(NOISE)
         runs = [
             model.runs(features, generator.normal(size=(OPEN_DRAWS, 1, self._aim.values)), generator.random((OPEN_DRAWS, 1)))
             for model in self._models
@@ -342,7 +341,7 @@ class SurrogateSearch:
             if len(self._answers.missing(begun[1])):
                 begun[1].promise, begun[1].whole = begun[2], len(self._aims) > 1
             else:
-                begun[1].replicate, begun[1].whole = begun[1].replicate + 1, True
+                begun[1].replicate, begun[1].whole = self._answers.next_unasked(begun[1]), True
             return [begun[1]]
         if not len(rows):
             return []
@@ -377,7 +376,7 @@ class SurrogateSearch:
         of a new set, itself, its chance."""
         needs = self._needs[self._turn(len(self._answers.sets))]
         sets = [begun for begun in self._dormant(merit) if len(self._answers.missing(begun, needs))]
-        repeatable = self._answers.repeatable(self._task.replicates)
+        repeatable = self._answers.repeatable()
         first = min(BEFORE_REPEATS, (self._task.cells or np.inf) // self._aim.scenarios // 4)
         if len(self._answers.complete()) >= first and repeatable:
             order = np.argsort(-merit(self._values(repeatable)), kind="stable")[:PARENTS]
