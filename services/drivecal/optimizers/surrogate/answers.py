@@ -42,7 +42,7 @@ class Answers:
     """Tables of n sets, in the order of beginning."""
 
     def __init__(self, encoding: Encoding, aim: Aim, replicates: int) -> None:
-        self._encoding, self._aim, self._most = encoding, aim, replicates
+        self._encoding, self._aim = encoding, aim
         self.sets: list[BegunSet] = []
         self._numbers: dict[tuple[int, ...], int] = {}
         cells, runs = (64, aim.scenarios), (64, aim.scenarios, replicates)
