@@ -153,14 +153,10 @@ class RandomRun(Run):
     def __init__(self, chosen: EconomyProblem, cells: int, noise: float, number: int, *, is_smooth: bool = False) -> None:
         """`noise`: deviation of a run's objective, and as much again for what all sets have in common."""
         super().__init__(chosen, cells)
-        self._smooth = is_smooth
+        self._smooth, self._last = is_smooth, np.maximum(np.asarray(chosen.space.n_values) - 1, 1)
         self._noise, self._number, self.sets = noise * len(chosen.scenarios) ** 0.5, number, dict[tuple[int, ...], int]()
         self._answers: list[CellScore] = []
         self.ranking = self._ranked()
-
-    def _shares(self, cell: AskedCell) -> Floats:
-        shares: Floats = np.array(cell.indices) / np.maximum(np.asarray(self.problem.space.n_values) - 1, 1)
-        return shares
 
     def _ranked(self) -> Ranking:
         return by_score(dict.fromkeys(self.problem.scenarios, 1.0), self.problem.scale, USUAL)
@@ -173,7 +169,11 @@ class RandomRun(Run):
         if answer.failed:
             return answer
         seed = (self._number, cell.scenario, cell.replicate)
-        own = smooth(seed, self._shares(cell)) if self._smooth else np.random.default_rng([*seed, *cell.indices]).normal()
+        own = (
+            smooth(seed, np.array(cell.indices) / self._last)
+            if self._smooth
+            else np.random.default_rng([*seed, *cell.indices]).normal()
+        )
         drawn = own + np.random.default_rng(seed).normal()
         return CellAnswer(cell, (scale.worth(answer.values[0] + self._noise * drawn),))
 

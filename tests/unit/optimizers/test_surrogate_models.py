@@ -79,16 +79,13 @@ def test_fitted_lengths_tell_what_matters() -> None:
 
 @pytest.mark.parametrize(("alike", "common", "alone"), [(0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 0.5)])
 def test_fitted_variances_tell_what_luck_is_alike(alike: float, common: float, alone: float) -> None:
-    generator = np.random.default_rng(1)
-    features, targets = drawn(60, 1)
+    generator, (features, targets) = np.random.default_rng(1), drawn(60, 1)
     points = under(features).followed_by(under(features, 2))
     luck = [alike * np.sin(place + 4 * features[:, 1]) * 2**0.5 for place in (0, 2)]
-    targets = np.concatenate([targets, targets]) + np.concatenate(luck) + alone * generator.normal(size=120)
-    targets += np.repeat([common, -common], 60)
+    targets = np.tile(targets, 2) + np.concatenate(luck) + np.repeat([common, -common], 60) + alone * generator.normal(size=120)
     tuned = fitted(points, targets - targets.mean(), ENCODING.owners, Hyperparameters.usual(3, SAMPLED), SAMPLED)
     assert tuned.luck is not None
-    largest = np.argmax([*tuned.luck, tuned.noise])
-    assert largest == np.argmax([alike, common, alone])
+    assert np.argmax([*tuned.luck, tuned.noise]) == np.argmax([alike, common, alone])
 
 
 def test_pending_points_shrink_the_deviation_and_not_the_mean() -> None:
@@ -117,6 +114,17 @@ def test_skewed_costs_are_warped_and_others_are_not() -> None:
 def scenario_model() -> ScenarioModel:
     """Returns a model of one value, a cost."""
     return ScenarioModel(1, 3, ENCODING.owners, np.array([0.0]), np.array([100.0]))
+
+
+def test_the_noise_of_a_random_simulator_is_estimated() -> None:
+    generator, (features, targets) = np.random.default_rng(3), drawn(60, 1)
+    points, means = under(features).followed_by(under(features[:30], 2)), 10 + np.append(targets, targets[:30])[:, np.newaxis]
+    for noise in (0.1, 0.5):
+        model = ScenarioModel(1, 3, ENCODING.owners, np.array([-np.inf]), np.array([100.0]), random=True)
+        model.learn(points, means + noise * generator.normal(size=(90, 1)), np.zeros(90, dtype=np.bool_), NONE)
+        runs = model.runs(features[:1], generator.normal(size=(500, 1, 1)), np.ones((500, 1)))
+        assert runs.std() == pytest.approx(noise, rel=0.5)
+        assert abs(model.expected(points.features) - means).mean() < noise
 
 
 def test_random_failures_count_by_their_share() -> None:

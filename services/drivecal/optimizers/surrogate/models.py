@@ -164,11 +164,8 @@ class ScenarioModel:
         predictions = [output.predict(features, pending=pending) for output in self._outputs]
         label, unsure = self._failure.predict(features, pending=False)
         is_drawn = self._random and self._hopes
-        if self._random and not is_drawn and self._failure.process is not None:
-            # the mean of a share that is normally distributed, but not negative
-            label = label * ndtr(label / unsure) + unsure * np.exp(-0.5 * (label / unsure) ** 2) / np.sqrt(2 * np.pi)
-        elif self._failure.process is not None and not is_drawn:
-            label = ndtr((label - 0.5) / np.sqrt(unsure**2 + 0.04))
+        if self._failure.process is not None and not is_drawn:
+            label = _share(label, unsure) if self._random else ndtr((label - 0.5) / np.sqrt(unsure**2 + 0.04))
         return Belief(
             np.stack([means for means, _ in predictions], axis=1),
             np.stack([deviations for _, deviations in predictions], axis=1),
@@ -214,6 +211,12 @@ class ScenarioModel:
         """Inverts `to_json`."""
         for output, document in zip((*self._outputs, self._failure), documents, strict=True):
             output.tuned = Hyperparameters(**{**document, "lengths": np.array(document["lengths"], dtype=np.float64)})
+
+
+def _share(label: Floats, unsure: Floats) -> Floats:
+    """Returns the means of shares that are normally distributed, but not negative."""
+    result: Floats = label * ndtr(label / unsure) + unsure * np.exp(-0.5 * (label / unsure) ** 2) / np.sqrt(2 * np.pi)
+    return result
 
 
 def _kept(features: Floats) -> Indices:
