@@ -7,7 +7,6 @@
   random sets, and as much that all sets have in common, or `random_motorway`: the TRUE objective of the set that a campaign of `--cells`
   runs reports, over `--seeds` seeds, how far the report is off in the mean, in how many seeds an arm is better or worse than the first
   one, and how many 95 % intervals hold the truth. `single` believes single samples, `after` has replicates after the search alone.
-  `--smooth`: the luck of a run is alike for similar sets.
 """
 
 import argparse

@@ -348,9 +348,7 @@ def test_while_all_sets_fail_it_explores_the_whole_space(seed: int) -> None:
 def test_sets_that_all_fail_in_one_scenario_are_left(random: bool, seed: int) -> None:
     def value(cell: AskedCell) -> tuple[float, bool]:
         is_sound = cell.scenario == 0 or min(cell.indices[:2]) >= 30
-        return (
-            (6 - cell.indices[0] / 20, False) if is_sound else (0.0, True)
-        )  # small gains lead away from sets that fail nowhere
+        return (6 - cell.indices[0] / 20, False) if is_sound else (0.0, True)
 
     task = grid_task(mean_of(POINTS, 2), 80, random=random)
     assert any(min(cell.indices[:2]) >= 30 for cell in Played(task, value, 1).play(begun(task, seed)).cells)
