@@ -54,7 +54,7 @@ LONG_FILES = (
     *("kills", "how_tos", "page_views", "backend", "poison", "ray_backend", "liveness", "hostile_problems", "hostile_files"),
     *("problems_whole_way", "highway", "documentation", "tutorials", "predictions", "notebooks", "random_campaigns", "fmu"),
     *("process", "outside_optimizers", "children", "guard", "cell_search", "problem", "supervisor", "surrogate", "check_cli"),
-    *("page_sources", "api_schema", "database", "api_corpus", "disk", "database_away", "serve", "backup", "hostile_drives"),
+    *("api_schema", "database", "api_corpus", "disk", "database_away", "serve", "backup", "hostile_drives"),
 )
 """Files that take longest, in `make test` or only in `make test-slow`: waiting files alternate with computing ones."""
 SUITES = ("compose", "faults", "browser", "integration", "contract", "golden", "architecture", "unit")

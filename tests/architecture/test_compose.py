@@ -203,7 +203,7 @@ def imported(begin: Sequence[str], *, late: bool) -> set[str]:
     return others - {"drivecal", "_typeshed"} - sys.stdlib_module_names
 
 
-@pytest.mark.slow("ray-head", "dispatcher", "api")
+@pytest.mark.slow
 @pytest.mark.parametrize("role", ROLES)
 def test_an_image_holds_what_its_programs_import(role: str) -> None:
     mine = {plain(name.partition("==")[0].split("[")[0]) for name in locked(IMAGES / f"{role}.lock")}

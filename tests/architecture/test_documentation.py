@@ -161,6 +161,7 @@ BY_HAND = {"cluster.md", "index.md", "metrics.md"}
 """Pages of the reference that no program writes."""
 
 
+@pytest.mark.slow
 def test_the_reference_is_that_of_the_code() -> None:
     made = program("reference").pages()
     written = {path.name: path.read_text() for path in (DOCS / "pages" / "reference").glob("*.md") if path.name not in BY_HAND}

@@ -79,6 +79,7 @@ def test_a_module_can_be_read_in_one_sitting() -> None:
     assert {name: length for name, length in lengths.items() if length > LONGEST} == {}
 
 
+@pytest.mark.slow
 def test_whatever_is_public_is_documented() -> None:
     missing = {}
     for path in modules():

@@ -72,16 +72,12 @@ def views(shown: Shown) -> list[str]:
     return [*(f"{shown.api.url}/#/{path}" for path in paths), *(shown.at(tab) for tab in TABS)]
 
 
-PARTS = pytest.mark.parametrize("places", [(1, 2, 3), (0,)], ids=["others", "some"])  # of each four
-
-
-@pytest.mark.slow("others")
-@PARTS
-def test_every_view_can_be_used_by_everybody(shown: Shown, opening: Opening, places: tuple[int, ...]) -> None:
+@pytest.mark.slow
+def test_every_view_can_be_used_by_everybody(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.api.url}/#/nowhere", expected=("409",))
     broken: dict[str, Any] = {}
     charts = [f"{shown.at('evaluations')}?chart={kind}" for kind in ("scatter", "map")]
-    for address in [address for place, address in enumerate([*views(shown), *charts]) if place % 4 in places]:
+    for address in [*views(shown), *charts]:
         page.goto(address)
         expect(page.locator("main h1")).to_be_visible()
         broken[address] = barriers_everywhere(page)
@@ -92,11 +88,10 @@ def test_every_view_can_be_used_by_everybody(shown: Shown, opening: Opening, pla
     assert {address: rules for address, rules in broken.items() if rules} == {}
 
 
-@pytest.mark.slow("others")
-@PARTS
-def test_every_view_comes_back_with_the_server(shown: Shown, opening: Opening, places: tuple[int, ...]) -> None:
+@pytest.mark.slow
+def test_every_view_comes_back_with_the_server(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.api.url}/#/nowhere", expected=(*AWAY, "409"))
-    for address in [address for place, address in enumerate(views(shown)) if place % 4 in places]:
+    for address in views(shown):
         away_and_back(page, address)
 
 
@@ -148,6 +143,7 @@ def test_campaigns_are_searched_sorted_and_ticked_to_be_compared(shown: Shown, o
     expect(page.get_by_role("img", name=re.compile("Best scores of the searches")).locator("path")).to_have_count(2)
 
 
+@pytest.mark.slow
 def test_best_sets_of_campaigns_are_compared_under_one_weighting(shown: Shown, opening: Opening) -> None:
     database, get = shown.api.database, shown.api.http.get
     small: dict[str, Any] = {
@@ -192,6 +188,7 @@ def test_a_scatter_keeps_ranges_that_the_table_and_the_export_follow(shown: Show
     assert rows_shown(page) == some
 
 
+@pytest.mark.slow
 def test_what_matters_is_told_once_with_the_reason_of_a_disagreement(shown: Shown, opening: Opening) -> None:
     changes = {"reduction": {"mode": "off"}, "optimizer": {"kind": "random", "population": 60, "iterations": 2, "seed": 2}}
     campaign = run(
@@ -417,6 +414,7 @@ def drag(fingers: CDPSession, x: float, y: float, by: float) -> None:
     fingers.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
 
 
+@pytest.mark.slow
 def test_a_finger_scrolls_over_axes_and_keeps_a_range_after_a_tap(shown: Shown, touched: Page) -> None:
     touched.goto(shown.at("evaluations"))
     fingers = touched.context.new_cdp_session(touched)

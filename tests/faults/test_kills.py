@@ -50,6 +50,7 @@ def small_without_faults(tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
     return carried_out(tmp_path_factory.mktemp("small"), SMALL)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_a_small_campaign_outlives_its_processes_and_its_database(
     server_on: MakeServer, small_without_faults: dict[str, Found], postgres: KillablePostgres

@@ -100,6 +100,7 @@ def fill(field: str) -> bytes:
     return compact({field: LONG})
 
 
+@pytest.mark.slow
 def test_nothing_hostile_is_accepted_and_nothing_of_it_is_kept(api: ApiProcess) -> None:
     usual_work(api)
     before = api.megabytes

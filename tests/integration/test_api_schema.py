@@ -144,6 +144,7 @@ def derive(
     assert operations >= least
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(LONGEST_SECONDS)
 def test_every_answer_is_as_documented(schema: BaseSchema, api: RunningApi, subtests: pytest.Subtests) -> None:
     def judge(case: schemathesis.Case[Any]) -> None:
@@ -156,6 +157,7 @@ def test_every_answer_is_as_documented(schema: BaseSchema, api: RunningApi, subt
     derive(schema, judge, subtests)
 
 
+@pytest.mark.slow("evaluation")
 @pytest.mark.timeout(LONGEST_SECONDS)
 @pytest.mark.parametrize("of_evaluations", ["evaluation", "row"])
 def test_every_answer_about_what_is_there_is_as_documented(

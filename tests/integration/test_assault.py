@@ -22,6 +22,8 @@ from tests.support.serve import Server, environment, serving
 
 from drivecal.client import Client
 
+pytestmark = pytest.mark.slow
+
 NAMES = {"formula": '=HYPERLINK("http://elsewhere","x")', "script": "<script>alert(1)</script><img src=x onerror=alert(1)>"}
 SPEC = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 1}, "catalogue": ["S1"]}
 CROWD = 300
@@ -65,7 +67,6 @@ def test_an_image_of_a_foreign_page_starts_nothing(server: Server) -> None:
     assert asked("/help/", **foreign) == asked("/help/")
 
 
-@pytest.mark.slow("formula")
 @pytest.mark.parametrize("name", NAMES)
 def test_a_name_is_a_name_in_files_and_on_terminals(server: Server, tmp_path: Path, name: str) -> None:
     with Client(server.url) as client:

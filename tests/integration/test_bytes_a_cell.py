@@ -5,6 +5,7 @@ from dataclasses import replace
 from math import sin
 from typing import Any
 
+import pytest
 from sqlalchemy import text
 from tests.support.computed import ComputedBackend, computed
 from tests.support.runs import EXPERT_SPACE, post_map, run, submit
@@ -59,6 +60,7 @@ def counted(database: Database) -> tuple[int, int, int]:
     return (used - free) * page, cells, simulated
 
 
+@pytest.mark.slow
 def test_a_cell_with_its_run_takes_no_more_bytes_than_promised(database: Database) -> None:
     regions = {"P2": {"influential": True, "lower": 0.5, "upper": 0.5}, "P9": {"influential": False}}
     stored = post_map(database, dict.fromkeys(SCENARIOS, regions))

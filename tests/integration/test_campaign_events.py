@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.runs import SHORT, WITH_ANALYSIS, dispatcher, get, influenced, rows_of, run
 from tests.support.values import present
@@ -26,6 +27,7 @@ def analysed(database: Database, settings: dict[str, Any] = SHORT) -> StoredCamp
         return campaigns.insert(connection, name="analysed", spec=specification.model_dump(mode="json"))
 
 
+@pytest.mark.slow
 def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(database: Database) -> None:
     campaign = analysed(database, WITH_ANALYSIS)
     ended = run(database, campaign, ComputedBackend(answer=influenced))

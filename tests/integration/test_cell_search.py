@@ -57,6 +57,7 @@ def test_a_generational_search_ends_within_its_budget(database: Database, mode: 
     assert present(ended.search).ended_by == "budget"
 
 
+@pytest.mark.slow
 def test_a_search_that_stands_still_ends(database: Database) -> None:
     ended = carried_out(database, budget={"simulations": 3_000, "stagnation": 60}, **BY_CELL)
     assert present(ended.search).ended_by == "stagnation"
@@ -74,6 +75,7 @@ def test_the_same_search_again_simulates_nothing_and_another_begins_with_what_is
     assert (other.cells.repeated >= 9, other.cells.runs + other.cells.repeated) == (True, 30)  # the three best stored sets
 
 
+@pytest.mark.slow
 def test_a_repaired_set_that_was_asked_before_is_no_requested_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few: dict[str, Constraint] = {"few sets": lambda values: np.sum(list(values.values()), axis=0) <= 0.5}
     monkeypatch.setattr(resolvers, "Constraints", lambda space, _: Constraints(space, few))

@@ -54,11 +54,13 @@ def changed(parameters: Any) -> list[str]:
     return [name for name, value in BASELINE.items() if parameters[name] != value]
 
 
+@pytest.mark.slow
 def test_the_smallest_change_that_reaches_a_limit_is_found(database: Database) -> None:
     best = present(carried_out(database, budget={"simulations": 60}).best)
     assert (best.violation, changed(best.parameters), best.objective) == (0, ["p1", "p2"], 2)
 
 
+@pytest.mark.slow
 def test_no_set_beyond_limits_of_change_is_simulated(database: Database) -> None:
     limits = [{"changes": "baseline", "at_most": 3}, {"distance": "baseline", "norm": "sum", "at_most": 0.5}]
     ended = carried_out(database, objectives=[{"score": "cost"}], constraints=limits, budget={"simulations": 34})

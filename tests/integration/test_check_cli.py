@@ -107,6 +107,7 @@ def test_new_runs_that_differ_from_stored_ones_fail_the_check(checking: Checking
     assert [each["scenario"] for each in json.loads(again.stdout)["findings"] if each["broken"]] == ["all"]
 
 
+@pytest.mark.slow
 def test_a_fresh_check_takes_every_score_and_measure_from_new_runs(checking: Checking) -> None:
     push(checking.api.database, checking.folder / "heater")
     chosen, base = (checking.file(f"{gain}.json", MANIFEST["baseline"] | {"gain": gain}) for gain in (0.5, 1.0))
@@ -151,6 +152,7 @@ def test_scores_are_checked_by_name_and_a_campaigns_own_comes_first(checking: Ch
         assert {each["score"] for each in shown} == {score}
 
 
+@pytest.mark.slow
 def test_a_set_of_a_random_problem_is_checked_by_the_runs_that_report_it(checking: Checking) -> None:
     def noisy(setup: SetupRequest, cell: Cell) -> CellResult:
         noise = (setup.seed * 7 % 11, setup.seed % 2)

@@ -58,6 +58,7 @@ def database(database: Database) -> Database:
     return database
 
 
+@pytest.mark.slow("renamed", "curve")
 @pytest.mark.parametrize(
     ("parameters", "claims", "fixed"),
     [
@@ -127,6 +128,7 @@ def test_a_wrong_claim_ends_campaigns_and_evaluations_and_is_named(database: Dat
         assert [list(check(connection)) for check in CHECKS.values()] == [[] for _ in CHECKS]
 
 
+@pytest.mark.slow
 def test_nothing_is_claimed_without_a_claim_about_each_difference(database: Database) -> None:
     carried_out(database)
     push(database, BEFORE | JERK | {"k": {"lower": 0, "upper": 9}}, added={"jerk_max": 20})

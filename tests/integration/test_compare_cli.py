@@ -76,6 +76,7 @@ def test_the_campaigns_are_listed_and_compared_by_their_tag(run: Run, api: Runni
     assert run("compare-optimizers").exit_code == 2
 
 
+@pytest.mark.slow
 def test_campaigns_of_a_tag_are_paused_cancelled_and_deleted_together(run: Run, api: RunningApi) -> None:
     large = SMALL | {"name": "large", "populations": [60], "iterations": 500}
     tag = json.loads(run("compare-optimizers", "-", "--json", stdin=json.dumps(large)).stdout)["tag"]

@@ -74,6 +74,7 @@ def database(database: Database) -> Database:
     return database
 
 
+@pytest.mark.slow
 def test_results_show_curves_with_the_range_of_good_sets(database: Database, capsys: pytest.CaptureFixture[str]) -> None:
     wanted: dict[str, Any] = {"problem": "curved", "optimizer": {"kind": "surrogate", "seed": 1}, "variants": {"eu": {}}}
     wanted |= {"budget": {"simulations": 60}}

@@ -93,6 +93,7 @@ def says_so_everywhere(api: RunningApi) -> None:
     assert ask(api, "/healthz").json() == {"status": "alive"}
 
 
+@pytest.mark.slow
 def test_a_silent_database_is_noticed(api: RunningApi, postgres: KillablePostgres, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO, "drivecal"):
         with postgres.frozen():
@@ -127,6 +128,7 @@ def test_a_server_with_a_silent_database_hears_signals(postgres: KillablePostgre
     assert any("database" in reason for reason in lacking)
 
 
+@pytest.mark.slow
 def test_a_lock_that_somebody_keeps_is_not_waited_for_longer_than_promised(postgres: KillablePostgres) -> None:
     with serving(postgres.new_database()) as api, api.database.transaction() as connection:
         connection.exec_driver_sql("LOCK TABLE setups IN ACCESS EXCLUSIVE MODE")

@@ -1,5 +1,6 @@
 """Campaigns on workers that are good for nothing: the dispatcher on a real database, the workers in memory."""
 
+import pytest
 from tests.support.fake_backend import FakeBackend
 from tests.support.problems import scored, store, submit_checked
 from tests.support.runs import finish, get, submit
@@ -29,6 +30,7 @@ class _Beating(Dispatcher):
         self.heartbeat.beat()
 
 
+@pytest.mark.slow
 def test_a_campaign_waits_and_says_why_while_every_worker_has_another_version(database: Database) -> None:
     campaign = submit(database)
     backend = FakeBackend(2, refusing={1: REASON, 2: REASON})

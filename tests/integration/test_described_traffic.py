@@ -94,7 +94,7 @@ def test_a_route_file_brings_its_vehicles_and_flows(folder: Path) -> None:
     assert series(outcome, "gap_m").min() < 1000 or series(outcome, "rear_gap_m").min() < 1000
 
 
-@pytest.mark.slow("routes", "warm-up")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "data", [{"openscenario": "scenarios/cut_in.xosc"}, MERGE, PEAK], ids=["openscenario", "routes", "warm-up"]
 )

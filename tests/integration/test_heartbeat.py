@@ -82,6 +82,7 @@ def test_it_beats_while_the_main_thread_is_busy_and_says_since_when(database: Da
     assert reported(database).detail["degraded"] is None
 
 
+@pytest.mark.slow
 def test_a_main_thread_that_waits_for_a_computing_thread_does_not_hang(database: Database) -> None:
     now = [0.0]
     heartbeat = heartbeat_of(database, clock=lambda: now[0])
@@ -181,6 +182,7 @@ with heartbeat.Heartbeat(database.fenced(leadership.fence), leadership):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("database")
 def test_without_a_heartbeat_a_stuck_process_ends(tmp_path: Path) -> None:
     done = subprocess.run(

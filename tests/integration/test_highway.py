@@ -147,7 +147,7 @@ def test_all_kinds_of_controllers_give_the_same_bits(folder: Path) -> None:
 KINDS = ("python", "process", "numba", "fmu")
 
 
-@pytest.mark.slow(*(f"exact-{kind}" for kind in KINDS), "random-python")
+@pytest.mark.slow(*(f"exact-{kind}" for kind in KINDS), "random-python", "sublanes-numba")
 @pytest.mark.faults(*(f"random-{kind}" for kind in KINDS[1:]), "sublanes-python", "sublanes-process", "sublanes-fmu")
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_runs_repeat_in_any_order_and_process(folder: Path, kind: str, data: dic
     assert first[0] != first[1]
 
 
-@pytest.mark.slow("ends")
+@pytest.mark.slow
 @pytest.mark.parametrize("ends", [False, True], ids=["goes on", "ends"])
 def test_a_faulty_controller_costs_its_cell(tmp_path: Path, ends: bool) -> None:
     code = """

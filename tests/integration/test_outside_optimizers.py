@@ -96,6 +96,7 @@ def ended(api: RunningApi, campaign: str, work: Dispatcher) -> dict[str, Any]:
     raise AssertionError(document)
 
 
+@pytest.mark.slow("postgresql")
 def test_sets_are_answered_by_cell_in_order_and_the_campaign_ends_when_finished(api: RunningApi) -> None:
     campaign, work = submitted(api, baseline={"P1": 0.5, "P3": 1.0}), dispatcher(api.database, ComputedBackend(1))
     accepted = propose(api, campaign, sets(0, 30))
@@ -224,7 +225,7 @@ def test_sets_outside_of_the_space_are_repaired_on_request(sqlite: RunningApi) -
     assert (changed["a"]["P1"], changed["a"]["P3"]) == (1, 0)
 
 
-@pytest.mark.slow("postgresql")
+@pytest.mark.slow
 def test_a_campaign_that_waits_for_sets_takes_no_place_and_says_so(api: RunningApi) -> None:
     fed, other = submitted(api), submitted(api, optimizer={"kind": "random", "population": 5, "iterations": 1})
     said: list[Waits] = []
@@ -325,7 +326,7 @@ def test_a_dispatcher_that_is_killed_at_any_moment_loses_and_doubles_nothing(tmp
     assert all(end == ends[0] for end in ends)
 
 
-@pytest.mark.slow("optuna", "scipy")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["optuna", "cma", "scipy"])
 def test_the_example_of_an_optimizer_uses_its_budget(sqlite: RunningApi, tmp_path: Path, name: str) -> None:
     file = tmp_path / "spec.json"

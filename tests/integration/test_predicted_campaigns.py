@@ -88,6 +88,7 @@ def test_a_sample_is_compared_and_its_lot_released_or_simulated_whole(predicted:
         assert rest <= ({Outcome.PREDICTED} if lot.verdict is LotVerdict.RELEASED else {Outcome.SIMULATED, Outcome.FAILED})
 
 
+@pytest.mark.slow
 def test_individuals_for_which_the_budget_does_not_suffice_wait_for_verdicts(tmp_path: Path) -> None:
     """Lots of references and of predictions may save what they could cost, so the whole budget is used, also if dispatchers die."""
     ignored = {f"P{number}": {"influential": False} for number in range(2, 12)}
@@ -287,6 +288,7 @@ def test_a_set_that_was_dismissed_on_a_prediction_gets_a_last_look(tmp_path: Pat
     assert (killed.best, killed.confirmation, present(killed.search).last_look) == (campaign.best, campaign.confirmation, last)
 
 
+@pytest.mark.slow
 def test_a_search_whose_scenarios_are_known_ends_with_a_set_that_was_simulated(database: Database) -> None:
     """Each set has a predicted score in one of many scenarios, so that none is ranked unless some are simulated whole."""
 
@@ -322,6 +324,7 @@ def test_a_rerun_predicts_from_what_the_first_campaign_simulated(database: Datab
     assert present(ended.best).scores == {name: slowly(name, best).score for name in ("S1", "S2")}
 
 
+@pytest.mark.slow
 def test_the_account_has_what_predictions_saved_and_what_they_cost(api: RunningApi) -> None:
     wanted = {
         "parameters": SPACE,

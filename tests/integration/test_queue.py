@@ -79,7 +79,7 @@ def leased(database: Database) -> int:
         return connection.scalar(select(func.count()).select_from(leases_table)) or 0
 
 
-@pytest.mark.slow("postgresql")
+@pytest.mark.slow("postgresql", "sqlite-0-False")
 @pytest.mark.parametrize("by_cell", [False, True])
 @pytest.mark.parametrize("seed", range(tries(1, 3)))
 def test_a_dispatcher_killed_at_any_moment_changes_no_result_and_answers_nothing_twice(
@@ -322,6 +322,7 @@ def test_without_reduction_every_campaign_simulates_its_own_cells(database: Data
     assert all(campaign.cells.unrepeatable == 0 for campaign in ended)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(tries(1, 5)))
 def test_hiccups_change_no_result_and_simulate_nothing_twice(tmp_path: Path, seed: int) -> None:
     ended, sent = [], []

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from statistics import NormalDist, fmean
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -80,6 +80,7 @@ def carried_out(
     return finish(database, campaign, dispatcher(database, ComputedBackend(order, driven=driven)))
 
 
+@pytest.mark.slow
 def test_each_variant_has_a_best_set_that_is_reported(database: Database) -> None:
     def apart(setup: SetupRequest, cell: Cell) -> CellResult:
         shift = 0.4 * (setup.scenario == "city")
@@ -96,6 +97,7 @@ def test_each_variant_has_a_best_set_that_is_reported(database: Database) -> Non
         assert present(rows[name].cost) > -NOISE
 
 
+@pytest.mark.slow("population")
 @pytest.mark.parametrize("optimizer", [SPEC["optimizer"], POPULATIONS], ids=["cells", "population"])
 def test_the_best_set_is_known_by_runs_and_reported_by_others(database: Database, optimizer: dict[str, Any]) -> None:
     counted: list[int] = []
@@ -134,6 +136,7 @@ def test_a_budget_too_small_for_a_further_set_is_no_stagnation(database: Databas
     assert present(ended.search).ended_by == "budget"
 
 
+@pytest.mark.slow
 def test_all_sets_meet_the_same_seeds_and_good_ones_more_of_them(database: Database) -> None:
     ended = carried_out(database, budget={"simulations": 120})
     by_set: dict[float, set[int]] = {}
@@ -166,6 +169,7 @@ def test_an_outside_optimizer_gets_its_replicates_with_their_seeds(database: Dat
     assert len({answer.score for answer in answers}) == 7
 
 
+@pytest.mark.slow
 def test_a_study_of_another_campaign_chooses_by_the_seeds_that_chose_there(tmp_path: Path) -> None:
     def alike(setup: SetupRequest, cell: Cell) -> CellResult:
         noise = noisy(setup, cell).metrics["y"] - true_cost(float(cell.parameters["x"]))
@@ -181,6 +185,7 @@ def test_a_study_of_another_campaign_chooses_by_the_seeds_that_chose_there(tmp_p
     assert [row["parameters"] for row in present(document)["items"]] == [present(searched.best).parameters]
 
 
+@pytest.mark.slow
 def test_the_runs_that_a_study_compares_have_one_seed_and_others_have_others(tmp_path: Path) -> None:
     def seeded(setup: SetupRequest, cell: Cell) -> CellResult:
         """Much noise that all runs of a seed share. The set matters under even seeds, the mass under the second one."""
@@ -229,6 +234,7 @@ def failing(setup: SetupRequest, cell: Cell) -> CellResult:
     return CellResult(cell.id, None, None, {"y": true_cost(x)}, failure, 7.0)
 
 
+@pytest.mark.slow
 def test_a_set_whose_failures_are_rare_enough_is_the_best(database: Database) -> None:
     rated = carried_out(database, driven=failing, **RATED | {"baseline": {"x": 0.1}})
     kept, baseline = present(rated.best), present(rated.baseline)
@@ -240,6 +246,7 @@ def test_a_set_whose_failures_are_rare_enough_is_the_best(database: Database) ->
     assert {(row.violation, row.undecided, row.constraints["failures_upper"] <= 0.2) for row in rows} == {(0.0, False, True)}
 
 
+@pytest.mark.slow
 def test_the_values_of_a_front_have_intervals_and_sets_that_may_belong_to_it_are_counted(database: Database) -> None:
     names = ("city", "road")
     objectives = [{"name": name, "measure": "y", "direction": "minimise", "scenarios": [name]} for name in names]
@@ -281,6 +288,7 @@ def test_the_example_of_rates_can_be_shown_in_one_scenario(database: Database) -
     submit_checked(database, SPEC | RATED | {"weights": {"road": 0}, "budget": {"simulations": 2000}} | given)
 
 
+@pytest.mark.slow
 def test_runs_are_repeated_by_seed_under_any_score(tmp_path: Path) -> None:
     gain = {"formula": "10 - y", "direction": "maximise", "range": [0, 10]}
     varied = {"mass": {"lower": 1, "upper": 3, "nominal": 2}}
@@ -303,6 +311,7 @@ def test_a_population_runs_each_set_under_the_least_number_of_seeds(database: Da
     assert all(of_a_set == [1, 2, 3] for of_a_set in seeds.values())  # also of the sets for which the budget sufficed at last
 
 
+@pytest.mark.slow
 def test_a_simulator_that_says_random_and_is_not_gets_few_further_runs(database: Database) -> None:
     def exact(_: SetupRequest, cell: Cell) -> CellResult:
         return CellResult(cell.id, None, None, {"y": true_cost(float(cell.parameters["x"]))}, None, 7.0)
@@ -314,12 +323,9 @@ def test_a_simulator_that_says_random_and_is_not_gets_few_further_runs(database:
 
 def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: Path) -> None:
     database = opened(tmp_path / "unsaid.db", simulator=MANIFEST["simulator"] | {"random": False})
-    runs: list[int] = []
 
     def unsaid(setup: SetupRequest, cell: Cell) -> CellResult:
-        runs.append(setup.seed)
-        y = true_cost(float(cell.parameters["x"])) + NOISE * NormalDist().inv_cdf((len(runs) * 0.618) % 1 or 0.5)
-        return CellResult(cell.id, None, None, {"y": y}, None, 7.0, repeats=False if cell.check else None)
+        return replace(noisy(setup, cell), repeats=False if cell.check else None)
 
     ended = carried_out(database, driven=unsaid, budget={"simulations": 64})
     assert ended.cells.unrepeatable > 0
@@ -328,7 +334,7 @@ def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: 
     assert not any("tolerance" in note for note in ended.notes), "predictions answer no cell"
 
 
-@pytest.mark.slow("rates", "quantiles of a population")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "driven"),
     [(FEW, noisy), ({"optimizer": POPULATIONS, "replicates": {"aggregate": {"quantile": 0.9}}}, noisy), (RATED, failing)],

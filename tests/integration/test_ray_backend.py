@@ -49,6 +49,7 @@ def test_workers_killed_from_outside_cost_no_cell(pool: WorkPool) -> None:
     assert victim.pid not in {worker.pid for worker in pool.workers()}
 
 
+@pytest.mark.slow
 def test_workers_have_the_priority_of_their_dispatcher(ray_backend: RayBackend) -> None:
     while None in (numbers := [worker.pid for worker in ray_backend.workers()]):
         ray_backend.wait(0.5)

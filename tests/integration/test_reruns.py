@@ -80,6 +80,7 @@ def test_expert_sets_are_in_the_start_population_after_the_baseline(database: Da
     assert present(ended.baseline).objective is not None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("strict")
 def test_another_evaluator_rates_stored_runs_and_simulates_only_what_is_new(database: Database) -> None:
     first = _run(database)

@@ -58,6 +58,7 @@ def _while_restoring(monkeypatch: pytest.MonkeyPatch, act: Callable[[], None]) -
     monkeypatch.setattr(CmaEs, "tell", learning)
 
 
+@pytest.mark.slow
 def test_others_can_write_while_a_search_is_restored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     url = f"sqlite:///{tmp_path / 'drivecal.db'}"
     database, other = Database.open(url), Database.open(url, IMPATIENT)
@@ -77,6 +78,7 @@ def test_others_can_write_while_a_search_is_restored(tmp_path: Path, monkeypatch
     assert len(writes) > created
 
 
+@pytest.mark.slow
 def test_a_dispatcher_superseded_during_a_restore_writes_nothing(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign = _begun(database, 3)
     before = _rows(database, campaign), get(database, campaign)

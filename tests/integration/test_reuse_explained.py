@@ -66,6 +66,7 @@ def test_a_baseline_is_simulated_as_a_given_set_where_others_are_reused(database
     assert {(row.outcome, _explain(database, row).reason) for row in given} == {(Outcome.SIMULATED, "simulated")}
 
 
+@pytest.mark.slow
 def test_an_audit_is_explained_as_a_check_of_its_donor(database: Database) -> None:
     reduction = {"audit": 0.5, "max_error": 0.02}
     campaign = run(database, submit(database, stored_map=post_map(database, nothing_matters()), reduction=reduction))
@@ -83,6 +84,7 @@ def test_an_audit_is_explained_as_a_check_of_its_donor(database: Database) -> No
     assert verdicts == {(True, False), (False, False), (False, True)}
 
 
+@pytest.mark.slow
 def test_a_cell_without_a_result_is_explained_as_failed(database: Database) -> None:
     def fragile(scenario: str, cell: Cell) -> CellResult:
         if scenario == "S1" and cell.parameters["P9"] < 0.4:

@@ -20,6 +20,7 @@ def run(folder: Path, *words: str, **settings: str) -> subprocess.CompletedProce
     )
 
 
+@pytest.mark.slow
 def test_a_missing_password_ends_a_role_with_one_line_that_names_the_file(tmp_path: Path) -> None:
     url = "postgresql://drivecal@127.0.0.1:9/drivecal"
     done = run(

@@ -158,6 +158,7 @@ def test_the_same_cell_gives_the_same_bits_after_any_other_cells() -> None:
         assert driven(scenario, *changes_lane(scenario)) == first[scenario.id]
 
 
+@pytest.mark.slow
 def test_random_traffic_follows_its_seed_and_nothing_else() -> None:
     bench = resolve(CampaignSpecification.model_validate({"problem": "highway-random"})).bench
     scenarios = {name: scenario_of(name, request.data, RANDOM_FOLDER) for name, request in bench.requests.items()}

@@ -111,6 +111,7 @@ def control(observation, parameters):
 """A controller whose first child leaves files for the second one."""
 
 
+@pytest.mark.slow
 @pytest.mark.faults("steering", "acceleration", "warm_up")
 @pytest.mark.parametrize(
     ("kind", "scenario"),
@@ -158,7 +159,7 @@ def folders() -> Iterator[list[str]]:
 
 
 @pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
-@pytest.mark.slow("link")
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["link", "numba"])
 def test_what_a_child_leaves_gives_no_later_one_access_to_kernels(kind: str, folders: list[str], tmp_path: Path) -> None:
     code = LEAVES.replace("FOLDERS", repr(folders)).replace("KIND", kind)

@@ -81,6 +81,7 @@ def test_sets_are_ranked_by_what_vehicles_they_bear(database: Database) -> None:
         assert explain(connection, first_vehicle.id).stored == 0, "the nominal vehicle's runs are of another setup"
 
 
+@pytest.mark.slow
 def test_the_best_sets_of_a_calibration_are_examined_one_of_each_region_first(database: Database) -> None:
     campaign = submit(database, robustness=ROBUST)
     ended = run(database, campaign, ComputedBackend(driven=heavy))

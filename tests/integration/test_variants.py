@@ -64,6 +64,7 @@ def test_each_variant_has_its_best_set(database: Database, search: dict[str, Any
         assert solution_pages(StoredRanking(database, ended, resolved.of_variant(found.name))).solutions(0, 1) == [found.best]
 
 
+@pytest.mark.slow
 def test_variants_depend_on_no_worker_and_no_kill_and_use_the_budget_exactly(tmp_path: Path) -> None:
     outcomes = []
     for workers, deaths in ((1, ()), (8, (3,))):

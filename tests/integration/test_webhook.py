@@ -118,6 +118,7 @@ def test_a_refusing_listener_holds_nothing_up_and_stays_secret(database: Databas
         assert processes.read(connection, NAME) is not None
 
 
+@pytest.mark.slow
 def test_many_events_at_a_time_and_single_evaluations_hide_no_later_event(database: Database) -> None:
     with listening() as (url, posted):
         hook = Webhook(database, url)

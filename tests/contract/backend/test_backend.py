@@ -177,7 +177,7 @@ def test_a_crash_loses_what_the_worker_had_and_nothing_else(backend: Backend) ->
     assert all(isinstance(event, Finished) for event in collect(backend, 2).values())
 
 
-@pytest.mark.slow("ray")
+@pytest.mark.slow
 def test_a_hanging_worker_is_ended_at_the_deadline_and_replaced(backend: Backend) -> None:
     send(backend, 1, batch(WELL))
     send(backend, 2, batch(WELL))

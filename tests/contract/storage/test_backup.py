@@ -98,7 +98,7 @@ def as_file(database: Database, tmp_path: Path) -> Database:
     return Database.open(f"sqlite:///{file}")
 
 
-@pytest.mark.slow("postgresql-postgresql", "sqlite-postgresql")
+@pytest.mark.slow("postgresql-postgresql", "sqlite-postgresql", "postgresql-sqlite")
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_restored_rows_are_equal(used: Database, target_url: Callable[[str], str], kind: str, tmp_path: Path) -> None:
     file = tmp_path / "backup.db"
@@ -118,7 +118,7 @@ def test_restored_rows_are_equal(used: Database, target_url: Callable[[str], str
     assert new > dict(before["sqlite_sequence"])["events"] > 3
 
 
-@pytest.mark.slow("postgresql")
+@pytest.mark.slow
 def test_a_restored_campaign_goes_on(used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str) -> None:
     backup.write(used, tmp_path / "backup.db", silent)
     target = Database.open(target_url(backend))
@@ -139,7 +139,7 @@ def test_a_restored_campaign_goes_on(used: Database, target_url: Callable[[str],
     assert result[0][0] is CampaignState.SUCCEEDED
 
 
-@pytest.mark.slow("sqlite")
+@pytest.mark.slow
 def test_a_backup_holds_one_moment_of_a_used_database(used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivecal.storage.maintenance.backup.PAGES", 16)
     monkeypatch.setattr("drivecal.storage.maintenance.backup.CHUNK", 200)

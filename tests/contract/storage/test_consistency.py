@@ -146,6 +146,7 @@ def _without_foreign_keys(connection: Connection) -> None:
         connection.execute(text("SET LOCAL session_replication_role = replica"))
 
 
+@pytest.mark.slow("postgresql")
 def test_rows_that_point_nowhere_are_found_and_not_backed_up(filled: Database, tmp_path: Path) -> None:
     (tmp_path / "backups").mkdir()
     with filled.transaction() as connection:

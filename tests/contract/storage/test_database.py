@@ -70,6 +70,7 @@ def test_a_reader_cannot_write(database: Database) -> None:
         campaign(connection)
 
 
+@pytest.mark.slow
 def test_fifty_requests_get_their_turns_beside_a_process_that_writes_without_a_pause(database: Database) -> None:
     url = database.url.render_as_string(hide_password=False)
     begun, ends = PROCESSES.Event(), PROCESSES.Event()

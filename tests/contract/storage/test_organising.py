@@ -112,7 +112,7 @@ def test_only_ended_campaigns_are_deleted(database: Database) -> None:
     assert listed(database) == ["campaign"]
 
 
-@pytest.mark.slow("postgresql")
+@pytest.mark.slow
 def test_runs_of_a_deleted_campaign_answer_others(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(deletion, "SLICE", 7)
     first = carried_out(database)

@@ -26,6 +26,8 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance import deletion
 
+pytestmark = pytest.mark.slow
+
 PATIENCE = 60
 """Seconds after which an overlap that never comes fails its test."""
 
@@ -93,7 +95,6 @@ def first(postgres: Database) -> StoredCampaign:
     return run(postgres, submit(postgres, **SHORT), ComputedBackend(answer=influenced))
 
 
-@pytest.mark.slow("study", "comparison_on_map")
 @USES
 def test_submissions_wait_for_deletions(
     postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor, use: Use
@@ -108,7 +109,6 @@ def test_submissions_wait_for_deletions(
         submitted.result(PATIENCE)
 
 
-@pytest.mark.slow("study", "comparison_on_map")
 @USES
 def test_a_deletion_waits_for_a_submission_that_was_checked_and_is_refused(
     postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor, use: Use, monkeypatch: pytest.MonkeyPatch

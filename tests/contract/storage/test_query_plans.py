@@ -32,6 +32,8 @@ from drivecal.storage.maintenance import deletion
 from drivecal.storage.references import parameter_sets, reference_keys, runs
 from drivecal.storage.references.candidates import Integers
 
+pytestmark = pytest.mark.slow
+
 ROWS = 4_000
 SMALL = {"reference_indexes", "leases", "processes", "traces", "lots"}
 """One row per map, setup and evaluator, one per cell at a worker, some traces, and no lot: PostgreSQL rightly reads all of them."""
@@ -197,7 +199,6 @@ LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
 }
 
 
-@pytest.mark.slow("postgresql")
 def test_look_ups_use_their_indexes(filled: Database, subtests: pytest.Subtests) -> None:
     with filled.transaction() as connection:
         for name, (use, index) in LOOK_UPS.items():
@@ -214,14 +215,12 @@ def test_look_ups_use_their_indexes(filled: Database, subtests: pytest.Subtests)
             assert scanned(plans(connection, lambda one: one.execute(query).all())) == {"runs"}
 
 
-@pytest.mark.slow("postgresql")
 def test_late_ratings_are_not_searched_for_among_all_runs(filled: Database) -> None:
     with filled.read() as connection:
         plan = plans(connection, lambda one: reference_keys._rated(one, 1, EVALUATOR, 0, 10**9, 100))
     assert "ix_ratings_since" in plan, plan
 
 
-@pytest.mark.slow("postgresql")
 def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, subtests: pytest.Subtests) -> None:
     with filled.transaction() as connection:
         sequence = campaign(connection).sequence
@@ -246,7 +245,6 @@ def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, sub
                 assert scanned(plan) == set(), plan
 
 
-@pytest.mark.slow("postgresql")
 def test_a_campaign_and_the_active_ones_are_found_among_many_ended_ones(database: Database) -> None:
     with database.transaction() as connection:
         for number in range(1500):
@@ -264,7 +262,6 @@ def test_a_campaign_and_the_active_ones_are_found_among_many_ended_ones(database
         assert scanned(plan) == set(), plan
 
 
-@pytest.mark.slow("postgresql")
 def test_a_page_of_campaigns_reads_no_single_evaluation(database: Database) -> None:
     with database.transaction() as connection:
         for number in range(300):
@@ -282,7 +279,6 @@ def test_a_page_of_campaigns_reads_no_single_evaluation(database: Database) -> N
     assert "TEMP B-TREE" not in plan
 
 
-@pytest.mark.slow("postgresql")
 def test_studies_about_a_campaign_are_found_among_many(database: Database) -> None:
     with database.transaction() as connection:
         for number in range(1500):
@@ -297,7 +293,6 @@ def test_studies_about_a_campaign_are_found_among_many(database: Database) -> No
         assert scanned(plans(connection, lambda one: deletion.references(one, first))) <= {"influence_maps"}
 
 
-@pytest.mark.slow("postgresql")
 def test_events_are_read_and_forgotten_by_their_indexes(database: Database) -> None:
     with database.transaction() as connection:
         sequences = [campaign(connection).sequence for _ in range(40)]

@@ -192,7 +192,7 @@ def test_sets_with_their_parameters_in_other_orders_share_their_keys(database: D
     assert [donor.evaluation for donor in result.values()] == [1]
 
 
-@pytest.mark.slow("postgresql")
+@pytest.mark.slow
 def test_many_keys_are_looked_up_at_once(database: Database) -> None:
     sets = [ParameterSet.of({"P1": decimal("0.3") + decimal(number) / 100_000, "P2": decimal(1)}) for number in range(12_000)]
     with database.transaction() as connection:

@@ -119,6 +119,7 @@ def test_changed_tables_are_another_revision(monkeypatch: pytest.MonkeyPatch) ->
     assert runpy.run_path(file)["revision"] not in {FIRST[0], second}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("statement", [1, 4, None])
 def test_a_killed_upgrade_leaves_the_old_revision(old: Database, later: Path, statement: int | None) -> None:
     before = rows_of(old)

@@ -93,6 +93,7 @@ def test_daemons_that_leave_the_group_end_too(tmp_path: Path, mark: str) -> None
     assert running(mark) == []
 
 
+@pytest.mark.slow
 def test_a_child_that_ignores_signals_ends(tmp_path: Path, mark: str) -> None:
     body = "for number in (1, 2, 15): signal.signal(number, signal.SIG_IGN)\ntime.sleep(600)"
     write_server(tmp_path, f"if x == 1.0:\n    {body.replace(chr(10), chr(10) + '    ')}")
@@ -130,6 +131,7 @@ time.sleep(600)
 """A program that takes a while to clean up when it is asked to end."""
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("patient")
 def test_programs_behind_a_shell_may_clean_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"

@@ -54,6 +54,7 @@ def test_a_command_gets_its_seed_as_a_word_and_as_a_variable(tmp_path: Path) -> 
         assert [session.evaluate({"x": 4}, seed=seed).measures["y"] for seed in (1, 3, 1)] == [210, 614, 210]
 
 
+@pytest.mark.slow("exec sleep 600-hang-timeout")
 @pytest.mark.parametrize(
     ("body", "breakdown", "detail"),
     [

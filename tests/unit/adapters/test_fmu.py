@@ -70,6 +70,7 @@ def test_a_random_fmu_takes_the_seed_of_each_run(folder: Path, file: str) -> Non
     assert ends == pytest.approx([2.0, 6.0, 2.0])
 
 
+@pytest.mark.slow("trial3.fmu")
 @pytest.mark.parametrize("file", ["trial2.fmu", "trial3.fmu"])
 def test_a_fault_costs_its_run_only(folder: Path, file: str) -> None:
     with run(folder, file) as session:
@@ -178,6 +179,7 @@ def described_anew(folder: Path, target: Path, old: str, new: str) -> None:
     archive(target / "unit.fmu", description, {"binaries/linux64/trial.so": library})
 
 
+@pytest.mark.slow
 def test_a_declared_unit_is_that_of_the_output(folder: Path, tmp_path: Path) -> None:
     described_anew(folder, tmp_path, 'variability="continuous"><Real/>', 'variability="continuous"><Real unit="m/s"/>')
     own = {"end": "m.s-1", "area": "m", "usual": "1"}
@@ -189,6 +191,7 @@ def test_a_declared_unit_is_that_of_the_output(folder: Path, tmp_path: Path) -> 
             pass
 
 
+@pytest.mark.slow
 def test_a_parameter_has_the_unit_of_its_variable(folder: Path, tmp_path: Path) -> None:
     described_anew(folder, tmp_path, '"tunable"><Real start="1"/>', '"tunable"><Real start="1" unit="km/h"/>')
     for unit in ("km/h", "1"):

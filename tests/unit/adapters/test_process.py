@@ -60,6 +60,7 @@ def test_a_fault_costs_its_run_only(tmp_path: Path, name: str) -> None:
             assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
 
 
+@pytest.mark.slow
 def test_many_runs_and_faults_leave_nothing_open(tmp_path: Path) -> None:
     with served(tmp_path, "if x == 1.0:\n    os.abort()\nif x == 2.0:\n    answer(id=0)") as session:
         session.evaluate({"x": 0.0})

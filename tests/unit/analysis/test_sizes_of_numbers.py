@@ -54,6 +54,7 @@ def ranked(rows: list[tuple[int, int, int]], size: float, offset: float, aims: G
     return standing
 
 
+@pytest.mark.slow
 @given(
     rows=st.lists(st.tuples(THOUSANDTHS, THOUSANDTHS, THOUSANDTHS), min_size=2, max_size=30),
     size=SIZES,

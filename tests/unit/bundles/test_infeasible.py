@@ -44,6 +44,7 @@ def test_constraints_that_leave_nothing_are_refused_with_what_was_tried(constrai
     assert "baseline" in problem.remedy
 
 
+@pytest.mark.slow
 def test_the_search_behind_long_constraints_tries_fewer_sets(monkeypatch: pytest.MonkeyPatch) -> None:
     """A push of a hundred long constraints kept the server at them for a quarter of an hour."""
     longest = "x + y >= 3" + " or x + y >= 3" * 60

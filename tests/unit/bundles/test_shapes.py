@@ -49,6 +49,7 @@ def document(gain: dict[str, Any], torque: dict[str, Any] | None = None, **other
     } | others
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1), form=st.sampled_from(FORMS), n=st.integers(2, 6))
 def test_feasible_coefficients_give_values_of_the_declared_form(seed: int, form: str, n: int) -> None:
     declared = {"monotone": form} if form.endswith("ing") else {form: 0.05 if form == "slope" else True}

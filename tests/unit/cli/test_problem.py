@@ -48,7 +48,7 @@ def check(folder: str, *options: str) -> tuple[int, dict[str, Any]]:
     return result.exit_code, json.loads(result.stdout)
 
 
-@pytest.mark.slow("process", "python")
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["process", "command", "python"])
 def test_a_new_problem_works_as_it_is(tmp_path: Path, kind: str) -> None:
     folder = str(tmp_path / "mine")
@@ -105,6 +105,7 @@ STATEFUL = (
 """Answers by the first set that its process got."""
 
 
+@pytest.mark.slow
 def test_state_kept_from_the_first_run_is_a_warning(write: Write) -> None:
     code, report = check(write(STATEFUL))
     assert (code, [scenario["repeats"] for scenario in report["scenarios"]]) == (0, [True, True])
@@ -128,6 +129,7 @@ def test_the_table_shows_scores_measures_and_times(write: Write) -> None:
     assert {"scenario", "cost", "energy", "wall"} <= set(result.stdout.split())
 
 
+@pytest.mark.slow
 def test_curves_are_tried_and_printed_as_lists(write: Write) -> None:
     curve = "  gain: {curve: {axis: [0, 1, 2]}, lower: 1, upper: 1.5, coefficients: 2}\nsimulator"
     folder = write("def evaluate(p, s):\n    return {'energy': sum(p['gain'])}\n", MANIFEST.replace("simulator", curve))

@@ -27,6 +27,7 @@ def guarded(folder: Path, name: str, seconds: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
 def test_a_node_whose_raylet_gives_up_ends_and_says_so(tmp_path: Path) -> None:
     process = guarded(tmp_path, "raylet", "5")
@@ -44,6 +45,7 @@ def test_a_node_that_is_asked_to_ends_in_order(tmp_path: Path) -> None:
     process.communicate()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
 def test_a_node_whose_raylet_is_stopped_ends(tmp_path: Path) -> None:
     process = guarded(tmp_path, "raylet", "600")
@@ -66,6 +68,7 @@ SHOWING = (
 )
 
 
+@pytest.mark.slow
 def test_a_process_without_further_signs_of_life_ends_so_that_it_is_started_again() -> None:
     command = [sys.executable, "-m", "drivecal.cluster.guard", sys.executable, "-c", SHOWING]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)

@@ -91,6 +91,7 @@ def test_standard_input_is_read_as_what_it_looks_like(monkeypatch: pytest.Monkey
         assert read_document("-") == {"name": "a"}
 
 
+@pytest.mark.slow("nested")
 @pytest.mark.parametrize(
     ("content", "said"),
     [

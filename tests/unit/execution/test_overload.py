@@ -43,7 +43,7 @@ def seconds_until_done(plant: Plant, tag: str) -> float:
     return plant.now - began
 
 
-@pytest.mark.slow("1")
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2, 8])
 def test_each_of_ten_small_campaigns_ends_in_three_times_its_time_alone_beside_a_large_one(workers: int) -> None:
     alone = time_alone(workers, "S2", SMALL * workers, COST)
@@ -143,6 +143,7 @@ def running(plant: Plant) -> Counter[str]:
     return Counter(scenario for _, scenario in {(sent.worker, sent.batch.setup.scenario) for _, _, sent in plant._ends})
 
 
+@pytest.mark.slow
 @pytest.mark.faults("False-2", "False-7", "True-4", "True-7")
 @pytest.mark.parametrize("workers", [2, 4, 7])
 @pytest.mark.parametrize("measured", [False, True])

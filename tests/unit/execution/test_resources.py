@@ -50,6 +50,7 @@ def test_licences_are_in_use_while_work_waits_for_them_and_hold_no_other_work_up
     assert backend.busy_seconds >= 0.95 * 4 * backend.now
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keeps", [False, True])
 @given(kills=st.lists(st.tuples(st.integers(0, 60), st.integers(0, 3)), max_size=12))
 @settings(max_examples=examples(25), deadline=None)

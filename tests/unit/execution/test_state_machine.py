@@ -440,6 +440,7 @@ class Turmoil(RuleBasedStateMachine):
             known.pop(identity, None)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_every_cell_is_answered_once_or_withdrawn_whatever_happens() -> None:
     each = 50

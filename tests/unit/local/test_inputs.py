@@ -70,6 +70,7 @@ def test_a_folder_has_the_files_behind_its_links(tmp_path: Path) -> None:
     assert len({*digests, digest_of_path(maps)}) == 5
 
 
+@pytest.mark.slow
 def test_values_of_variables_and_contents_of_inputs_are_in_the_key(table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, program = table.parent / "problem", table.with_name("tool.py")
     program.write_text("print(1)")

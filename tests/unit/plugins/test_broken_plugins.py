@@ -107,6 +107,7 @@ def test_a_broken_driving_function_leaves_the_others_listed(tmp_path: Path) -> N
     assert len(answer["all"]) == 2
 
 
+@pytest.mark.slow
 def test_a_name_that_two_packages_register_is_refused_with_both(tmp_path: Path) -> None:
     install(tmp_path, "first", EMPTY, "[drivecal.scenarios]\ntheirs = first:PLUGIN\n")
     install(tmp_path, "second", EMPTY, "[drivecal.scenarios]\ntheirs = second:PLUGIN\n")
@@ -155,6 +156,7 @@ print(json.dumps([sorted(plugin.supports), *(each.ask().population.tolist() for 
 """
 
 
+@pytest.mark.slow
 def test_an_optimizer_that_declares_nothing_gets_grids_and_is_not_told_kinds(tmp_path: Path) -> None:
     install(tmp_path, "plain", PLAIN, "[drivecal.optimizers]\nplain = plain:PLUGIN\n")
     supports, population, restored = run(tmp_path, SEARCHES)

@@ -207,6 +207,7 @@ def test_netconverts_own_words_come_with_the_line_of_the_road_that_they_name(mon
     assert refused(document(road("7"))).message.startswith("line 3, road 7"), "the only road of a file is meant"
 
 
+@pytest.mark.slow
 def test_spirals_of_any_curvature_are_converted_or_refused_soon() -> None:
     values = ["0", "1e-300", "1e-17", "1e-9", "-1e-9", "0.01", "0.0100000001", "-0.01", "9.9"]
     for first, last in sample(list(product(values, ("0", "0.01", "-0.0100000000001"))), 10):

@@ -110,6 +110,7 @@ def test_points_that_break_constraints_are_never_asked(design: Literal["lines", 
     assert result["speed"].influence.upper is not None
 
 
+@pytest.mark.slow
 def test_each_coefficient_of_a_curve_with_a_form_gets_steps_within_what_is_announced() -> None:
     names = [f"gain_{number}" for number in range(1, 9)]
     space = ParameterSpace(tuple(Parameter.from_step(name, Decimal(0), Decimal(4), None) for name in [*names, "mass"]))

@@ -57,6 +57,7 @@ def rough(space: Any, box: Box, seed: int, changed: float, failing: float) -> Sc
     return score
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.integers(7, 40), min_size=1, max_size=4),
     st.integers(1, 6),

@@ -148,6 +148,7 @@ note(); time.sleep(600)
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("server", [(PEACEFUL, KILLED_THRICE)], indirect=True)
 def test_a_child_that_is_killed_while_it_starts_is_started_again(server: Server) -> None:
     server.ready()

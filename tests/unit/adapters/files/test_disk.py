@@ -190,6 +190,7 @@ def test_disks_are_told_from_memory() -> None:
     }
 
 
+@pytest.mark.slow
 def test_files_of_memory_count_once_and_not_only_while_they_are_mapped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(children, "LOOK_SECONDS", 0.1)
     write = "import mmap; file = os.memfd_create('m'); [os.write(file, bytes(10 << 20)) for _ in range({tens})]"
@@ -200,6 +201,7 @@ def test_files_of_memory_count_once_and_not_only_while_they_are_mapped(tmp_path:
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
 
 
+@pytest.mark.slow
 def test_more_open_files_than_can_be_looked_at_cost_their_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     limit(monkeypatch)
     monkeypatch.setattr(files, "MOST_LOOKS", 200)

@@ -71,7 +71,7 @@ def both(seed: int) -> tuple[np.random.Generator, Scenario, FrenetPlanner, Refer
     return random, scenario, planner, reference
 
 
-@pytest.mark.slow("0", "2")
+@pytest.mark.slow("0", "1", "2")
 @pytest.mark.parametrize("seed", range(tries(3, 16)))
 def test_features_costs_and_decisions_are_those_of_the_reference(seed: int) -> None:
     random, scenario, planner, reference = both(seed)

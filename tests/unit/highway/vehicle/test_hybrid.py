@@ -192,6 +192,7 @@ assert not {{"sklearn", "vehiclemodels"}} & set(sys.modules), "the worker would 
 """
 
 
+@pytest.mark.slow
 def test_a_fresh_process_agrees_in_every_bit_and_loads_little() -> None:
     assert subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True).stdout == wave()
 
