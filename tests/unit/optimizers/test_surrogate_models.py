@@ -127,12 +127,15 @@ def test_the_noise_of_a_random_simulator_is_estimated() -> None:
         assert abs(model.expected(points.features) - means).mean() < noise
 
 
-def test_random_failures_count_by_their_share() -> None:
-    features, _ = drawn(80, 1)
-    failed = np.random.default_rng(1).random(80) < 0.25
+def test_random_failures_count_by_their_share_which_is_drawn_where_it_is_unknown() -> None:
+    features, failed = drawn(6, 1)[0], np.random.default_rng(1).random(240) < 0.25
+    points = Points(np.repeat(features, 40, axis=0), np.tile(np.arange(40), 6))
     model = ScenarioModel(1, 3, ENCODING.owners, np.array([0.0]), np.array([100.0]), random=True)
-    model.learn(Points(features, np.arange(80) % 4), np.where(failed, 100.0, 5.0)[:, np.newaxis], failed, NONE)
+    model.learn(points, np.where(failed, 100.0, 5.0)[:, np.newaxis], failed, NONE)
     assert model.expected(features).mean() == pytest.approx(5 + 0.25 * 95, abs=10)
+    belief = model.predict(np.append(features, 1 - features, axis=0), pending=False)
+    known, unknown = np.ptp(model.values(belief, np.zeros((1, 1, 1)), np.array([[0.02], [0.98]])), axis=0).reshape(2, 6)
+    assert known.max() < 30 < unknown.min()
 
 
 def test_failures_are_a_class_of_their_own() -> None:
@@ -157,8 +160,7 @@ def test_any_number_of_answers_is_learned(count: int) -> None:
     model = scenario_model()
     model.learn(under(features), 5 + targets[:, np.newaxis], np.zeros(count, dtype=np.bool_), NONE)
     prediction = model.predict(drawn(5, 6)[0], pending=True)
-    assert np.isfinite(prediction.means).all()
-    assert np.isfinite(prediction.deviations).all()
+    assert np.isfinite([prediction.means, prediction.deviations]).all()
 
 
 def test_saved_hyperparameters_are_restored() -> None:

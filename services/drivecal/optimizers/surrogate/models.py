@@ -32,6 +32,8 @@ FEWEST = 3
 """Answers with which a process begins."""
 OUT_OF_REACH = 1e3
 """Feature that no set is near, in ranges."""
+MOST_ALIKE = 0.9999
+"""Largest correlation of a set's runs in failing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +119,8 @@ class Belief:
     deviations: Floats
     failing: Floats
     """Probabilities of a failure, shape (n,)."""
-    unsure: Floats
-    """Deviations of the share of runs that fail, of random runs while all fail."""
+    alike: Floats
+    """How far random runs of a set are alike in failing, shape (n,): 0 if each fails by chance, 1 if all fail or none."""
 
 
 class ScenarioModel:
@@ -132,10 +134,13 @@ class ScenarioModel:
         *self._outputs, self._failure = (Output(Hyperparameters.usual(n_parameters, prior), prior) for _ in range(n_values + 1))
         self._hopes = False
         """All answers so far failed."""
+        self._least = 0.5
+        """Least probability that a random run fails, and that it does not."""
 
     def learn(self, points: Points, values: Floats, failed: Bools, pending: Points) -> None:
         """Learns from answers in the order of asking: values, shape (n, n_values), and failures, shape (n,)."""
         known = len(failed)
+        self._least = 1.0 / (known + 2)  # Laplace's rule of succession
         held = _kept(points.features)
         points, values, failed = points[held], values[held], failed[held]
         self._hopes = known > 0 and bool(failed.all())
@@ -162,15 +167,18 @@ class ScenarioModel:
     def predict(self, features: Floats, *, pending: bool) -> Belief:
         """Predicts n sets. Pending points shrink the deviation or do not."""
         predictions = [output.predict(features, pending=pending) for output in self._outputs]
-        label, unsure = self._failure.predict(features, pending=False)
-        is_drawn = self._random and self._hopes
-        if self._failure.process is not None and not is_drawn:
-            label = _share(label, unsure) if self._random else ndtr((label - 0.5) / np.sqrt(unsure**2 + 0.04))
+        failing, unsure = self._failure.predict(features, pending=False)
+        alike = np.zeros_like(failing)
+        if self._failure.process is not None and self._random:
+            failing = np.clip(failing, self._least, 1.0 - self._least)
+            alike = _correlation(unsure**2 / (failing * (1.0 - failing)))
+        elif self._failure.process is not None:
+            failing = ndtr((failing - 0.5) / np.sqrt(unsure**2 + 0.04))
         return Belief(
             np.stack([means for means, _ in predictions], axis=1),
             np.stack([deviations for _, deviations in predictions], axis=1),
-            np.clip(label, 0.0, 1.0),
-            unsure if is_drawn else np.zeros_like(unsure),
+            failing,
+            alike,
         )
 
     def values(self, prediction: Belief, normal: Floats, uniform: Floats) -> Floats:
@@ -182,13 +190,14 @@ class ScenarioModel:
         drawn = np.where(failing[:, :, np.newaxis], self._worst, values)
         if not self._random:
             return drawn
-        rate = np.clip(prediction.failing + prediction.unsure * ndtri(uniform), 0.0, 1.0)[:, :, np.newaxis]
+        rate = _rates(prediction.failing, prediction.alike, uniform)[:, :, np.newaxis]
         mixed = np.where(rate > 0, values + rate * (self._worst - values), values)
         return np.where(np.isnan(self._worst), drawn, mixed)  # a failure that has no worth leaves no mean
 
     def expected(self, features: Floats) -> Floats:
         """Returns the values that the model expects, shape (n, n_values)."""
         belief = self.predict(features, pending=False)
+        belief = replace(belief, alike=np.zeros_like(belief.alike))  # a mean counts the mean share of failures
         values: Floats = self.values(belief, np.zeros((1, 1, 1)), np.full((1, 1), 0.5))[0]
         return values
 
@@ -197,7 +206,7 @@ class ScenarioModel:
         belief = self.predict(features, pending=False)
         noise = np.broadcast_to([output.noise for output in self._outputs], belief.means.shape)
         none = np.zeros(len(features))
-        values = self.values(Belief(belief.means, noise, none, none), normal, uniform)
+        values = self.values(Belief(belief.means, noise, none, none), normal, np.full_like(uniform, 0.5))
         return np.where((uniform < belief.failing)[:, :, np.newaxis], self._worst, values)
 
     def to_json(self) -> list[dict[str, Any]]:
@@ -213,9 +222,20 @@ class ScenarioModel:
             output.tuned = Hyperparameters(**{**document, "lengths": np.array(document["lengths"], dtype=np.float64)})
 
 
-def _share(label: Floats, unsure: Floats) -> Floats:
-    """Returns the means of shares that are normally distributed, but not negative."""
-    result: Floats = label * ndtr(label / unsure) + unsure * np.exp(-0.5 * (label / unsure) ** 2) / np.sqrt(2 * np.pi)
+def _correlation(share: Floats) -> Floats:
+    """Returns how far two runs of a set are alike in failing: the correlation of normal numbers that decide it (Sheppard 1899).
+
+    Args:
+        share: Variance of the probability of a failure, as a share of the variance of one run, which is 1 where all runs fail or none.
+    """
+    result: Floats = np.minimum(np.sin(np.pi / 2 * np.minimum(share, 1.0)), MOST_ALIKE)
+    return result
+
+
+def _rates(failing: Floats, alike: Floats, uniform: Floats) -> Floats:
+    """Returns draws of the share of a set's runs that fail (Vasicek 1987), shape (n_draws, n): near `failing` where runs fail by chance,
+    near 0 or 1 where all of a set's runs fail or none. One number for an unknown share would keep a search where nothing failed."""
+    result: Floats = ndtr((ndtri(failing) + np.sqrt(alike) * ndtri(uniform)) / np.sqrt(1.0 - alike))
     return result
 
 
