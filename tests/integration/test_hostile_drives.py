@@ -1,6 +1,6 @@
 """Damaged networks, route files and scenario files that pass the check of a push: a worker's session drives them, or names a cause.
 
-2 drives in `make test`, 50 in `make test-slow`, 200 in `make test-faults`: each starts a simulator. `DRIVECAL_DRIVES=400` makes it 2,000.
+6 drives in `make test-slow`, some 250 in `make test-faults`: each starts a simulator. `DRIVECAL_DRIVES=400` makes it 2,400.
 """
 
 import os
@@ -85,7 +85,7 @@ def ending(folder: Path, data: Mapping[str, Any]) -> str:
     return str(cause)
 
 
-@pytest.mark.slow("routes", "cut_in")
+@pytest.mark.slow("network", "routes", "cut_in")
 @pytest.mark.faults("many", "cut_out", "walks_across", "real network")
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("number", DRIVES)
