@@ -49,6 +49,7 @@ def account(
     predictors: Mapping[str, float] | None = None,
     dispatcher: float = 0.0,
     runs_for: Mapping[str, int] | None = None,
+    lost: int = 0,
 ) -> Accounting:
     """Returns the account of a campaign.
 
@@ -61,6 +62,7 @@ def account(
         predictors: CPU time of the predictor, by scenario.
         dispatcher: CPU time of the dispatcher for reuse, besides the predictors.
         runs_for: starts of the simulator by what they were for.
+        lost: starts, among them, that a kill may have prevented.
     """
     cpu_seconds, wall_seconds = sum(cost.run_seconds for cost in costs), sum(cost.occupied_run_seconds for cost in costs)
     runs = sum(cost.runs for cost in costs)
@@ -100,7 +102,7 @@ def account(
         balance=[item for item in balance if item.seconds],
         sentence="",
     )
-    return accounting.model_copy(update={"sentence": _sentence(accounting), "remarks": _remarks(accounting)})
+    return accounting.model_copy(update={"sentence": _sentence(accounting), "remarks": _remarks(accounting, lost)})
 
 
 def _requested(scenarios: Iterable[ScenarioAccount]) -> int:
@@ -177,12 +179,13 @@ def _map_cost(origin: MapOrigin, campaign: str) -> MapCost:
     )
 
 
-def _remarks(accounting: Accounting) -> list[str]:
+def _remarks(accounting: Accounting, lost: int) -> list[str]:
     """Returns sentences about the runs, the map and its break-even."""
     remarks = []
     if accounting.runs:
         runs = " + ".join(f"{count:,} {name}" for name, count in accounting.runs.items())
-        remarks.append(f"The simulator ran {sum(accounting.runs.values()):,} times: {runs}.")
+        most = sum(accounting.runs.values())
+        remarks.append(f"The simulator ran {f'{most - lost:,} to ' * (lost > 0)}{most:,} times: {runs}.")
     used, even = accounting.map, accounting.break_even
     if used is not None and not used.paid_here:
         cost = f" ({used.runs:,} runs, {used.seconds:,.1f} s)" if used.runs else ""

@@ -294,7 +294,11 @@ def _confirmation(campaign: Campaign) -> Iterator[ResultVerdict]:
 
 
 def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
-    if campaign.best is None or campaign.baseline is None or campaign.baseline.objective is None:
+    if campaign.best is None or campaign.baseline is None:
+        return
+    if campaign.baseline.objective is None:
+        if CampaignState(campaign.state).ended:
+            yield verdict("baseline_without_result", "amber")
         return
     gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
     end = campaign.best.lower if sign_of(campaign) > 0 else campaign.best.upper

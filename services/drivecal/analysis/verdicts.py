@@ -61,12 +61,14 @@ SCORES = CONFIRMED | {
     "ranges).",
 }
 BASELINE = {
-    "baseline_breaks_more": "The baseline breaks the constraints more than {subject}.",
+    "baseline_breaks_more": "The baseline breaks the constraints, and {subject} does not, or by less.",
     "beside_baseline": "The chosen set beside the baseline: {objectives:compared}.",
     "better_than_baseline": "The best set is better than the baseline, by {gain:.4g}.",
     "alike_baseline": "The best set is better than the baseline, by {gain:.4g}, within the tolerance of {tolerance}.",
     "baseline_in_interval": "The best set is better than the baseline, by {gain:.4g}; their runs do not tell them apart.",
     "not_better": "No set is better than the baseline.",
+    "baseline_without_result": "Nothing tells whether the best set is better than the baseline: a run of the baseline failed, or has no "
+    "score.",
     "front_beats_baseline": "{dominating:,} of {size:,} sets of the front are better than the baseline in an objective and worse in none.",
     "front_close_to_baseline": "{dominating:,} of {size:,} sets of the front look better than the baseline; runs do not tell them apart.",
     "front_not_better": "No set is better than the baseline in an objective and worse in none: each is worse in one, or equal.",

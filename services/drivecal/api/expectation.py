@@ -70,6 +70,7 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     with database.read() as connection:
         used = stored_parts(connection, problem)
         known = pace(connection, [setup.fingerprint for setup in problem.bench.setups.values()])
+        known = replace(known, workers=known.workers and min([known.workers, *_at_a_time(limits, problem.bench)]))
         warnings = warnings_of(connection, problem, used, now())
         of_predictions = runs_at_most(connection, problem)
         versions = [] if problem.specification.reduction.mode == "off" else earlier_versions(connection, problem.bench)
@@ -202,6 +203,12 @@ def _imported_sets(database: Database, problem: CalibrationProblem, source: str,
     with restated(lambda fault: Problem(field, str(fault), remedy)):
         points = problem.space.parameter_sets(indices_of(problem, sets, Diagnostics()))
     return [dict(each.floats) for each in points]
+
+
+def _at_a_time(limits: Limits, bench: Bench) -> list[int]:
+    """Returns how many runs the resources allow at a time, for each scenario and resource."""
+    exist = limits.settings.resources
+    return [exist[name] // count for request in bench.requests.values() for name, count in request.resources.items() if count]
 
 
 def refuse_without(limits: Limits, bench: Bench) -> None:

@@ -120,6 +120,7 @@ def account_of(connection: Connection, campaign: StoredCampaign) -> Accounting:
         predictors,
         0.0 if campaign.search is None else campaign.search.reuse_seconds,
         evaluations.runs_by_purpose(connection, campaign.sequence),
+        sum(cells.get("lost", 0) for cells in campaign.stages.values()),
     )
 
 

@@ -183,9 +183,11 @@ def _refuse_beside_mlflow(context: typer.Context) -> None:
 
 
 def _format_of(output: str) -> Format:
-    """Returns the format that a file's ending names; csv for others, and for standard output."""
+    """Returns the format that a file's ending names; csv for standard output, and for a file without an ending."""
     ending = Path(output).suffix.removeprefix(".").lower()
-    return next((form for form in get_args(Format) if form == ending), "csv")
+    if ending and ending not in get_args(Format):
+        raise typer.BadParameter(f"no format has the ending of {output}: give --format {', '.join(get_args(Format))}")
+    return cast("Format", ending or "csv")
 
 
 def _calibration_file(
