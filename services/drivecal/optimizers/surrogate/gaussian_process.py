@@ -3,8 +3,9 @@
 Lengths and noise maximise the posterior density; the prior of the lengths grows with the number of parameters (Hvarfner, Hellsten and
 Nardi 2024, "Vanilla Bayesian optimization performs great in high dimensions"). The variance is what maximises the likelihood.
 
-Answers of a random simulator have seeds. What a seed does to them is a process of its own, alike for similar sets, and a constant (Pearce,
-Poloczek and Branke 2022, "Bayesian optimization allowing for common random numbers"): otherwise the luck of one seed would look like merit.
+Answers of a random simulator have seeds. What a further seed does to all sets is a constant (Pearce, Poloczek and Branke 2022, "Bayesian
+optimization allowing for common random numbers"), or a repeat under a lucky seed would look like merit. The first seed has none: nearly all
+answers are under it, and a constant of its own would only move the mean that sets have where nothing is known.
 """
 
 from collections.abc import Sequence
@@ -33,26 +34,25 @@ ROOT = np.sqrt(5.0)
 
 @dataclass(frozen=True, slots=True)
 class NoisePrior:
-    """Normal distribution of the logarithms of the noise and of what a seed adds, in variances, and their largest value."""
+    """Normal distribution of the logarithms of the noise and of what a further seed adds, in variances, and their largest value."""
 
     mean: float
     deviation: float
     largest: float
-    luck: tuple[float, float] | None = None
-    """Means for what a seed adds, alike for similar sets and equal for all sets; None without seeds."""
+    luck: float | None = None
+    """Mean for what a further seed adds to all sets; None without seeds."""
     least: float = -11.0
 
     @property
     def means(self) -> list[float]:
         """The means of all."""
-        return [self.mean, *(self.luck or ())]
+        return [self.mean] if self.luck is None else [self.mean, self.luck]
 
 
 EXACT = NoisePrior(-9.0, 2.0, 0.0)
 """Steps of scores, and shapes that the kernel lacks."""
-SAMPLED = NoisePrior(-2.0, 2.0, 3.0, luck=(-4.0, -2.0))
-"""Runs that depend on a seed. What replicates say outweighs it. Luck that is alike begins small: without replicates nothing tells it from
-merit, and sets near the best one would stay as promising as distant ones."""
+SAMPLED = NoisePrior(-2.0, 2.0, 3.0, luck=-2.0)
+"""Runs that depend on a seed. What replicates say outweighs it."""
 
 
 class Encoding:
@@ -93,8 +93,8 @@ class Points:
 
     @property
     def alike(self) -> npt.NDArray[np.bool_]:
-        """Which answers have their seed in common, shape (n, n)."""
-        result: npt.NDArray[np.bool_] = self.seeds[:, np.newaxis] == self.seeds
+        """Which answers have a further seed in common, shape (n, n)."""
+        result: npt.NDArray[np.bool_] = (self.seeds[:, np.newaxis] == self.seeds) & (self.seeds > 1)
         return result
 
     def followed_by(self, others: "Points") -> "Points":
@@ -108,8 +108,8 @@ class Hyperparameters:
 
     lengths: Floats
     noise: float
-    luck: tuple[float, float] | None = None
-    """Logarithms of the variances that a seed adds, alike for similar sets and equal for all sets; None without seeds."""
+    luck: float | None = None
+    """Logarithm of the variance that a further seed adds to all sets; None without seeds."""
     count: int = 0
 
     @classmethod
@@ -134,8 +134,9 @@ def fitted(
     points: Points, targets: Floats, owners: Indices, start: Hyperparameters, prior: NoisePrior = EXACT
 ) -> Hyperparameters:
     """Returns hyperparameters of the largest posterior density near a start. Targets have a mean of 0."""
-    features, alike, luck = points.features, points.alike, start.luck or ()
-    n_parameters, count, variances = len(start.lengths), len(targets), np.array([start.noise, *luck])
+    features, alike = points.features, points.alike
+    n_parameters, count = len(start.lengths), len(targets)
+    variances = np.array([start.noise] if start.luck is None else [start.noise, start.luck])
     centre = LENGTH_MEAN + np.log(n_parameters) / 2
     squared = features**2
     diagonal = np.diag_indices(count)
@@ -149,9 +150,8 @@ def fitted(
         decay = np.exp(-away)
         matrix = (1.0 + away + (5.0 / 3.0) * squares) * decay
         noise, *added = np.exp(theta[n_parameters:])
-        if added:
-            own, common = np.where(alike, added[0] * matrix, 0.0), added[1] * alike
-            matrix += own + common
+        for luck in added:
+            matrix += luck * alike
         matrix[diagonal] += noise + 1e-8
         factor, info = dpotrf(matrix, lower=1, overwrite_a=0)
         if info:
@@ -162,11 +162,8 @@ def fitted(
         fit = float(targets @ weights) + 1e-12
         value = 0.5 * count * np.log(fit / count) + np.log(factor.diagonal()).sum()
         sensitivity = count / fit * np.outer(weights, weights) - inverted
-        slopes = [noise * np.trace(sensitivity)]
+        slopes = [noise * np.trace(sensitivity), *(luck * sensitivity[alike].sum() for luck in added)]
         slope = sensitivity * ((5.0 / 3.0) * (1.0 + away) * decay)
-        if added:
-            slopes += [(sensitivity * each).sum() for each in (own, common)]
-            slope *= np.where(alike, 1.0 + added[0], 1.0)
         by_feature = 2.0 * (slope.sum(axis=1) @ squared) - 2.0 * (features * (slope @ features)).sum(axis=0)
         gradient = -0.5 * np.append(np.bincount(owners, by_feature * inverse, n_parameters), slopes)
         away_from_prior = np.append(
@@ -179,8 +176,7 @@ def fitted(
     optimum = minimize(
         loss, np.append(start.lengths, variances), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": ITERATIONS}
     )
-    noise, *added = optimum.x[n_parameters:].tolist()
-    return Hyperparameters(optimum.x[:n_parameters].copy(), noise, (added[0], added[1]) if added else None)
+    return Hyperparameters(optimum.x[:n_parameters].copy(), *optimum.x[n_parameters:].tolist())
 
 
 class GaussianProcess:
@@ -189,7 +185,7 @@ class GaussianProcess:
     def __init__(
         self, points: Points, targets: Floats, owners: Indices, hyperparameters: Hyperparameters, pending: Points
     ) -> None:
-        self._luck = np.zeros(2) if hyperparameters.luck is None else np.exp(hyperparameters.luck)
+        self._luck = 0.0 if hyperparameters.luck is None else float(np.exp(hyperparameters.luck))
         self._scale = np.exp(-hyperparameters.lengths)[owners]
         self._known = points.features * self._scale
         self._mean = float(targets.mean()) if len(targets) else 0.0
@@ -207,7 +203,7 @@ class GaussianProcess:
     @property
     def noise(self) -> float:
         """Standard deviation of a target around the process, without what its seed does to all sets."""
-        return float(np.sqrt(self.variance * (self._noise + self._luck[0])))
+        return float(np.sqrt(self.variance * self._noise))
 
     def _surprise(self, factor: Floats) -> float:
         """Returns the mean squared error at the newest answers, each predicted from all others, in variances; at least 1 (Rasmussen and
@@ -217,12 +213,12 @@ class GaussianProcess:
         return max(1.0, float(np.minimum(errors, FARTHEST).mean())) if len(errors) else 1.0
 
     def _factor(self, points: Points) -> Floats:
-        scaled, (own, common) = points.features * self._scale, self._luck
+        scaled = points.features * self._scale
         squares = _squares(scaled, scaled)
         np.fill_diagonal(squares, 0.0)
         matrix = _correlations(squares)
-        if own + common > 0:
-            matrix += np.where(points.alike, own * matrix + common, 0.0)
+        if self._luck > 0:
+            matrix += self._luck * points.alike
         matrix[np.diag_indices(len(matrix))] += self._noise
         factor: Floats
         factor, info = dpotrf(matrix, lower=1, clean=1)
