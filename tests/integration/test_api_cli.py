@@ -133,6 +133,7 @@ def test_an_export_that_cannot_be_written_leaves_nothing_behind(run: Run, submit
     assert result.exit_code == 2
     assert str(tmp_path / "no") in result.stderr
     assert run("export", "0" * 32, "-o", str(tmp_path / "cells.csv")).exit_code == 5
+    assert run("export", submitted, "-o", str(tmp_path / "cells.yaml")).exit_code == 2
     assert {path.name for path in tmp_path.iterdir()} == {"campaign.yaml"}
 
 

@@ -67,8 +67,7 @@ BASELINE = {
     "alike_baseline": "The best set is better than the baseline, by {gain:.4g}, within the tolerance of {tolerance}.",
     "baseline_in_interval": "The best set is better than the baseline, by {gain:.4g}; their runs do not tell them apart.",
     "not_better": "No set is better than the baseline.",
-    "baseline_without_result": "Nothing tells whether the best set is better than the baseline: a run of the baseline failed, or has no "
-    "score.",
+    "baseline_without_result": "Nothing tells whether the best set is better than the baseline, which has no objective.",
     "front_beats_baseline": "{dominating:,} of {size:,} sets of the front are better than the baseline in an objective and worse in none.",
     "front_close_to_baseline": "{dominating:,} of {size:,} sets of the front look better than the baseline; runs do not tell them apart.",
     "front_not_better": "No set is better than the baseline in an objective and worse in none: each is worse in one, or equal.",

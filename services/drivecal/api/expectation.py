@@ -1,7 +1,7 @@
 """Checks of requests, and what they are expected to cost, without a change of the database."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
@@ -42,8 +42,8 @@ ASSUMED_MILLISECONDS = 8.0
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """A simulation occupies a worker for `milliseconds`, `measured` in these setups or else assumed; `workers`: None if the
-    dispatcher is silent."""
+    """A simulation occupies a worker for `milliseconds`, `measured` in these setups or else assumed; `workers`: as many as resources allow
+    at a time, None if the dispatcher is silent."""
 
     milliseconds: float
     measured: bool
@@ -54,13 +54,15 @@ class Pace:
         return None if self.workers is None else simulations * self.milliseconds / 1000 / self.workers
 
 
-def pace(connection: Connection, fingerprints: Sequence[str]) -> Pace:
-    """Returns the pace of simulations in the setups with these fingerprints."""
-    measured = runs.recent_milliseconds(connection, fingerprints)
+def pace(connection: Connection, limits: Limits, bench: Bench) -> Pace:
+    """Returns the pace of a bench's simulations, whose resources exist."""
+    measured = runs.recent_milliseconds(connection, [setup.fingerprint for setup in bench.setups.values()])
     dispatcher = processes.read(connection, processes.DISPATCHER)
     workers = None
     if dispatcher is not None and not judge(dispatcher, now()).silent:
-        workers = len(dispatcher.detail.get("workers", [])) or None
+        exist, wanted = limits.settings.resources, [request.resources for request in bench.requests.values()]
+        at_a_time = [exist[name] // count for each in wanted for name, count in each.items() if count]
+        workers = min([len(dispatcher.detail.get("workers", [])), *at_a_time]) or None
     return Pace(measured or ASSUMED_MILLISECONDS, measured is not None, workers)
 
 
@@ -69,8 +71,7 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     problem = checked(database, limits, specification)
     with database.read() as connection:
         used = stored_parts(connection, problem)
-        known = pace(connection, [setup.fingerprint for setup in problem.bench.setups.values()])
-        known = replace(known, workers=known.workers and min([known.workers, *_at_a_time(limits, problem.bench)]))
+        known = pace(connection, limits, problem.bench)
         warnings = warnings_of(connection, problem, used, now())
         of_predictions = runs_at_most(connection, problem)
         versions = [] if problem.specification.reduction.mode == "off" else earlier_versions(connection, problem.bench)
@@ -205,12 +206,6 @@ def _imported_sets(database: Database, problem: CalibrationProblem, source: str,
     return [dict(each.floats) for each in points]
 
 
-def _at_a_time(limits: Limits, bench: Bench) -> list[int]:
-    """Returns how many runs the resources allow at a time, for each scenario and resource."""
-    exist = limits.settings.resources
-    return [exist[name] // count for request in bench.requests.values() for name, count in request.resources.items() if count]
-
-
 def refuse_without(limits: Limits, bench: Bench) -> None:
     """Raises InvalidInputError if a run needs more of a resource than the server has."""
     exist = limits.settings.resources
@@ -262,7 +257,7 @@ def expected_comparison(database: Database, limits: Limits, specification: Compa
     problem = checked_comparison(database, limits, specification)
     with database.read() as connection:
         compared_map(connection, problem)
-        known = pace(connection, [setup.fingerprint for setup in problem.problems[0].bench.setups.values()])
+        known = pace(connection, limits, problem.problems[0].bench)
     return ExpectedComparison.of(
         known,
         runs=len(problem.runs),

@@ -132,8 +132,6 @@ class ScenarioModel:
         self._owners, self._best, self._worst, self._random = owners, best, worst, random
         prior = SAMPLED if random else EXACT
         *self._outputs, self._failure = (Output(Hyperparameters.usual(n_parameters, prior), prior) for _ in range(n_values + 1))
-        self._hopes = False
-        """All answers so far failed."""
         self._least = 0.5
         """Least probability that a random run fails, and that it does not."""
 
@@ -143,8 +141,7 @@ class ScenarioModel:
         self._least = 1.0 / (known + 2)  # Laplace's rule of succession
         held = _kept(points.features)
         points, values, failed = points[held], values[held], failed[held]
-        self._hopes = known > 0 and bool(failed.all())
-        if self._hopes:
+        if known > 0 and failed.all():
             self._hope(points, pending[:0])
             return
         for place, output in enumerate(self._outputs if known else ()):
