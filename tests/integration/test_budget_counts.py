@@ -114,7 +114,7 @@ def test_runs_are_what_simulators_count(database: Database, seed: int, monkeypat
         runs = evaluations.runs_by_purpose(connection, ended.sequence)
         assert list(check_counters(connection)) == []
     assert sum(runs.values()) == ended.cells.runs == backend.started + backend.unknown
-    assert runs["repeat"] > 0
+    assert runs["further"] > 0
     assert budget * 0.5 < campaign_answer(ended, ended.created_at, None).spent.simulations <= budget, ended.error
 
 

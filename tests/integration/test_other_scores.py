@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest.mock import ANY
 
 import httpx
 import pytest
@@ -156,13 +157,15 @@ def feasible_first(ranked: list[dict[str, Any]], file: str, query: dict[str, str
 
 
 def test_the_light_of_a_set_is_its_own(asked: Asked, bounded: str) -> None:
-    def light(**place: int) -> dict[str, str]:
+    def light(**place: int) -> dict[str, Any]:
         trust = asked.http.get(f"{bounded}/results", params=place).raise_for_status().json()["trust"]
-        return {each["code"]: each["light"] for each in trust["verdicts"]} | {"all": trust["answers"][0]["light"]}
+        kept = [each["numbers"]["bounded"] for each in trust["verdicts"] if each["code"] == "constraints_kept"]
+        return {each["code"]: each["light"] for each in trust["verdicts"]} | {"all": trust["answers"][0]["light"], "kept": kept}
 
     ranked = items(asked, f"{bounded}/solutions", limit=100)
     best, worst = ({name: row[name] for name in ("iteration", "individual")} for row in (ranked[0], ranked[-1]))
     assert light()["all"] == light(**best)["all"] != "red"
+    assert light()["kept"] == light(**best)["kept"] == [[ANY, ANY, ANY]]
     assert light(**worst)["constraints_broken"] == light(**worst)["all"] == "red"
     half = asked.http.get(f"{bounded}/results", params={"iteration": 0})
     assert half.status_code == 422

@@ -179,6 +179,7 @@ class Bound(Goal):
     span: float
     rate: float | None = None
     confidence: float = 0.95
+    unit: str = "1"
 
     @property
     def fewest_runs(self) -> int:

@@ -80,7 +80,7 @@ class BesideBaseline:
 class Chosen:
     """A set that was chosen. `compared` has the objectives that the baseline has as well. `copied` has the scenarios with a reference's
     score, and `failed` the scenarios, of `scenarios` in all, where each of its runs failed. Violations are shares. `is_judged`: every
-    objective and constraint has a value. `is_best`: the search ended with this set."""
+    objective and constraint has a value. `is_best`: the search ended with this set. `bounded`: as of `Evidence`."""
 
     parameters: Mapping[str, float | str]
     compared: Sequence[BesideBaseline] = ()
@@ -92,6 +92,7 @@ class Chosen:
     is_best: bool = False
     failed: Sequence[str] = ()
     scenarios: int = 1
+    bounded: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,12 +128,14 @@ class Compromises:
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """Facts about a campaign's result that are not in its own record. `studies` has the newest first. With several objectives, `front`
-    replaces the best set. A `chosen` set, if given, is judged instead of the best."""
+    replaces the best set. A `chosen` set, if given, is judged instead of the best. `bounded`: the constraints on results in words, with
+    the amounts of the best set."""
 
     studies: Sequence[StudyResult] = ()
     search: SearchCourse | None = None
     front: Compromises | None = None
     chosen: Chosen | None = None
+    bounded: Sequence[str] = ()
 
 
 def sign_of(campaign: Campaign) -> int:
@@ -150,6 +153,7 @@ def trust(campaign: Campaign, known: Evidence | None = None) -> ResultTrust:
     verdicts = [
         *_end(campaign),
         *_result(campaign, known),
+        *_left_out(campaign),
         *_budget(campaign),
         *_map(campaign, _newest(known.studies, of_predictions=False)),
         *_references(campaign),
@@ -188,7 +192,8 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
         yield from (*_constraints(campaign), *_front(campaign, front))
         yield from _seen(campaign, search)
     else:
-        yield from (*_constraints(campaign), *_confirmation(campaign), *_baseline(campaign), *_course(campaign, search))
+        yield from _constraints(campaign, known.bounded)
+        yield from (*_confirmation(campaign), *_baseline(campaign), *_course(campaign, search))
         if campaign.best is not None:
             yield from _at_ends("the best set", campaign.best.parameters, search)
 
@@ -198,10 +203,13 @@ def _chosen(chosen: Chosen, search: SearchCourse | None, *, with_origin: bool) -
     if not chosen.is_judged:
         yield verdict("not_judged", "red")
         return
+    bounded = list(chosen.bounded)
     if chosen.undecided:
-        yield verdict("constraints_undecided", "amber", subject="the chosen set")
+        yield verdict("constraints_undecided", "amber", subject="the chosen set", bounded=bounded)
     elif chosen.violation > 0:
-        yield verdict("constraints_broken", "red", subject="The chosen set", share=chosen.violation)
+        yield verdict("constraints_broken", "red", subject="The chosen set", share=chosen.violation, bounded=bounded)
+    elif bounded:
+        yield verdict("constraints_kept", "green", subject="The chosen set", bounded=bounded)
     yield from _failing("the chosen set", chosen.failed, chosen.scenarios)
     if with_origin:
         copied = list(chosen.copied)
@@ -262,17 +270,27 @@ def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:
         yield verdict("front_not_better", "amber")
 
 
-def _constraints(campaign: Campaign) -> Iterator[ResultVerdict]:
-    """Yields broken constraints of the best set, and its failed runs."""
+def _left_out(campaign: Campaign) -> Iterator[ResultVerdict]:
+    """Yields the scenarios of weight 0 that a constraint on all scenarios leaves out."""
+    left_out = [name for name, weight in campaign.spec.get("weights", {}).items() if weight == 0]
+    of_all = (each for each in campaign.spec.get("constraints", ()) if each.get("scenarios", "all") == "all")
+    if left_out and any(not each.get("changes") and not each.get("distance") for each in of_all):
+        yield verdict("constraints_left_out", "amber", scenarios=left_out)
+
+
+def _constraints(campaign: Campaign, bounded: Sequence[str] = ()) -> Iterator[ResultVerdict]:
+    """Yields whether the best set keeps its constraints, and its failed runs. `bounded`: as of `Evidence`."""
     if campaign.best is None:
         return
     if campaign.best.undecided:
-        yield verdict("constraints_undecided", "amber", subject="the best set")
+        yield verdict("constraints_undecided", "amber", subject="the best set", bounded=bounded)
     elif campaign.best.violation > 0 and campaign.best.replicates > 1:  # of others, fewer runs may look as if they kept them
         subject = "By its runs, the best set"
-        yield verdict("constraints_broken", "red", subject=subject, share=campaign.best.violation)
+        yield verdict("constraints_broken", "red", subject=subject, share=campaign.best.violation, bounded=bounded)
     elif campaign.best.violation > 0:
-        yield verdict("no_set_keeps_constraints", "red", share=campaign.best.violation)
+        yield verdict("no_set_keeps_constraints", "red", share=campaign.best.violation, bounded=bounded)
+    elif bounded:
+        yield verdict("constraints_kept", "green", subject="The best set", bounded=bounded)
     yield from _failing("the best set", campaign.best.failed, len(campaign.best.scores))
 
 

@@ -32,9 +32,13 @@ SCORES = CONFIRMED | {
     "no_result": "No parameter set has a score in every scenario.",
     "not_judged": "The chosen set has no value of an objective or a constraint of the campaign: not every scenario has a result of its "
     "own.",
-    "constraints_broken": "{subject} breaks the constraints by {share:.1 %}.",
-    "no_set_keeps_constraints": "No set keeps all constraints; the best set breaks them by {share:.1 %}.",
-    "constraints_undecided": "Runs do not decide whether {subject} keeps its rates: more seeds (replicates.most) or a larger budget may.",
+    "constraints_broken": "{subject} breaks the constraints by {share:.1 %}{bounded:after}.",
+    "no_set_keeps_constraints": "No set keeps all constraints; the best set breaks them by {share:.1 %}{bounded:after}.",
+    "constraints_undecided": "Runs do not decide whether {subject} keeps its rates; more seeds (replicates.most) or a larger budget "
+    "may{bounded:after}.",
+    "constraints_kept": "{subject} keeps the constraints{bounded:after}.",
+    "constraints_left_out": "No constraint holds in {scenarios:list}, of weight 0: nothing is simulated there. A small weight would change "
+    "that.",
     "fails": "Runs of {subject} fail in {scenarios:list}: see the causes of failures.",
     "scores_copied": "This very set was not simulated in {scenarios:list}: its scores there are copied.",
     "scores_simulated": "Every score of {subject} was simulated or repeats a simulation.",
@@ -184,6 +188,7 @@ _FORMATS: Mapping[str, Any] = {
     "objective": objective_text,
     "id": lambda value: value[:SHORT],
     "list": ", ".join,
+    "after": lambda texts: f": {'; '.join(texts)}" if texts else "",
     "shares": lambda rates: _joined([f"{100 * rate:.1f} % in {scenario}" for scenario, rate in rates.items()]),
     "counts": lambda counts: _joined([f"{count:,} in {scenario}" for scenario, count in counts.items()]),
     "in best": lambda scenarios: f", as the best set does in {', '.join(scenarios)}" if scenarios else "",

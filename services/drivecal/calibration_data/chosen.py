@@ -100,6 +100,7 @@ def figures_of(
     yield "score", score or known.campaign.scale.name
     if weights is not None:
         yield "weights", ",".join(f"{name}={_number(weight)}" for name, weight in weights.items())
+    yield from ((f"constraint {number}", text) for number, text in enumerate(known.setup.constraints, 1))
     yield from ((f"constrained {name}", _number(amount)) for name, amount in chosen.constraints.items())
     if chosen.violation > 0 and chosen.undecided:
         yield "limits on rates", "not known to be kept"

@@ -39,8 +39,9 @@ AUDITED, SAMPLED = evaluations.c.purpose == Purpose.AUDIT, evaluations.c.purpose
 
 @dataclass(frozen=True, slots=True)
 class AnsweredCell:
-    """Answer of a pending cell. `failure` is a `Failure` of a run or a `Breakdown` of the attempts, whose cause `detail` says in words;
-    `agrees` is true if a sampled cell has its predicted score."""
+    """Answer of a pending cell. `failure` is a `Failure` of a run or a `Breakdown` of the attempts. `detail`: the cause of a breakdown in
+    words; of an answer after a breakdown, this breakdown before the words (`crash: ...`). `agrees` is true if a sampled
+    cell has its predicted score."""
 
     id: int
     outcome: Outcome
@@ -244,12 +245,14 @@ class FailedCells:
 
 
 def failed_cells(connection: Connection, campaign_sequence: int, most: int) -> list[FailedCells]:
-    """Returns at most `most` groups of failed cells, large ones first: without a result, or with a failure of the system under test."""
+    """Returns at most `most` groups of cells, large ones first: without a result, with a failure of the system under test, or with a result
+    after a breakdown, which is the `detail` then."""
     cell, count = evaluations.c, func.count()
     group = (cell.outcome, cell.failure, cell.detail, cell.scenario)
     query = (
         select(*group, count, func.min(cell.id))
-        .where(cell.campaign_sequence == campaign_sequence, cell.outcome.is_not(None), cell.failure.is_not(None))
+        .where(cell.campaign_sequence == campaign_sequence, cell.outcome.is_not(None))
+        .where(cell.failure.is_not(None) | cell.detail.is_not(None))
         .group_by(*group)
         .order_by(count.desc(), func.min(cell.id))
     )
@@ -347,12 +350,12 @@ def confirmed(connection: Connection, campaign_sequence: int) -> dict[str, dict[
 
 
 def runs_by_purpose(connection: Connection, campaign_sequence: int) -> dict[str, int]:
-    """Returns the starts of the simulator by what they were for, frequent ones first. All but the first one of each cell are `repeat`: they
-    check that equal runs are equal, or follow a breakdown or a lost worker. The sum is that of `CellCounts.runs` over all stages."""
+    """Returns the starts of the simulator by what they were for, frequent ones first. All but the first one of each cell are `further`:
+    they check that equal runs are equal, or follow a breakdown or a lost worker. The sum is that of `CellCounts.runs` over all stages."""
     cell, counted = evaluations.c, Counter[str]()
     query = select(cell.purpose, func.count(), func.sum(cell.runs)).where(cell.campaign_sequence == campaign_sequence)
     for purpose, cells, starts in connection.execute(query.where(cell.runs > 0).group_by(cell.purpose)):
-        counted.update({purpose: cells, "repeat": starts - cells})
+        counted.update({purpose: cells, "further": starts - cells})
     return {name: runs for name, runs in counted.most_common() if runs}
 
 

@@ -409,7 +409,7 @@ class ExpectedRuns(Answer):
     measured: bool = False
     """True if `milliseconds` was measured in these setups, false if it is assumed."""
     workers: int | None = None
-    """Workers at this moment; null if the dispatcher is silent."""
+    """Workers at this moment that can run at once, as the resources of the scenarios allow; null if the dispatcher is silent."""
     seconds: float | None = None
     """Upper limit of the simulations' time on the `workers`, with 20 ms for each cell that `surrogate` chooses, without planning and
     predictions. Null if time or workers are unknown."""

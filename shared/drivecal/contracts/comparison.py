@@ -80,7 +80,7 @@ class ExpectedComparison(Answer):
     measured: bool
     """True if that was measured in these setups; else none was made yet, and it is assumed."""
     workers: int | None
-    """Workers at this moment; null if the dispatcher is silent."""
+    """Workers at this moment that can run at once, as the resources of the scenarios allow; null if the dispatcher is silent."""
     seconds: float | None
     """`at_most` simulations on the `workers`, without planning, optimizers and predictions; null if workers are unknown."""
     notes: list[str] = Field(default_factory=list)

@@ -27,7 +27,7 @@ class EvaluatedCell(Answer):
     """CPU time of the cell's simulations; null without one."""
     worker: str | None
     detail: str | None = None
-    """Reason of the missing result, if all attempts failed."""
+    """Reason of the missing result, if all attempts failed; else the breakdown before a later attempt."""
     metrics: dict[str, float | None] | None = None
     """The measured metrics, their units in their names; null if this run does not define it."""
     seeds: list[int] = Field(default_factory=list)
@@ -56,8 +56,8 @@ class CampaignOfEvaluation(Answer):
 class EvaluationDetail(EvaluationRow):
     """A row of a campaign's evaluations with all that is known of it.
 
-    `detail`: why there is no result, in words. `metrics`: the measures of its run, null without one. `parameters`: the values of its
-    parameters, which are fields of the row as well.
+    `detail`: why there is no result, or none at first, in words. `metrics`: the measures of its run, null without one. `parameters`: the
+    values of its parameters, which are fields of the row as well.
     """
 
     detail: str | None
@@ -198,12 +198,13 @@ class Evaluation(Answer):
 class FailureCause(Answer):
     """Cells of a campaign that failed for the same cause.
 
-    For the `kind` `no_result`, the cause is crash, hang, memory or error, and `detail` is the last message. For `failed`, the cause is the
-    failure of the system under test that the simulation reported. For `unscored`, it is the reason why the formula has no value for the
-    measures. `example` is the first of the `cells`. Details that differ only in numbers and temporary paths are one cause.
+    For the `kind` `no_result`, the cause is crash, hang, memory or error, and `detail` is the last message. `retried`: likewise, but a
+    later attempt gave a result. For `failed`, the cause is the failure of the system under test that the simulation reported. For
+    `unscored`, it is the reason why the formula has no value for the measures. `example` is the first of the `cells`. Details that differ
+    only in numbers and temporary paths are one cause.
     """
 
-    kind: Literal["no_result", "failed", "unscored"]
+    kind: Literal["no_result", "retried", "failed", "unscored"]
     cause: str
     detail: str | None = None
     scenarios: list[str]
@@ -320,7 +321,7 @@ class Explanation(Answer):
     attempts: int = 0
     """Number of simulations that were tried."""
     detail: str | None = None
-    """Report of the last attempt at a cell without a result."""
+    """Report of the last attempt without a result."""
     reason: Reason
     sentence: str
     reference: Reference | None = None

@@ -81,7 +81,7 @@ class Accounting(Answer):
     scenarios: list[ScenarioAccount]
     runs: dict[str, int] = Field(default_factory=dict)
     """Starts of the simulator in all stages by what they were for, as `purpose` of the evaluations has it; all but the first one of a cell
-    are `repeat`: a check that equal runs are equal, or after a breakdown or a lost worker."""
+    are `further`: a check that equal runs are equal, or after a breakdown or a lost worker."""
     saved_seconds: float
     net_seconds: float
     break_even: BreakEven | None

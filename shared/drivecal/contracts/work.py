@@ -120,7 +120,8 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class CellResult:
-    """Result of a cell: a rated run (`breakdown` None), or the reason for a missing one (`breakdown`, in words `detail`)."""
+    """Result of a cell: a rated run (`breakdown` None), or the reason for a missing one (`breakdown`, in words `detail`). A run that took
+    a second attempt has the breakdown of the first in `detail`."""
 
     id: int
     rating: float | None

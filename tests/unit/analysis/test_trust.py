@@ -187,12 +187,24 @@ def test_constraints_come_first() -> None:
     broken = BEST.model_copy(update={"violation": 0.1})
     judged = trust(campaign("exact", best=broken, **EXACT))
     assert (judged.light("scores"), judged.verdicts[0].code) == ("red", "no_set_keeps_constraints")
+    assert "constraints_kept" not in lights(campaign(best=broken), bounded=["max of y <= 2: 1"])
+    assert lights(campaign(), bounded=["max of y <= 2: 1"])["constraints_kept"] == "green"
     assert "baseline_breaks_more" in lights(campaign(baseline=before(7.0, violation=0.1)))
     undecided = before(4.0, violation=0.0009, undecided=True)
     assert "better_than_baseline" in (result := lights(campaign(baseline=undecided)))
     assert "baseline_breaks_more" not in result
     assert "baseline_breaks_more" not in lights(campaign("exact", baseline=undecided), front=Compromises(7, 3))
     assert lights(campaign("exact"), front=Compromises(7, 3, is_close=True))["front_close_to_baseline"] == "neutral"
+
+
+@pytest.mark.parametrize(
+    ("constraint", "is_told"),
+    [({"measure": "y"}, True), ({"measure": "y", "scenarios": ["S1"]}, False), ({"changes": "baseline"}, False)],
+)
+def test_a_scenario_of_weight_0_is_named_if_a_constraint_would_hold_there(constraint: dict[str, Any], is_told: bool) -> None:
+    spec = {"optimizer": {}, "weights": {"S1": 2, "S2": 0}, "constraints": [constraint]}
+    told = verdicts(campaign(spec=spec)).get("constraints_left_out")
+    assert (told and told.numbers) == ({"scenarios": ["S2"]} if is_told else None)
 
 
 @pytest.mark.parametrize(

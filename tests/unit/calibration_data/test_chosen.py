@@ -163,8 +163,10 @@ def test_a_set_whose_scores_have_a_red_light_is_preliminary(light: Light, state:
 def test_an_undecided_set_breaks_no_constraint_by_a_figure() -> None:
     undecided = {"violation": 0.0009, "undecided": True, "constraints": {"gap": 2.5}}
     chosen = Data().ranked(None, None)[0].model_copy(update=undecided)
-    names = dict(figures_of(Data().results(), chosen, None, None))
-    assert names["constrained gap"] == "2.5"
+    known = Data().results()
+    setup = known.setup.model_copy(update={"constraints": ["min of gap >= 2 m (S1)"]})
+    names = dict(figures_of(known.model_copy(update={"setup": setup}), chosen, None, None))
+    assert (names["constrained gap"], names["constraint 1"]) == ("2.5", "min of gap >= 2 m (S1)")
     assert ("violation of constraints" in names, "limits on rates" in names) == (False, True)
 
 

@@ -16,7 +16,7 @@ from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidence, SearchCourse, trust
 from drivecal.api.responses import campaign_answer
 from drivecal.api.results.curves import shapes_with_good_sets
-from drivecal.api.tables.front import bound_text, summary
+from drivecal.api.tables.front import bound_text, bounded_texts, summary
 from drivecal.api.tables.ranking import variants_of
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of, stored_scale
@@ -142,7 +142,10 @@ def _trust(stored: StoredRanking, made: list[StudyResult], front: CampaignFront 
     if search is not None and search.course and campaign.best is not None and campaign.best.alternatives > 1:
         known_best = alternatives(stored.database, stored.sets.best_first(), stored.resolved.space)
         search = replace(search, regions=len(set(known_best.regions.tolist())))
-    known = Evidence(studies=made, search=search, front=_compromises(stored, front), chosen=chosen)
+    amounts = {} if campaign.best is None else campaign.best.constraints
+    goals = stored.resolved.goals if amounts else None
+    bounded = [] if goals is None else bounded_texts(goals, (amounts[name] for name in goals.bound_names))
+    known = Evidence(studies=made, search=search, front=_compromises(stored, front), chosen=chosen, bounded=bounded)
     return trust(campaign_answer(campaign, now(), silent=None), known)
 
 
@@ -185,6 +188,7 @@ def set_at(stored: StoredRanking, front: CampaignFront, place: tuple[int, int], 
         copied=judged.reused,
         failed=judged.failed,
         scenarios=len(judged.scores),
+        bounded=bounded_texts(front.goals, judged.judgement.bounded),
         violation=judged.violation,
         undecided=judged.is_undecided,
         baseline_violation=0.0 if baseline is None or baseline.is_undecided else baseline.violation,

@@ -1,10 +1,10 @@
 """Rows and summary of a campaign's front."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from sqlalchemy import Connection
 
-from drivecal.analysis.goals import FAILED, Bound, Goal, Objective
+from drivecal.analysis.goals import FAILED, Bound, Goal, Goals, Objective
 from drivecal.analysis.robustness import key_of
 from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.api.tables.ranking import given_weights
@@ -12,7 +12,7 @@ from drivecal.campaigns.results.front import CampaignFront, answers_of
 from drivecal.contracts.results import FrontBaseline, FrontGrowth, FrontObjective, FrontSummary
 from drivecal.contracts.tables import FrontRow, JudgedSet
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.scales import Direction, plain
+from drivecal.domain.scales import Direction, plain, unit_text
 from drivecal.storage import studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -124,11 +124,21 @@ def _aggregate_text(goal: Goal) -> str:
 
 def bound_text(bound: Bound) -> str:
     """Returns a constraint in words."""
-    sign = ">=" if bound.sign > 0 else "<="
+    kept = f"{bound.name} {'>=' if bound.sign > 0 else '<='} {bound.limit:g}{unit_text(bound.unit)}"
     if bound.rate is not None:
-        what = "that fail" if bound.value.measure == FAILED else f"without {bound.name} {sign} {bound.limit:g}"
+        what = "that fail" if bound.value.measure == FAILED else f"without {kept}"
         return f"share of runs {what} <= {bound.rate:g}, at {bound.confidence:g} ({', '.join(bound.shares)})"
-    return f"{_aggregate_text(bound)} of {bound.name} {sign} {bound.limit:g} ({', '.join(bound.shares)})"
+    return f"{_aggregate_text(bound)} of {kept} ({', '.join(bound.shares)})"
+
+
+def bounded_texts(goals: Goals, amounts: Iterable[float]) -> list[str]:
+    """Returns each constraint in words with a set's amount, of a rate with the bounds of the share; `amounts`: as `Judged.bounded`."""
+    given, texts = iter(amounts), []
+    for bound in goals.bounds:
+        amount = f"{next(given):.6g}"
+        amount += unit_text(bound.unit) if bound.rate is None else f" ({next(given):.3g} to {next(given):.3g})"
+        texts.append(f"{bound_text(bound)}: {amount}")
+    return texts
 
 
 def _degrees(connection: Connection, campaign: StoredCampaign) -> dict[tuple[tuple[str, float | str], ...], int]:

@@ -303,14 +303,12 @@ class CellTracker:
         cause, detail = completion.result.breakdown, completion.result.detail
         if cause is None:
             cause, detail = Breakdown.ERROR.value, "the run has no score, or lacks a measure that its score needs"
-        if detail is not None:  # every database can store it so
-            detail = detail[:LONGEST_DETAIL].encode(errors="replace").decode().replace("\0", "\ufffd")
         if self.broken is None:
             self.broken = f"{cell.scenario}: {cause}: {detail or 'no message'} ({_place(cell)})"
         copies = self._copies.pop(cell.id, [])
         failed = [cell, *(copy for copy in copies if copy.plan is not Outcome.REUSED)]
         own = None if completion.shared else completion
-        answer = AnsweredCell(cell.id, Outcome.FAILED, None, None, None, cause, detail=detail)
+        answer = AnsweredCell(cell.id, Outcome.FAILED, None, None, None, cause, detail=_storable(detail))
         return self._answered(failed, own, answer), [copy for copy in copies if copy.plan is Outcome.REUSED]
 
     def _answered(self, cells: Sequence[StoredEvaluation], own: Completed | None, answer: AnsweredCell) -> list[AnsweredCell]:
@@ -320,7 +318,8 @@ class CellTracker:
             attempt = own if cell is cells[0] else None
             outcome = Outcome.FAILED if answer.outcome is Outcome.FAILED else cell.plan
             agrees = self._inspection.compare(cell, answer.score)
-            answers.append(replace(answer, id=cell.id, outcome=outcome, agrees=agrees, **_attempt(attempt)))
+            detail = answer.detail or (None if attempt is None else _storable(attempt.result.detail))
+            answers.append(replace(answer, id=cell.id, outcome=outcome, agrees=agrees, detail=detail, **_attempt(attempt)))
             self._close(cell, outcome, is_own=attempt is not None)
         self.budget.left += 0 if own is None else own.unstarted
         return answers
@@ -362,6 +361,11 @@ def _attempt(own: Completed | None) -> dict[str, Any]:
     """Returns the fields of the cell's own attempts; empty for a copy."""
     names = ("worker", "attempts", "unstarted")
     return {} if own is None else {name: getattr(own, name) for name in names} | {"milliseconds": own.result.milliseconds}
+
+
+def _storable(detail: str | None) -> str | None:
+    """Returns a message as every database can store it."""
+    return detail and detail[:LONGEST_DETAIL].encode(errors="replace").decode().replace("\0", "\ufffd")
 
 
 def _place(cell: StoredEvaluation) -> str:

@@ -114,8 +114,7 @@ def _objective(
         message = f"the score {scale.name} is one to {scale.direction}"
         diagnostics.add(f"{field}.direction", message, "leave it out, or declare another score")
     sign = 1 if direction is Direction.MAXIMISE else -1
-    unit = known.measures[given.measure] if given.measure is not None else "1" if scale is None else scale.unit
-    return Objective(given.label, value, shares, _aggregate(given.aggregate), sign, given.tolerance, unit)
+    return Objective(given.label, value, shares, _aggregate(given.aggregate), sign, given.tolerance, _unit(value, known))
 
 
 def _bound(
@@ -134,7 +133,11 @@ def _bound(
         value = replace(value, failed=limit - sign * span)
     aggregate = _aggregate(given.aggregate or ("min" if sign > 0 else "max"))
     shares = shares if value.change is None else _anywhere(shares)
-    return Bound(given.label, value, shares, aggregate, sign, limit, span, given.rate)
+    return Bound(given.label, value, shares, aggregate, sign, limit, span, given.rate, unit=_unit(value, known))
+
+
+def _unit(value: CellValue, known: KnownValues) -> str:
+    return known.measures.get(value.measure or "", "1") if value.scale is None else value.scale.unit
 
 
 def _anywhere(shares: Mapping[str, float]) -> dict[str, float]:
@@ -212,9 +215,7 @@ def normalise_weights(
     """Positive weights by scenario, of sum 1 (Eq. 6), with a note that names the scenarios of weight 0."""
     for name in given:
         if scenarios and name not in scenarios:
-            diagnostics.add(
-                f"weights.{name}", f"there is no scenario {name!r} in the catalogue", f"one of {', '.join(scenarios)}"
-            )
+            diagnostics.add(f"weights.{name}", f"there is no scenario {name!r} in the catalogue", nearest(name, scenarios))
     weights = {name: float(given.get(name, 1.0)) for name in scenarios}
     total = sum(weights.values())
     if scenarios and total == 0:

@@ -1,4 +1,4 @@
-"""Causes of failed cells: why runs have no result, which failures simulations report, and why scores have no value."""
+"""Causes of failed cells: why runs have no result or took a second attempt, which failures simulations report, why scores have no value."""
 
 import re
 from collections.abc import Iterable
@@ -31,15 +31,18 @@ def broken_down(connection: Connection, campaign_sequence: int) -> list[FailureC
 
 
 def _reported(connection: Connection, campaign_sequence: int) -> list[FailureCause]:
-    return [
-        FailureCause.of(
-            group,
-            kind="no_result" if group.outcome is Outcome.FAILED else "failed",
-            cause=group.failure,
-            scenarios=[group.scenario],
-        )
-        for group in evaluations.failed_cells(connection, campaign_sequence, MOST_GROUPS)
-    ]
+    causes = []
+    for group in evaluations.failed_cells(connection, campaign_sequence, MOST_GROUPS):
+        known = {"scenarios": [group.scenario], "cells": group.cells, "example": group.example}
+        if group.outcome is Outcome.FAILED:
+            causes.append(FailureCause(kind="no_result", cause=group.failure or "", detail=group.detail, **known))
+            continue
+        if group.failure is not None:
+            causes.append(FailureCause(kind="failed", cause=group.failure, **known))
+        if group.detail is not None:
+            breakdown, _, detail = group.detail.partition(": ")
+            causes.append(FailureCause(kind="retried", cause=breakdown, detail=detail, **known))
+    return causes
 
 
 def _undefined(connection: Connection, campaign: StoredCampaign) -> list[FailureCause]:

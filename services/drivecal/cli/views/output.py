@@ -161,8 +161,6 @@ def _uncertainty_texts(best: Best, aggregate: str | Mapping[str, float]) -> Iter
     if best.failure_interval is not None:
         lower, upper = best.failure_interval
         yield f"{best.failures} failed runs; {percent(lower, 1)} to {percent(upper, 1)} of its runs fail"
-    if best.constraints:
-        yield "constrained: " + "  ".join(f"{name} {score_text(amount)}" for name, amount in best.constraints.items())
     if best.noise:
         yield "noise of a run: " + "  ".join(f"{name} {score_text(noise)}" for name, noise in best.noise.items())
 
@@ -174,7 +172,7 @@ def _search_text(campaign: Campaign) -> str:
     text = (
         f"{campaign.spent.simulations:,}{simulations} simulations, {campaign.spent.minutes:.1f}{minutes} min of the wall clock"
     )
-    stored = campaign.cells.requested - campaign.spent.simulations
+    stored = campaign.cells.repeated + campaign.cells.reused + campaign.cells.predicted
     if simulations and stored > 0 and (campaign.spec.get("optimizer") or {}).get("kind") == "surrogate":
         text += f"; {stored:,} stored answers count as simulations"
     text += f"; {campaign.cells.discarded:,} cells of given-up sets left out" if campaign.cells.discarded else ""

@@ -19,7 +19,12 @@ LOTS_NOTE = (
 """Explains a bound that exceeds the limit."""
 _INSPECTED = "scenario", "asked", "lots", "rejected", "released", "sampled", "beyond tolerance"
 LOTS = (*_INSPECTED, "mean error", "largest error", "limit", "at most (95 %)")
-_CAUSES = {"no_result": "no result", "failed": "failed run", "unscored": "score without a value"}
+_CAUSES = {
+    "no_result": "no result",
+    "retried": "no result at first",
+    "failed": "failed run",
+    "unscored": "score without a value",
+}
 LONGEST_MESSAGE = 160
 
 

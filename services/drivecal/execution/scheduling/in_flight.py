@@ -67,6 +67,8 @@ class PendingSimulation:
     """Workers that left while they ran it, killed from outside or with their node: no breakdowns."""
     witnesses: frozenset[str] = frozenset()
     """Living workers that reported a breakdown."""
+    fault: str | None = None
+    """The last breakdown in words, which the answer of a later attempt has as its `detail`."""
 
     @property
     def is_suspect(self) -> bool:

@@ -453,6 +453,7 @@ class Scheduler:
         settled = answer.breakdown == Breakdown.ERROR and len(simulation.witnesses) >= WITNESSES
         if settled or simulation.breakdowns >= ATTEMPTS:
             return self._complete(leader, answer, worker, simulation.breakdowns)
+        simulation.fault = f"{answer.breakdown}: {answer.detail or 'no message'}"
         completed: list[Completed] = []
         if begun and not leader.withdrawn and not self._budgets.get(leader.tag, RunBudget()).take():
             completed.append(Completed(leader.tag, worker, answer, simulation.breakdowns))
@@ -485,6 +486,8 @@ class Scheduler:
     def _complete(self, leader: Claim, answer: CellResult, worker: str, attempts: int) -> list[Completed]:
         """Completes the claims to a simulation."""
         simulation = leader.simulation
+        if answer.breakdown is None and simulation.fault is not None:
+            answer = replace(answer, detail=simulation.fault)
         completed = [Completed(leader.tag, worker, answer, attempts)]
         self._forget(leader)
         for follower in list(simulation.claims):

@@ -6,7 +6,8 @@ import type { ResultVerdict } from "../server/types";
 const PLACES: readonly (readonly [RegExp, string, Record<string, string>, string])[] = [
   [/^front/, "front", {}, "front"],
   [/map|audits|contradictions|lots|predictions|robust/, "trust", {}, "checks"],
-  [/noise|without|cut$/, "evaluations", {}, "evaluations"],
+  [/^fails$|^without/, "overview", { at: "failures" }, "failed runs"],
+  [/noise|cut$/, "evaluations", {}, "evaluations"],
   [/baseline|better|ends$/, "overview", { at: "best" }, "best set"],
   [/confirm|scores|tried|judged|constraints|optima/, "ranking", { row: "1" }, "ranking"],
   [/failed|no_result|cancelled/, "overview", { at: "log" }, "log"],

@@ -3,6 +3,8 @@
 import type { Best, Campaign, Difference, Moving } from "../server/types";
 import { number, percent } from "./format";
 
+/** What happened to cells, by the kind of the cause. */
+export const FAILURES = { no_result: "no result", retried: "no result at first", failed: "failed run", unscored: "score without a value" } as const;
 export const OUTCOMES = ["repeated", "reused", "predicted", "simulated", "failed"] as const;
 export type Outcome = (typeof OUTCOMES)[number];
 

@@ -3,6 +3,6 @@ import { expect, test } from "vitest";
 import { evidenceOf } from "$lib/text/evidence";
 
 test("a verdict leads to the view with its numbers", () => {
-  const leads = { front_copied: "front", predictions_validated: "checks", not_robust: "checks", without_score: "evaluations", at_ends: "best set", not_better: "best set", unconfirmed_failed: "ranking", scores_copied: "ranking", cancelled: "log", not_converged: "course", outlook: "course" };
+  const leads = { front_copied: "front", predictions_validated: "checks", not_robust: "checks", noise: "evaluations", without_score: "failed runs", fails: "failed runs", at_ends: "best set", not_better: "best set", unconfirmed_failed: "ranking", scores_copied: "ranking", cancelled: "log", not_converged: "course", outlook: "course" };
   expect(Object.keys(leads).map((code) => evidenceOf({ code }).title)).toEqual(Object.values(leads));
 });
