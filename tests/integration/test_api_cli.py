@@ -101,7 +101,7 @@ def test_a_ranked_set_goes_to_calibration_tools_and_back(run: Run, api: RunningA
     best = json.loads(run("solutions", submitted, "--json").stdout)["items"][1]
     names = tmp_path / "names.yaml"
     names.write_text("P1: ACC_tGap_C\nP3: ACC_v_C\n")
-    shape = ("export", submitted, "--table", "solutions", "--row", "2")
+    shape = ("export", submitted, "--row", "2")
     for form in ("dcm", "cdfx"):
         file = tmp_path / f"set.{form}"
         result = run(*shape, "--format", form, "-o", str(file), "--names", str(names))
@@ -120,7 +120,7 @@ CALIBRATION_ACCESS NO_CALIBRATION /end CHARACTERISTIC /end PROJECT""")
     rows = list(csv.DictReader(io.StringIO(run(*shape, "--names", str(names)).stdout)))
     assert {row["name"]: float(row["value"]) for row in rows}["ACC_v_C"] == best["parameters"]["P3"]
     for wrong in (
-        ("export", submitted, "--format", "dcm"),
+        ("export", submitted, "--table", "evaluations", "--format", "dcm"),
         (*shape[:-1], "999", "--format", "dcm"),
         (*shape, "--format", "parquet"),
         ("parameters", str(names)),

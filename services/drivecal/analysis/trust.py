@@ -272,8 +272,8 @@ def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:
 
 def _left_out(campaign: Campaign) -> Iterator[ResultVerdict]:
     """Yields the scenarios of weight 0 that a constraint on all scenarios leaves out."""
-    left_out = [name for name, weight in campaign.spec.get("weights", {}).items() if weight == 0]
-    of_all = (each for each in campaign.spec.get("constraints", ()) if each.get("scenarios", "all") == "all")
+    left_out = [name for name, weight in (campaign.spec.get("weights") or {}).items() if weight == 0]
+    of_all = (each for each in campaign.spec.get("constraints") or () if each.get("scenarios", "all") == "all")
     if left_out and any(not each.get("changes") and not each.get("distance") for each in of_all):
         yield verdict("constraints_left_out", "amber", scenarios=left_out)
 

@@ -91,7 +91,10 @@ def front(
 def export(
     context: typer.Context,
     identifier: CampaignArgument,
-    table: Annotated[TableName, typer.Option(help=f"One of {', '.join(get_args(TableName))}.")] = "evaluations",
+    given_table: Annotated[
+        TableName | None,
+        typer.Option("--table", help=f"One of {', '.join(get_args(TableName))}; by default evaluations, of one set solutions."),
+    ] = None,
     form: Annotated[
         Format | None,
         typer.Option("--format", help=f"One of {', '.join(get_args(Format))}; by default the file's ending, or csv."),
@@ -146,6 +149,8 @@ def export(
     if as_json and form not in {None, "json"}:
         raise typer.BadParameter(f"--json is --format json, not {form}")
     form = "json" if as_json else form or _format_of(output if output != "-" or base is None else base.name)
+    is_single = form in {"dcm", "cdfx"} or any(given is not None for given in (row, names, base))
+    table = given_table or ("solutions" if is_single else "evaluations")
     if weights is not None and table not in {"solutions", "front"}:
         raise typer.BadParameter("--weights needs --table solutions or front")
     for option, chosen in {"--score": score, "--variant": variant}.items():
@@ -157,11 +162,14 @@ def export(
     given |= {"measures": "true" if measures else None}
     query = {name: value for name, value in given.items() if value}
     with connect(url) as client:
-        campaign_id = client.campaign(identifier).id
-        if form in {"dcm", "cdfx"} or any(given is not None for given in (row, names, base)):
-            pieces = iter([_calibration_file(client, campaign_id, table, form, row or 1, names, query)])
+        campaign = client.campaign(identifier)
+        if is_single and given_table is None and len(campaign.spec.get("objectives") or []) > 1:
+            remedy = "give --table front --row N, or --table solutions for the best by the first objective"
+            raise InvalidInputError(Problem("--table", "several objectives have no single best set", remedy))
+        if is_single:
+            pieces = iter([_calibration_file(client, campaign.id, table, form, row or 1, names, query)])
         else:
-            pieces = _pieces(client, campaign_id, table, form, query)
+            pieces = _pieces(client, campaign.id, table, form, query)
         if output == "-":
             if form == "parquet" and sys.stdout.isatty():
                 raise InvalidInputError(Problem("--output", "a terminal cannot show Parquet", "give -o FILE"))
