@@ -141,10 +141,11 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         page.get_by_role("button", name="Log in").click()
         expect(simulations).to_have_value("77")
         push_a_folder(page, api, tmp_path / "mine")
-        kept = page.evaluate("JSON.stringify([document.cookie, {...localStorage}, {...sessionStorage}])")
-        assert json.loads(kept) == ["", {}, {}]
+        assert TOKEN[::-1] not in page.evaluate("JSON.stringify({...localStorage, ...sessionStorage}) + document.cookie")
         page.get_by_role("button", name="Log out").click()
         expect(page.get_by_label("Token")).to_be_visible()
+        kept = page.evaluate("JSON.stringify([document.cookie, {...localStorage}, {...sessionStorage}])")
+        assert json.loads(kept) == ["", {}, {}]
         page.reload()
         expect(page.get_by_label("Token")).to_be_visible()
         page.close()

@@ -315,6 +315,8 @@ def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is
     analysed.uncheck()
     expect(mode).to_have_value("predicted")
     page.get_by_label("name").fill("from the form")
+    page.reload()
+    expect(page.get_by_label("name")).to_have_value("from the form")
     expect(page.get_by_text("runs for 120 proposed cells")).to_be_visible()
     lower = page.get_by_label("P1 from")
     lower.fill("20")
