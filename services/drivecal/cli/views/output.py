@@ -174,7 +174,7 @@ def _search_text(campaign: Campaign) -> str:
     )
     stored = campaign.cells.repeated + campaign.cells.reused + campaign.cells.predicted
     if simulations and stored > 0 and (campaign.spec.get("optimizer") or {}).get("kind") == "surrogate":
-        text += f"; {stored:,} stored answers count as simulations"
+        text += f"; {campaign.cells.requested:,}{simulations} cells asked for, {stored:,} stored answers among them"
     text += f"; {campaign.cells.discarded:,} cells of given-up sets left out" if campaign.cells.discarded else ""
     return text if campaign.ended_by is None else f"{text}; ended by: {campaign.ended_by}"
 
