@@ -188,6 +188,21 @@ def test_the_start_page_says_what_happened_since_the_last_visit(shown: Shown, op
     page.unroute_all(behavior="ignoreErrors")
 
 
+def test_a_verdict_on_failed_runs_leads_to_their_causes(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/#/nowhere", expected=("404",))
+    cause = {"kind": "retried", "cause": "crash", "detail": "no licence", "scenarios": ["hill"], "cells": 3, "example": 1}
+    light = {"question": "scores", "light": "amber", "text": "Runs fail."}
+    trust = {"answers": [light | {"title": "Does it hold?"}], "verdicts": [light | {"code": "fails", "numbers": {}}]}
+    failing = {"failures": [cause], "trust": trust}
+    changed(page, f"/campaigns/{shown.first.id}/results", lambda answer: answer | failing)
+    page.goto(shown.at(shown.first, "overview"))
+    page.get_by_role("link", name="failed runs").click()
+    row = page.get_by_role("table", name="Causes").get_by_role("row").nth(1)
+    expect(row).to_contain_text("no result at first")
+    row.get_by_role("link", name="1", exact=True).click()
+    page.wait_for_url(re.compile("/evaluations/1$"))
+
+
 def test_the_workers_show_what_they_did_and_what_waits_for_what(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.api.url}/#/nowhere", expected=("404",))
     resources = [{"name": "bench", "total": 2, "held": 2}, {"name": "rig", "total": 1, "held": 0}]
