@@ -10,6 +10,7 @@ from tests.support.runs import WITH_ANALYSIS, influenced, run
 from tests.support.server import RunningApi, new_database, serving
 from tests.support.values import present
 
+from drivecal.client import Client
 from drivecal.contracts.evaluation import Explanation
 from drivecal.contracts.results import CampaignResults, ResultTrust
 from drivecal.storage import campaigns
@@ -24,16 +25,8 @@ class Ended:
     rerun: dict[str, Any]
 
     def rows(self, campaign: dict[str, Any]) -> list[dict[str, Any]]:
-        result: list[dict[str, Any]] = []
-        cursor: str | None = None
-        while True:
-            page = self.api.http.get(
-                campaign["links"]["evaluations"], params={"limit": 1000} | ({"cursor": cursor} if cursor else {})
-            )
-            result += page.json()["items"]
-            cursor = page.json()["next_cursor"]
-            if cursor is None:
-                return result
+        with Client(self.api.url) as client:
+            return list(client.rows(campaign["id"], "evaluations"))
 
 
 def _carry_out(api: RunningApi, campaign: dict[str, Any]) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """Manifests of kind `highway`: the simulator section, scenarios, and what they may declare of answers."""
 
-import copy
 from functools import partial
 from typing import Any
 
@@ -245,16 +244,7 @@ PLANNED: dict[str, Any] = yaml.safe_load((installed_problems()["highway"].folder
     ],
 )
 def test_faults_of_planned_scenarios_are_named_by_field(path: str, value: object, field: str) -> None:
-    document = copy.deepcopy(PLANNED)
-    *sections, name = path.split("/")
-    place = document
-    for section in sections:
-        place = place[section]
-    if value is None:
-        del place[name]
-    else:
-        place[name] = value
-    assert field in {problem.field for problem in faults_of(checked, document)}
+    assert field in {problem.field for problem in faults_of(checked, with_change(PLANNED, path, value))}
 
 
 def test_the_planner_has_its_parameters_once_and_drives_tasks_only() -> None:

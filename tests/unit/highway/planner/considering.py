@@ -11,28 +11,6 @@ from drivecal.highway.planner.kernel import look, near_of, prepare
 from drivecal.highway.planner.lanes import LANES, store
 from drivecal.highway.planner.planner import FrenetPlanner
 from drivecal.highway.planner.plans import LATERAL_PLANS, LONGITUDINAL_PLANS, place_of
-from drivecal.highway.planner.terms import (
-    AHEAD,
-    ALONGSIDE,
-    ASIDE,
-    BEHIND,
-    BLOCKS,
-    CLEAR,
-    CLEARANCE,
-    CLOSING,
-    COLLISION,
-    FOLLOWER,
-    HEADING,
-    HEADINGS,
-    LATERAL,
-    LATERAL_ACCELERATION,
-    LEADER,
-    LONGITUDINAL,
-    NEAR,
-    NEARS,
-    SIDES,
-    TOUCHING,
-)  # fmt: skip
 from drivecal.plugins.ports import Observation
 
 compiled = compiled_with(cost, lanes, plans, terms, kernel, error_model="numpy")
@@ -54,32 +32,32 @@ def consider(
         road, scene, lateral_ends, ego, neighbours, elapsed, memory, quintics, quartics, work
     )  # fmt: skip
     for i in range(LATERAL_PLANS):
-        work[ASIDE + i] = 0.0
+        work[terms.ASIDE + i] = 0.0
         for row in range(6):
-            lateral[row, i] = work[LATERAL + row * LATERAL_PLANS + place_of(i, LATERAL_PLANS)]
+            lateral[row, i] = work[terms.LATERAL + row * LATERAL_PLANS + place_of(i, LATERAL_PLANS)]
     weights, known = np.zeros(12), 0
     for j in range(LONGITUDINAL_PLANS):
         place = place_of(j, LONGITUDINAL_PLANS)
         for row in range(2):
-            longitudinal[row, j] = work[LONGITUDINAL + row * LONGITUDINAL_PLANS + place]
+            longitudinal[row, j] = work[terms.LONGITUDINAL + row * LONGITUDINAL_PLANS + place]
         _, known = look(weights, len(neighbours), place, np.inf, known, work)
-        for block in range(BLOCKS):
-            near, at = near_of(work, block), NEARS + block * NEAR
-            store(work, at + TOUCHING, near[0])
-            store(work, at + CLEAR, near[1])
-            store(work, at + AHEAD, near[2])
-            store(work, at + ALONGSIDE, near[3])
-            store(work, at + BEHIND, near[4])
+        for block in range(terms.BLOCKS):
+            near, at = near_of(work, block), terms.NEARS + block * terms.NEAR
+            store(work, at + terms.TOUCHING, near[0])
+            store(work, at + terms.CLEAR, near[1])
+            store(work, at + terms.AHEAD, near[2])
+            store(work, at + terms.ALONGSIDE, near[3])
+            store(work, at + terms.BEHIND, near[4])
         for i in range(LATERAL_PLANS):
             column = place_of(i, LATERAL_PLANS)
-            at = NEARS + column // LANES * NEAR + column % LANES
-            combined[COLLISION, j, i] = work[at + TOUCHING]
-            combined[LATERAL_ACCELERATION, j, i] = work[SIDES + column]
-            combined[HEADING, j, i] = work[HEADINGS + column]
-            combined[CLEARANCE, j, i] = work[at + CLEAR]
-            combined[LEADER, j, i] = work[at + AHEAD]
-            combined[CLOSING, j, i] = work[at + ALONGSIDE]
-            combined[FOLLOWER, j, i] = work[at + BEHIND]
+            at = terms.NEARS + column // LANES * terms.NEAR + column % LANES
+            combined[terms.COLLISION, j, i] = work[at + terms.TOUCHING]
+            combined[terms.LATERAL_ACCELERATION, j, i] = work[terms.SIDES + column]
+            combined[terms.HEADING, j, i] = work[terms.HEADINGS + column]
+            combined[terms.CLEARANCE, j, i] = work[at + terms.CLEAR]
+            combined[terms.LEADER, j, i] = work[at + terms.AHEAD]
+            combined[terms.CLOSING, j, i] = work[at + terms.ALONGSIDE]
+            combined[terms.FOLLOWER, j, i] = work[at + terms.BEHIND]
 
 
 def considered(planner: FrenetPlanner, observation: Observation) -> tuple[Floats, Floats, Floats]:
