@@ -200,11 +200,6 @@ def test_a_listed_parameter_is_checked_field_by_field(field: str, value: object)
     assert any(where.endswith(field) for where in refused_at(CampaignSpecification, {"parameters": [listed]}))
 
 
-def test_a_listed_parameter_needs_its_name() -> None:
-    listed: dict[str, object] = {"lower": 0, "upper": 1, "step": 0.1}
-    assert any(where.endswith("name") for where in refused_at(CampaignSpecification, {"parameters": [listed]}))
-
-
 @pytest.mark.parametrize(
     ("model", "smallest"),
     [

@@ -53,18 +53,6 @@ def test_errors_survive_pickling_and_copying(error: DrivecalError) -> None:
         assert vars(other) == vars(error)
 
 
-@pytest.mark.parametrize(
-    ("problem", "sentence"),
-    [
-        (Problem("a.b", "is wrong", "do right"), "a.b: is wrong; do right"),
-        (Problem("a.b", "is wrong"), "a.b: is wrong"),
-        (Problem("", "is wrong", "do right"), "is wrong; do right"),
-    ],
-)
-def test_a_problem_reads_as_one_sentence(problem: Problem, sentence: str) -> None:
-    assert str(problem) == sentence
-
-
 def test_an_invalid_input_lists_all_its_problems_a_line_each() -> None:
     assert str(InvalidInputError(Problem("a", "x"), Problem("b", "y", "z"))) == "a: x\nb: y; z"
 

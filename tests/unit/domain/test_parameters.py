@@ -69,23 +69,11 @@ def test_what_is_not_finite_has_no_billionths(value: str) -> None:
         billionths(Decimal(value))
 
 
-def test_a_tenth_is_a_tenth_and_not_its_nearest_binary_fraction() -> None:
-    assert decimal(0.1) == Decimal("0.1")
-    assert decimal(0.1) + decimal(0.2) == decimal(0.3)
-
-
 @given(grids() | lattices(), st.data())
 def test_index_and_value_are_inverse(parameter: Parameter, data: st.DataObject) -> None:
     index = data.draw(st.integers(0, parameter.n_values - 1))
     assert parameter.index(parameter.value(index)) == index
     assert billionths(parameter.value(index)) == parameter.billionths(index)
-
-
-@given(grids())
-def test_values_of_a_grid_are_exactly_one_step_apart(parameter: Parameter) -> None:
-    values = parameter.billionths_at(np.arange(parameter.n_values))
-    assert len(values) == parameter.n_values
-    assert len(set(np.diff(values).tolist())) == 1
 
 
 @given(lattices())
