@@ -4,11 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from hypothesis import given
-from hypothesis import strategies as st
-
 from drivecal.analysis.comparison import Conditions, Course, best_of, groups, labels, succeeds
-from drivecal.analysis.convergence import alternatives_at, best_at, converged_at
+from drivecal.analysis.convergence import alternatives_at, best_at
 from drivecal.contracts.tables import Generation
 
 
@@ -120,17 +117,6 @@ def test_the_number_of_alternatives_has_to_stay_for_more_than_five() -> None:
 def test_an_iteration_without_any_result_is_no_best() -> None:
     assert best_at(12 * [None]) is None
     assert best_at([None, *(11 * [3.0])]) == 2
-
-
-@given(st.lists(st.integers(0, 3), max_size=30), st.integers(1, 8))
-def test_from_there_on_nothing_changes_and_right_before_it_did(values: list[int], unchanged: int) -> None:
-    result = converged_at([float(value) for value in values], unchanged)
-    if result is not None:
-        assert len(set(values[result - 1 :])) == 1
-        assert len(values) - result >= unchanged
-        assert result == 1 or values[result - 2] != values[result - 1]
-    elif values:
-        assert len(set(values[-unchanged - 1 :])) > 1 or len(values) <= unchanged
 
 
 def test_alternatives_of_another_best_objective_are_others() -> None:
