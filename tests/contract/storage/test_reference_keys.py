@@ -179,19 +179,6 @@ def test_an_interrupted_sync_goes_on_where_it_was(database: Database) -> None:
     assert [donor.run for donor in result.values()] == [1]
 
 
-def test_sets_with_their_parameters_in_other_orders_share_their_keys(database: Database) -> None:
-    one = ParameterSet.of({"P1": decimal("0.35"), "P2": decimal(1)})
-    turned = ParameterSet.of({"P2": decimal(2), "P1": decimal("0.35")})
-    with database.transaction() as connection:
-        setup = setup_id(connection)
-        ids = parameter_sets.ensure(connection, [turned, one])
-        runs.insert_results(connection, [new_run(setup, set_id, evaluation=n) for n, set_id in enumerate(ids, start=1)])
-    reference_keys.sync(database, 1, setup, EVALUATOR, 10, keys_of)
-    with database.read() as connection:
-        result = reference_keys.look_up(connection, 1, setup, keys_of_sets([one]), EVALUATOR, 10)
-    assert [donor.evaluation for donor in result.values()] == [1]
-
-
 @pytest.mark.slow
 def test_many_keys_are_looked_up_at_once(database: Database) -> None:
     sets = [ParameterSet.of({"P1": decimal("0.3") + decimal(number) / 100_000, "P2": decimal(1)}) for number in range(12_000)]
