@@ -105,10 +105,6 @@ def test_a_rerun_reports_what_it_saved_and_who_paid_for_the_map(ended: Ended) ->
     assert answered > 0.5 * sum(scenario.requested for scenario in result.scenarios)
 
 
-def test_the_campaign_shows_what_contradicts(ended: Ended) -> None:
-    assert {name: rate["contradictions"] for name, rate in ended.first["error_rate"].items()} == {"S1": 0, "S2": 0}
-
-
 def test_a_validation_of_its_map_by_another_campaign_changes_the_light_of_a_campaign(ended: Ended) -> None:
     def light() -> dict[str, str]:
         return {each.code: each.light for each in results_of(ended, ended.first).trust.verdicts if each.code.startswith("map")}

@@ -115,11 +115,6 @@ def test_crossings_are_refused() -> None:
         assert refused(crossing(kind), "west", "east")[0] == "route[1]"
 
 
-def test_a_generated_town_is_refused() -> None:
-    content = generated("--grid", "--grid.number", "3", "--grid.length", "200")
-    assert refused(content, "A1B1", "B1C1")[0] == "route[1]"
-
-
 def test_roundabouts_are_refused() -> None:
     field, message = refused(roundabout(), "in", "r1", "r2", "out")
     assert field == "route[1]"
