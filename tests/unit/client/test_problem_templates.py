@@ -1,11 +1,7 @@
 """New problems: each template is a bundle that runs, and an FMU's description is read with care."""
 
-import json
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -13,14 +9,12 @@ from hypothesis import strategies as st
 from tests.support.effort import examples
 from tests.support.values import faults_of, faulty_fields
 
-from drivecal.bundles.expressions import Formula
 from drivecal.bundles.fmus.description import parse_description, read_fmu
 from drivecal.bundles.installed import installed_problems
-from drivecal.bundles.manifest import CommandSimulator, Manifest, ProcessSimulator
 from drivecal.client.problem_templates import write_problem
 from drivecal.configuration.problems import read_bundle
 from drivecal.domain.errors import InvalidInputError
-from drivecal.local.problems import run_problem, trial_set
+from drivecal.local.problems import CheckedScenario, run_problem, trial_set
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples" / "problems"
 FMI2 = """<?xml version="1.0" encoding="UTF-8"?>
@@ -44,33 +38,12 @@ def fmu(folder: Path, description: str | bytes, name: str = "modelDescription.xm
     return file
 
 
-def answers(folder: Path, manifest: Manifest, scratch: Path) -> dict[str, dict[str, Any]]:
-    """Runs the baseline in every scenario as a worker would, by the protocols of `process`, `command` and `python`."""
-    simulator, baseline = manifest.simulator, manifest.baseline
-    if isinstance(simulator, ProcessSimulator):
-        requests = [
-            {"id": i, "data": data, "parameters": baseline, "seed": 1} for i, data in enumerate(manifest.scenarios.values())
-        ]
-        lines = [json.dumps(line) for line in [{"drivecal": 1, "problem": manifest.problem}, *requests, {"quit": True}]]
-        done = subprocess.run(simulator.command, cwd=folder, input="\n".join(lines), capture_output=True, text=True, check=True)
-        ready, *given = map(json.loads, done.stdout.splitlines())
-        assert ready == {"ready": True}
-        assert [answer["id"] for answer in given] == list(range(len(requests)))
-        return dict(zip(manifest.scenarios, given, strict=True))
-    results = {}
-    for scenario, data in manifest.scenarios.items():
-        if isinstance(simulator, CommandSimulator):
-            paths = {name: scratch / f"{name}.json" for name in ("parameters", "scenario", "results")}
-            paths["parameters"].write_text(json.dumps(baseline))
-            paths["scenario"].write_text(json.dumps(data))
-            command = [word.format(**paths) for word in simulator.command]
-            subprocess.run(command, cwd=folder, check=True)
-            results[scenario] = json.loads(paths["results"].read_text())
-        else:
-            code = "import json, sys; from model import evaluate; print(json.dumps(evaluate(*json.loads(sys.argv[1]))))"
-            command = [sys.executable, "-c", code, json.dumps([baseline, data])]
-            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
-            results[scenario] = {"measures": json.loads(done.stdout)}
+def answers(folder: Path) -> list[CheckedScenario]:
+    """Runs the baseline in every scenario as a worker does."""
+    manifest, archive = read_bundle(folder)
+    results = list(run_problem(manifest, archive, trial_set(manifest)))
+    assert [result.scenario for result in results] == list(manifest.scenarios)
+    assert all(result.error is None and result.measures.keys() == manifest.measures.keys() for result in results)
     return results
 
 
@@ -81,12 +54,9 @@ def test_a_new_problem_is_valid_and_its_baseline_runs(kind: str, tmp_path: Path)
     manifest, _ = read_bundle(tmp_path / "folder")
     assert (manifest.problem, manifest.simulator.kind) == ("my-problem", kind)
     assert "FOLDER" not in (tmp_path / "folder" / "problem.yaml").read_text()
-    results = answers(tmp_path / "folder", manifest, tmp_path)
-    assert set(results) == set(manifest.scenarios)
-    for answer in results.values():
-        assert answer["measures"].keys() == manifest.measures.keys()
-        for score in manifest.scores.values():
-            assert 0 < Formula(score.formula or "", manifest.measures)(answer["measures"]) < 100
+    for answer in answers(tmp_path / "folder"):
+        assert answer.scores.keys() == manifest.scores.keys()
+        assert all(0 < score < 100 for score in answer.scores.values())
 
 
 def test_the_motorway_as_a_start_is_valid_and_has_another_name(tmp_path: Path) -> None:
@@ -107,9 +77,8 @@ def test_a_new_highway_problem_records_the_time_of_its_series(tmp_path: Path) ->
 def test_a_new_highway_problem_runs_on_a_motorway_of_its_own(tmp_path: Path) -> None:
     written = write_problem("highway", "my-acc", tmp_path / "folder")
     assert {file.name for file in written} == {"problem.yaml", "acc.py", "road.net.xml"}
-    manifest, archive = read_bundle(tmp_path / "folder")
-    results = list(run_problem(manifest, archive, trial_set(manifest)))
-    assert [result.error for result in results] == [None, None]
+    results = answers(tmp_path / "folder")
+    assert len(results) == 2
     assert all(result.repeats and result.failure is None and 0 < result.scores["cost"] < 100 for result in results)
 
 
@@ -117,16 +86,12 @@ def test_all_templates_simulate_the_same(tmp_path: Path) -> None:
     results = []
     for kind in ("process", "command", "python"):
         write_problem(kind, "same", tmp_path / kind)
-        manifest, _ = read_bundle(tmp_path / kind)
-        answered = answers(tmp_path / kind, manifest, tmp_path)
-        results.append({scenario: answer["measures"] for scenario, answer in answered.items()})
+        results.append([(answer.scenario, answer.measures) for answer in answers(tmp_path / kind)])
     assert results[0] == results[1] == results[2]
 
 
-def test_the_shell_example_runs(tmp_path: Path) -> None:
-    manifest, _ = read_bundle(EXAMPLES / "command-shell")
-    for answer in answers(EXAMPLES / "command-shell", manifest, tmp_path).values():
-        assert answer["measures"].keys() == manifest.measures.keys()
+def test_the_shell_example_runs() -> None:
+    assert answers(EXAMPLES / "command-shell")
 
 
 def test_an_fmu_problem_without_an_fmu_says_what_to_put_where(tmp_path: Path) -> None:
