@@ -136,15 +136,17 @@ def installed(number: str | None, package: str) -> str:
     return number
 
 
-def test_a_worker_with_another_adapter_refuses_the_cells(worker: Callable[..., Worker], request_: SetupRequest) -> None:
-    works = worker(ScriptedSimulator(version="7"))
-    batches = {
-        adapter: Batch(replace(request_, document={"adapter": adapter}), (Cell(1, {"x": 2.0}),)) for adapter in ("8", "7")
-    }
-    refused = works.run(batches["8"])
+def test_a_worker_with_another_adapter_refuses_the_cells_and_closes_nothing(
+    worker: Callable[..., Worker], request_: SetupRequest
+) -> None:
+    simulator = ScriptedSimulator(version="7")
+    works = worker(simulator)
+    setups = {adapter: replace(request_, scenario=adapter, document={"adapter": adapter}) for adapter in ("8", "7")}
+    assert works.run(Batch(setups["7"], (Cell(1, {"x": 2.0}),))).refusal is None
+    refused = works.run(Batch(setups["8"], (Cell(1, {"x": 2.0}),)))
     assert refused.results == ()
     assert "is 8 at the coordinator and 7 at the worker" in (refused.refusal or "")
-    assert works.run(batches["7"]).refusal is None
+    assert (simulator.opened, simulator.closed) == (["7"], [])
 
 
 def test_a_simulator_that_this_machine_lacks_is_refused(worker: Callable[..., Worker], request_: SetupRequest) -> None:

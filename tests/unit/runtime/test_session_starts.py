@@ -73,15 +73,6 @@ def test_sessions_are_closed_once_for_a_failing_start(sessions: Callable[..., Bu
         now[0] += 0.6 * IDLE_SECONDS
 
 
-def test_another_adapter_is_refused_without_closing_anything(worker: Callable[..., Worker], request_: SetupRequest) -> None:
-    simulator = ScriptedSimulator()
-    works = worker(simulator)
-    works.run(Batch(replace(request_, scenario="good"), (Cell(1, {"x": 2.0}),)))
-    other = replace(request_, scenario="other", document={"adapter": "0"})
-    assert works.run(Batch(other, (Cell(1, {"x": 2.0}),))).refusal
-    assert simulator.closed == []
-
-
 @pytest.mark.parametrize("kind", [UnavailableError, UnsuitableError])
 def test_a_lost_simulator_refuses(worker: Callable[..., Worker], request_: SetupRequest, kind: type[UnavailableError]) -> None:
     class Upgraded(ScriptedSession):
