@@ -38,13 +38,15 @@ def test_choices_answer_for_each_other_where_the_map_knows_that_they_do_not_matt
     assert len({eco, winter, tow}) == 3
 
 
-@given(st.lists(st.sampled_from(MODES) | st.integers(-(10**15), 10**15), min_size=1, max_size=6))
-def test_stored_texts_read_in_bulk_have_the_codes_of_their_sets(values: list[int | str]) -> None:
-    sets = [ParameterSet(("mode", "P"), (value, 5)) for value in values]
-    ((names, positions, codes),) = parse([each.to_json() for each in sets])
-    assert names == ("mode", "P")
-    assert positions == list(range(len(sets)))
-    assert codes.tolist() == billionths_matrix(sets).tolist()
+@given(st.lists(st.tuples(st.sampled_from(MODES) | st.integers(-(10**15), 10**15), st.booleans()), min_size=1, max_size=6))
+def test_stored_sets_read_in_bulk_have_the_codes_of_their_values_in_any_order(values: list[tuple[int | str, bool]]) -> None:
+    orders = [(("mode", "P"), (value, 5)) if first else (("P", "mode"), (5, value)) for value, first in values]
+    sets = [ParameterSet(*order) for order in orders]
+    codes_of: dict[int, list[int]] = {}
+    for names, positions, codes in parse([each.to_json() for each in sets]):
+        assert {sets[position].names for position in positions} == {names}
+        codes_of |= dict(zip(positions, codes.tolist(), strict=True))
+    assert codes_of == dict(enumerate(list(each.codes) for each in sets))
 
 
 def test_another_choice_blocks_unless_it_does_not_matter_and_is_a_whole_range_away() -> None:
