@@ -10,7 +10,9 @@ from drivecal.api import expectation, submission
 from drivecal.api.dependencies import Limits
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
+from drivecal.storage import processes
 from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 
 MANIFEST: dict[str, Any] = {
     "problem": "licensed",
@@ -39,6 +41,15 @@ def test_a_campaign_that_needs_more_than_exists_is_refused_with_the_field(databa
         assert "city needs 2 carmaker" in problem.message
     assert submission.submit(database, enough, campaign, None).state == "queued"
     assert submission.submit(database, few, on_the_road, None).state == "queued"
+
+
+@pytest.mark.parametrize(("carmaker", "workers"), [(8, 3), (4, 2), (2, 1)])
+def test_resources_bound_how_many_workers_an_expected_time_rests_on(database: Database, carmaker: int, workers: int) -> None:
+    store(database, MANIFEST)
+    with database.transaction() as connection:
+        processes.heartbeat(connection, processes.DISPATCHER, 1, now(), {"workers": [{}, {}, {}]})
+    limits = Limits.of(load_settings(resources=f"carmaker={carmaker}"))
+    assert expectation.expected(database, limits, CampaignSpecification.model_validate(SMALL)).workers == workers
 
 
 def test_resources_are_read_from_text_and_passed_to_the_servers_processes(monkeypatch: pytest.MonkeyPatch) -> None:

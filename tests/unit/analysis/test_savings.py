@@ -1,5 +1,7 @@
 """The account of a campaign, held against numbers worked out by hand."""
 
+import re
+
 import pytest
 from tests.support.values import present
 
@@ -41,6 +43,12 @@ CALIBRATION = [
     _costs("S2", Outcome.REUSED, 45, 0.0, run_seconds=99.0),
     _costs("S2", Outcome.FAILED, 5, 2.5),
 ]
+
+
+@pytest.mark.parametrize(("lost", "times"), [(0, ["124"]), (4, ["120", "124"])])
+def test_starts_that_a_kill_may_have_prevented_make_a_range(lost: int, times: list[str]) -> None:
+    result = account("c", ["S1", "S2"], CALIBRATION, None, runs_for={"search": 118, "further": 6}, lost=lost)
+    assert re.findall(r"\d+", result.remarks[0].partition(":")[0]) == times
 
 
 def test_the_account_of_a_campaign_with_its_own_map() -> None:
