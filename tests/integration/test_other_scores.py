@@ -100,6 +100,26 @@ def test_importance_explains_the_objective_of_its_ranking(asked: Asked, monkeypa
     assert [answer.json()["errors"][0]["field"] for answer in refused] == ["score", "weights.sea"]
 
 
+def test_importance_counts_given_up_sets_where_they_were_simulated(
+    asked: Asked, api: RunningApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search = {"optimizer": {"kind": "surrogate"}, "budget": {"simulations": 60}, "reduction": {"mode": "off"}}
+    path = f"{carried_out(api, search)}/importance"
+
+    def importance(**query: str) -> dict[str, Any]:
+        answer: dict[str, Any] = asked.http.get(path, params=query).raise_for_status().json()
+        return answer
+
+    whole, first = importance()["sets"], max(importance(scenario=name)["sets"] for name in ("city", "road"))
+    assert whole < first
+    for module in ("analysis.importance", "api.tables.influence"):
+        monkeypatch.setattr(f"drivecal.{module}.LEAST_SETS", whole + 1)
+    mean = importance()
+    assert mean["scenarios"] == ["city", "road"]
+    assert mean["sets"] == first
+    assert [item["parameter"] for item in mean["items"]] == ["x"]
+
+
 BOUNDED: dict[str, Any] = {
     "optimizer": SEARCH | {"iterations": 2},
     "constraints": [

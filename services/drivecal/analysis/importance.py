@@ -1,5 +1,6 @@
 """Importance of parameters for a score, by permutation on held-out sets (Breiman 2001; Fisher, Rudin and Dominici 2019)."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +59,28 @@ def importances(features: Floats, values: Floats, seed: int = 0) -> Importances 
         added[column] = ((predicted - values[judged]) ** 2).mean(axis=0) - (own - values[judged]) ** 2
     lower, upper = _interval(added, values[judged], generator)
     return Importances(losses.mean(axis=1), losses.std(axis=1), lower, upper, undisturbed, len(values), len(judged))
+
+
+def mean_of(parts: Sequence[tuple[float, Importances]]) -> Importances:
+    """Returns the mean of the importances for several values with positive weights. Intervals and deviations take the errors of the parts
+    for independent."""
+    total = sum(weight for weight, _ in parts)
+    shares, known = [weight / total for weight, _ in parts], [part for _, part in parts]
+
+    def joint(errors: Iterable[Floats]) -> Floats:
+        squares: Floats = np.sum([(share * error) ** 2 for share, error in zip(shares, errors, strict=True)], axis=0)
+        return np.sqrt(squares)
+
+    mean = np.average([part.mean for part in known], axis=0, weights=shares)
+    return Importances(
+        mean,
+        joint(part.deviation for part in known),
+        mean - joint(part.mean - part.lower for part in known),
+        mean + joint(part.upper - part.mean for part in known),
+        float(np.average([part.r2 for part in known], weights=shares)),
+        max(part.sets for part in known),
+        max(part.held_out for part in known),
+    )
 
 
 def _interval(added: Floats, values: Floats, generator: np.random.Generator) -> tuple[Floats, Floats]:

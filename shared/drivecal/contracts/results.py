@@ -161,10 +161,13 @@ class ImportanceAnswer(Answer):
     r2: float | None = None
     weak: float = WEAK
     """`r2` below which importances mean little."""
+    scenarios: list[str] = Field(default_factory=list)
+    """Those whose mean it is, each by its share in the variation of the objective, for want of complete sets; else empty. `sets`, `held_out`
+    are the largest of theirs, and `r2` is their mean."""
     clear: float = CLEAR
     """Importance from which on a parameter matters among the sets of a search."""
     notes: list[str] = Field(default_factory=list)
-    """A weak fit, and parameters on which importance and influence map disagree."""
+    """Why there is none; a weak fit, and parameters on which importance and influence map disagree."""
     items: list[ParameterImportance] = Field(default_factory=list)
 
 

@@ -5,7 +5,7 @@ import pytest
 from tests.support.values import present
 
 from drivecal.analysis import importance
-from drivecal.analysis.importance import LEAST_SETS, importances
+from drivecal.analysis.importance import LEAST_SETS, Importances, importances, mean_of
 
 
 def test_parameters_are_ordered_by_what_they_explain_and_others_explain_nothing() -> None:
@@ -22,6 +22,21 @@ def test_too_few_sets_and_equal_values_have_no_importance() -> None:
     features = np.random.default_rng(3).uniform(size=(LEAST_SETS, 2))
     assert importances(features[1:], features[1:, 0]) is None
     assert importances(features, np.ones(LEAST_SETS)) is None
+
+
+def test_a_mean_of_importances_takes_their_errors_for_independent() -> None:
+    mean, deviation, lower, upper = np.array(
+        [[[0.5, 0.1], [0.1, 0.9]], [[0.3, 0], [0.4, 0.4]], [[0.2, 0.1], [0.1, 0.5]], [[0.9, 0.1], [0.1, 1.2]]]
+    )
+    first = Importances(mean[0], deviation[0], lower[0], upper[0], r2=0.9, sets=90, held_out=30)
+    second = Importances(mean[1], deviation[1], lower[1], upper[1], r2=0.5, sets=60, held_out=20)
+    result = mean_of([(3.0, first), (1.0, second)])
+    assert result.mean == pytest.approx([0.4, 0.3])
+    assert result.deviation == pytest.approx([np.hypot(0.225, 0.1), 0.1])
+    assert result.lower == pytest.approx([0.4 - 0.225, 0.3 - 0.1])
+    assert result.upper == pytest.approx([0.4 + 0.3, 0.3 + 0.075])
+    assert result.r2 == pytest.approx(0.8)
+    assert (result.sets, result.held_out) == (90, 30)
 
 
 def test_of_many_sets_an_even_sample_is_used(monkeypatch: pytest.MonkeyPatch) -> None:

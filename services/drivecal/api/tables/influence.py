@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from drivecal.analysis.importance import HELD_OUT, TREES, importances
+from drivecal.analysis.goals import SCORE
+from drivecal.analysis.importance import HELD_OUT, LEAST_SETS, TREES, Importances, importances, mean_of
 from drivecal.api.http.queries import ImportanceOf
 from drivecal.api.tables.ranking import solution_pages
 from drivecal.campaigns.resolve.maps import map_from_document
@@ -93,23 +94,38 @@ METHOD = f"permutation importance: loss of R² on a held-out {100 * HELD_OUT:.0f
 def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, query: ImportanceOf) -> ImportanceAnswer:
     """Returns the importance of each searched parameter. Raises InvalidInputError for an unknown scenario, and what `ranking` raises.
 
-    Counts sets whose values are their own, by a simulation of that very set.
+    Counts sets whose values are their own, by a simulation of that very set. A scenario's sets include those that the search gave up.
+    With too few complete sets, the importance for a weighted score is the mean of the scenarios', each by its share in the variation.
     """
     scenario = query.scenario
     ranked = solution_pages(StoredRanking(database, campaign, resolved), query.weights, query.score)
     if scenario is not None and scenario not in ranked.scenarios:
         problem = Problem("scenario", f"the campaign has no scenario {scenario!r}", f"one of {', '.join(ranked.scenarios)}")
         raise InvalidInputError(problem)
-    own = [entry for entry in ranked.ranked if not (entry.reused if scenario is None else scenario in entry.reused)]
-    own.sort(key=lambda entry: (entry.iteration, entry.individual))
-    with database.read() as connection:
-        sets = parameter_sets.load(connection, [entry.parameter_set for entry in own])
-    searched = resolved.space.searched
-    rows = [[_position(parameter, sets[entry.parameter_set].floats[parameter.name]) for parameter in searched] for entry in own]
-    values = np.array([entry.objective if scenario is None else entry.scores[scenario] for entry in own], dtype=np.float64)
-    result = importances(np.array(rows, dtype=np.float64).reshape(len(own), len(searched)), values)
+    searched, known = resolved.space.searched, dict[str, Importances]()
+
+    def of(values: Mapping[int, float]) -> Importances | None:
+        with database.read() as connection:
+            sets = parameter_sets.load(connection, list(values))
+        rows = [[_position(parameter, sets[number].floats[parameter.name]) for parameter in searched] for number in values]
+        return importances(np.array(rows).reshape(len(values), len(searched)), np.array(list(values.values())))
+
+    if scenario is not None:
+        own = ranked.ranking.own_scores(scenario)
+    else:
+        whole = sorted(ranked.ranked, key=lambda entry: (entry.iteration, entry.individual))
+        own = {entry.parameter_set: entry.objective for entry in whole if not entry.reused}
+    result, goal = of(own), ranked.resolved.goals.objectives[0]
+    is_weighted = goal.value.key == SCORE and goal.aggregate.kind == "mean" and not goal.variants
+    if result is None and scenario is None and is_weighted:
+        scores = {name: ranked.ranking.own_scores(name) for name in goal.shares}
+        known = {name: found for name, values in scores.items() if (found := of(values)) is not None}
+        variations = [goal.shares[name] ** 2 * float(np.var(list(scores[name].values()))) for name in known]
+        result = mean_of(list(zip(variations, known.values(), strict=True))) if known else None
     if result is None:
-        return ImportanceAnswer(scenario=scenario, method=METHOD, sets=len(own))
+        few = f"{len(own)} sets have values of their own, and {LEAST_SETS} are needed"
+        note = few if len(own) < LEAST_SETS else "the values of all sets are the same"
+        return ImportanceAnswer(scenario=scenario, method=METHOD, sets=len(own), notes=[note])
     items = [
         ParameterImportance(
             parameter=parameter.name, importance=float(mean), deviation=float(deviation), lower=float(lower), upper=float(upper)
@@ -123,6 +139,7 @@ def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedS
         result,
         scenario=scenario,
         method=METHOD,
+        scenarios=list(known),
         notes=_notes(database, campaign, resolved, scenario, items, result.r2),
         items=items,
     )

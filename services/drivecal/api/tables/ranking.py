@@ -41,6 +41,8 @@ class SolutionPages:
     ranked: Sequence[EvaluatedSet]
     scenarios: Sequence[str]
     resolved: ResolvedSpec
+    ranking: Ranking
+    """All sets of the search, ranked or not."""
 
     def __len__(self) -> int:
         return len(self.ranked)
@@ -77,7 +79,7 @@ def solution_pages(stored: StoredRanking, weights: str | None = None, score: str
         with stored.database.read() as connection:
             ranking.add(_rated(connection, stored.campaign, resolved.evaluator, other, resolved.goals))
     scenarios = [name for name, weight in used.items() if weight > 0]
-    return SolutionPages(stored.database, ranking.best_first(), scenarios, resolved)
+    return SolutionPages(stored.database, ranking.best_first(), scenarios, resolved, ranking)
 
 
 def variants_of(stored: StoredRanking) -> list[VariantResult]:
