@@ -51,16 +51,17 @@ def kept_back(budget: int, scenarios: int, most: int, shown: int = 0, of_variant
     """Returns the simulations of a budget that are kept for the runs after the search: at most a third, or a half if rates need `shown`
     seeds at least. `of_variants`: scenarios of each variant, in sum."""
     share = KEPT_BY_CELL if by_cell else KEPT
-    needed = fewest(scenarios, most, shown, of_variants)
+    needed = fewest(scenarios, most, shown, of_variants, by_cell=by_cell)
     return min(budget // (2 if shown else 3), max(int(share * budget), needed)) if most > 1 else 0
 
 
-def fewest(scenarios: int, most: int, shown: int = 0, of_variants: int = 0) -> int:
+def fewest(scenarios: int, most: int, shown: int = 0, of_variants: int = 0, *, by_cell: bool = False) -> int:
     """Returns the simulations that the choice and the report of the best set need at least, and the reports of variants; `shown`: seeds
-    that rates need."""
+    that rates need. A search `by_cell` requests further seeds itself, so that the report alone needs some."""
     reporting = most - choosing(most)
-    needed = (reporting + max(FIRST, shown)) * scenarios + min(FEWEST_REPORTING, reporting) * of_variants
-    return needed if most > 1 else 0
+    least = min(FEWEST_REPORTING, reporting)
+    runs = least if by_cell and not shown else reporting + max(FIRST, shown)
+    return runs * scenarios + least * of_variants if most > 1 else 0
 
 
 @dataclass(frozen=True)
