@@ -259,12 +259,12 @@ class Ranking:
     def own_scores(self, scenario: str) -> dict[int, float]:
         """Returns the scores of all sets that were simulated in a scenario, given-up ones as well, by their ids, in the order of
         discovery."""
-        found = {number: self._answers[number].get(scenario) for number in sorted(self._answers, key=self._places.__getitem__)}
-        return {
-            number: float(cell.score)
-            for number, cell in found.items()
-            if cell is not None and cell.own and cell.score is not None
-        }
+        scores = dict[int, float]()
+        for number in sorted(self._answers, key=self._places.__getitem__):
+            cell = self._answers[number].get(scenario)
+            if cell is not None and cell.own and cell.score is not None:
+                scores[number] = float(cell.score)
+        return scores
 
     def order(self, solution: EvaluatedSet) -> tuple[int, int, int, float, int, int]:
         """Sorts best first: feasible sets first, of equal objectives the one with the most runs, then by the weighted continuous rating,

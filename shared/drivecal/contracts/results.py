@@ -162,8 +162,8 @@ class ImportanceAnswer(Answer):
     weak: float = WEAK
     """`r2` below which importances mean little."""
     scenarios: list[str] = Field(default_factory=list)
-    """Those whose mean it is, each by its share in the variation of the objective, for want of complete sets; else empty. `sets`, `held_out`
-    are the largest of theirs, and `r2` is their mean."""
+    """With too few complete sets, the scenarios whose mean it is, each by its share in the variation of the objective; else empty. `sets`
+    and `held_out` are the largest ones of the scenarios, and `r2` is their mean."""
     clear: float = CLEAR
     """Importance from which on a parameter matters among the sets of a search."""
     notes: list[str] = Field(default_factory=list)

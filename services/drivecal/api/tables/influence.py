@@ -94,8 +94,8 @@ METHOD = f"permutation importance: loss of R² on a held-out {100 * HELD_OUT:.0f
 def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, query: ImportanceOf) -> ImportanceAnswer:
     """Returns the importance of each searched parameter. Raises InvalidInputError for an unknown scenario, and what `ranking` raises.
 
-    Counts sets whose values are their own, by a simulation of that very set. A scenario's sets include those that the search gave up.
-    With too few complete sets, the importance for a weighted score is the mean of the scenarios', each by its share in the variation.
+    Counts sets whose values are their own, by a simulation of that very set. In a scenario, given-up sets count as well. With too
+    few complete sets, the importance for a weighted score is the mean of the scenarios', each by its share in the variation.
     """
     scenario = query.scenario
     ranked = solution_pages(StoredRanking(database, campaign, resolved), query.weights, query.score)

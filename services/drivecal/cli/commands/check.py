@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from statistics import stdev
@@ -33,6 +33,18 @@ Axes = Mapping[str, Sequence[Sequence[float]]]
 CALIBRATION_FILES = (".dcm", ".cdfx")
 INTERVAL = ("standard_error", "lower", "upper")
 COLUMNS = ("scenario", "score", *INTERVAL, "baseline", "obtained", "broken")
+
+
+@dataclass(frozen=True)
+class GivenSet:
+    """A set to check: `spec` of its campaign, empty for a file; `axes`: points of its curves; `seeds` that report it. A file without units
+    has none."""
+
+    parameters: Parameters
+    spec: Mapping[str, Any] = field(default_factory=dict)
+    axes: Axes = field(default_factory=dict)
+    seeds: Sequence[int] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 class SetLimit(GoalSpecification):
@@ -185,23 +197,24 @@ def check(
     simulated. A set of a campaign runs under the seeds that report it, with --seeds N under N seeds beginning there."""
     wanted = [] if limits is None else validated(LimitsFile, dict(read_document(limits))).limits
     with connect(url) as client:
-        parameters, spec, axes, reported = _set(client, chosen, names)
+        given = _set(client, chosen, names)
+        parameters, spec, reported = given.parameters, given.spec, given.seeds
         known = client.problem(problem or spec.get("problem", DEFAULT_PROBLEM))
         copied = DECIDING if problem is None else DECIDING - {"catalogue"}  # another push may have other scenarios
         settings = {name: spec[name] for name in copied if name in spec} | {"problem": known.digest}
         first = min(reported, default=1)  # a set looks better than it is under the seeds before, which chose it
         settings["seeds"] = list(range(first, first + seeds)) if seeds else list(reported) or 1
         listed = settings.get("catalogue") or known.scenarios
-        _refuse_other_axes(axes, known.shapes)
+        _refuse_another_form(given, known)
         _refuse_unknown(wanted, known, () if isinstance(listed, str) else listed, has_baseline=baseline is not None)
         evaluators = _evaluators(known, spec.get("evaluator"), wanted)
         own = parameters if spec and problem is None else known.parameters  # a driving function has its own
         wait = partial(ended, client, timeout=timeout, asking=pauses(SECONDS_BETWEEN_QUESTIONS, timeout))
         compared: dict[str, Evaluation] = {}
         if baseline is not None:
-            before, _, theirs, _ = _set(client, baseline, names)
-            _refuse_other_axes(theirs, known.shapes)
-            values = _values(before, own, known.shapes)
+            before = _set(client, baseline, names)
+            _refuse_another_form(before, known)
+            values = _values(before.parameters, own, known.shapes)
             compared = _evaluated(client, settings | {"parameters": values}, evaluators, wait, fresh=fresh)
         document = settings | {"parameters": _values(parameters, own, known.shapes)}
         checked = CheckedSet(_evaluated(client, document, evaluators, wait, fresh=fresh), compared, known)
@@ -227,9 +240,7 @@ def check(
     raise typer.Exit(ExitCode.FAILED if broken else ExitCode.OK)
 
 
-def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, Mapping[str, Any], Axes, Sequence[int]]:
-    """Returns the values of a set, the specification of its campaign, empty for a file, the points of its curves as far as known, and the
-    seeds that report it."""
+def _set(client: Client, given: str, names: str | None) -> GivenSet:
     identifier, mark, rank = given.rpartition("#")
     if mark and rank.isdecimal() and int(rank) > 0:
         campaign = client.campaign(identifier)
@@ -238,10 +249,11 @@ def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, Map
             raise NotFoundError("set", given, f"the campaign has {len(ranked)} ranked sets")
         shapes = client.setup(campaign.id).shapes
         chosen = ranked[int(rank) - 1]
-        return chosen.parameters, campaign.spec, {name: shape.axes for name, shape in shapes.items()}, chosen.seeds
+        axes: Axes = {name: shape.axes for name, shape in shapes.items()}
+        return GivenSet(chosen.parameters, campaign.spec, axes, chosen.seeds)
     if Path(given).suffix.lower() not in CALIBRATION_FILES:
         document = dict(read_document(given))
-        return document.get("parameters", document), {}, {}, ()
+        return GivenSet(document.get("parameters", document))
     from drivecal.calibration_data import files
     from drivecal.calibration_data.characteristics import INDEX
     from drivecal.calibration_data.sections import axis_points, joined
@@ -257,13 +269,26 @@ def _set(client: Client, given: str, names: str | None) -> tuple[Parameters, Map
         if each.values
     }
     listed += axis_points(listed)
-    return {by_label.get(each.name, each.name): each.given for each in listed if each.given is not None}, {}, axes, ()
+    known = {by_label.get(each.name, each.name): each for each in listed if each.given is not None}
+    units = {name: each.unit for name, each in known.items()}
+    return GivenSet({name: each.given for name, each in known.items() if each.given is not None}, axes=axes, units=units)
 
 
-def _refuse_other_axes(given: Axes, shapes: Mapping[str, ShapeAnswer]) -> None:
-    """Raises InvalidInputError if values belong to other points than in the problem; a parameter such as `gain.x` is such points."""
+def _refuse_another_form(given: GivenSet, problem: ProblemAnswer) -> None:
+    """Raises InvalidInputError if values have other units or belong to other points than in the problem; a parameter such as `gain.x` is
+    such points."""
+    from drivecal.bundles import units
+
+    shapes = problem.shapes
+    own_units = {name: str(entry.get("unit", "1")) for name, entry in problem.parameters.items()}
+    own_units |= {name: shape.unit for name, shape in shapes.items()}
+    for name, unit in given.units.items():
+        wanted = own_units.get(name, unit)
+        if not {unit, wanted} & units.WITHOUT and not units.same(unit, wanted):
+            message = f"it is in {unit}, and the problem has it in {wanted}"
+            raise InvalidInputError(Problem(f"parameters.{name}", message, "give a set in the problem's units"))
     for name, shape in shapes.items():
-        for letter, own, points in zip("xy", given.get(name, ()), shape.axes, strict=False):
+        for letter, own, points in zip("xy", given.axes.get(name, ()), shape.axes, strict=False):
             same = all(math.isclose(one, other, rel_tol=1e-6, abs_tol=1e-6) for one, other in zip(own, points, strict=False))
             if not same and f"{name}.{letter}" not in shapes:
                 message = f"it has other points on axis {letter} than in the problem"
