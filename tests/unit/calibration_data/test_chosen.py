@@ -179,13 +179,14 @@ def test_a_set_of_a_random_simulator_has_the_interval_of_its_objective() -> None
 
 
 def test_a_set_has_its_rank_objective_and_scores() -> None:
-    own = {"rank": "1", "objective": "3", "score": "discomfort", "score follow": "2", "score brake": "4"}
+    weights = {"weights": "follow=0.5,brake=0.5"}
+    own = weights | {"rank": "1", "objective": "3", "score": "discomfort", "score follow": "2", "score brake": "4"}
     assert exported(Data()) == own
     assert exported(Data(), weights={"follow": 0.2, "brake": 0.8}) == own | {
         "objective": "3.6",
         "weights": "follow=0.2,brake=0.8",
     }
-    other = {"rank": "1", "objective": "0.5", "score": "following", "score follow": "0.25", "score brake": "0.75"}
+    other = weights | {"rank": "1", "objective": "0.5", "score": "following", "score follow": "0.25", "score brake": "0.75"}
     assert exported(Data(), score="following") == other
 
 

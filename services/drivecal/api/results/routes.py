@@ -118,6 +118,8 @@ def calibration_file(campaign_id: str, query: CalibrationFileQuery, database: Da
         raise InvalidInputError(Problem(field, f"campaign {stored.id} has no set of rank {rank}", remedy))
     chosen = rows[0]
     known = results_of(whole, front, (chosen.iteration, chosen.individual))
+    if given is None and query.variant is not None:
+        given = next((each.scenarios for each in known.variants if each.name == query.variant), None)
     figures = [*figures_of(known, chosen, given, query.score), *([("variant", query.variant)] if query.variant else [])]
     shapes = known.setup.shapes
     parameters = [each for each in known.setup.parameters if not any(each.name in shape.names for shape in shapes.values())]

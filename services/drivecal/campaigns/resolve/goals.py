@@ -215,7 +215,7 @@ def normalise_weights(
     """Positive weights by scenario, of sum 1 (Eq. 6), with a note that names the scenarios of weight 0."""
     for name in given:
         if scenarios and name not in scenarios:
-            diagnostics.add(f"weights.{name}", f"there is no scenario {name!r} in the catalogue", nearest(name, scenarios))
+            diagnostics.add(f"weights.{name}", f"the campaign has no scenario {name!r}", nearest(name, scenarios))
     weights = {name: float(given.get(name, 1.0)) for name in scenarios}
     total = sum(weights.values())
     if scenarios and total == 0:

@@ -20,7 +20,7 @@ from drivecal.cli.views.progress import pauses
 from drivecal.client.client import Client
 from drivecal.configuration.documents import read_document
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
-from drivecal.contracts.input_errors import validated
+from drivecal.contracts.input_errors import nearest, validated
 from drivecal.contracts.inventory import ProblemAnswer
 from drivecal.contracts.setup import ShapeAnswer
 from drivecal.contracts.specification import DECIDING, DEFAULT_PROBLEM, Given, GoalSpecification, Model
@@ -302,12 +302,11 @@ def _refuse_unknown(limits: Sequence[SetLimit], problem: ProblemAnswer, known: C
         field = f"limits[{number}]"
         for kind, name, names in (("score", limit.score, problem.scores), ("measure", limit.measure, problem.measures)):
             if name is not None and name not in names:
-                faults.append(
-                    Problem(f"{field}.{kind}", f"{problem.name} has no {kind} {name!r}", f"one of {', '.join(names)}")
-                )
+                remedy = f"one of {', '.join(names)}, or the problem that has it: --problem"
+                faults.append(Problem(f"{field}.{kind}", f"{problem.name} has no {kind} {name!r}", remedy))
         for name in () if limit.scenarios == "all" or not known else limit.scenarios:
             if name not in known:
-                remedy = f"one of {', '.join(known)}"
+                remedy = nearest(name, list(known))
                 faults.append(Problem(f"{field}.scenarios", f"{problem.name} has no scenario {name!r}", remedy))
         if limit.worse_by_at_most is not None and not has_baseline:
             faults.append(Problem(f"{field}.worse_by_at_most", "there is no baseline", "give --baseline"))
