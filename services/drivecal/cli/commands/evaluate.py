@@ -134,7 +134,7 @@ def print_explanation(explanation: Explanation, shapes: Mapping[str, ShapeAnswer
     values = parameters_text(explanation.parameters, shapes=shapes)
     typer.echo(f"evaluation {explanation.evaluation}: {where}\n{values}\n{result}\n\n{explanation.sentence}")
     if explanation.detail is not None:
-        typer.echo(explanation.detail)
+        typer.echo(f"{'' if explanation.outcome == 'failed' else 'no result at first: '}{explanation.detail}")
     if (reference := explanation.reference) is not None:
         score = "no score yet" if reference.score is None else f"score {score_text(reference.score)}"
         at = f"{reference.stage}, iteration {reference.iteration + 1}, individual {reference.individual}"
@@ -144,7 +144,9 @@ def print_explanation(explanation: Explanation, shapes: Mapping[str, ShapeAnswer
     if explanation.differences:
         typer.echo("")
         header = ["parameter", "this cell", "stored set", "influential", "this lies", "that lies", "in the way"]
-        print_columns(header, map(difference_row, explanation.differences))
+        rows = [difference_row(difference) for difference in explanation.differences]
+        shown = len(header) if any(row[3] != "everywhere" for row in rows) else 3  # without a map, all influence is unknown
+        print_columns(header[:shown], [row[:shown] for row in rows])
     if explanation.distance is not None:
         typer.echo(f"\ndistance {explanation.distance:.4f} of the parameters' ranges")
     if explanation.stored is not None:
