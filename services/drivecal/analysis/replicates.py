@@ -25,8 +25,6 @@ FEWEST_REPORTING = 3
 """Runs that report a best set, if the budget does not suffice for more."""
 FIRST = 4
 """Sets that get a second run before the noise is known."""
-CHOOSING_BY_CELL = 2
-"""Runs for the choice that a search by the cell leaves of a small budget."""
 SWEEPS = 30
 """Iterations of the fit of means and effects of seeds."""
 DRAWS = 4000
@@ -59,10 +57,10 @@ def kept_back(budget: int, scenarios: int, most: int, shown: int = 0, of_variant
 
 def fewest(scenarios: int, most: int, shown: int = 0, of_variants: int = 0, *, by_cell: bool = False) -> int:
     """Returns the simulations that the choice and the report of the best set need at least, and the reports of variants; `shown`: seeds
-    that rates need. A search `by_cell` requests further seeds itself, so that the choice needs fewer."""
+    that rates need. A search `by_cell` requests further seeds itself, so that the report alone needs some."""
     reporting = most - choosing(most)
     least = min(FEWEST_REPORTING, reporting)
-    runs = least + CHOOSING_BY_CELL if by_cell and not shown else reporting + max(FIRST, shown)
+    runs = least if by_cell and not shown else reporting + max(FIRST, shown)
     return runs * scenarios + least * of_variants if most > 1 else 0
 
 

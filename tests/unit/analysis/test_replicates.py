@@ -238,10 +238,10 @@ def test_a_budget_keeps_runs_for_the_choice() -> None:
     assert replicates.kept_back(600, 6, 20, by_cell=False) == 180
     assert replicates.kept_back(1000, 6, 20, by_cell=True) == 150
     assert replicates.kept_back(100, 6, 20, by_cell=False) == 33
-    assert replicates.kept_back(100, 6, 20, by_cell=True) == 30
+    assert replicates.kept_back(100, 6, 20, by_cell=True) == 18
     assert replicates.kept_back(100, 6, 20, 10, by_cell=True) == 50
     assert replicates.kept_back(600, 6, 1, by_cell=True) == 0
-    assert replicates.kept_back(600, 6, 20, of_variants=50, by_cell=True) == 180
+    assert replicates.kept_back(600, 6, 20, of_variants=50, by_cell=True) == 168
 
 
 def test_sets_are_compared_under_the_seeds_that_both_have() -> None:
