@@ -301,6 +301,19 @@ def test_sets_that_change_alike_get_more_runs_and_the_best_one_has_a_report(budg
     assert ranking.best_first()[0].bound is not None  # the noise is known
 
 
+@pytest.mark.parametrize("budget", range(3, 10))
+def test_the_best_set_of_a_small_budget_is_the_one_that_is_reported(budget: int) -> None:
+    random, wanted = np.random.default_rng(budget), ReplicatesSpecification()
+    for _ in range(20):
+        ranking, chosen, left = by_score({"S1": 1}, wanted=wanted), [(number, 1) for number in range(30)], budget + 30
+        while chosen:
+            left -= len(chosen)
+            scores = [(number, seed, float(random.normal())) for number, seed in chosen]
+            ranking.add(CellScore(number, "S1", x, x, True, 0, number, seed=seed) for number, seed, x in scores)
+            chosen = next_runs(ranking, wanted, 2, left)
+        assert present(ranking.best())[0].chosen_by is not None
+
+
 def test_a_seed_is_tried_only_if_all_scenarios_of_the_ranking_ran() -> None:
     """S3 belongs to another variant, and a search by the cell may run a further seed in some scenarios only."""
     ranking, wanted = by_score({"S1": 1, "S2": 1}, wanted=ReplicatesSpecification()), ReplicatesSpecification()
