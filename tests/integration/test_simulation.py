@@ -188,6 +188,13 @@ def test_leaving_the_road_ends_the_run_before_sumo_sees_it() -> None:
     assert len(series["time_s"]) < result.measures["driven_s"] / S1.step + 0.5
 
 
+def test_a_lane_change_in_the_wrong_direction_misses_the_task() -> None:
+    scenario = replace(S1, traffic=S1.traffic[1:])
+    result = runner(scenario).run((0.0, 1.0, 0.0))
+    assert result.failure == Failure.TASK_MISSED
+    assert result.measures["driven_s"] == pytest.approx(S1.duration)
+
+
 def test_a_calm_lane_change_on_a_free_road_is_rated_better_than_a_hasty_one() -> None:
     free = runner(replace(S1, traffic=S1.traffic[:1]))
     calm, hasty = free.run((S1.road.lane_width, 7.0, 0.0)), free.run((S1.road.lane_width, 3.5, 0.0))

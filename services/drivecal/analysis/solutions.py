@@ -258,12 +258,13 @@ class Ranking:
 
     def own_scores(self, scenario: str) -> dict[int, float]:
         """Returns the scores of all sets that were simulated in a scenario, given-up ones as well, by their ids, in the order of
-        discovery."""
+        discovery: means over the seeds that choose."""
         scores = dict[int, float]()
-        for number in sorted(self._answers, key=self._places.__getitem__):
-            cell = self._answers[number].get(scenario)
-            if cell is not None and cell.own and cell.score is not None:
-                scores[number] = float(cell.score)
+        for number in sorted(self._runs, key=self._places.__getitem__):
+            runs = (cells.get(scenario) for seed, cells in self._runs[number].items() if seed <= self._choosing)
+            own = [float(cell.score) for cell in runs if cell is not None and cell.own and cell.score is not None]
+            if own:
+                scores[number] = fmean(own)
         return scores
 
     def order(self, solution: EvaluatedSet) -> tuple[int, int, int, float, int, int]:

@@ -189,7 +189,7 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
             yield from _confirmation(campaign)
         yield from _course(campaign, search)
     elif front is not None:
-        yield from (*_constraints(campaign), *_front(campaign, front))
+        yield from (*_constraints(campaign, known.bounded, " by the first objective"), *_front(campaign, front))
         yield from _seen(campaign, search)
     else:
         yield from _constraints(campaign, known.bounded)
@@ -278,7 +278,7 @@ def _left_out(campaign: Campaign) -> Iterator[ResultVerdict]:
         yield verdict("constraints_left_out", "amber", scenarios=left_out)
 
 
-def _constraints(campaign: Campaign, bounded: Sequence[str] = ()) -> Iterator[ResultVerdict]:
+def _constraints(campaign: Campaign, bounded: Sequence[str], best_by: str = "") -> Iterator[ResultVerdict]:
     """Yields whether the best set keeps its constraints, and its failed runs. `bounded`: as of `Evidence`."""
     if campaign.best is None:
         return
@@ -290,7 +290,7 @@ def _constraints(campaign: Campaign, bounded: Sequence[str] = ()) -> Iterator[Re
     elif campaign.best.violation > 0:
         yield verdict("no_set_keeps_constraints", "red", share=campaign.best.violation, bounded=bounded)
     elif bounded:
-        yield verdict("constraints_kept", "green", subject="The best set", bounded=bounded)
+        yield verdict("constraints_kept", "green", subject=f"The best set{best_by}", bounded=bounded)
     yield from _failing("the best set", campaign.best.failed, len(campaign.best.scores))
 
 

@@ -201,7 +201,7 @@ def _over_seeds(cells: Sequence[EvaluatedCell]) -> EvaluatedCell:
         "failures": sum(cell.failure is not None and cell.score is not None for cell in cells),
         "scores": scores,
         "failure": next((cell.failure for cell in cells if cell.failure), None),
-        "detail": next((cell.detail for cell in cells if cell.detail), None),
+        "detail": next((cell.detail for cell in sorted(cells, key=lambda cell: cell.outcome != "failed") if cell.detail), None),
     }
     return cells[0].model_copy(update=changes | _interval(scores))
 

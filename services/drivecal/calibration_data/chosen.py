@@ -98,7 +98,7 @@ def figures_of(
         ends = {"standard error": chosen.standard_error, "lower end": chosen.lower, "upper end": chosen.upper}
         yield from ((f"{name} of the objective", _number(amount)) for name, amount in ends.items() if amount is not None)
     yield "score", score or known.campaign.scale.name
-    if weights is None and known.campaign.objective is None and not known.variants:
+    if weights is None and not known.campaign.spec.get("objectives") and not known.variants:
         weights = {each.scenario: each.weight for each in known.setup.scenarios}
     if weights is not None:
         yield "weights", ",".join(f"{name}={_number(weight)}" for name, weight in weights.items())

@@ -85,9 +85,10 @@ class WorkPool:
 
     def waits(self, tag: str, *, wholly: bool = False) -> str | None:
         """Returns why cells of the campaign `tag` wait for something else than their turn, or None. `wholly`: and none is at a worker."""
-        if self._scheduler.held(tag) and all(worker.state == "starting" for worker in self._backend.workers()):
-            return "no worker is ready yet"
-        return self._scheduler.waits(tag, wholly=wholly)
+        reason = self._scheduler.waits(tag, wholly=wholly)
+        if reason is None and self._scheduler.held(tag) and all(each.state == "starting" for each in self._backend.workers()):
+            return "no worker is ready"
+        return reason
 
     def resources(self) -> list[ResourceAnswer]:
         """Returns the use of each resource."""

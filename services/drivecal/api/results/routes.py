@@ -11,7 +11,7 @@ from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import ImportanceQuery, PlaceQuery, RankedOf
 from drivecal.api.responses import calibration
 from drivecal.api.results.document import about, results_of, setup_of, study_answer
-from drivecal.api.tables.front import front_table
+from drivecal.api.tables.front import bound_text, front_table
 from drivecal.api.tables.influence import importance
 from drivecal.api.tables.ranking import solution_pages
 from drivecal.calibration_data.chosen import characteristics_of, curves_of, figures_of, quality_of
@@ -118,7 +118,9 @@ def calibration_file(campaign_id: str, query: CalibrationFileQuery, database: Da
         raise InvalidInputError(Problem(field, f"campaign {stored.id} has no set of rank {rank}", remedy))
     chosen = rows[0]
     known = results_of(whole, front, (chosen.iteration, chosen.individual))
-    if given is None and query.variant is not None:
+    held = [bound_text(bound) for bound in front.goals.bounds]  # a variant has the constraints of its scenarios
+    known = known.model_copy(update={"setup": known.setup.model_copy(update={"constraints": held})})
+    if given is None and query.variant is not None and not stored.spec.get("objectives"):
         given = next((each.scenarios for each in known.variants if each.name == query.variant), None)
     figures = [*figures_of(known, chosen, given, query.score), *([("variant", query.variant)] if query.variant else [])]
     shapes = known.setup.shapes

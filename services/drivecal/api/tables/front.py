@@ -124,7 +124,7 @@ def _aggregate_text(goal: Goal) -> str:
 
 def bound_text(bound: Bound) -> str:
     """Returns a constraint in words."""
-    kept = f"{bound.name} {'>=' if bound.sign > 0 else '<='} {bound.limit:g}{unit_text(bound.unit)}"
+    kept = f"{bound.name} {'>=' if bound.sign > 0 else '<='} {bound.limit:.10g}{unit_text(bound.unit)}"
     if bound.rate is not None:
         what = "that fail" if bound.value.measure == FAILED else f"without {kept}"
         return f"share of runs {what} <= {bound.rate:g}, at {bound.confidence:g} ({', '.join(bound.shares)})"
@@ -135,7 +135,7 @@ def bounded_texts(goals: Goals, amounts: Iterable[float]) -> list[str]:
     """Returns each constraint in words with a set's amount, of a rate with the bounds of the share; `amounts`: as `Judged.bounded`."""
     given, texts = iter(amounts), []
     for bound in goals.bounds:
-        amount = f"{next(given):.6g}"
+        amount = f"{next(given):.8g}"
         amount += unit_text(bound.unit) if bound.rate is None else f" ({next(given):.3g} to {next(given):.3g})"
         texts.append(f"{bound_text(bound)}: {amount}")
     return texts

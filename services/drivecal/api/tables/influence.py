@@ -117,7 +117,7 @@ def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedS
         own = {entry.parameter_set: entry.objective for entry in whole if not entry.reused}
     result, goal = of(own), ranked.resolved.goals.objectives[0]
     is_weighted = goal.value.key == SCORE and goal.aggregate.kind == "mean" and not goal.variants
-    if result is None and scenario is None and is_weighted:
+    if result is None and len(own) < LEAST_SETS and scenario is None and is_weighted:
         scores = {name: ranked.ranking.own_scores(name) for name in goal.shares}
         known = {name: found for name, values in scores.items() if (found := of(values)) is not None}
         variations = [goal.shares[name] ** 2 * float(np.var(list(scores[name].values()))) for name in known]

@@ -11,7 +11,7 @@ from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
-from drivecal.domain.evaluations import Breakdown
+from drivecal.domain.evaluations import Breakdown, Outcome
 from drivecal.domain.setups import base_of
 from drivecal.storage import campaigns, results, traces
 from drivecal.storage.campaigns import StoredCampaign
@@ -86,7 +86,8 @@ def _specification(connection: Connection, number: int) -> tuple[EvaluationSpeci
 def no_trace(connection: Connection, made: StoredCampaign) -> str:
     """Returns the reason why a finished single evaluation left no trace, and whether to request it again."""
     cell = _cell(connection, made)
-    cause = made.error or (cell and (cell.detail or cell.failure)) or made.state.value
+    detail = cell.detail if cell and cell.outcome is Outcome.FAILED else None
+    cause = made.error or detail or (cell and cell.failure) or made.state.value
     text = f"it could not be driven again: {cause}"
     if _may_pass(made, cell):
         return f"{text}. The cause may have passed: ask again after {AGAIN_AFTER.total_seconds():.0f} s"

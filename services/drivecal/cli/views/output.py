@@ -104,7 +104,7 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("scores", "  ".join(f"{name} {score_text(score)}" for name, score in best.scores.items())))
         weights = campaign.spec.get("weights") or {}
         if (
-            campaign.objective is None
+            not campaign.spec.get("objectives")
             and not campaign.spec.get("variants")
             and {weights.get(name, 1.0) for name in best.scores} != {1.0}
         ):
@@ -179,7 +179,7 @@ def _search_text(campaign: Campaign) -> str:
     text = (
         f"{campaign.spent.simulations:,}{simulations} simulations, {campaign.spent.minutes:.1f}{minutes} min of the wall clock"
     )
-    stored = campaign.cells.repeated + campaign.cells.reused + campaign.cells.predicted
+    stored = campaign.cells.repeated + campaign.cells.reused
     if simulations and stored > 0 and (campaign.spec.get("optimizer") or {}).get("kind") == "surrogate":
         text += f"; {campaign.cells.requested:,}{simulations} cells asked for, {stored:,} stored answers among them"
     text += f"; {campaign.cells.discarded:,} cells of given-up sets left out" if campaign.cells.discarded else ""
@@ -249,7 +249,8 @@ def print_evaluation(evaluation: Evaluation, shapes: Mapping[str, ShapeAnswer]) 
     print_columns(header, [[getattr(item, name) for name in names] for item in evaluation.items])
     for item in evaluation.items:
         if item.detail:
-            typer.echo(f"{item.scenario}: {shortened(item.detail)}; --json shows all of it")
+            first = "" if item.outcome == "failed" else "no result at first: "
+            typer.echo(f"{item.scenario}: {first}{shortened(item.detail)}; --json shows all of it")
     if evaluation.objective is not None and len(evaluation.items) > 1:
         typer.echo(f"mean score {objective_text(evaluation.objective)}{within_text(evaluation.lower, evaluation.upper)}")
     if evaluation.metrics:

@@ -453,7 +453,8 @@ class Scheduler:
         settled = answer.breakdown == Breakdown.ERROR and len(simulation.witnesses) >= WITNESSES
         if settled or simulation.breakdowns >= ATTEMPTS:
             return self._complete(leader, answer, worker, simulation.breakdowns)
-        simulation.fault = f"{answer.breakdown}: {answer.detail or 'no message'}"
+        if begun:
+            simulation.fault = f"{answer.breakdown}: {answer.detail or 'no message'}"
         completed: list[Completed] = []
         if begun and not leader.withdrawn and not self._budgets.get(leader.tag, RunBudget()).take():
             completed.append(Completed(leader.tag, worker, answer, simulation.breakdowns))
