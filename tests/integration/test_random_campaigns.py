@@ -46,7 +46,7 @@ NOISE = 0.3
 SIMULATOR = {"kind": "process", "command": ["mysim"], "random": True}
 MANIFEST = scored("noisy", {"x": {"lower": 0, "upper": 1, "step": 0.005}}, simulator=SIMULATOR)
 SPEC: dict[str, Any] = {"problem": "noisy", "optimizer": {"kind": "surrogate", "seed": 1}, "budget": {"simulations": 120}}
-FEW = {"budget": {"simulations": 72}}
+SEVERAL_ROUNDS = {"budget": {"simulations": 240}}
 POPULATIONS = {"kind": "random", "population": 10, "seed": 1}
 
 
@@ -337,7 +337,11 @@ def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "driven"),
-    [(FEW, noisy), ({"optimizer": POPULATIONS, "replicates": {"aggregate": {"quantile": 0.9}}}, noisy), (RATED, failing)],
+    [
+        ({"budget": {"simulations": 240}}, noisy),
+        ({"optimizer": POPULATIONS, "replicates": {"aggregate": {"quantile": 0.9}}}, noisy),
+        (RATED, failing),
+    ],
     ids=["cells", "quantiles of a population", "rates"],
 )
 def test_kills_workers_and_the_order_of_answers_change_nothing(

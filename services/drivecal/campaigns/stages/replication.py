@@ -130,10 +130,9 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
             len(fresh) if known.is_known else min(len(fresh), max(replicates.FEWEST_REPORTING, affordable - replicates.FIRST))
         )
         second = int((known.counts - 1).sum())
+        # the noise would stay unknown, and after the report another set might lead, which nothing reports
         if not known.is_known and second + affordable - report < replicates.FIRST:
-            report = (
-                affordable  # the noise would stay unknown, and after the report another set might lead, which nothing reports
-            )
+            report = affordable
         places = replicates.allocate(known, min(room, affordable - report), choosing, wanted.confidence)
     # a seed without a result is not tried again
     chosen = [(numbers[place], untried[place].pop(0)) for place in places if untried[place]]

@@ -93,7 +93,10 @@ def export(
     identifier: CampaignArgument,
     given_table: Annotated[
         TableName | None,
-        typer.Option("--table", help=f"One of {', '.join(get_args(TableName))}; by default evaluations, of one set solutions."),
+        typer.Option(
+            "--table",
+            help=f"One of {', '.join(get_args(TableName))}; by default evaluations; of one set, solutions or the front.",
+        ),
     ] = None,
     form: Annotated[
         Format | None,
@@ -163,9 +166,8 @@ def export(
     query = {name: value for name, value in given.items() if value}
     with connect(url) as client:
         campaign = client.campaign(identifier)
-        if is_single and given_table is None and len(campaign.spec.get("objectives") or []) > 1:
-            remedy = "give --table front --row N, or --table solutions for the best by the first objective"
-            raise InvalidInputError(Problem("--table", "several objectives have no single best set", remedy))
+        is_front = len(campaign.spec.get("objectives") or []) > 1 and score is variant is None
+        table = "front" if is_single and given_table is None and is_front else table
         if is_single:
             pieces = iter([_calibration_file(client, campaign.id, table, form, row or 1, names, query)])
         else:
