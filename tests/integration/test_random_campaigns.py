@@ -338,7 +338,7 @@ def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: 
 @pytest.mark.parametrize(
     ("changes", "driven"),
     [
-        ({"budget": {"simulations": 240}}, noisy),
+        (SEVERAL_ROUNDS, noisy),
         ({"optimizer": POPULATIONS, "replicates": {"aggregate": {"quantile": 0.9}}}, noisy),
         (RATED, failing),
     ],
