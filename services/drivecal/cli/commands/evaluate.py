@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, say
-from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_evaluation
+from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_evaluation, told
 from drivecal.cli.views.progress import attached, pauses
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments, settings
@@ -134,7 +134,7 @@ def print_explanation(explanation: Explanation, shapes: Mapping[str, ShapeAnswer
     values = parameters_text(explanation.parameters, shapes=shapes)
     typer.echo(f"evaluation {explanation.evaluation}: {where}\n{values}\n{result}\n\n{explanation.sentence}")
     if explanation.detail is not None:
-        typer.echo(f"{'' if explanation.outcome == 'failed' else 'no result at first: '}{explanation.detail}")
+        typer.echo(told(explanation.outcome, explanation.detail))
     if (reference := explanation.reference) is not None:
         score = "no score yet" if reference.score is None else f"score {score_text(reference.score)}"
         at = f"{reference.stage}, iteration {reference.iteration + 1}, individual {reference.individual}"

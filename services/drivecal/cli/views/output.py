@@ -249,8 +249,8 @@ def print_evaluation(evaluation: Evaluation, shapes: Mapping[str, ShapeAnswer]) 
     print_columns(header, [[getattr(item, name) for name in names] for item in evaluation.items])
     for item in evaluation.items:
         if item.detail:
-            first = "" if item.outcome == "failed" else "no result at first: "
-            typer.echo(f"{item.scenario}: {first}{shortened(item.detail)}; --json shows all of it")
+            words = told(item.outcome, shortened(item.detail))
+            typer.echo(f"{item.scenario}: {words}; --json shows all of it")
     if evaluation.objective is not None and len(evaluation.items) > 1:
         typer.echo(f"mean score {objective_text(evaluation.objective)}{within_text(evaluation.lower, evaluation.upper)}")
     if evaluation.metrics:
@@ -258,6 +258,11 @@ def print_evaluation(evaluation: Evaluation, shapes: Mapping[str, ShapeAnswer]) 
         shown = {name: None if value is None else f"{value:.4g}" for name, value in evaluation.metrics.items()}
         within = {name: within_text(*ends) for name, ends in evaluation.items[0].within.items()}
         print_columns(["metric", "value"], [[name, value and value + within.get(name, "")] for name, value in shown.items()])
+
+
+def told(outcome: str | None, detail: str | None) -> str:
+    """Returns the detail of a cell: why it has no result, or had none at the attempts before."""
+    return f"{'' if outcome == 'failed' else 'no result at first: '}{detail}"
 
 
 def within_text(lower: float | None, upper: float | None) -> str:
