@@ -87,6 +87,19 @@ def test_a_campaign_of_errors_comes_to_its_end_and_costs_few_workers_and_words(c
     assert len(caplog.records) < 40
 
 
+def test_a_campaign_whose_only_worker_starts_again_says_that_none_is_ready() -> None:
+    backend = FakeBackend(1, {"S1": 1.0})
+    pool = WorkPool(backend, MemoryLeases(), clock=lambda: backend.now)
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 3)), tag="a")
+    pool.poll(0.5)
+    assert pool.waits("a") is None
+    backend.kill(0)
+    pool.poll(0.1)
+    assert pool.waits("a") is not None
+    drain(pool)
+    assert pool.waits("a") is None
+
+
 def test_cells_that_every_worker_refuses_wait_until_one_is_mended(caplog: pytest.LogCaptureFixture) -> None:
     backend = FakeBackend(2, refusing={1: "it has version 2", 2: "it has version 2"})
     pool = WorkPool(backend, MemoryLeases(), clock=lambda: backend.now)
