@@ -6,8 +6,8 @@ Wilcoxon's signed-rank tests of `surrogate` against each other optimizer. Finish
 answers in the folder of `--cache`. Ten seeds of 1,200 cells take some two hours of a core. Other figures in their place:
 
 - `--reach`: after how many cells, at most `--cells`, `surrogate` reaches what `genetic` finds with 200 sets x 15 iterations
-- `--outlook`: how often as many cells again improved the best objective by no more than a search expects at its end (`expected_gain`),
-  after a quarter and after half of `--cells`
+- `--outlook`: how often a search with twice the cells, which begins with these answers, improved the best objective by no more than the
+  first one expects at its end (`expected_gain`); rounds as in campaigns, first searches of a quarter and of half of `--cells`
 - `--busy WORKERS`: how busy pretended workers are that take 10 s for a run
 """
 
@@ -18,6 +18,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ from drivecal.optimizers.built_in import GENETIC, GeneticSettings
 from drivecal.optimizers.repair import RepairingOptimizer
 from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
 from drivecal.plugins.ports import OptimizerPlugin
-from drivecal.plugins.search import AskedCell
+from drivecal.plugins.search import AskedCell, CellAnswer
 
 TARGET = Path(".drivecal/bench/economy.json")
 BUDGETS = (120, 300, 600, 1200)
@@ -46,11 +47,13 @@ class Ended(Exception):  # noqa: N818  not an error: all cells are spent
 
 
 class Run:
-    """Simulates cells and follows the best objective."""
+    """Simulates cells and follows the best objective; begins with the answers of the run `before` it."""
 
-    def __init__(self, chosen: EconomyProblem, cells: int) -> None:
+    def __init__(self, chosen: EconomyProblem, cells: int, before: "Run | None" = None) -> None:
         self.problem, self._cells = chosen, cells
-        self._values: dict[tuple[int, ...], dict[int, float]] = {}
+        self._values: dict[tuple[int, ...], dict[int, float]] = {} if before is None else deepcopy(before._values)
+        self._best = -np.inf if before is None else before.course[-1]
+        self.answers: list[CellAnswer] = [] if before is None else list(before.answers)
         self.course: list[float] = []
         """The best objective after each cell; negative infinity before the first complete set."""
 
@@ -59,12 +62,12 @@ class Run:
         if len(self.course) >= self._cells:
             raise Ended
         answer = self.problem.answer(cell)
+        self.answers.append(answer)
         values = self._values.setdefault(cell.indices, {})
         values[cell.scenario] = answer.values[0]
-        best = self.course[-1] if self.course else -np.inf
         if len(values) == len(self.problem.scenarios):
-            best = max(best, self.problem.objective([values[place] for place in range(len(values))]))
-        self.course.append(best)
+            self._best = max(self._best, self.problem.objective([values[place] for place in range(len(values))]))
+        self.course.append(self._best)
         return answer
 
     def whole(self, row: Sequence[int]) -> tuple[float, float]:
@@ -189,7 +192,7 @@ ARMS: Mapping[str, Callable[[Run, int], None]] = {
     "cma_es": cma_es,
     "tpe": tpe,
     "surrogate": surrogate(1, 1),
-    "surrogate_2x5": surrogate(2, 5),
+    "surrogate_2x5": surrogate(2, WINDOW),
 }
 
 
@@ -230,24 +233,27 @@ def reaching(names: Sequence[str], seeds: Sequence[int], cells: int, cache: Path
         yield f"{name:16}{theirs:>18,.0f}{ours:>12,.0f}{100 * ours / theirs:>6.1f} %   {int(np.isfinite(needed).sum())} of {len(seeds)}"
 
 
-def outlooks(names: Sequence[str], arms: Sequence[str], seeds: Sequence[int], cells: int, cache: Path | None) -> Iterator[str]:
-    """Yields a line for each optimizer: how often the expectation held, and how often nothing was gained where nothing was expected."""
-    yield f"{'':16}{'searches':>10}{'held':>8}{'nothing expected':>18}{'held':>8}"
-    for arm in arms:
-        gains: list[tuple[float, float]] = []
-        for name, seed in ((name, seed) for name in names for seed in seeds):
-            run = Run(problem(name, cache), cells)
+def outlooks(names: Sequence[str], seeds: Sequence[int], cells: int, cache: Path | None) -> Iterator[str]:
+    """Yields a line for each problem and budget, and one for all: how often the expectation held."""
+    yield f"{'':16}{'cells':>8}{'searches':>10}{'held':>8}"
+    held: list[bool] = []
+    for name, budget in ((name, budget) for name in names for budget in (cells // 4, cells // 2)):
+        kept: list[bool] = []
+        for seed in seeds:
+            chosen = problem(name, cache)
+            first = Run(chosen, budget)
             with suppress(Ended):
-                ARMS[arm](run, seed)
-            course = [best if np.isfinite(best) else None for best in run.course]
-            course += course[-1:] * (cells - len(course))  # a search may have nothing left to ask for
-            for now in (cells // 4, cells // 2):
-                before, after, expected = *course[now - 1 : 2 * now : now], expected_gain(course[:now])
-                if before is not None and after is not None and expected is not None:
-                    gains.append((expected, after - before))
-        none = [gained for expected, gained in gains if expected <= 1e-9]
-        held, still = sum(gained <= expected + 1e-9 for expected, gained in gains), sum(gained <= 1e-9 for gained in none)
-        yield f"{arm:16}{len(gains):>10}{100 * held / max(1, len(gains)):>6.0f} %{len(none):>18}{100 * still / max(1, len(none)):>6.0f} %"
+                surrogate(2, WINDOW)(first, seed)
+            expected = expected_gain([best if np.isfinite(best) else None for best in first.course])
+            if expected is None:
+                continue
+            second = Run(chosen, 2 * budget, first)
+            with suppress(Ended):
+                surrogate(2, WINDOW, known=tuple(first.answers))(second, seed)
+            kept.append((second.course or first.course)[-1] - first.course[-1] <= expected + 1e-9)
+        held += kept
+        yield f"{name:16}{budget:>8}{len(kept):>10}{sum(kept):>8}"
+    yield f"{'all':24}{len(held):>10}{sum(held):>8}"
 
 
 def busy(name: str, workers: int, cells: int, seconds: float = 10.0) -> tuple[float, float]:
@@ -335,7 +341,7 @@ def main(arguments: Sequence[str]) -> int:
             )
         return 0
     if chosen.outlook:
-        for line in outlooks(chosen.problems, chosen.arms, seeds, chosen.cells, chosen.cache):
+        for line in outlooks(chosen.problems, seeds, chosen.cells, chosen.cache):
             print(line, flush=True)
         return 0
     rows: list[dict[str, Any]] = []

@@ -63,6 +63,14 @@ def test_results_from_elsewhere_stand_beside_simulations_and_answer_no_cell(api:
     assert len(table) == 5
 
 
+@pytest.mark.slow("postgresql")
+def test_rows_outside_of_the_ranges_are_kept_and_counted(api: RunningApi) -> None:
+    inside, outside = row(), row("spring", scores={"cost": 31.0}) | {"parameters": SET | {"gain": 50.0}}
+    answer = api.http.post("/api/v1/results", json={**HEAD, "rows": [inside, outside]}).json()
+    assert (answer["stored"], len(answer["notes"])) == (2, 1)
+    assert answer["notes"][0].startswith("gain: 1 of 2 ")
+
+
 @pytest.mark.slow("sqlite")
 def test_a_cell_has_one_value_of_a_source_and_day_until_the_source_is_deleted(api: RunningApi) -> None:
     with Client(api.url) as client:

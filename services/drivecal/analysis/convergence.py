@@ -54,10 +54,14 @@ def changes(best: Sequence[float | None], alternatives: Sequence[int]) -> list[f
 
 
 def expected_gain(best: Sequence[float | None]) -> float | None:
-    """Returns by how much as many rounds again would probably improve the best objective, at most: its change in the second half of the
-    rounds. None without a best objective by then. The benchmark `economy --outlook` has the record."""
-    middle = None if len(best) < 2 else best[(len(best) - 1) // 2]
-    return None if middle is None or best[-1] is None else abs(best[-1] - middle)
+    """Returns by how much a campaign with twice the budget, which begins with these results, would probably improve the best objective, at
+    most: the largest gain of the last three doublings of the rounds. None without a best objective by their middle. The benchmark
+    `economy --outlook` has the record."""
+    last = len(best) - 1
+    if last < 1 or best[last // 2] is None:
+        return None
+    doubled = [value for part in (8, 4, 2, 1) if (value := best[last // part]) is not None]
+    return max(abs(after - before) for before, after in pairwise(doubled))
 
 
 def improved_last(course: Course) -> bool:

@@ -85,8 +85,8 @@ SEARCH = {
     "stood_still": "No iteration after the first found a better objective ({tried} tried). More iterations, wider ranges or another "
     "optimizer may find one.",
     "ended": "The search ended by its {by}; the best objective last changed after {share:.0 %} of its rounds.",
-    "outlook": "Going on for as many simulations again would probably improve the best objective by at most {gain:.3g}: in the benchmark "
-    "{record:.0 %} of such estimates held, after 150 and 300 simulations. A new campaign with a larger budget is another search.",
+    "outlook": "A campaign with twice the budget, which begins with these results, would probably improve the best objective by at most "
+    "{gain:.3g}, the most that a doubling brought so far: in the benchmark {record:.0 %} of such estimates held.",
     "converged": "Converged by the paper's criterion for the {of}: found in iteration {iteration} of {iterations}, it then stayed as it "
     "was for at least {unchanged} iterations.",
     "not_converged": "Not converged by the paper's criterion for the {of}: it last changed in iteration {iteration} of {iterations}, and "

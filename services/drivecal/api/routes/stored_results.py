@@ -54,6 +54,10 @@ def store(given: ImportedResults, database: DatabaseDependency, owner: Owner) ->
     _check(given, bench)
     diagnostics = Diagnostics()
     sets = given_sets(bench, [row.parameters for row in given.rows], "rows[{}].parameters", diagnostics)
+    for parameter in bench.parameters:
+        values = [each.floats[parameter.name] for each in sets if parameter.name in each.floats]
+        if beyond := sum(parameter.nearest(value) is None for value in values):
+            diagnostics.notes.append(f"{parameter.name}: {beyond:,} of {len(values):,} values are not {parameter.extent}")
     manifest = bench.bundle.manifest
     rows = [
         ImportedValues(given.source, given.date.isoformat(), owner, row.scenario, own, row.scores, row.measures, manifest.form)

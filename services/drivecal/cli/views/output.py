@@ -120,7 +120,8 @@ def print_campaign(campaign: Campaign) -> None:
     lines += [("note", note) for note in campaign.notes]
     seconds = campaign.seconds
     if seconds.wall:
-        lines.append(("time", f"{duration(seconds.wall)}; CPU time of the simulations {duration(seconds.simulating)}"))
+        whole = f"{duration(seconds.wall)} with pauses and times without a server"
+        lines.append(("time", f"{whole}; CPU time of the simulations {duration(seconds.simulating)}"))
     width = max(len(name) for name, _ in lines)
     for name, text in lines:
         typer.echo(f"{name.ljust(width)}  {text}")
@@ -176,9 +177,7 @@ def _search_text(campaign: Campaign) -> str:
     """Returns what the search has used of its budget, and its end."""
     limits = {name: f" of {limit:,.10g}" for name, limit in (campaign.budget or {}).items() if limit is not None}
     simulations, minutes = limits.get("simulations", ""), limits.get("minutes", "")
-    text = (
-        f"{campaign.spent.simulations:,}{simulations} simulations, {campaign.spent.minutes:.1f}{minutes} min of the wall clock"
-    )
+    text = f"{campaign.spent.simulations:,}{simulations} simulations, {campaign.spent.minutes:.1f}{minutes} min of searching"
     stored = campaign.cells.repeated + campaign.cells.reused
     if simulations and stored > 0 and (campaign.spec.get("optimizer") or {}).get("kind") == "surrogate":
         text += f"; {campaign.cells.requested:,}{simulations} cells asked for, {stored:,} stored answers among them"
