@@ -3,7 +3,7 @@
 More options: `--arms NAME ... --seeds N --cells N --cache FOLDER`. Optimizers search in this process; a cell is a set in a scenario. The
 figures are the best objective that is simulated in all scenarios after 120, 300, 600 and 1,200 cells, for paired seeds, mean ranks, and
 Wilcoxon's signed-rank tests of `surrogate` against each other optimizer. Finished runs are kept in `.drivecal/bench/economy.jsonl`,
-answers in the folder of `--cache`. Ten seeds of 1,200 cells take some two hours of a core. Other figures in their place:
+answers in the folder of `--cache`. Ten seeds of 1,200 cells take some 90 minutes of a core. Other figures in their place:
 
 - `--reach`: after how many cells, at most `--cells`, `surrogate` reaches what `genetic` finds with 200 sets x 15 iterations
 - `--outlook`: how often a search with twice the cells, which begins with these answers, improved the best objective by no more than the
