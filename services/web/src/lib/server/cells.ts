@@ -35,12 +35,13 @@ export async function openScore(campaign: string, table: Table, row: number, nam
 const MOST = 1000;
 
 type Values = Readonly<Record<string, number | string>>;
-const same = (wanted: Values, given: Values): boolean => Object.entries(wanted).every(([name, value]) => given[name] === value);
+/** Whether two sets have the same values. */
+export const isSame = (wanted: Values, given: Values): boolean => Object.entries(wanted).every(([name, value]) => given[name] === value);
 
 /** A set as it is ranked; undefined if it is not among the first of the ranking. */
 export async function ranked(campaign: string, parameters: Values): Promise<PageSolution["items"][number] | undefined> {
   const { items } = await get<PageSolution>(`/campaigns/${campaign}/solutions?limit=${MOST}`);
-  return items.find((item) => same(parameters, item.parameters));
+  return items.find((item) => isSame(parameters, item.parameters));
 }
 
 /** The number of the best set's evaluation in a scenario: others of the same objective and rating may come before it. */
@@ -53,7 +54,7 @@ export async function bestCell(campaign: string, best: Best, scenario: string): 
 async function baselineCell(campaign: string, parameters: Values, scenario: string): Promise<number | null> {
   const cell = await cellAt(campaign, 0, 0, scenario);
   const { parameters: given } = await get<Pick<EvaluationDetail, "parameters">>(`/evaluations/${cell}`);
-  return same(parameters, given) ? cell : null;
+  return isSame(parameters, given) ? cell : null;
 }
 
 /** The baseline of a campaign, if it has one, as a set that a view compares. */
