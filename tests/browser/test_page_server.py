@@ -113,12 +113,12 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
     (tmp_path / "tokens").write_text(f"anna read {TOKEN}\nbert author {TOKEN[::-1]}\n")
     with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tmp_path / "tokens")) as api:
         campaign = run(api.database, submit(api.database, optimizer={"kind": "genetic", "population": 6, "iterations": 2}))
-        page = opening(f"{api.url}/#/campaigns/{campaign.id}", expected=("401", "403", "422"))
+        page = opening(f"{api.url}/#/campaigns/{campaign.id}", expected=("401", "403", "422", "503"))
         assert barriers(page) == []
-        page.get_by_label("Token").fill("wrong-0123456789abcdef")
+        page.get_by_label("Token", exact=True).fill("wrong-0123456789abcdef")
         page.get_by_role("button", name="Log in").click()
         expect(page.get_by_text("does not know this token")).to_be_visible()
-        page.get_by_label("Token").fill(TOKEN)
+        page.get_by_label("Token", exact=True).fill(TOKEN)
         page.get_by_role("button", name="Log in").click()
         expect(page.get_by_text("Finished.")).to_be_visible()
         expect(page.get_by_text("anna (may read)")).to_be_visible()
@@ -130,24 +130,28 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         expect(page.get_by_text("may not start anything")).to_be_visible()
         expect(page.get_by_role("button", name="Start it")).to_have_count(0)
         page.get_by_role("button", name="Log out").click()
-        page.get_by_label("Token").fill(TOKEN[::-1])
+        page.get_by_label("Token", exact=True).fill(TOKEN[::-1])
         page.get_by_role("button", name="Log in").click()
         simulations = page.get_by_label("simulations")
         with page.expect_response(re.compile("validate_only")):
             simulations.fill("7")
         page.context.clear_cookies()  # the session ends
         simulations.fill("77")
-        page.get_by_label("Token").fill(TOKEN[::-1])
+        page.get_by_label("Token", exact=True).fill(TOKEN[::-1])
         page.get_by_role("button", name="Log in").click()
         expect(simulations).to_have_value("77")
         push_a_folder(page, api, tmp_path / "mine")
         assert TOKEN[::-1] not in page.evaluate("JSON.stringify({...localStorage, ...sessionStorage}) + document.cookie")
+        page.route("**/session", lambda route: route.fulfill(status=503, json={"detail": "away"}))
         page.get_by_role("button", name="Log out").click()
-        expect(page.get_by_label("Token")).to_be_visible()
+        expect(page.get_by_text("Still logged in: away")).to_be_visible()
+        page.unroute("**/session")
+        page.get_by_role("button", name="Log out").click()
+        expect(page.get_by_label("Token", exact=True)).to_be_visible()
         kept = page.evaluate("JSON.stringify([document.cookie, {...localStorage}, {...sessionStorage}])")
         assert json.loads(kept) == ["", {}, {}]
         page.reload()
-        expect(page.get_by_label("Token")).to_be_visible()
+        expect(page.get_by_label("Token", exact=True)).to_be_visible()
         page.close()
 
 
