@@ -28,11 +28,11 @@ from typing import Any
 
 from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
 from tests.support.api_process import ApiProcess, api_process
-from tests.support.browser import NAMES
 from tests.support.computed import ComputedBackend
 from tests.support.runs import dispatcher, get, submit
 from tests.support.several import installed
 from tests.support.values import present
+from tests.support.web import CHROMIUM
 
 from drivecal.api.routes.page import FILES, START
 from drivecal.contracts.work import Cell, CellResult
@@ -77,7 +77,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--sets", type=int, default=2000, help="on the front")
     options = parser.parse_args(arguments)
     sizes = options.evaluations
-    command = next(filter(None, map(shutil.which, NAMES)), None)
+    command = next(filter(None, map(shutil.which, CHROMIUM)), None)
     if command is None or not (FILES / START).is_file():
         print("not measured: " + ("no Chromium is installed" if command is None else "the page was not built (make page)"))
         return 0

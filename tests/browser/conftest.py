@@ -8,8 +8,8 @@ from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect, sync_playwright
-from tests.support.browser import chromium
 from tests.support.tree import PROJECT
+from tests.support.web import chromium
 
 from drivecal.api.routes.page import FILES, REASON, START
 

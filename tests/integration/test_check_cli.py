@@ -142,6 +142,15 @@ def test_a_set_of_a_campaign_is_checked_in_its_scenarios_and_its_vehicle_without
     assert checking(f"{campaign}#1", "--limits", limited).exit_code == 2
 
 
+def test_the_best_set_of_a_variant_is_checked_in_its_scenarios_and_its_vehicle(checking: Checking) -> None:
+    variants: dict[str, Any] = {"heavy": {"scenarios": ["S3"], "vehicle": {"parameters": {"mass": 2500}}}, "all": {}}
+    campaign, before = searched(checking, catalogue=["S1", "S3"], variants=variants), len(checking.backend.sent)
+    checked = [json.loads(checking(f"{campaign}#1", "--variant", name, "--json").stdout) for name in variants]
+    assert [[row["scenario"] for row in each["scenarios"]] for each in checked] == [["S3"], ["S1", "S3"]]
+    assert len(checking.backend.sent) == before
+    assert {checking(chosen, "--variant", "light").exit_code for chosen in (f"{campaign}#1", "set.json")} == {2}
+
+
 def test_scores_are_checked_by_name_and_a_campaigns_own_comes_first(checking: Checking) -> None:
     scores = dict(zip(("cost", "reference"), MANIFEST["scores"].values(), strict=True))
     push(checking.api.database, checking.folder / "heater", scores=scores)

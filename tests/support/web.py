@@ -1,17 +1,28 @@
-"""The build hook of the page, which is no module of any package. Run as a program, it fetches what the page's tests need."""
+"""The build hook of the page, which is no module of a package, and the system's Chromium. As a program it fetches what tests need."""
 
 import json
+import shutil
 import sys
 from types import ModuleType
 
+import pytest
 from tests.support.tree import PROJECT, loaded
 
 WEB = PROJECT / "services" / "web"
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 
 
 def hook() -> ModuleType:
     """`services/web/build_hook.py`, loaded anew."""
     return loaded("build_hook", WEB / "build_hook.py")
+
+
+def chromium() -> str:
+    """The command. Skips the test where there is none."""
+    result = next(filter(None, map(shutil.which, CHROMIUM)), None)
+    if result is None:
+        pytest.skip(f"no Chromium is installed (looked for {', '.join(CHROMIUM)}); Debian: apt-get install chromium")
+    return result
 
 
 def fetch() -> None:

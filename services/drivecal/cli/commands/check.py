@@ -185,6 +185,9 @@ def check(
     limits: Annotated[str | None, typer.Option(metavar="FILE", help="Limits of scores and measures, YAML or JSON.")] = None,
     baseline: Annotated[str | None, typer.Option(metavar="SET", help="A set to compare with, given as SET is.")] = None,
     names: Annotated[str | None, typer.Option(metavar="FILE", help="Labels of the parameters in DCM and CDFX files.")] = None,
+    variant: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Of ID#RANK: ranked for this variant, and checked in it.")
+    ] = None,
     seeds: SeedsOption = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Simulate the set and the baseline again.")] = False,
     junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the findings as JUnit XML.")] = None,
@@ -197,7 +200,7 @@ def check(
     simulated. A set of a campaign runs under the seeds that report it, with --seeds N under N seeds beginning there."""
     wanted = [] if limits is None else validated(LimitsFile, dict(read_document(limits))).limits
     with connect(url) as client:
-        given = _set(client, chosen, names)
+        given = _set(client, chosen, names, variant)
         parameters, spec, reported = given.parameters, given.spec, given.seeds
         known = client.problem(problem or spec.get("problem", DEFAULT_PROBLEM))
         copied = DECIDING if problem is None else DECIDING - {"catalogue"}  # another push may have other scenarios
@@ -240,17 +243,19 @@ def check(
     raise typer.Exit(ExitCode.FAILED if broken else ExitCode.OK)
 
 
-def _set(client: Client, given: str, names: str | None) -> GivenSet:
+def _set(client: Client, given: str, names: str | None, variant: str | None = None) -> GivenSet:
     identifier, mark, rank = given.rpartition("#")
     if mark and rank.isdecimal() and int(rank) > 0:
         campaign = client.campaign(identifier)
-        ranked = client.solutions(campaign.id, limit=int(rank)).items
+        ranked = client.solutions(campaign.id, limit=int(rank), variant=variant).items
         if len(ranked) < int(rank):
             raise NotFoundError("set", given, f"the campaign has {len(ranked)} ranked sets")
         shapes = client.setup(campaign.id).shapes
         chosen = ranked[int(rank) - 1]
         axes: Axes = {name: shape.axes for name, shape in shapes.items()}
-        return GivenSet(chosen.parameters, campaign.spec, axes, chosen.seeds)
+        return GivenSet(chosen.parameters, _of_variant(campaign.spec, variant), axes, chosen.seeds)
+    if variant is not None:
+        raise typer.BadParameter("only a campaign's set, ID#RANK, has variants", param_hint="--variant")
     if Path(given).suffix.lower() not in CALIBRATION_FILES:
         document = dict(read_document(given))
         return GivenSet(document.get("parameters", document))
@@ -272,6 +277,14 @@ def _set(client: Client, given: str, names: str | None) -> GivenSet:
     known = {by_label.get(each.name, each.name): each for each in listed if each.given is not None}
     units = {name: each.unit for name, each in known.items()}
     return GivenSet({name: each.given for name, each in known.items() if each.given is not None}, axes=axes, units=units)
+
+
+def _of_variant(spec: Mapping[str, Any], name: str | None) -> Mapping[str, Any]:
+    """Returns a campaign's spec with the scenarios and the vehicle of a variant; as it is for None."""
+    own, vehicle = spec["variants"][name] if name is not None else {}, spec.get("vehicle") or {}
+    parameters = (vehicle.get("parameters") or {}) | ((own.get("vehicle") or {}).get("parameters") or {})
+    scenarios = {} if own.get("scenarios", "all") == "all" else {"catalogue": own["scenarios"]}
+    return {**spec, **scenarios, "vehicle": {**vehicle, "parameters": parameters}}
 
 
 def _refuse_another_form(given: GivenSet, problem: ProblemAnswer) -> None:
