@@ -30,9 +30,7 @@ class SurrogatePlugin:
 
     def begin(self, settings: BaseModel, task: SearchTask) -> "SurrogateSearch":
         """Begins a search."""
-        from drivecal.optimizers.surrogate.search import (
-            SurrogateSearch,  # scipy takes seconds, which not every command need pay
-        )
+        from drivecal.optimizers.surrogate.search import SurrogateSearch  # scipy takes seconds; most commands need none
 
         if not isinstance(settings, SurrogateSettings):
             raise TypeError(f"settings must be {SurrogateSettings.__name__}, not {type(settings).__name__}")
