@@ -144,7 +144,7 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         assert TOKEN[::-1] not in page.evaluate("JSON.stringify({...localStorage, ...sessionStorage}) + document.cookie")
         page.route("**/session", lambda route: route.fulfill(status=503, json={"detail": "away"}))
         page.get_by_role("button", name="Log out").click()
-        expect(page.get_by_text("Still logged in: away")).to_be_visible()
+        expect(page.get_by_text("Logging out failed: away")).to_be_visible()
         page.unroute("**/session")
         page.get_by_role("button", name="Log out").click()
         expect(page.get_by_label("Token", exact=True)).to_be_visible()

@@ -163,7 +163,7 @@ def test_best_sets_of_campaigns_are_compared_under_one_weighting(shown: Shown, o
     page.get_by_label("Weights").select_option(index=0)
     expect(results.get_by_role("row", name="weighted score")).to_contain_text("not simulated: S2")
     page.get_by_label("differences only").uncheck()
-    expect(results.get_by_role("row", name="best by its own weights")).to_contain_text("this set")
+    expect(results.get_by_role("row", name="best by its own objective")).to_contain_text("this set")
     expect(page.get_by_role("table", name="Settings of each").get_by_role("row", name="problem")).to_be_visible()
 
 

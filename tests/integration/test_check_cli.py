@@ -143,10 +143,20 @@ def test_a_set_of_a_campaign_is_checked_in_its_scenarios_and_its_vehicle_without
 
 
 def test_the_best_set_of_a_variant_is_checked_in_its_scenarios_and_its_vehicle(checking: Checking) -> None:
-    variants: dict[str, Any] = {"heavy": {"scenarios": ["S3"], "vehicle": {"parameters": {"mass": 2500}}}, "all": {}}
-    campaign, before = searched(checking, catalogue=["S1", "S3"], variants=variants), len(checking.backend.sent)
-    checked = [json.loads(checking(f"{campaign}#1", "--variant", name, "--json").stdout) for name in variants]
-    assert [[row["scenario"] for row in each["scenarios"]] for each in checked] == [["S3"], ["S1", "S3"]]
+    def opposed(scenario: str, cell: Cell) -> CellResult:
+        share = float(cell.parameters["P1"])
+        rating = 3 * (1 - share) if scenario == "S3" else 6 * share
+        return CellResult(cell.id, rating, round(rating), {}, None, 7.0)
+
+    checking.backend.answer, heavy = opposed, {"vehicle": {"parameters": {"mass": 2500}}}
+    variants = {"one": heavy | {"scenarios": ["S3"]}, "both": heavy}
+    campaign = searched(checking, catalogue=["S1", "S2", "S3"], weights={"S1": 1, "S2": 0, "S3": 1}, variants=variants)
+    before = len(checking.backend.sent)
+    for name in variants:
+        with Client(checking.api.url) as client:
+            [best] = client.solutions(campaign, limit=1, variant=name).items
+        shown = json.loads(checking(f"{campaign}#1", "--variant", name, "--problem", "highway", "--json").stdout)["scenarios"]
+        assert {f"{row['scenario']}@one": row["score"] for row in shown} == best.scores
     assert len(checking.backend.sent) == before
     assert {checking(chosen, "--variant", "light").exit_code for chosen in (f"{campaign}#1", "set.json")} == {2}
 

@@ -380,14 +380,15 @@ def _ended(campaign: Campaign, course: Course) -> Iterator[ResultVerdict]:
         yield verdict("ended", "green" if campaign.ended_by == "stagnation" else "neutral", by=campaign.ended_by, share=share)
         if _has_outlook(campaign) and (gain := expected_gain(best)) is not None:
             known = [value for value in best if value is not None]
-            # one step in one scenario is a real gain, although a copied score may be off by it
+            # a step is a gain: the tolerance of a score with steps is for copied scores
             tolerance = 0.0 if campaign.objective or campaign.scale.step is not None else campaign.scale.tolerance
             usual = [each.mean for each in course[: -(-len(course) // 2)] if each.mean is not None]
             # the first set may have failed, or break constraints: better than that is soon found
             whole = min(abs(known[-1] - known[0]), abs(known[-1] - median(usual)) if usual else inf)
             few = campaign.spent.simulations < LEAST_RECORDED
             light: Light = "green" if gain <= max(tolerance, LITTLE * whole) and whole > 0 and not few else "amber"
-            yield verdict("outlook", light, gain=gain, record=RECORD)
+            stood = campaign.ended_by == "stagnation"  # for as long as its user chose, whatever came before
+            yield verdict("outlook", "neutral" if stood else light, gain=gain, record=RECORD)
 
 
 def _convergence(course: Course) -> Iterator[ResultVerdict]:

@@ -86,8 +86,8 @@ SEARCH = {
     "optimizer may find one.",
     "ended": "The search ended by its {by}; the best objective last changed after {share:.0 %} of its rounds.",
     "outlook": "A campaign with twice the budget, which begins with these results, would probably improve the best objective by at most "
-    "{gain:.3g}, the most that a doubling brought so far: in the benchmark, whose simulators are deterministic, {record:.0 %} of such "
-    "estimates held.",
+    "{gain:.3g}, the most that one of its last three doublings brought: in the benchmark, with new searches of deterministic "
+    "simulators, {record:.0 %} of such estimates held.",
     "converged": "Converged by the paper's criterion for the {of}: found in iteration {iteration} of {iterations}, it then stayed as it "
     "was for at least {unchanged} iterations.",
     "not_converged": "Not converged by the paper's criterion for the {of}: it last changed in iteration {iteration} of {iterations}, and "

@@ -100,7 +100,7 @@ def test_a_campaign_shows_all_that_matters(capsys: pytest.CaptureFixture[str]) -
         "S1 5  S2 6",
         "0 of 2,000 simulations, 0.0 of 0.5 min",
         "weight is 0: S3",
-        "1 min 30 s with pauses and times without a server; CPU time of the simulations 1 min 40 s",
+        "1 min 30 s since its start, pauses included; CPU time of the simulations 1 min 40 s",
     ):
         assert wanted in printed
 

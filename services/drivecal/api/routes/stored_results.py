@@ -54,9 +54,9 @@ def store(given: ImportedResults, database: DatabaseDependency, owner: Owner) ->
     _check(given, bench)
     diagnostics = Diagnostics()
     sets = given_sets(bench, [row.parameters for row in given.rows], "rows[{}].parameters", diagnostics)
-    floats = [each.floats for each in sets]
+    different = {each.key: each.floats for each in sets}.values()
     for parameter in bench.parameters:
-        values = [each[parameter.name] for each in floats if parameter.name in each]
+        values = [each[parameter.name] for each in different]
         if beyond := sum(parameter.nearest(value) is None for value in values):
             diagnostics.notes.append(f"{parameter.name}: {beyond:,} of {len(values):,} values are not {parameter.extent}")
     manifest = bench.bundle.manifest

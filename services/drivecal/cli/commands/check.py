@@ -27,6 +27,7 @@ from drivecal.contracts.specification import DECIDING, DEFAULT_PROBLEM, Given, G
 from drivecal.contracts.strict_json import Number
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, file_faults
 from drivecal.domain.scales import score_text
+from drivecal.domain.setups import base_of
 
 Parameters = Mapping[str, Given]
 Axes = Mapping[str, Sequence[Sequence[float]]]
@@ -203,7 +204,8 @@ def check(
         given = _set(client, chosen, names, variant)
         parameters, spec, reported = given.parameters, given.spec, given.seeds
         known = client.problem(problem or spec.get("problem", DEFAULT_PROBLEM))
-        copied = DECIDING if problem is None else DECIDING - {"catalogue"}  # another push may have other scenarios
+        # another push may have other scenarios, but those of a variant were asked for
+        copied = DECIDING if variant or problem is None else DECIDING - {"catalogue"}
         settings = {name: spec[name] for name in copied if name in spec} | {"problem": known.digest}
         first = min(reported, default=1)  # a set looks better than it is under the seeds before, which chose it
         settings["seeds"] = list(range(first, first + seeds)) if seeds else list(reported) or 1
@@ -221,13 +223,13 @@ def check(
             compared = _evaluated(client, settings | {"parameters": values}, evaluators, wait, fresh=fresh)
         document = settings | {"parameters": _values(parameters, own, known.shapes)}
         checked = CheckedSet(_evaluated(client, document, evaluators, wait, fresh=fresh), compared, known)
-    findings = list(checked.findings(wanted))
+    findings, label = list(checked.findings(wanted)), chosen if variant is None else f"{chosen} for {variant}"
     if junit is not None:
         with file_faults(junit, "written", "give another file"):
-            junit.write_bytes(_junit(chosen, findings))
+            junit.write_bytes(_junit(label, findings))
     if summary is not None:
         with file_faults(summary, "written", "give another file"), summary.open("a", encoding="utf-8") as stream:
-            stream.write(_markdown(chosen, checked, findings))
+            stream.write(_markdown(label, checked, findings))
     broken = [finding for finding in findings if finding.broken is not None]
     if as_json:
         print_json(_document(checked, findings))
@@ -253,7 +255,8 @@ def _set(client: Client, given: str, names: str | None, variant: str | None = No
         shapes = client.setup(campaign.id).shapes
         chosen = ranked[int(rank) - 1]
         axes: Axes = {name: shape.axes for name, shape in shapes.items()}
-        return GivenSet(chosen.parameters, _of_variant(campaign.spec, variant), axes, chosen.seeds)
+        spec = campaign.spec if variant is None else _of_variant(campaign.spec, variant, list(chosen.scores))
+        return GivenSet(chosen.parameters, spec, axes, chosen.seeds)
     if variant is not None:
         raise typer.BadParameter("only a campaign's set, ID#RANK, has variants", param_hint="--variant")
     if Path(given).suffix.lower() not in CALIBRATION_FILES:
@@ -279,12 +282,13 @@ def _set(client: Client, given: str, names: str | None, variant: str | None = No
     return GivenSet({name: each.given for name, each in known.items() if each.given is not None}, axes=axes, units=units)
 
 
-def _of_variant(spec: Mapping[str, Any], name: str | None) -> Mapping[str, Any]:
-    """Returns a campaign's spec with the scenarios and the vehicle of a variant; as it is for None."""
-    own, vehicle = spec["variants"][name] if name is not None else {}, spec.get("vehicle") or {}
+def _of_variant(spec: Mapping[str, Any], name: str, scenarios: Sequence[str]) -> Mapping[str, Any]:
+    """Returns a campaign's spec with a variant's `scenarios`, as a ranking names them, and its vehicle. Raises InvalidInputError."""
+    own, vehicle, listed = spec["variants"][name], spec.get("vehicle") or {}, [base_of(each) for each in scenarios]
+    if isinstance(catalogue := spec.get("catalogue"), str) and catalogue not in {spec.get("problem", DEFAULT_PROBLEM), *listed}:
+        raise InvalidInputError(Problem("--variant", f"its scenarios are of the catalogue {catalogue}", "leave it out"))
     parameters = (vehicle.get("parameters") or {}) | ((own.get("vehicle") or {}).get("parameters") or {})
-    scenarios = {} if own.get("scenarios", "all") == "all" else {"catalogue": own["scenarios"]}
-    return {**spec, **scenarios, "vehicle": {**vehicle, "parameters": parameters}}
+    return {**spec, "catalogue": listed, "vehicle": {**vehicle, "parameters": parameters}}
 
 
 def _refuse_another_form(given: GivenSet, problem: ProblemAnswer) -> None:
@@ -320,7 +324,7 @@ def _refuse_unknown(limits: Sequence[SetLimit], problem: ProblemAnswer, known: C
         for name in () if limit.scenarios == "all" or not known else limit.scenarios:
             if name not in known:
                 remedy = nearest(name, list(known))
-                faults.append(Problem(f"{field}.scenarios", f"{problem.name} has no scenario {name!r}", remedy))
+                faults.append(Problem(f"{field}.scenarios", f"no scenario {name!r} is checked", remedy))
         if limit.worse_by_at_most is not None and not has_baseline:
             faults.append(Problem(f"{field}.worse_by_at_most", "there is no baseline", "give --baseline"))
     if faults:

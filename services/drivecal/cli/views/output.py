@@ -120,7 +120,7 @@ def print_campaign(campaign: Campaign) -> None:
     lines += [("note", note) for note in campaign.notes]
     seconds = campaign.seconds
     if seconds.wall:
-        whole = f"{duration(seconds.wall)} with pauses and times without a server"
+        whole = f"{duration(seconds.wall)} since its start, pauses included"
         lines.append(("time", f"{whole}; CPU time of the simulations {duration(seconds.simulating)}"))
     width = max(len(name) for name, _ in lines)
     for name, text in lines:

@@ -45,7 +45,7 @@ class ImportedResults(Model):
 
 class ImportAnswer(Answer):
     """How many cells are new, and how many were stored before with the same values; `notes` on lists that coefficients give only nearly,
-    and on values outside of the ranges, which vehicles may have."""
+    and on values outside of the ranges, which are stored as well."""
 
     stored: int
     known: int

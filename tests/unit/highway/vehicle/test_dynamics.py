@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
-from tests.unit.highway.vehicle.stability import critical_speed
+from tests.unit.highway.vehicle.driving import critical_speed
 
 from drivecal.highway.vehicle import single_track
 from drivecal.highway.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters, understeer_gradient

@@ -1,14 +1,13 @@
 """`follow`: the kernel against a naive implementation, symmetries, and what it does with input that does not fit."""
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
+from tests.unit.highway.vehicle.driving import Drive, curve, lane_change, straight
 
 from drivecal.highway.vehicle import kernels, single_track
 from drivecal.highway.vehicle.model import SingleTrackModel
@@ -120,7 +119,7 @@ def mirrored(rows: Floats, *columns: int) -> Floats:
 @settings(max_examples=examples(15), deadline=None)
 @given(boxes, st.floats(8.0, 40.0), st.floats(-1.0, 1.0), st.floats(-0.02, 0.02))
 def test_the_kernel_agrees_with_the_naive_implementation(
-    lane_change: Callable[..., Floats], vehicle: SingleTrackParameters, speed: float, offset: float, turned: float
+    vehicle: SingleTrackParameters, speed: float, offset: float, turned: float
 ) -> None:
     trajectory = lane_change(speed, 3.0, 5.0)
     trajectory[:, 5] += 0.5 * np.sin(trajectory[:, 0])
@@ -136,9 +135,7 @@ def test_the_kernel_agrees_with_the_naive_implementation(
 
 @settings(max_examples=examples(40), deadline=None)
 @given(boxes, st.floats(2.0, 40.0), st.floats(-1.0, 1.0))
-def test_a_mirrored_drive_is_the_mirror_image_to_the_bit(
-    lane_change: Callable[..., Floats], vehicle: SingleTrackParameters, speed: float, offset: float
-) -> None:
+def test_a_mirrored_drive_is_the_mirror_image_to_the_bit(vehicle: SingleTrackParameters, speed: float, offset: float) -> None:
     trajectory = lane_change(speed, 4.0, 6.0, width=min(3.75, speed))
     results = []
     for sign, path in ((1.0, trajectory), (-1.0, mirrored(trajectory, 2, 3, 4))):
@@ -155,7 +152,7 @@ def test_a_mirrored_drive_is_the_mirror_image_to_the_bit(
 
 @settings(max_examples=examples(30), deadline=None)
 @given(st.floats(-3.1, 3.1), st.floats(-5000.0, 5000.0), st.floats(-5000.0, 5000.0))
-def test_the_roads_place_does_not_matter(lane_change: Callable[..., Floats], angle: float, east: float, north: float) -> None:
+def test_the_roads_place_does_not_matter(angle: float, east: float, north: float) -> None:
     trajectory = lane_change(25.0, 4.0, 6.0)
     moved = trajectory.copy()
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
@@ -170,7 +167,7 @@ def test_the_roads_place_does_not_matter(lane_change: Callable[..., Floats], ang
     assert dynamics == pytest.approx(expected, abs=1e-7)
 
 
-def test_many_calls_give_the_same_drive_as_one(lane_change: Callable[..., Floats]) -> None:
+def test_many_calls_give_the_same_drive_as_one() -> None:
     trajectory = lane_change(30.0, 3.0, 6.0)
     once, often = SingleTrackModel(NOMINAL), SingleTrackModel(NOMINAL)
     for model in (once, often):
@@ -185,7 +182,7 @@ def test_many_calls_give_the_same_drive_as_one(lane_change: Callable[..., Floats
 
 @pytest.mark.parametrize("column", [1, 2, 3, 4, 5, 6])
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_a_trajectory_that_is_not_finite_counts_as_unstable(straight: Callable[..., Floats], column: int, value: float) -> None:
+def test_a_trajectory_that_is_not_finite_counts_as_unstable(column: int, value: float) -> None:
     trajectory = straight(30.0, 3.0)
     trajectory[1:, column] = value
     model = SingleTrackModel(NOMINAL)
@@ -198,7 +195,7 @@ def test_a_trajectory_that_is_not_finite_counts_as_unstable(straight: Callable[.
     assert not followed or (value == math.inf and column in {4, 6})
 
 
-def test_a_jump_of_the_trajectory_that_no_tyre_can_follow_is_unstable(straight: Callable[..., Floats]) -> None:
+def test_a_jump_of_the_trajectory_that_no_tyre_can_follow_is_unstable() -> None:
     trajectory = straight(40.0, 3.0)
     trajectory[:, 4] = 0.05
     model = SingleTrackModel(NOMINAL)
@@ -210,13 +207,11 @@ def test_a_jump_of_the_trajectory_that_no_tyre_can_follow_is_unstable(straight: 
 
 
 @pytest.mark.parametrize(("lateral_acceleration", "stable"), [(9.0, True), (10.5, False)])
-def test_beyond_the_grip_of_tyres_the_vehicle_is_unstable(
-    curve: Callable[..., Floats], drive: type[Any], lateral_acceleration: float, stable: bool
-) -> None:
-    assert drive(curve(30.0, lateral_acceleration, 12.0)).stable is stable
+def test_beyond_the_grip_of_tyres_the_vehicle_is_unstable(lateral_acceleration: float, stable: bool) -> None:
+    assert Drive(curve(30.0, lateral_acceleration, 12.0)).stable is stable
 
 
-def test_a_trajectory_that_ends_too_early_is_refused(straight: Callable[..., Floats]) -> None:
+def test_a_trajectory_that_ends_too_early_is_refused() -> None:
     trajectory = straight(30.0, 1.0)
     model = SingleTrackModel(NOMINAL)
     model.start(0.0, 0.0, 0.0, 30.0)
@@ -228,7 +223,7 @@ def test_a_trajectory_that_ends_too_early_is_refused(straight: Callable[..., Flo
 
 
 @pytest.mark.parametrize("time", [math.nan, 0.0, -0.1])
-def test_a_trajectory_whose_times_do_not_advance_is_refused(straight: Callable[..., Floats], time: float) -> None:
+def test_a_trajectory_whose_times_do_not_advance_is_refused(time: float) -> None:
     trajectory = straight(30.0, 1.0)
     trajectory[1, 0] = time
     model = SingleTrackModel(NOMINAL)
@@ -236,7 +231,7 @@ def test_a_trajectory_whose_times_do_not_advance_is_refused(straight: Callable[.
         model.follow(trajectory, 0.0, 0.1, np.zeros((10, 5)))
 
 
-def test_dynamics_of_the_wrong_length_are_refused(straight: Callable[..., Floats]) -> None:
+def test_dynamics_of_the_wrong_length_are_refused() -> None:
     model = SingleTrackModel(NOMINAL)
     with pytest.raises(ValueError, match="10"):
         model.follow(straight(30.0, 3.0), 0.0, 0.1, np.zeros((9, 5)))

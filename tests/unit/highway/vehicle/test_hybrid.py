@@ -3,7 +3,6 @@
 import inspect
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.neural_network import MLPRegressor
 from tests.support.effort import examples
+from tests.unit.highway.vehicle.driving import lane_change, straight
 
 from drivecal.highway.training import vehicle as training
 from drivecal.highway.training.vehicle import Drives
@@ -83,7 +83,7 @@ def test_it_fades_without_a_jump() -> None:
     assert np.abs(np.diff(along, axis=0)).max() < 5e-3 * np.abs(along).max()
 
 
-def straight_on(model: SingleTrackModel, straight: Callable[..., Floats]) -> Floats:
+def straight_on(model: SingleTrackModel) -> Floats:
     path = straight(30.0, 4.0)
     model.start(0.0, 0.0, 0.0, 30.0)
     dynamics = np.zeros((300, 5))
@@ -91,9 +91,9 @@ def straight_on(model: SingleTrackModel, straight: Callable[..., Floats]) -> Flo
     return dynamics
 
 
-def test_straight_on_it_drives_exactly_as_the_plain_vehicle(straight: Callable[..., Floats]) -> None:
-    ours = straight_on(HybridModel(NOMINAL, shipped()), straight)
-    np.testing.assert_array_equal(ours, straight_on(SingleTrackModel(NOMINAL), straight))
+def test_straight_on_it_drives_exactly_as_the_plain_vehicle() -> None:
+    ours = straight_on(HybridModel(NOMINAL, shipped()))
+    np.testing.assert_array_equal(ours, straight_on(SingleTrackModel(NOMINAL)))
 
 
 def drive(model: SingleTrackModel, path: Floats) -> tuple[Floats, Floats, bool]:
@@ -110,7 +110,7 @@ def outside(model: SingleTrackModel) -> float:
     return model.metrics["outside_training_range_s"]
 
 
-def test_a_lane_change_is_inside_the_range_and_not_that_of_the_plain_vehicle(lane_change: Callable[..., Floats]) -> None:
+def test_a_lane_change_is_inside_the_range_and_not_that_of_the_plain_vehicle() -> None:
     path = lane_change(30.0, 5.0, 8.0)
     model = HybridModel(NOMINAL, shipped())
     ours, pose, stable = drive(model, path)
@@ -121,7 +121,7 @@ def test_a_lane_change_is_inside_the_range_and_not_that_of_the_plain_vehicle(lan
     assert np.hypot(*(pose[:2] - plain_pose[:2])) < 0.3
 
 
-def test_outside_the_range_it_is_the_plain_vehicle_and_counts_the_time(lane_change: Callable[..., Floats]) -> None:
+def test_outside_the_range_it_is_the_plain_vehicle_and_counts_the_time() -> None:
     path = lane_change(48.0, 5.0, 8.0)
     model = HybridModel(NOMINAL, shipped())
     ours, _, _ = drive(model, path)
@@ -134,7 +134,7 @@ def test_outside_the_range_it_is_the_plain_vehicle_and_counts_the_time(lane_chan
 @settings(max_examples=examples(40), deadline=None)
 @given(parameters=boxes, speed=st.floats(16.0, 38.0), takes=st.floats(4.0, 8.0))
 def test_whatever_the_vehicle_of_table_8_a_lane_change_goes_well(
-    lane_change: Callable[..., Floats], parameters: SingleTrackParameters, speed: float, takes: float
+    parameters: SingleTrackParameters, speed: float, takes: float
 ) -> None:
     path = lane_change(speed, takes, 10.0)
     if drive(SingleTrackModel(parameters), path)[2]:

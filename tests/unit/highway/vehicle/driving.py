@@ -1,12 +1,13 @@
-"""Trajectories as a planner gives them: rows every 0.1 s of (t, x, y, heading, curvature, speed, acceleration), shape (n, 7)."""
+"""Trajectories as a planner gives them: rows every 0.1 s of (t, x, y, heading, curvature, speed, acceleration), shape (n, 7). How a
+vehicle drives them, and the speed up to which it is stable by itself."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
-import pytest
 
 from drivecal.highway.vehicle.model import SingleTrackModel
-from drivecal.highway.vehicle.parameters import NOMINAL, SingleTrackParameters
+from drivecal.highway.vehicle.parameters import NOMINAL, SingleTrackParameters, understeer_gradient
 from drivecal.plugins.ports import Floats
 
 ROWS = 0.1
@@ -28,11 +29,12 @@ def _along(speed: float, curvature: Callable[[Floats], Floats], duration: float,
     return np.ascontiguousarray(rows[:: round(ROWS / FINE)])
 
 
-def _straight(speed: float, duration: float, acceleration: float = 0.0) -> Floats:
+def straight(speed: float, duration: float, acceleration: float = 0.0) -> Floats:
+    """Straight on."""
     return _along(speed, np.zeros_like, duration, acceleration)
 
 
-def _curve(speed: float, lateral_acceleration: float, duration: float, entry: float = 3.0) -> Floats:
+def curve(speed: float, lateral_acceleration: float, duration: float, entry: float = 3.0) -> Floats:
     """Straight for a second, a clothoid-like entry of `entry` seconds, then a constant radius."""
 
     def curvature(time: Floats) -> Floats:
@@ -42,7 +44,7 @@ def _curve(speed: float, lateral_acceleration: float, duration: float, entry: fl
     return _along(speed, curvature, duration)
 
 
-def _lane_change(speed: float, takes: float, duration: float, width: float = 3.75) -> Floats:
+def lane_change(speed: float, takes: float, duration: float, width: float = 3.75) -> Floats:
     """A quintic lane change to the left at constant speed, a second after the start."""
 
     def curvature(time: Floats) -> Floats:
@@ -74,25 +76,11 @@ class Drive:
         self.along = dx * cosine + dy * sine
 
 
-@pytest.fixture(scope="session")
-def straight() -> Callable[..., Floats]:
-    """Straight on: (speed, duration, acceleration=0)."""
-    return _straight
+def critical_speed(parameters: SingleTrackParameters) -> float | None:
+    """Returns the speed (m/s) above which an oversteering vehicle is unstable without a controller, sqrt(-wheelbase / K_us).
 
-
-@pytest.fixture(scope="session")
-def curve() -> Callable[..., Floats]:
-    """Into a curve: (speed, lateral acceleration, duration, entry=3)."""
-    return _curve
-
-
-@pytest.fixture(scope="session")
-def lane_change() -> Callable[..., Floats]:
-    """A lane change to the left: (speed, how long it takes, duration, width=3.75)."""
-    return _lane_change
-
-
-@pytest.fixture(scope="session")
-def drive() -> type[Drive]:
-    """Drives a trajectory."""
-    return Drive
+    Returns None for an understeering or neutral vehicle, which is stable at every speed. At the critical speed the determinant of the yaw
+    and side-slip dynamics changes its sign (Rajamani, Section 3.3; Mitschke and Wallentowitz, Dynamik der Kraftfahrzeuge, Chapter 20).
+    """
+    gradient = understeer_gradient(parameters)
+    return math.sqrt(-parameters.wheelbase / gradient) if gradient < 0.0 else None
