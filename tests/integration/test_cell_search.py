@@ -73,6 +73,10 @@ def test_the_same_search_again_simulates_nothing_and_another_begins_with_what_is
     other = carried_out(database, likeness="b", weights={"S1": 3.0}, **spec)
     assert (again.cells.runs, again.cells.repeated, again.best == first.best) == (0, 30, True)
     assert (other.cells.repeated >= 9, other.cells.runs + other.cells.repeated) == (True, 30)  # the three best stored sets
+    further = carried_out(database, likeness="c", **spec | {"catalogue": ["S1", "S2", "S3", "S4"]})
+    with database.read() as connection:
+        begun = next(iter(results.stream(connection, further.sequence))).parameters.floats
+    assert begun == present(first.best).parameters, "no stored set has S4, where all count alike"
 
 
 @pytest.mark.slow

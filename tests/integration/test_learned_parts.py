@@ -19,8 +19,8 @@ from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
-from drivecal.highway.vehicle import hybrid, residual
-from drivecal.highway.vehicle.hybrid import HYBRID
+from drivecal.highway.vehicle import residual
+from drivecal.highway.vehicle.plugin import HYBRID
 from drivecal.plugins.ports import SeriesEvaluator
 from drivecal.plugins.simulators import RunOutcome
 from drivecal.runtime.worker import Worker
@@ -69,7 +69,7 @@ def damage(folder: Path, patch: pytest.MonkeyPatch) -> None:
     copies = [folder / residual.FILE.name, folder / regressions.FILE.name]
     for file, copy in zip((residual.FILE, regressions.FILE), copies, strict=True):
         copy.write_bytes(file.read_bytes()[:-40])
-    patch.setattr(hybrid, "shipped", lambda: residual.shipped(copies[0]))
+    patch.setattr("drivecal.highway.vehicle.plugin.shipped", lambda: residual.shipped(copies[0]))
     patch.setattr(learned, "shipped", lambda: regressions.shipped(copies[1]))
     for plugin in (HYBRID, LEARNED):
         patch.delitem(vars(plugin), "version", raising=False)

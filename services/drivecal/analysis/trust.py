@@ -45,8 +45,8 @@ LITTLE = 0.01
 usual set of its first half."""
 AT_END = 0.005
 """Largest distance of a value at the end of its range, as a share of the range."""
-LEAST_RECORDED = 150
-"""Least simulations of a search for which the record holds; a search without any gain has none either."""
+LEAST_RECORDED, MOST_STORED = 150, 0.1
+"""Least simulations, and largest share of stored answers, of a search for which the record holds."""
 RECORD = 0.90
 """Share of correct estimates: a search with twice the cells, which began with the answers, gained no more than expected. 65 of 72, after
 150 and 300 cells (`economy --outlook --problems acc_curve monotone_curve cliff funnel few_matter braking --seeds 6 --cells 600`)."""
@@ -377,18 +377,24 @@ def _ended(campaign: Campaign, course: Course) -> Iterator[ResultVerdict]:
     if campaign.ended_by is not None and course:
         best = [each.best for each in course]
         share = last_change(best) / len(course)
-        yield verdict("ended", "green" if campaign.ended_by == "stagnation" else "neutral", by=campaign.ended_by, share=share)
-        if _has_outlook(campaign) and (gain := expected_gain(best)) is not None:
-            known = [value for value in best if value is not None]
-            # a step is a gain: the tolerance of a score with steps is for copied scores
-            tolerance = 0.0 if campaign.objective or campaign.scale.step is not None else campaign.scale.tolerance
-            usual = [each.mean for each in course[: -(-len(course) // 2)] if each.mean is not None]
-            # the first set may have failed, or break constraints: better than that is soon found
-            whole = min(abs(known[-1] - known[0]), abs(known[-1] - median(usual)) if usual else inf)
-            few = campaign.spent.simulations < LEAST_RECORDED
-            light: Light = "green" if gain <= max(tolerance, LITTLE * whole) and whole > 0 and not few else "amber"
-            stood = campaign.ended_by == "stagnation"  # for as long as its user chose, whatever came before
-            yield verdict("outlook", "neutral" if stood else light, gain=gain, record=RECORD)
+        stood = campaign.ended_by == "stagnation"  # for as long as its user chose
+        yield verdict("ended", "green" if stood else "neutral", by=campaign.ended_by, share=share)
+        if not _has_outlook(campaign) or (gain := expected_gain(best)) is None:
+            return
+        light: Light | Literal["neutral"] = "neutral" if stood else "amber"
+        simulated, stored = campaign.spent.simulations, campaign.cells.repeated
+        if simulated < LEAST_RECORDED or stored > MOST_STORED * campaign.cells.requested:
+            yield verdict("no_outlook", light, simulations=simulated, stored=stored, least=LEAST_RECORDED)
+            return
+        known = [value for value in best if value is not None]
+        # a step is a gain: the tolerance of a score with steps is for copied scores
+        tolerance = 0.0 if campaign.objective or campaign.scale.step is not None else campaign.scale.tolerance
+        usual = [each.mean for each in course[: -(-len(course) // 2)] if each.mean is not None]
+        # the first set may have failed, or break constraints: better than that is soon found
+        whole = min(abs(known[-1] - known[0]), abs(known[-1] - median(usual)) if usual else inf)
+        if not stood and gain <= max(tolerance, LITTLE * whole) and whole > 0:
+            light = "green"
+        yield verdict("outlook", light, gain=gain, record=RECORD)
 
 
 def _convergence(course: Course) -> Iterator[ResultVerdict]:

@@ -37,8 +37,7 @@ SCORES = CONFIRMED | {
     "constraints_undecided": "Runs do not decide whether {subject} keeps its rates; more seeds (replicates.most) or a larger budget "
     "may{bounded:after}.",
     "constraints_kept": "{subject} keeps the constraints{bounded:after}.",
-    "constraints_left_out": "No constraint holds in {scenarios:list}, of weight 0: nothing is simulated there. A small weight would change "
-    "that.",
+    "constraints_left_out": "No constraint holds in {scenarios:list}, of weight 0: nothing runs there; a small weight would change that.",
     "fails": "Runs of {subject} fail in {scenarios:list}: see the causes of failures.",
     "scores_copied": "This very set was not simulated in {scenarios:list}: its scores there are copied.",
     "scores_simulated": "Every score of {subject} was simulated or repeats a simulation.",
@@ -88,6 +87,8 @@ SEARCH = {
     "outlook": "A campaign with twice the budget, which begins with these results, would probably improve the best objective by at most "
     "{gain:.3g}, the most that one of its last three doublings brought: in the benchmark, with new searches of deterministic "
     "simulators, {record:.0 %} of such estimates held.",
+    "no_outlook": "What twice the budget would bring is not known: there is a record for new searches with {least} simulations or more; "
+    "this one has {simulations:n simulation} and {stored:n stored answer}.",
     "converged": "Converged by the paper's criterion for the {of}: found in iteration {iteration} of {iterations}, it then stayed as it "
     "was for at least {unchanged} iterations.",
     "not_converged": "Not converged by the paper's criterion for the {of}: it last changed in iteration {iteration} of {iterations}, and "

@@ -233,7 +233,7 @@ def test_a_campaign_without_a_search_has_no_answers() -> None:
         ([4.0, 5.0, 5.5, 6.0], 200, 1.0, "amber"),
         ([4.0, 6.0, 6.0, 6.0, 6.0], 200, 2.0, "amber"),
         ([4.0, *[6.0] * 8], 200, 0.0, "green"),
-        ([4.0, *[6.0] * 8], 98, 0.0, "amber"),
+        ([4.0, *[6.0] * 8], 98, None, "amber"),
         ([None, *[5.0] * 3, *[7.5] * 4, 8.0], 200, 2.5, "amber"),
         ([4.0, 4.0, 4.0], 200, 0.0, "amber"),
         ([None, None, 5.5, 6.0], 200, None, None),
@@ -247,7 +247,10 @@ def test_a_search_says_what_more_brings(course: list[float | None], used: int, g
     by_code = {each.code: each for each in trust(subject, known).verdicts}
     assert by_code["budget"].numbers == {"used": f"{used} of 200 simulations"}
     assert by_code["ended"].numbers["share"] <= 1
-    assert (None if gain is None else by_code["outlook"].numbers["gain"]) == gain
+    assert (by_code["outlook"].numbers["gain"] if "outlook" in by_code else None) == gain
+    assert ("no_outlook" in by_code) == (used < 150)
+    begun = subject.model_copy(update={"stages": {"calibration": CellCounts(requested=200, repeated=30, simulated=170)}})
+    assert "outlook" not in verdicts(begun, search=known.search), "its first sets are the best stored ones"
     assert (trust(subject, known).light("search"), by_code["ended"].light) == (light, "neutral")
     smooth = subject.model_copy(update={"scale": replace(subject.scale, step=None)})
     assert trust(smooth, known).light("search") == ("green" if gain == 1 else light)  # within the score's tolerance

@@ -144,7 +144,8 @@ def _trust(stored: StoredRanking, made: list[StudyResult], front: CampaignFront 
         search = replace(search, regions=len(set(known_best.regions.tolist())))
     amounts = {} if campaign.best is None else campaign.best.constraints
     goals = stored.resolved.goals if amounts else None
-    bounded = [] if goals is None else bounded_texts(goals, (amounts[name] for name in goals.bound_names))
+    seeds = 1 if campaign.best is None else campaign.best.replicates
+    bounded = [] if goals is None else bounded_texts(goals, (amounts[name] for name in goals.bound_names), seeds)
     known = Evidence(studies=made, search=search, front=_compromises(stored, front), chosen=chosen, bounded=bounded)
     return trust(campaign_answer(campaign, now(), silent=None), known)
 
@@ -188,7 +189,7 @@ def set_at(stored: StoredRanking, front: CampaignFront, place: tuple[int, int], 
         copied=judged.reused,
         failed=judged.failed,
         scenarios=len(judged.scores),
-        bounded=bounded_texts(front.goals, judged.judgement.bounded),
+        bounded=bounded_texts(front.goals, judged.judgement.bounded, judged.replicates),
         violation=judged.violation,
         undecided=judged.is_undecided,
         baseline_violation=0.0 if baseline is None or baseline.is_undecided else baseline.violation,

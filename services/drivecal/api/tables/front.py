@@ -131,12 +131,13 @@ def bound_text(bound: Bound) -> str:
     return f"{_aggregate_text(bound)} of {kept} ({', '.join(bound.shares)})"
 
 
-def bounded_texts(goals: Goals, amounts: Iterable[float]) -> list[str]:
+def bounded_texts(goals: Goals, amounts: Iterable[float], seeds: int) -> list[str]:
     """Returns each constraint in words with a set's amount, of a rate with the bounds of the share; `amounts`: as `Judged.bounded`."""
+    mean = " in the mean of its seeds" if seeds > 1 else ""
     given, texts = iter(amounts), []
     for bound in goals.bounds:
         amount = f"{next(given):.8g}"
-        amount += unit_text(bound.unit) if bound.rate is None else f" ({next(given):.3g} to {next(given):.3g})"
+        amount += unit_text(bound.unit) + mean if bound.rate is None else f" ({next(given):.3g} to {next(given):.3g})"
         texts.append(f"{bound_text(bound)}: {amount}")
     return texts
 

@@ -385,5 +385,5 @@ class ComputedSearch(SearchStage):
                 self._save(connection)
         if asked is None and self._ranking.best() is None:
             failed = CellCounts(**self._tracker.counts).failed
-            raise NoResultError(f"no parameter set has a result in every scenario; {failed:,} cells failed{self._causes()}")
+            raise NoResultError(f"no parameter set has a result in every scenario; {failed:,} cells have none{self._causes()}")
         return asked

@@ -14,11 +14,12 @@ import typer
 from pydantic import Field, model_validator
 
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, code_of_state, connect, say
-from drivecal.cli.commands.evaluate import SECONDS_BETWEEN_QUESTIONS, SeedsOption, ended
+from drivecal.cli.commands.evaluate import SECONDS_BETWEEN_QUESTIONS, SeedsOption, VehicleOption, ended
 from drivecal.cli.views.output import print_columns, print_json, within_text
 from drivecal.cli.views.progress import pauses
 from drivecal.client.client import Client
 from drivecal.configuration.documents import read_document
+from drivecal.contracts.assignments import assignments
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.contracts.input_errors import nearest, validated
 from drivecal.contracts.inventory import ProblemAnswer
@@ -189,6 +190,7 @@ def check(
     variant: Annotated[
         str | None, typer.Option(metavar="NAME", help="Of ID#RANK: ranked for this variant, and checked in it.")
     ] = None,
+    vehicle_parameters: VehicleOption = None,
     seeds: SeedsOption = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Simulate the set and the baseline again.")] = False,
     junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the findings as JUnit XML.")] = None,
@@ -199,6 +201,7 @@ def check(
 ) -> None:
     """Check whether a set keeps its limits in every scenario; exit status 1 if not, and if its runs do not tell. Only what changed is
     simulated. A set of a campaign runs under the seeds that report it, with --seeds N under N seeds beginning there."""
+    differing = {} if vehicle_parameters is None else assignments(vehicle_parameters.split(","), "--vehicle-parameters")
     wanted = [] if limits is None else validated(LimitsFile, dict(read_document(limits))).limits
     with connect(url) as client:
         given = _set(client, chosen, names, variant)
@@ -207,6 +210,8 @@ def check(
         # another push may have other scenarios, but those of a variant were asked for
         copied = DECIDING if variant or problem is None else DECIDING - {"catalogue"}
         settings = {name: spec[name] for name in copied if name in spec} | {"problem": known.digest}
+        vehicle = settings.get("vehicle") or {}
+        settings["vehicle"] = {**vehicle, "parameters": (vehicle.get("parameters") or {}) | differing}
         first = min(reported, default=1)  # a set looks better than it is under the seeds before, which chose it
         settings["seeds"] = list(range(first, first + seeds)) if seeds else list(reported) or 1
         listed = settings.get("catalogue") or known.scenarios
@@ -356,7 +361,7 @@ def _values(parameters: Parameters, names: Collection[str], shapes: Mapping[str,
     names = dict.fromkeys(name if name in parameters else owners.get(name, name) for name in names)
     missing = [name for name in names if name not in parameters]
     if missing:
-        remedy = "give one value per parameter; --names has the labels of a calibration file"
+        remedy = "give one value per parameter; --problem names another problem, --names has the labels of a calibration file"
         raise InvalidInputError(*(Problem(f"parameters.{name}", "the value is missing", remedy) for name in missing))
     return {name: parameters[name] for name in names}
 

@@ -27,6 +27,9 @@ SeedsOption = Annotated[
 ]
 SUFFIXES = (".csv", ".parquet", ".json")
 """Endings of files of time series."""
+VehicleOption = Annotated[
+    str | None, typer.Option(metavar="NAME=VALUE,...", help="Parameters of the vehicle that differ from its nominal ones.")
+]
 
 
 @app.command()
@@ -38,9 +41,7 @@ def evaluate(
     ] = DEFAULT_PROBLEM,
     catalogue: Annotated[str | None, typer.Option(help="The scenario catalogue.")] = None,
     vehicle: Annotated[str | None, typer.Option(help="The vehicle model: single_track, hybrid or a plug-in.")] = None,
-    vehicle_parameters: Annotated[
-        str | None, typer.Option(metavar="NAME=VALUE,...", help="Parameters of the vehicle that differ from its nominal ones.")
-    ] = None,
+    vehicle_parameters: VehicleOption = None,
     driving_function: Annotated[str | None, typer.Option(help="Who drives: frenet or a plug-in.")] = None,
     evaluator: Annotated[
         str | None, typer.Option(help="A score of the problem; on the motorway also reference, learned or a plug-in.")

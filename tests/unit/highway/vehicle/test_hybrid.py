@@ -16,10 +16,10 @@ from tests.unit.highway.vehicle.driving import lane_change, straight
 
 from drivecal.highway.training import vehicle as training
 from drivecal.highway.training.vehicle import Drives
-from drivecal.highway.vehicle import hybrid, residual, single_track
-from drivecal.highway.vehicle.hybrid import HYBRID, Hybrid
+from drivecal.highway.vehicle import plugin, residual, single_track
 from drivecal.highway.vehicle.model import HybridModel, SingleTrackModel
 from drivecal.highway.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters
+from drivecal.highway.vehicle.plugin import HYBRID, Hybrid
 from drivecal.highway.vehicle.residual import Residual, shipped
 from drivecal.plugins.arrays import DamagedArraysError
 from drivecal.plugins.ports import Floats, SelfMeasuring
@@ -166,7 +166,7 @@ def test_its_version_follows_its_arrays(monkeypatch: pytest.MonkeyPatch) -> None
     other = replace(shipped(), bounds=2.0 * shipped().bounds)
     before = Hybrid().version
     assert before == HYBRID.version
-    monkeypatch.setattr(hybrid, "shipped", lambda: other)
+    monkeypatch.setattr(plugin, "shipped", lambda: other)
     assert Hybrid().version != before
 
 
@@ -183,7 +183,7 @@ def wave() -> str:
 
 PROGRAM = f"""
 import sys, numpy as np
-from drivecal.highway.vehicle.hybrid import HYBRID
+from drivecal.highway.vehicle.plugin import HYBRID
 {inspect.getsource(wave)}
 HYBRID.version
 assert not {{"numba", "scipy", "sklearn"}} & set(sys.modules), "the coordinator would load too much"
@@ -200,7 +200,7 @@ def test_a_fresh_process_agrees_in_every_bit_and_loads_little() -> None:
 def test_a_damaged_file_is_refused_and_no_vehicle_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "hybrid.npz"
     path.write_bytes(residual.FILE.read_bytes()[:-50])
-    monkeypatch.setattr(hybrid, "shipped", lambda: residual.shipped(path))
+    monkeypatch.setattr(plugin, "shipped", lambda: residual.shipped(path))
     vehicle = Hybrid()
     with pytest.raises(DamagedArraysError, match=r"hybrid\.npz"):
         vehicle.version  # noqa: B018  reading it is what fails

@@ -1,5 +1,6 @@
 /** What the page asks the server. Every path is relative to `/api/v1`. */
 
+import type { Definitions } from "../forms/schema";
 import type { FieldProblem, ProblemDocument } from "./types";
 
 export const ROOT = "/api/v1";
@@ -100,6 +101,12 @@ export async function send<T>(method: "POST" | "PATCH" | "DELETE", path: string,
   const content = body === undefined ? {} : { body: JSON.stringify(body), headers: { ...headers, "Content-Type": "application/json" } };
   const answer = await ask(path, { method, headers, ...content });
   return (answer.status === 204 ? undefined : await answer.json()) as T;
+}
+
+/** The schemas of the API by name, from its OpenAPI document. */
+export async function definitions(): Promise<Definitions> {
+  const document = (await (await ask("/openapi.json", {}, "")).json()) as { components: { schemas: Definitions } };
+  return document.components.schemas;
 }
 
 /** A key for `Idempotency-Key`. `crypto.randomUUID` exists on https and localhost alone. */
