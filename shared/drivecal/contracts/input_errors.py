@@ -25,6 +25,7 @@ _WANTED = {
     "float_type": "a number",
     "float_parsing": "a number",
     "finite_number": "a finite number",
+    "date_from_datetime_parsing": "a date, YYYY-MM-DD",
     "bool_type": "true or false",
     "bool_parsing": "true or false",
     "list_type": "a list",

@@ -187,9 +187,7 @@ def check(
     limits: Annotated[str | None, typer.Option(metavar="FILE", help="Limits of scores and measures, YAML or JSON.")] = None,
     baseline: Annotated[str | None, typer.Option(metavar="SET", help="A set to compare with, given as SET is.")] = None,
     names: Annotated[str | None, typer.Option(metavar="FILE", help="Labels of the parameters in DCM and CDFX files.")] = None,
-    variant: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Of ID#RANK: ranked for this variant, and checked in it.")
-    ] = None,
+    variant: Annotated[str | None, typer.Option(metavar="NAME", help="Of ID#RANK: rank and check it for this variant.")] = None,
     vehicle_parameters: VehicleOption = None,
     seeds: SeedsOption = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Simulate the set and the baseline again.")] = False,
@@ -207,7 +205,7 @@ def check(
         given = _set(client, chosen, names, variant)
         parameters, spec, reported = given.parameters, given.spec, given.seeds
         known = client.problem(problem or spec.get("problem", DEFAULT_PROBLEM))
-        # another push may have other scenarios, but those of a variant were asked for
+        # another push may have other scenarios, but a variant names its own
         copied = DECIDING if variant or problem is None else DECIDING - {"catalogue"}
         settings = {name: spec[name] for name in copied if name in spec} | {"problem": known.digest}
         vehicle = settings.get("vehicle") or {}
