@@ -75,16 +75,11 @@ def rerun(
     ] = None,
     evaluator: Annotated[
         str | None,
-        typer.Option(
-            help="Another score: reference, learned, a plug-in, or one of the problem's; stored runs are rated by it."
-        ),
+        typer.Option(help="Another score: one of the problem's, reference, learned or a plug-in; it rates stored runs."),
     ] = None,
-    problem: Annotated[
-        str | None, typer.Option(help="Another push of the same problem, e.g. with another formula of its score.")
-    ] = None,
-    from_best: Annotated[
-        bool, typer.Option("--from-best", help="Begin with the best stored set under the new weights and score.")
-    ] = False,
+    problem: Annotated[str | None, typer.Option(help="Another push of the problem, e.g. with another formula.")] = None,
+    budget: Annotated[int | None, typer.Option(min=1, metavar="N", help="Simulations of the search.")] = None,
+    from_best: Annotated[bool, typer.Option("--from-best", help="Begin with the best stored set by the new weights.")] = False,
     name: Annotated[str | None, typer.Option(help="A name for the rerun.")] = None,
     wait: WaitOption = False,
     timeout: TimeoutOption = None,
@@ -92,10 +87,10 @@ def rerun(
     as_json: JsonOption = False,
 ) -> None:
     """Run an ended campaign again with other weights or another evaluator, on the stored results."""
-    if weights is None and evaluator is None and problem is None:
-        raise typer.BadParameter("say what changes: --weights, --evaluator or --problem")
+    if weights is None and evaluator is None and problem is None and budget is None:
+        raise typer.BadParameter("say what changes: --weights, --evaluator, --problem or --budget")
     refuse_ignored(wait, timeout)
-    given = {"name": name, "evaluator": evaluator, "problem": problem}
+    given = {"name": name, "evaluator": evaluator, "problem": problem, "budget": budget and {"simulations": budget}}
     changes: dict[str, object] = {key: value for key, value in given.items() if value is not None}
     with connect(url) as client:
         first = client.campaign(identifier)
@@ -117,9 +112,7 @@ def rerun(
 @app.command("list")
 def list_campaigns(
     state: Annotated[CampaignState | None, typer.Option(help="Only campaigns in this state.")] = None,
-    tags: Annotated[
-        list[str] | None, typer.Option("--tag", help="Only campaigns with this tag; with all, if repeated.")
-    ] = None,
+    tags: Annotated[list[str] | None, typer.Option("--tag", help="Only campaigns with this tag; repeated: with all.")] = None,
     limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, newest first.")] = 20,
     url: UrlOption = None,
     as_json: JsonOption = False,

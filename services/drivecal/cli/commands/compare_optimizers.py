@@ -22,9 +22,7 @@ def compare_optimizers(
     file: Annotated[
         str | None, typer.Argument(metavar="FILE", help="A comparison file, YAML or JSON; - is standard input.")
     ] = None,
-    tag: Annotated[
-        str | None, typer.Option(metavar="TAG", help="Compare the campaigns with this tag in the place of new ones.")
-    ] = None,
+    tag: Annotated[str | None, typer.Option(metavar="TAG", help="Compare the campaigns with this tag instead.")] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait until all campaigns have ended.")] = False,
     timeout: TimeoutOption = None,
     dry_run: DryRunOption = False,

@@ -36,9 +36,7 @@ VehicleOption = Annotated[
 def evaluate(
     parameters: Annotated[list[str], typer.Argument(metavar="P1=VALUE...", help="One value for each parameter.")],
     scenario: Annotated[str | None, typer.Option(help="One scenario; else all.")] = None,
-    problem: Annotated[
-        str, typer.Option(help="The problem: highway, or the name or digest of a pushed one.")
-    ] = DEFAULT_PROBLEM,
+    problem: Annotated[str, typer.Option(help="highway, or the name or digest of a pushed problem.")] = DEFAULT_PROBLEM,
     catalogue: Annotated[str | None, typer.Option(help="The scenario catalogue.")] = None,
     vehicle: Annotated[str | None, typer.Option(help="The vehicle model: single_track, hybrid or a plug-in.")] = None,
     vehicle_parameters: VehicleOption = None,
