@@ -220,6 +220,5 @@ def _sentence(accounting: Accounting) -> str:
         balance = f"{balance}, less {', '.join(costs)}: a {verb} of {abs(accounting.net_seconds):,.1f} s"
     if accounting.clock == "wall":
         cpu, wall = f"{accounting.cpu_seconds:,.1f} s of CPU time", f"{accounting.wall_seconds:,.1f} s"
-        took = f"the runs behind the answers, counted for each answer, took {cpu} in {wall}"
-        balance += f" (wall-clock time, as the simulator waits, or shares its processors with others: {took})"
+        balance += f", by the wall clock: the runs behind the answers, counted for each answer, took {cpu} in {wall}"
     return f"{share}; {balance}."

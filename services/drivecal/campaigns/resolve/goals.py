@@ -83,7 +83,7 @@ def check_reuse(
         message = f"references and predictions are of the campaign's score alone, and not for {named}"
         diagnostics.add("reduction.mode", message, "give mode: exact, which repeats equal sets")
         return reduction, ()
-    note = f"cells are answered by equal sets only: references and predictions are not for {named}"
+    note = f"cells are answered by equal sets only: references and predictions do not know {named}"
     return reduction.model_copy(update={"mode": "exact"}), (note,)
 
 

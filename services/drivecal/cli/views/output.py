@@ -146,7 +146,7 @@ def print_curves(shapes: Mapping[str, ShapeAnswer], sets: Mapping[str, Mapping[s
     for name, shape in shapes.items():
         values = {title: shape.values(each) for title, each in sets.items()}
         if shape.good is not None:
-            values |= {f"lowest of {shape.good.sets} good sets": shape.good.lower, "highest": shape.good.upper}
+            values |= {f"lowest of good sets ({shape.good.sets})": shape.good.lower, "highest": shape.good.upper}
         units = [f" {unit}" if unit != "1" else "" for unit in shape.axis_units]
         unit = "" if shape.unit == "1" else f" ({shape.unit})"
         typer.echo(f"\n{name}{unit}")

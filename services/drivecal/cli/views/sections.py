@@ -62,8 +62,9 @@ def bound(upper_95: float | None) -> str | None:
 
 
 def shortened(words: str | None) -> str | None:
-    """Returns the end of a message, where simulators say what is wrong."""
-    return words if words is None or len(words) <= LONGEST_MESSAGE else f"...{words[3 - LONGEST_MESSAGE :]}"
+    """Returns the beginning of a message, which says what happened, and its end, where simulators say why."""
+    half = LONGEST_MESSAGE // 2 - 2
+    return words if words is None or len(words) <= LONGEST_MESSAGE else f"{words[:half]} .. {words[-half:]}"
 
 
 def trust_blocks(trust: ResultTrust) -> list[Block]:
