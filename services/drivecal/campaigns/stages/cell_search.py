@@ -177,10 +177,9 @@ def _best_known(aims: Sequence[Aim], known: Sequence[CellAnswer]) -> list[tuple[
     values = np.full((len(listed), replicates, aim.scenarios, aim.values), np.nan)
     for answer in known:
         values[places[answer.cell.indices], answer.cell.replicate - 1, answer.cell.scenario] = answer.values
-    if (
-        new := np.isnan(values).all(axis=(0, 1, 3))
-    ).any() and listed:  # scenarios that came with this campaign rank all sets alike
-        values[:, :, new] = np.nanmean(values, axis=(0, 1, 2))
+    # a scenario that no set has changes no order: each counts its own mean there
+    means = np.nansum(values, axis=2) / np.maximum(1, (~np.isnan(values)).sum(axis=2))
+    values[:, :, np.isnan(values).all(axis=(0, 1, 3))] = means[:, :, np.newaxis]
     best, sets = dict[tuple[int, ...], None](), list(listed)
     for each in aims if listed else ():
         objectives, violations = each.judge(values.reshape(-1, *values.shape[2:]))
