@@ -64,6 +64,11 @@ def test_the_misses_of_the_threshold_auto_are_noted_before_an_analysis_begins() 
     assert _resolve(sensitivity=None).notes == ()
 
 
+@pytest.mark.parametrize(("cells", "notes"), [(5, 1), (6, 0)])
+def test_a_budget_that_suffices_for_no_set_is_noted(cells: int, notes: int) -> None:
+    assert len(_resolve(budget={"simulations": cells}).notes) == notes
+
+
 def test_an_analysis_that_probably_saves_less_than_it_takes_is_noted() -> None:
     def notes(cells: int, kind: str = "genetic", **changes: Any) -> int:
         return len(_resolve(sensitivity={}, optimizer={"kind": kind}, budget={"simulations": cells}, **changes).notes)

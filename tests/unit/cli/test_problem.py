@@ -176,8 +176,9 @@ def test_a_failure_and_a_score_without_a_value_are_worth_the_worst(write: Write)
 
 
 def test_a_run_without_a_result_fails_with_its_reason(write: Write) -> None:
-    code, report = check(write("def evaluate(p, s):\n    raise ValueError('no licence')\n"))
-    assert code == 1
+    folder = write("def evaluate(p, s):\n    raise ValueError('no licence')\n")
+    code, report = check(folder)
+    assert (code, command("problem", "check", folder).stderr.count("no licence")) == (1, 1)
     assert "no licence" in report["scenarios"][0]["error"]
     assert report["other_parameters"] is None, "it was not run"
 

@@ -268,6 +268,10 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     problem = CalibrationProblem(specification, bench, space, weights, optimization, *sets, notes, allowed, goals, own_goals)
     _check_rates(problem, diagnostics)
     diagnostics.raise_if_any()
+    if (cells := problem.search_simulations()) is not None and cells < len(problem.scenarios):
+        notes += (
+            f"the search may take {cells:,} simulations, and a set takes one in each of {len(problem.scenarios)} scenarios",
+        )
     return replace(problem, notes=(*notes, *diagnostics.notes, *problem.doubts_about_map()))
 
 

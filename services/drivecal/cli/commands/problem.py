@@ -78,6 +78,7 @@ def check(
         "warnings": [],
     }
     checked: list[CheckedScenario] = []
+    told: dict[str, str] = {}
     if not offline:
         from drivecal.bundles.shapes import with_coefficients, with_points
         from drivecal.local.problems import (
@@ -97,7 +98,9 @@ def check(
         say(f"a run may take {manifest.simulator.timeout:g} s (`simulator.timeout` in problem.yaml)")
         for result in run_problem(manifest, archive, parameters, other):
             if not as_json:
-                say(f"{result.scenario}: {_sentence(manifest, result)}")
+                sentence = _sentence(manifest, result)
+                first = told.setdefault(sentence, result.scenario)
+                say(f"{result.scenario}: {sentence if first == result.scenario else f'as {first}'}")
             checked.append(result)
         if not any(result.other for result in checked):
             report["other_parameters"] = None  # no scenario came to it
