@@ -158,6 +158,8 @@ def test_the_best_set_of_a_variant_is_checked_in_its_scenarios_and_its_vehicle(c
         shown = json.loads(checking(f"{campaign}#1", "--variant", name, "--problem", "highway", "--json").stdout)["scenarios"]
         assert {f"{row['scenario']}@one": row["score"] for row in shown} == best.scores
     assert len(checking.backend.sent) == before
+    assert checking(f"{campaign}#1", "--vehicle-parameters", "mass=2500").exit_code == 0
+    assert len(checking.backend.sent) == before + 1, "S2 alone is in no variant"
     assert {checking(chosen, "--variant", "light").exit_code for chosen in (f"{campaign}#1", "set.json")} == {2}
 
 

@@ -66,11 +66,13 @@ def test_a_rerun_names_its_option_if_no_best_set_is_known(monkeypatch: pytest.Mo
 
 def test_a_rerun_may_have_another_budget(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[object] = []
-    client = SimpleNamespace(campaign=lambda _: SimpleNamespace(id="a", spec={}), rerun=lambda *given: asked.extend(given))
+    client = SimpleNamespace(
+        campaign=lambda _: SimpleNamespace(id="a", spec={"budget": {"minutes": 9}}), rerun=lambda *given: asked.extend(given)
+    )
     monkeypatch.setattr(campaigns, "connect", lambda _: nullcontext(client))
     monkeypatch.setattr(campaigns, "submitted", lambda *_: None)
     assert CliRunner().invoke(app, ["rerun", "a", "--budget", "60"]).exit_code == 0
-    assert asked == ["a", {"budget": {"simulations": 60}, "weights": {}}]
+    assert asked == ["a", {"budget": {"minutes": 9, "simulations": 60}, "weights": {}}]
 
 
 def test_saved_is_the_share_that_needed_no_simulation() -> None:

@@ -90,16 +90,17 @@ def rerun(
     if weights is None and evaluator is None and problem is None and budget is None:
         raise typer.BadParameter("say what changes: --weights, --evaluator, --problem or --budget")
     refuse_ignored(wait, timeout)
-    given = {"name": name, "evaluator": evaluator, "problem": problem, "budget": budget and {"simulations": budget}}
+    given = {"name": name, "evaluator": evaluator, "problem": problem}
     changes: dict[str, object] = {key: value for key, value in given.items() if value is not None}
     with connect(url) as client:
         first = client.campaign(identifier)
-        wanted = first.spec.get("weights", {}) if weights is None else assignments(weights.split(","), "--weights")
+        spec = first.spec
+        wanted = spec.get("weights", {}) if weights is None else assignments(weights.split(","), "--weights")
         changes["weights"] = wanted
+        if budget is not None:  # its other ends stay
+            changes["budget"] = {**(spec.get("budget") or {}), "simulations": budget}
         if from_best:
-            score = (
-                f"{evaluator or first.spec['evaluator']}@{problem or first.spec['problem']}" if evaluator or problem else None
-            )
+            score = f"{evaluator or spec['evaluator']}@{problem or spec['problem']}" if evaluator or problem else None
             try:
                 best = client.solutions(first.id, wanted or None, 1, score).items
             except InvalidInputError as error:  # a learned score ranks nothing before the rerun

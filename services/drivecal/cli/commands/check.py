@@ -208,8 +208,7 @@ def check(
         # another push may have other scenarios, but a variant names its own
         copied = DECIDING if variant or problem is None else DECIDING - {"catalogue"}
         settings = {name: spec[name] for name in copied if name in spec} | {"problem": known.digest}
-        vehicle = settings.get("vehicle") or {}
-        settings["vehicle"] = {**vehicle, "parameters": (vehicle.get("parameters") or {}) | differing}
+        settings["vehicle"] = _vehicle(settings, differing)
         first = min(reported, default=1)  # a set looks better than it is under the seeds before, which chose it
         settings["seeds"] = list(range(first, first + seeds)) if seeds else list(reported) or 1
         listed = settings.get("catalogue") or known.scenarios
@@ -289,11 +288,16 @@ def _set(client: Client, given: str, names: str | None, variant: str | None = No
 
 def _of_variant(spec: Mapping[str, Any], name: str, scenarios: Sequence[str]) -> Mapping[str, Any]:
     """Returns a campaign's spec with a variant's `scenarios`, as a ranking names them, and its vehicle. Raises InvalidInputError."""
-    own, vehicle, listed = spec["variants"][name], spec.get("vehicle") or {}, [base_of(each) for each in scenarios]
+    own, listed = spec["variants"][name].get("vehicle") or {}, [base_of(each) for each in scenarios]
     if isinstance(catalogue := spec.get("catalogue"), str) and catalogue not in {spec.get("problem", DEFAULT_PROBLEM), *listed}:
         raise InvalidInputError(Problem("--variant", f"its scenarios are of the catalogue {catalogue}", "leave it out"))
-    parameters = (vehicle.get("parameters") or {}) | ((own.get("vehicle") or {}).get("parameters") or {})
-    return {**spec, "catalogue": listed, "vehicle": {**vehicle, "parameters": parameters}}
+    return {**spec, "catalogue": listed, "vehicle": _vehicle(spec, own.get("parameters") or {})}
+
+
+def _vehicle(settings: Mapping[str, Any], differing: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Returns the vehicle of settings, with other values of these parameters."""
+    vehicle = settings.get("vehicle") or {}
+    return {**vehicle, "parameters": {**(vehicle.get("parameters") or {}), **differing}}
 
 
 def _refuse_another_form(given: GivenSet, problem: ProblemAnswer) -> None:

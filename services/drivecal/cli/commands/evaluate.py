@@ -27,9 +27,7 @@ SeedsOption = Annotated[
 ]
 SUFFIXES = (".csv", ".parquet", ".json")
 """Endings of files of time series."""
-VehicleOption = Annotated[
-    str | None, typer.Option(metavar="NAME=VALUE,...", help="Parameters of the vehicle that differ from its nominal ones.")
-]
+VehicleOption = Annotated[str | None, typer.Option(metavar="NAME=VALUE,...", help="Other values of vehicle parameters.")]
 
 
 @app.command()
