@@ -17,8 +17,8 @@ import pytest
 from sqlalchemy import Pool, event
 from tests.support import effort
 from tests.support.databases import leave_it_to_the_system
-from tests.support.misbehaviour import ARCHIVES, FOLDER
 from tests.support.postgres import create_database, running_postgres
+from tests.support.setups import ARCHIVES, FOLDER
 from tests.support.tree import PROJECT
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling

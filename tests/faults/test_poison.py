@@ -11,9 +11,9 @@ from sqlalchemy import select
 from tests.support.faults.coordinator import coordinator
 from tests.support.faults.lives import wait_until_ended
 from tests.support.faults.workload import submit
-from tests.support.misbehaviour import FOLDER, misbehaving_setup
 from tests.support.plugins.misbehaving import POISONOUS as POISON
 from tests.support.pooled import MemoryLeases, drain
+from tests.support.setups import FOLDER, misbehaving_setup
 from tests.support.values import present
 
 from drivecal.contracts.work import Batch, Cell

@@ -142,6 +142,19 @@ def test_a_set_of_a_campaign_is_checked_in_its_scenarios_and_its_vehicle_without
     assert checking(f"{campaign}#1", "--limits", limited).exit_code == 2
 
 
+def test_the_constraints_of_a_campaign_are_limits_of_its_sets(checking: Checking) -> None:
+    each, one = {"measure": MEASURE, "at_least": 7}, {"score": "comfort", "at_most": 6, "scenarios": ["S3"]}
+    mean = {"name": "usual", "measure": MEASURE, "aggregate": "mean", "at_least": 1}
+    settings = {"optimizer": {"kind": "surrogate"}, "budget": {"simulations": 24}, "weights": {"S2": 0}}
+    campaign = searched(checking, catalogue=["S1", "S2", "S3"], constraints=[each | {"failed": 7}, one, mean], **settings)
+    checked = json.loads(checking(f"{campaign}#1", "--json").stdout)
+    broken = {(finding["scenario"], finding["limit"]): finding["broken"] for finding in checked["findings"]}
+    assert {name for (name, limit), why in broken.items() if why is not None and limit.startswith(MEASURE)} == {"S1", "S3"}
+    assert broken["S3", "comfort at most 6"] is None
+    assert len(broken) == 6, "in S2, whose weight is 0, a result alone is wanted"
+    assert [note for note in checked["notes"] if note.endswith(": usual")]
+
+
 def test_the_best_set_of_a_variant_is_checked_in_its_scenarios_and_its_vehicle(checking: Checking) -> None:
     def opposed(scenario: str, cell: Cell) -> CellResult:
         share = float(cell.parameters["P1"])

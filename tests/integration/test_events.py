@@ -41,9 +41,8 @@ def submit(database: Database, *, starts: bool = True) -> StoredCampaign:
     """A campaign under a dispatcher that lives; it has the events `queued` and, where it `starts`, `running`."""
     with database.transaction() as connection:
         processes.heartbeat(connection, processes.DISPATCHER, 1, now(), {})
-        connection.execute(
-            text("UPDATE processes SET heartbeat_at = '2999-01-01 00:00:00'")
-        )  # no test is about its death unawares
+        # no test is about its death unawares
+        connection.execute(text("UPDATE processes SET heartbeat_at = '2999-01-01 00:00:00'"))
         stored = campaigns.insert(connection, name="mine", spec={"name": "mine"})
         if starts:
             campaigns.start(connection, stored.sequence)

@@ -121,9 +121,8 @@ def test_another_reader_reads_the_same_a2l(fetched: Path, tmp_path: Path, name: 
         for label, description, kind, lower, upper, unit, is_described, follows, axes, sizes in rows
         if kind in KINDS and not follows and "CURVE_AXIS" not in [axis[0] for axis in axes] and (kind != "VAL_BLK" or sizes)
     }
-    ranges = (
-        ("VTAB_RANGE", "TAB_VERB") if name.startswith("pya2l") else ("VTAB_RANGE",)
-    )  # a text of theirs stands for many values
+    # a text of theirs stands for many values
+    ranges = ("VTAB_RANGE", "TAB_VERB") if name.startswith("pya2l") else ("VTAB_RANGE",)
     for label in theirs:
         if any(part in label for part in ranges):
             theirs[label] = (*theirs[label][:-1], False)

@@ -7,10 +7,9 @@ from collections.abc import Iterator
 import psutil
 import pytest
 from tests.support.fake_backend import Behaviour
-from tests.support.misbehaviour import misbehaving_setup
 from tests.support.pooled import MemoryLeases, drain
 from tests.support.pooled import cells as behaving
-from tests.support.setups import changed
+from tests.support.setups import changed, misbehaving_setup
 
 from drivecal.contracts.work import Batch, Cell
 from drivecal.execution.backend import Finished, Lost

@@ -1,7 +1,10 @@
-"""Setups of the built-in motorway, as a coordinator sends them to workers."""
+"""Setups of the built-in motorway and of the driving functions in `plugins`, as a coordinator sends them to workers."""
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
+
+from tests.support.plugins.misbehaving import MISBEHAVING
 
 from drivecal.bundles.installed import installed_problems
 from drivecal.campaigns.resolve.problem import resolve
@@ -9,6 +12,11 @@ from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import SetupRequest
 from drivecal.domain.setups import fingerprint_of
 from drivecal.plugins.ports import DrivingFunction
+
+FOLDER = Path(__file__).parent / "plugins"
+"""Driving functions as a coordinator that has them installed would send them."""
+ARCHIVES = {problem.digest: problem.archive for problem in installed_problems().values()}
+"""Problem bundles that the real backends of the tests know, by digest."""
 
 
 def driven(
@@ -48,3 +56,7 @@ def bare(scenario: str = "S1", evaluator: str | None = "reference", fingerprint:
     mark = fingerprint or f"fingerprint of {scenario}"
     names: tuple[str, ...] = ()
     return SetupRequest(digest, "highway", scenario, {}, section, names, names, names, names, names, mark, evaluator=evaluator)
+
+
+def misbehaving_setup(scenario: str = "S1", function: DrivingFunction = MISBEHAVING) -> SetupRequest:
+    return driven(scenario, function=function)

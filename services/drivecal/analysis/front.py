@@ -31,9 +31,7 @@ def non_dominated(points: Floats, violations: Floats | None = None) -> Mask:
     if not len(points):
         return kept
     candidates = np.arange(len(points)) if violations is None else np.flatnonzero(levels(violations) == 0)
-    distinct, places = np.unique(
-        -points[candidates], axis=0, return_inverse=True
-    )  # ascending: better first objectives come first
+    distinct, places = np.unique(-points[candidates], axis=0, return_inverse=True)  # better first objectives come first
     kept[candidates] = _leading(distinct)[places.reshape(-1)]
     return kept
 

@@ -221,9 +221,8 @@ def _means(samples: Floats) -> SetStatistics:
     prior = min(SHRINKAGE, freedom)
     # residuals of a set lose a little to the effects of seeds
     variances = (prior * noise + (residuals**2).sum(axis=1) * own.sum() / freedom) / (prior + own)
-    variances = np.maximum(
-        variances, noise
-    )  # a few equal runs, or none with a rare failure, make no set surer than all together
+    # a few equal runs, or none with a rare failure, make no set surer than all together
+    variances = np.maximum(variances, noise)
     triples = float((own * (counts - 2) / counts).sum())  # cubes of two runs cancel out
     skewness = float((deviations**3).sum() / triples / spread**1.5) if triples > 0 and spread > 0 else 0.0
     # each seed is one draw of what it does to all sets; its estimate has noise as well

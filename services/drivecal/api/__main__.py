@@ -21,9 +21,7 @@ log = logging.getLogger(__name__)
 
 def main() -> int:
     """Serves until SIGTERM or SIGINT; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m drivecal.api", description="Serves the API; settings come from DRIVECAL_*."
-    )
+    parser = argparse.ArgumentParser(prog="python -m drivecal.api", description="Serves the API; settings are in DRIVECAL_*.")
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--port", type=int, default=8000)
     parser.add_argument("--socket", type=int, help="file descriptor of a socket that listens already, instead of host and port")

@@ -81,9 +81,8 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     runs = problem.expected_runs()
     runs = runs.model_copy(update={"validation": runs.validation + of_predictions})
     at_most = claims + runs.sensitivity_at_most + runs.calibration_at_most + sum(getattr(runs, study) for study in STUDIES)
-    guessed = (
-        not known.measured and not problem.bench.bundle.manifest.has_planner
-    )  # nothing is known of a simulator that never ran
+    # nothing is known of a simulator that never ran
+    guessed = not known.measured and not problem.bench.bundle.manifest.has_planner
     seconds, chosen = known.seconds(at_most), problem.optimization
     if seconds is not None and chosen is not None and chosen.plugin.name == "surrogate":
         seconds += runs.calibration_at_most * CELL_MILLISECONDS / 1000

@@ -239,8 +239,7 @@ def _explain(error: dict[str, Any]) -> Problem:
     name = ".".join(str(part) for part in error["loc"])
     if error["type"] == "extra_forbidden":
         return Problem(name, "there is no such setting", f"one of {', '.join(sorted(Settings.model_fields))}")
-    given = (
-        "the value" if name in {"token", "webhook", "database_url"} else repr(error["input"])
-    )  # a secret never goes into a message
+    # a secret never goes into a message
+    given = "the value" if name in {"token", "webhook", "database_url"} else repr(error["input"])
     reason = error["msg"].removeprefix("Value error, ").lower()
     return Problem(name, f"{given} does not fit: {reason}", f"it is set by flag, {PREFIX}{name.upper()} or config file")

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
-from tests.support.misbehaviour import ARCHIVES, misbehaving_setup
 from tests.support.pooled import MemoryLeases
 from tests.support.pooled import cells as behaving
+from tests.support.setups import ARCHIVES, misbehaving_setup
 
 from drivecal.bundles import archives
 from drivecal.contracts.work import Batch, Cell, SetupRequest

@@ -192,9 +192,8 @@ def test_a_busy_simulator_takes_no_attempt_and_holds_no_other_work_up() -> None:
     assert {(entry.result.breakdown, entry.attempts) for entry in completed} == {(None, 1)}
     assert [entry.result.id > 100 for entry in completed].index(False) == 20
     assert backend.replaced == []
-    assert (
-        len([size for _, scenario, size in backend.sizes if scenario == "S1"]) < 20
-    )  # it was asked with longer and longer pauses
+    # it was asked with longer and longer pauses
+    assert len([size for _, scenario, size in backend.sizes if scenario == "S1"]) < 20
 
 
 def test_workers_that_leave_take_no_attempt_until_a_cell_lost_many_alone() -> None:

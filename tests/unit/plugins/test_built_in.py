@@ -70,9 +70,8 @@ def test_it_has_a_version_where_stored_results_depend_on_it(group: str, entry: E
 
 
 def test_loading_them_imports_neither_simulator_nor_compiler() -> None:
-    groups = sorted(
-        PORTS, key=lambda group: group == "drivecal.scenarios"
-    )  # whose roads are measured from their networks, at last
+    # whose roads are measured from their networks, at last
+    groups = sorted(PORTS, key=lambda group: group == "drivecal.scenarios")
     program = (
         f"import json, sys; from importlib.metadata import entry_points\n"
         f"for group in {groups!r}:\n"

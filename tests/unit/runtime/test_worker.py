@@ -8,9 +8,8 @@ from math import nan
 from unittest.mock import Mock
 
 import pytest
-from tests.support.misbehaviour import misbehaving_setup
 from tests.support.plugins.misbehaving import MEMORY, KeepGoing, Misbehaving
-from tests.support.setups import changed, driven
+from tests.support.setups import changed, driven, misbehaving_setup
 
 from drivecal.bundles.highway import Scenario
 from drivecal.campaigns.resolve.problem import resolve

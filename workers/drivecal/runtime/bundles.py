@@ -205,9 +205,8 @@ class BundleSessions:
         session = self._session(setup)
         began = time.perf_counter()  # a start's time is no run's
         settings = {name: cell.parameters[name] for name in setup.parameters} | dict(setup.varied)
-        settings |= {
-            name: int(settings[name]) for name in setup.integers if name in settings
-        }  # a campaign's planner may lack some
+        # a campaign's planner may lack some
+        settings |= {name: int(settings[name]) for name in setup.integers if name in settings}
         shapes = {name: Shape.from_document(name, document) for name, document in setup.shapes.items()}
         parameters = with_points(settings, shapes, setup.simulator)
         self._starts += 1

@@ -122,9 +122,8 @@ def plan_cells(
                 by_id = {set_ids[parameter_set]: parameter_set for parameter_set in here}
                 asked, evaluator = list(by_id), view.bench.evaluator_id
                 known = evaluations.own_answers(connection, view.campaign, scenario, setup_id, asked, before)
-                known |= runs.look_up_exact(
-                    connection, setup_id, asked, evaluator, view.watermark
-                )  # earlier campaigns' come first
+                # earlier campaigns' come first
+                known |= runs.look_up_exact(connection, setup_id, asked, evaluator, view.watermark)
                 exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
             if policy.uses_map and scenario in view.keys and setup_id in stocked:
                 stored = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)), before)

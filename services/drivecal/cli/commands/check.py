@@ -24,7 +24,7 @@ from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.contracts.input_errors import nearest, validated
 from drivecal.contracts.inventory import ProblemAnswer
 from drivecal.contracts.setup import ShapeAnswer
-from drivecal.contracts.specification import DECIDING, DEFAULT_PROBLEM, Given, GoalSpecification, Model
+from drivecal.contracts.specification import DECIDING, DEFAULT_PROBLEM, ConstraintSpecification, Given, GoalSpecification, Model
 from drivecal.contracts.strict_json import Number
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, file_faults
 from drivecal.domain.scales import score_text
@@ -100,6 +100,8 @@ class CheckedSet:
     evaluations: Mapping[str, Evaluation]
     baseline: Mapping[str, Evaluation]
     problem: ProblemAnswer
+    unchecked: Sequence[str] = ()
+    """Constraints of the campaign that limit no scenario by itself."""
 
     @property
     def first(self) -> Evaluation:
@@ -112,6 +114,8 @@ class CheckedSet:
         noted = [f"{whose}{note}" for whose, each in self._each() for note in (*each.notes, each.error) if note]
         if self.problem.simulator.get("random") and not any(cell.scores for cell in self.first.items):
             noted.append("a random simulator ran once in each scenario; --seeds N tests limits by intervals")
+        if self.unchecked:
+            noted.append(f"not checked are the campaign's other constraints: {', '.join(self.unchecked)}")
         return list(dict.fromkeys(noted))
 
     def _each(self) -> Iterator[tuple[str, Evaluation]]:
@@ -136,6 +140,7 @@ class CheckedSet:
     def _finding(self, limit: SetLimit, scenario: str) -> Finding:
         cell, before = _cell(self.evaluations, limit, scenario), _cell(self.baseline, limit, scenario)
         value, *within = _known(cell, limit)
+        value = limit.failed if value is None else value
         if cell is None or value is None:
             return Finding(scenario, limit.text, f"no value of {limit.label}")
         shown = f"{limit.label} is {score_text(value)}{within_text(*within)}"
@@ -213,7 +218,9 @@ def check(
         settings["seeds"] = list(range(first, first + seeds)) if seeds else list(reported) or 1
         listed = settings.get("catalogue") or known.scenarios
         _refuse_another_form(given, known)
+        own_limits, unchecked = _of_campaign(spec, known, () if isinstance(listed, str) else listed)
         _refuse_unknown(wanted, known, () if isinstance(listed, str) else listed, has_baseline=baseline is not None)
+        wanted = [*own_limits, *wanted]
         evaluators = _evaluators(known, spec.get("evaluator"), wanted)
         own = parameters if spec and problem is None else known.parameters  # a driving function has its own
         wait = partial(ended, client, timeout=timeout, asking=pauses(SECONDS_BETWEEN_QUESTIONS, timeout))
@@ -224,7 +231,7 @@ def check(
             values = _values(before.parameters, own, known.shapes)
             compared = _evaluated(client, settings | {"parameters": values}, evaluators, wait, fresh=fresh)
         document = settings | {"parameters": _values(parameters, own, known.shapes)}
-        checked = CheckedSet(_evaluated(client, document, evaluators, wait, fresh=fresh), compared, known)
+        checked = CheckedSet(_evaluated(client, document, evaluators, wait, fresh=fresh), compared, known, unchecked)
     findings, label = list(checked.findings(wanted)), chosen if variant is None else f"{chosen} for {variant}"
     if junit is not None:
         with file_faults(junit, "written", "give another file"):
@@ -292,6 +299,22 @@ def _of_variant(spec: Mapping[str, Any], name: str, scenarios: Sequence[str]) ->
     if isinstance(catalogue := spec.get("catalogue"), str) and catalogue not in {spec.get("problem", DEFAULT_PROBLEM), *listed}:
         raise InvalidInputError(Problem("--variant", f"its scenarios are of the catalogue {catalogue}", "leave it out"))
     return {**spec, "catalogue": listed, "vehicle": _vehicle(spec, own.get("parameters") or {})}
+
+
+def _of_campaign(spec: Mapping[str, Any], problem: ProblemAnswer, listed: Collection[str]) -> tuple[list[SetLimit], list[str]]:
+    """Returns the constraints of a campaign that limit each scenario by itself, in the `listed` scenarios that have a weight (none are
+    listed if only the server knows them), and the names of the others."""
+    limits, others, weights = list[SetLimit](), list[str](), spec.get("weights") or {}
+    for each in map(ConstraintSpecification.model_validate, spec.get("constraints") or ()):
+        bounds = each.model_dump(include={"score", "measure", "name", "failed", "at_least", "at_most"})
+        chosen = listed if each.scenarios == "all" else each.scenarios
+        names = [name for name in chosen if not listed or (name in listed and weights.get(name, 1) > 0)]
+        is_known = each.score in problem.scores or each.measure in problem.measures
+        if each.aggregate is not None or each.rate is not None or not is_known:
+            others.append(each.label)
+        elif names or not listed:
+            limits.append(SetLimit(**bounds, scenarios=names or "all"))
+    return limits, others
 
 
 def _vehicle(settings: Mapping[str, Any], differing: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -19,9 +19,7 @@ SECONDS_BETWEEN_LOOKS = 2.0
 
 @app.command("compare-optimizers")
 def compare_optimizers(
-    file: Annotated[
-        str | None, typer.Argument(metavar="FILE", help="A comparison file, YAML or JSON; - is standard input.")
-    ] = None,
+    file: Annotated[str | None, typer.Argument(metavar="FILE", help="A comparison, YAML or JSON; - is standard input.")] = None,
     tag: Annotated[str | None, typer.Option(metavar="TAG", help="Compare the campaigns with this tag instead.")] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait until all campaigns have ended.")] = False,
     timeout: TimeoutOption = None,
@@ -45,7 +43,7 @@ def compare_optimizers(
                     return
                 comparison = client.compare(specification)
             say(
-                f"{len(comparison.runs)} campaigns are queued; compare them with `drivecal compare-optimizers --tag {comparison.tag}`"
+                f"{len(comparison.runs)} campaigns are queued; compare them: `drivecal compare-optimizers --tag {comparison.tag}`"
             )
         if wait:
             comparison = _wait_for(client, comparison, timeout)
@@ -84,9 +82,7 @@ def _print_comparison(comparison: Comparison) -> None:
         " `after N`: the mean best objective at equal simulations."
     )
     if several:
-        typer.echo(
-            "Objectives are of sets whose scores were all simulated: a search prefers sets that references make too good."
-        )
+        typer.echo("Objectives are of sets that were simulated whole: a search prefers sets that references make too good.")
 
 
 def _group_row(group: ComparedGroup, with_reduction: bool) -> list[object]:
@@ -102,7 +98,5 @@ def _group_row(group: ComparedGroup, with_reduction: bool) -> list[object]:
 
 def _print_expected(expected: ExpectedComparison) -> None:
     typer.echo(f"the comparison can run: {expected.runs:,} campaigns propose {expected.proposed:,} cells")
-    typer.echo(
-        f"and simulate at most {expected.at_most:,}; what they have in common, their start first of all, is simulated once"
-    )
+    typer.echo(f"and simulate at most {expected.at_most:,}; what they have in common, such as their start, is simulated once")
     print_pace(expected)

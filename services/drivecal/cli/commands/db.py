@@ -60,9 +60,7 @@ def check(database_url: DatabaseOption = None, as_json: JsonOption = False) -> N
 
 @database.command()
 def backup(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Where the backup goes: one new SQLite file.", show_default=False)
-    ],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The backup: one new SQLite file.", show_default=False)],
     database_url: DatabaseOption = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -9,9 +9,7 @@ import typer
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, say
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_json
 
-results = typer.Typer(
-    no_args_is_help=True, help="Results of vehicles, test benches and other tools, compared with simulations."
-)
+results = typer.Typer(no_args_is_help=True, help="Results of vehicles, test benches and tools, compared with simulations.")
 app.add_typer(results, name="results")
 
 ProblemArgument = Annotated[str, typer.Argument(metavar="PROBLEM", help="Name of the problem.")]
@@ -19,9 +17,7 @@ ProblemArgument = Annotated[str, typer.Argument(metavar="PROBLEM", help="Name of
 
 @results.command(name="import")
 def import_(
-    file: Annotated[
-        str, typer.Argument(metavar="FILE", help="CSV, Parquet or JSON: scenario, parameters, scores or measures.")
-    ],
+    file: Annotated[str, typer.Argument(metavar="FILE", help="CSV, Parquet or JSON: scenario, parameters, scores, measures.")],
     problem: Annotated[str, typer.Option(help="Name of the problem.")],
     source: Annotated[str, typer.Option(help="Name of the vehicle, test bench or tool.")],
     date: Annotated[str, typer.Option(metavar="YYYY-MM-DD", help="Day of the results.")],
@@ -54,7 +50,7 @@ def list_(
     if as_json:
         print_json(rows)
     else:
-        header = ["source", "date", "scenario", "parameters", "name", "value", "simulated", "difference", "unit"]
+        header = ["source", "date", "scenario", "name", "value", "simulated", "difference", "unit", "parameters"]
         lines: list[list[object]] = []
         for row in rows:  # a set of an earlier push may lack coefficients
             whole = {name: shape for name, shape in shapes.items() if row.parameters.keys() >= {*shape.names}}

@@ -157,9 +157,7 @@ def _listed(pairs: Sequence[Pair]) -> str:
     )
 
 
-maps = typer.Typer(
-    no_args_is_help=True, help="Influence maps: where a parameter can change the score of a scenario, and where not."
-)
+maps = typer.Typer(no_args_is_help=True, help="Influence maps: where a parameter can change a scenario's score, and where not.")
 app.add_typer(maps, name="influence-maps")
 
 

@@ -276,9 +276,7 @@ def parameters(
     sources: Annotated[
         list[str], typer.Argument(metavar="FILE...", help="A2L, DCM or CDFX files; what several say is taken from the last.")
     ],
-    match: Annotated[
-        list[str] | None, typer.Option(metavar="GLOB", help="Take these only, e.g. 'ACC_*'; may be repeated.")
-    ] = None,
+    match: Annotated[list[str] | None, typer.Option(metavar="GLOB", help="These only, e.g. 'ACC_*'; may be repeated.")] = None,
     names: NamesOption = None,
     span: Annotated[
         float, typer.Option(min=1e-6, max=1e3, help="Half the width of a range that no file gives, as a share of the value.")

@@ -111,9 +111,8 @@ class _Reader:
     @property
     def variables(self) -> Variables:
         """All of them, once everything is read."""
-        items = {
-            name: tuple(texts) for name, texts in self._items.items()
-        }  # once: types may have as many as there are variables
+        # once: types may have as many as there are variables
+        items = {name: tuple(texts) for name, texts in self._items.items()}
         variables = (
             self._variable(kind, attributes, items, is_array=index in self._arrays)
             for index, (kind, attributes) in enumerate(self._variables)

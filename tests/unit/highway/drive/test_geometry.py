@@ -172,9 +172,8 @@ def test_the_motion_is_the_domains(s: float, d: float, slip: float, speed: float
         along * math.cos(heading) - across * math.sin(heading),
         along * math.sin(heading) + across * math.cos(heading),
     )
-    here = [
-        (x + shift * math.cos(road), y + shift * math.sin(road)) for shift in (0.0, -1e-9, 1e-9)
-    ]  # at a joint either is right
+    # at a joint either is right
+    here = [(x + shift * math.cos(road), y + shift * math.sin(road)) for shift in (0.0, -1e-9, 1e-9)]
     expected = [list(to_frenet(line, point, velocity, acceleration, s + 1.0)) for point in here]
     assert any(motion == pytest.approx(each, abs=1e-6) for each in expected), (motion, expected)
 

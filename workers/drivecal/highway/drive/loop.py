@@ -108,9 +108,8 @@ class Loop:
         self._motion[geometry.SIZE : geometry.ROW] = 0.5 * ego.length, 0.5 * ego.width, verge, step, traffic.keeps_lanes
         x, y, course = road.start(traffic.start_s, traffic.start_d)
         self._start = (x, y, course + heading, ego.speed)
-        self._pose = (
-            vehicle.pose if isinstance(vehicle, SingleTrackModel) else np.zeros(8)
-        )  # others may give another array each time
+        # others may give another array each time
+        self._pose = vehicle.pose if isinstance(vehicle, SingleTrackModel) else np.zeros(8)
         self._view = RunView(road, traffic, self._pose, self._motion)
         limits = np.nanmax(road.lanes[:, :, 2], axis=1)
         self._finish = road.length - 0.5 * ego.length
