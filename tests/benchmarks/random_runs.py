@@ -24,7 +24,7 @@ import numpy as np
 from scipy.special import ndtr
 from tests.benchmarks._economy_problems import EconomyProblem, problem
 from tests.benchmarks.economy import ARMS, Ended, Run, p_value, surrogate
-from tests.support.scales import by_score
+from tests.support.values import by_score
 
 from drivecal.analysis.replicates import assess, choosing, kept_back
 from drivecal.analysis.solutions import Ranking

@@ -94,6 +94,7 @@ def test_tables_are_exported_whole(run: Run, api: RunningApi, submitted: str, tm
         row["iteration"] for row in csv.DictReader(io.StringIO(run("export", submitted, "--table", "generations").stdout))
     ] == ["0"]
     assert "score_S4" in run("export", submitted, "--table", "solutions").stdout
+    assert json.loads(run("importance", submitted, "--json").stdout)["items"] == []
 
 
 def test_a_ranked_set_goes_to_calibration_tools_and_back(run: Run, api: RunningApi, submitted: str, tmp_path: Path) -> None:

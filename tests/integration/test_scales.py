@@ -3,8 +3,7 @@
 import pytest
 from tests.support.computed import ComputedBackend, rating_of
 from tests.support.runs import rows_of, run, submit
-from tests.support.scales import COST, by_score
-from tests.support.values import faulty_fields
+from tests.support.values import COST, by_score, faulty_fields
 
 from drivecal.api.responses import campaign_answer
 from drivecal.bundles.manifest import ScoreEntry

@@ -19,9 +19,7 @@ def read(content: bytes, file: str) -> Content:
     """Returns the content of an `.a2l`, `.dcm` or `.cdfx` file. Raises InvalidInputError with the line of the first fault."""
     suffix = PurePath(file).suffix.lower()
     if suffix not in READERS:
-        raise InvalidInputError(
-            Problem(shown(file, 200), f"{shown(suffix)} is not a known format", f"give {', '.join(READERS)}")
-        )
+        raise InvalidInputError(Problem(shown(file, 200), f"{shown(suffix)} is no known format", f"give {', '.join(READERS)}"))
     return READERS[suffix](content, file)
 
 

@@ -155,9 +155,7 @@ def _value(characteristic: Characteristic, name: str, entry: Mapping[str, Any]) 
     value, choices = characteristic.value, characteristic.choices
     if isinstance(value, float) and choices:
         if value not in characteristic.codes:
-            raise InvalidInputError(
-                Problem(name, f"its value {value:g} is not in its enumeration", f"give {', '.join(choices)}")
-            )
+            raise InvalidInputError(Problem(name, f"its value {value:g} is not enumerated", f"give {', '.join(choices)}"))
         return choices[characteristic.codes.index(value)]
     if isinstance(value, float) and characteristic.integer:
         if not value.is_integer():
@@ -191,9 +189,7 @@ def _entry(characteristic: Characteristic, span: float, name: str, guessed: list
             values = characteristic.values or ((characteristic.value,) if characteristic.value is not None else ())
             if not values:
                 message = "it has neither a usable range nor a value"
-                raise InvalidInputError(
-                    Problem(name, message, "give a DCM or CDFX with its value, too, or leave it out by --match")
-                )
+                raise InvalidInputError(Problem(name, message, "give a DCM or CDFX with its value, or leave it out by --match"))
             lower, upper = _guess(characteristic, values, span)
             guessed.append(name)
         if characteristic.integer:

@@ -177,9 +177,7 @@ def _check_lists(specification: ComparisonSpecification, diagnostics: Diagnostic
         diagnostics.add("sensitivity", "reductions `influence` and `both` need an influence map", remedy)
     for index, optimizer in enumerate(specification.optimizers):
         if optimizer.kind == EXTERNAL.name:
-            diagnostics.add(
-                f"optimizers[{index}].kind", "others propose its sets", "give such campaigns a common tag to compare them"
-            )
+            diagnostics.add(f"optimizers[{index}].kind", "others propose its sets", "compare such campaigns by a common tag")
         for name in optimizer.model_extra or {}:
             if name in COMMON:
                 message = "all optimizers have the same here"

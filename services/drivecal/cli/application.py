@@ -51,6 +51,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "label": ("campaigns", "Change a campaign's name or tags."),
     "delete": ("campaigns", "Delete an ended campaign to which no other refers."),
     "solutions": ("results", "Show the best parameter sets of a campaign."),
+    "importance": ("results", "Show what matters: how much the objective depends on each parameter."),
     "front": ("results", "Show the sets of a campaign that no other set beats in every objective."),
     "report": ("results", "Write a campaign's results as one page that needs no server, its tables and its specification."),
     "export": ("results", "Write a whole table of a campaign to a file, or its best set as a calibration file."),

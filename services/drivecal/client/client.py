@@ -42,7 +42,7 @@ from drivecal.contracts.inventory import (
 from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedRow
 from drivecal.contracts.outside.results import StoredCells
 from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet
-from drivecal.contracts.results import CampaignResults, FrontSummary
+from drivecal.contracts.results import CampaignResults, FrontSummary, ImportanceAnswer
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.specification import Given
 from drivecal.contracts.tables import FrontRow, InfluenceRow, JudgedSet, OptimumRow, RobustnessRow, TableName, ValidationRow
@@ -295,6 +295,11 @@ class Client(Transport):
     def influence(self, identifier: str) -> Rows[InfluenceRow]:
         """Returns the rows of the influence map that a campaign uses, empty without a map."""
         return self._rows_of(identifier, "influence", InfluenceRow)
+
+    def importance(self, identifier: str, **query: Any) -> ImportanceAnswer:
+        """Returns how much the objective depends on each parameter among the sets of a search, or with `scenario` the score there. `query`:
+        `scenario`, `weights`, `score` and `variant` as in the REST API."""
+        return self._get(ImportanceAnswer, "campaigns", identifier, "importance", **query)
 
     def optima(self, identifier: str) -> Rows[OptimumRow]:
         """Returns the sets that share a campaign's best objective, with their regions."""

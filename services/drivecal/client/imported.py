@@ -69,9 +69,7 @@ def _lines(path: Path) -> list[dict[str, Any]]:
         except ValueError as error:
             raise InvalidInputError(Problem(str(path), f"no valid JSON: {error}", "correct it")) from error
         if not isinstance(document, list) or not all(isinstance(line, dict) for line in document):
-            raise InvalidInputError(
-                Problem(str(path), "it is no list of objects", "write one object for each set and scenario")
-            )
+            raise InvalidInputError(Problem(str(path), "it is no list of objects", "write an object for each set and scenario"))
         return document
     if kind == ".parquet":
         from pyarrow import ArrowInvalid, parquet

@@ -187,9 +187,7 @@ def _with_password(url: str, file: Path) -> str:
         password = file.expanduser().read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not text"
-        raise InvalidInputError(
-            Problem(name, f"{file} cannot be read: {reason}", "make the file, or name another one")
-        ) from None
+        raise InvalidInputError(Problem(name, f"{file} cannot be read: {reason}", "make it, or name another one")) from None
     if not password:
         raise InvalidInputError(Problem(name, f"{file} is empty", "write the database's password into it"))
     scheme, _, rest = url.partition("://")

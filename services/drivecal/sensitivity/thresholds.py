@@ -185,7 +185,5 @@ def caveats(stored: Mapping[str, Any]) -> list[str]:
     """Returns what a map cannot show because of the settings that are stored with it, for readers: a line each, none for most settings."""
     lines = [tolerance_text(stored["samples"])] if stored["threshold"] == "auto" else []
     if stored.get("sequential") and stored["design"] == "lines":
-        lines.append(
-            "sequential analysis: intervals between influential ones took no runs, so a larger s_rel may be hidden there"
-        )
+        lines.append("sequential analysis: intervals between influential ones took no runs, so a larger s_rel may hide there")
     return lines

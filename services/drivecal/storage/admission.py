@@ -38,9 +38,7 @@ def admit(connection: Connection, most: int, idempotency_key: str | None, count:
     open_ones = select(func.count()).select_from(campaigns).where(campaigns.c.ended_at.is_(None))
     waiting = connection.scalar(open_ones.where(campaigns.c.started_at.is_(None))) or 0
     if waiting + count > most:
-        message = (
-            f"{waiting:,} campaigns and evaluations wait already, as many as this server takes; try again later, or cancel some"
-        )
+        message = f"{waiting:,} campaigns and evaluations wait, as many as this server takes; try again later, or cancel some"
         raise OverloadError(message, RETRY_SECONDS)
 
 
@@ -82,9 +80,7 @@ def admit_map(connection: Connection, source: str) -> None:
     kept = connection.scalar(select(func.count()).where(influence_maps.c.source == source)) or 0
     if kept >= MOST_MAPS:
         instead = "use one of those (GET /influence-maps)"
-        raise TooLargeError(
-            Problem("", f"{kept:,} posted influence maps are kept already, as many as this server takes", instead)
-        )
+        raise TooLargeError(Problem("", f"{kept:,} posted influence maps are kept, as many as this server takes", instead))
 
 
 def admit_problem(connection: Connection, digest: str, most: int) -> None:
@@ -94,4 +90,4 @@ def admit_problem(connection: Connection, digest: str, most: int) -> None:
     kept = connection.scalar(select(func.count()).where(bundles.c.digest.not_in(own))) or 0
     if kept >= most and not is_stored(connection, digest):
         instead = "let the server keep more (DRIVECAL_PUSHED_PROBLEMS)"
-        raise TooLargeError(Problem("", f"{kept:,} pushed problems are kept already, as many as this server takes", instead))
+        raise TooLargeError(Problem("", f"{kept:,} pushed problems are kept, as many as this server takes", instead))

@@ -35,9 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     head.add_argument("--port", type=int, default=PORT)
     worker = roles.add_parser("worker", help="a node with workers")
     worker.add_argument("address", metavar="HEAD:PORT")
-    worker.add_argument(
-        "--cpus", type=int, help="number of workers; default: DRIVECAL_NODE_CPUS, else the CPUs of this machine"
-    )
+    worker.add_argument("--cpus", type=int, help="number of workers; default: DRIVECAL_NODE_CPUS, else this machine's CPUs")
     worker.add_argument("--port", type=int, default=0, help="port of this node for other nodes; 0 takes any free port")
     options = parser.parse_args(arguments)
     os.environ.update(QUIET)

@@ -33,9 +33,7 @@ def loads(content: bytes) -> object:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InvalidInputError(
-            Problem("", f"byte {error.start} is not valid UTF-8", "send the document as UTF-8 text")
-        ) from error
+        raise InvalidInputError(Problem("", f"byte {error.start} is not valid UTF-8", "send it as UTF-8 text")) from error
     values = sum(content.count(sign) for sign in (b",", b"[", b"{"))
     if values > MOST_VALUES:
         raise InvalidInputError(Problem("", f"the document has some {values:,} values", f"send at most {MOST_VALUES:,}"))

@@ -45,7 +45,7 @@ def check_junction(network: Network, links: Sequence[Connection], index: int) ->
         message = (
             f"{where} is a crossing: {crossing} crosses the way from {shown(links[0].begin, 80)} to {shown(links[0].end, 80)}"
         )
-        raise refusal(index, network, message, "give a route along a motorway or a road without crossings")
+        raise refusal(index, network, message, "give a route along a road without crossings")
 
 
 def _crossings(network: Network, junction: Junction, links: Sequence[Connection]) -> Iterator[str]:
@@ -161,9 +161,7 @@ def _edge(network: Network, name: str, index: int) -> Edge:
     if not any(lane.for_cars for lane in edge.lanes):
         raise refusal(index, network, f"{where} has no lane for passenger cars", "give an edge with one")
     if name in network.roundabouts:
-        raise refusal(
-            index, network, f"{where} is part of a roundabout", "give a route along a motorway or a road without crossings"
-        )
+        raise refusal(index, network, f"{where} is part of a roundabout", "give a route along a road without crossings")
     return edge
 
 

@@ -1,7 +1,7 @@
 import pytest
 from sqlalchemy import Connection
-from tests.support.scales import COST
 from tests.support.storage import EVALUATOR, campaign, cell, sample_set_ids, setup_id, simulate
+from tests.support.values import COST
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome, Purpose, Rating

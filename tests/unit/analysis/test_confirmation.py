@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.scales import by_score
-from tests.support.values import present
+from tests.support.values import by_score, present
 
 from drivecal.analysis.confirmation import Confirming
 from drivecal.analysis.solutions import Ranking

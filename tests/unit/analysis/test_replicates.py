@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.stats import binomtest
-from tests.support.scales import COST, by_score
-from tests.support.values import present
+from tests.support.values import COST, by_score, present
 
 from drivecal.analysis import replicates
 from drivecal.analysis.goals import UNDECIDED, Aggregate, Bound, CellValue, Goals, Objective

@@ -1,7 +1,7 @@
 """Scores of runs: one function for campaigns and for the check of a problem before its push."""
 
 import pytest
-from tests.support.scales import COST
+from tests.support.values import COST
 
 from drivecal.analysis.scoring import rate
 from drivecal.bundles.expressions import Formula

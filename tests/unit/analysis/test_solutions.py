@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.scales import COST, by_score
-from tests.support.values import present
+from tests.support.values import COST, by_score, present
 
 from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.domain.evaluations import CellScore

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.logs import log_left_as_it_was
+from tests.support.command import log_left_as_it_was
 from tests.support.values import faulty_fields
 
 from drivecal.calibration_data import a2l, cdfx, dcm

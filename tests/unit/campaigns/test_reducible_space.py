@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.scales import COST
+from tests.support.values import COST
 
 from drivecal.analysis.validation import compared, design
 from drivecal.campaigns.stages.validation import reducible_space

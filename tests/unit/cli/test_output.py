@@ -13,7 +13,7 @@ from rich.progress import Progress as RichProgress
 from rich.progress import TextColumn
 from typer.testing import CliRunner
 
-from drivecal.cli.commands import campaigns, imported
+from drivecal.cli.commands import campaigns, imported, results
 from drivecal.cli.commands.campaigns import counted
 from drivecal.cli.commands.evaluate import difference_row
 from drivecal.cli.commands.results import _print
@@ -24,6 +24,7 @@ from drivecal.cli.views.progress import Bar, Lines
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
 from drivecal.contracts.evaluation import Difference
 from drivecal.contracts.outside.imported import ImportedRow
+from drivecal.contracts.results import ImportanceAnswer
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.scales import objective_text
 
@@ -50,6 +51,17 @@ def test_results_from_elsewhere_show_curves(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(imported, "connect", lambda _: nullcontext(client))
     printed = CliRunner().invoke(app, ["results", "list", "p"]).stdout
     assert ("g=[" in printed, "c2=" in printed) == (True, False)
+
+
+def test_what_matters_is_printed_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    items = [
+        {"parameter": name, "importance": n, "deviation": 0, "lower": n, "upper": n} for name, n in (("a", 0.1), ("b", 0.8))
+    ]
+    answer = ImportanceAnswer.model_validate({"scenario": "S1", "method": "", "sets": 50, "r2": 0.9, "items": items})
+    client = SimpleNamespace(importance=lambda *_, scenario, variant: answer if (scenario, variant) == ("S1", "v") else None)
+    monkeypatch.setattr(results, "connect", lambda _: nullcontext(client))
+    lines = CliRunner().invoke(app, ["importance", "id", "--scenario", "S1", "--variant", "v"]).stdout.splitlines()
+    assert [line.split()[0] for line in lines if line.startswith(("a ", "b "))] == ["b", "a"]
 
 
 def test_a_rerun_names_its_option_if_no_best_set_is_known(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import structlog
-from tests.support.logs import log_left_as_it_was
+from tests.support.command import log_left_as_it_was
 
 from drivecal.configuration import logs
 from drivecal.configuration.settings import load_settings

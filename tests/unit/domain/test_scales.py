@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from tests.support.scales import COST
+from tests.support.values import COST
 
 from drivecal.domain.scales import COMFORT, plain, score_text
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from tests.support.scales import COST
+from tests.support.values import COST
 
 from drivecal.domain.scales import COMFORT
 from drivecal.reduction.forest import Forest, RegressionForest, predictor_on

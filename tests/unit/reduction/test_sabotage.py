@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from tests.support.effort import tries
-from tests.support.scales import COST
+from tests.support.values import COST
 
 from drivecal.analysis.replicates import rate_bounds
 from drivecal.analysis.validation import error_rates

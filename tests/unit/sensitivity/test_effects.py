@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.scales import COST
+from tests.support.values import COST
 from tests.unit.sensitivity.synthetic import Score, drive, space_of
 
 from drivecal.contracts.specification import SensitivitySpecification

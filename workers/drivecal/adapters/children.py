@@ -84,9 +84,7 @@ class Children:
         not to be trusted.
         """
         if self._scratch.is_spoilt:
-            raise PermissionError(
-                errno.EPERM, "a simulator's keeper was killed, so that its session ends", str(self._scratch.work)
-            )
+            raise PermissionError(errno.EPERM, "a simulator's keeper was killed, so its session ends", str(self._scratch.work))
         if not self._scratch.work.is_dir():  # removed by its program, or by a keeper that ended: a new session has another
             raise FileNotFoundError(errno.ENOENT, "the working directory of a simulator is gone", str(self._scratch.work))
         if self._control is None:

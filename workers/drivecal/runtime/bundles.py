@@ -114,9 +114,7 @@ def compressed(document: Mapping[str, Any]) -> bytes:
     """
     content = gzip.compress(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), mtime=0)
     if len(content) > LARGEST_SERIES:
-        raise ConflictError(
-            f"the time series of the run take {len(content):,} bytes, more than the limit of {LARGEST_SERIES:,}"
-        )
+        raise ConflictError(f"the time series of the run take {len(content):,} bytes, beyond the limit of {LARGEST_SERIES:,}")
     return content
 
 

@@ -237,9 +237,7 @@ class CellTracker:
         late = numbers.keys() - leases.current(connection, numbers)
         if late:
             MEASURES.late_results.inc(len(late))
-            log.warning(
-                "%d results came too late and change nothing: their leases were over, e.g. of cell %d", len(late), min(late)
-            )
+            log.warning("%d results came after their leases and change nothing, e.g. of cell %d", len(late), min(late))
         return late
 
     def _work(self, cells: Sequence[StoredEvaluation]) -> list[Work]:

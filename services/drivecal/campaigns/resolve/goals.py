@@ -219,9 +219,7 @@ def normalise_weights(
     weights = {name: float(given.get(name, 1.0)) for name in scenarios}
     total = sum(weights.values())
     if scenarios and total == 0:
-        diagnostics.add(
-            "weights", "all weights are 0, so nothing would be simulated", "give at least one scenario a positive weight"
-        )
+        diagnostics.add("weights", "all weights are 0, so nothing would be simulated", "give a scenario a positive weight")
         return {}, ()
     left_out = [name for name, weight in weights.items() if weight == 0]
     notes = (f"not simulated because their weight is 0: {', '.join(left_out)}",) if left_out else ()

@@ -149,9 +149,7 @@ def check_basis(stored: StoredInfluenceMap, problem: CalibrationProblem) -> None
     ]
     if reasons:
         remedy = "name another map, or leave `map` out to have one made"
-        raise InvalidInputError(
-            *(Problem("sensitivity.map", f"the map does not hold here: {reason}", remedy) for reason in reasons)
-        )
+        raise InvalidInputError(*(Problem("sensitivity.map", f"it does not hold here: {reason}", remedy) for reason in reasons))
 
 
 def warnings_of(

@@ -109,9 +109,7 @@ def choose_optimizer(specification: CampaignSpecification, scenarios: int, diagn
     if wanted is None:
         analyses = isinstance(specification.sensitivity, SensitivitySpecification)
         if not analyses and not any(getattr(specification, study) for study in STUDIES):
-            diagnostics.add(
-                "optimizer", "there is nothing to do", "choose an optimizer, a sensitivity analysis or another stage"
-            )
+            diagnostics.add("optimizer", "there is nothing to do", "choose an optimizer, an analysis or another stage")
         return None
     plugin = diagnostics.attempt(lambda: registry.optimizer(wanted.kind))
     if plugin is None:

@@ -31,9 +31,7 @@ def check_predictions(connection: Connection, problem: CalibrationProblem) -> No
         return
     source = ended_source(connection, wanted.of, FIELD)
     if source.cells.predicted == 0:
-        raise InvalidInputError(
-            Problem(FIELD, f"campaign {wanted.of} released no predictions", "name one with predicted cells")
-        )
+        raise InvalidInputError(Problem(FIELD, f"campaign {wanted.of} released no predictions", "name one with predictions"))
     theirs = resolved_spec(source)
     own = {name: setup.fingerprint for name, setup in problem.bench.setups.items()}
     if theirs.evaluator != problem.bench.evaluator_id or any(theirs.setups.get(name) != own[name] for name in own):

@@ -276,9 +276,7 @@ class Stage(ABC):
         with self._database.read() as connection:
             first = evaluations.first_simulated(connection, self._campaign.sequence, self.name, ALL_FAILED)
         if len(first) == ALL_FAILED and all(outcome is Outcome.FAILED for outcome in first):
-            raise NoResultError(
-                f"all {counts.failed:,} cells of the {self.name} that were tried gave no result{self._causes()}"
-            )
+            raise NoResultError(f"all {counts.failed:,} tried cells of the {self.name} gave no result{self._causes()}")
 
     def _causes(self) -> str:
         """Returns the most frequent causes of failed cells, for an error message."""

@@ -27,9 +27,7 @@ app.add_typer(database, name="db")
 
 DatabaseOption = Annotated[
     str | None,
-    typer.Option(
-        "--database-url", help="SQLAlchemy URL; else DRIVECAL_DATABASE_URL, else the SQLite file under DRIVECAL_HOME."
-    ),
+    typer.Option("--database-url", help="SQLAlchemy URL; else DRIVECAL_DATABASE_URL, else the file under DRIVECAL_HOME."),
 ]
 
 

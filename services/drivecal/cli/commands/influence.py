@@ -139,7 +139,7 @@ def _print_agreement(agreement: Agreement) -> None:
         typer.echo("they have no scenario and parameter in common")
     else:
         typer.echo(
-            f"they agree within one interval on {agreement.agreeing} of {agreement.pairs} pairs ({100 * agreement.share:.1f} %)"
+            f"within one interval, {agreement.agreeing} of {agreement.pairs} pairs agree ({100 * agreement.share:.1f} %)"
         )
     if agreement.differences:
         typer.echo("")

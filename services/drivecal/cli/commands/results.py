@@ -15,7 +15,7 @@ import typer
 from drivecal.calibration_data.files import CalibrationFormat, labels_of
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, say
 from drivecal.cli.commands.problem import NamesOption
-from drivecal.cli.views.output import print_answer, print_json, print_ranked, print_solutions
+from drivecal.cli.views.output import print_answer, print_importance, print_json, print_ranked, print_solutions
 from drivecal.cli.views.sections import front_blocks, shown_of_front
 from drivecal.client.client import Client
 from drivecal.client.mlflow import write_runs
@@ -60,13 +60,25 @@ def solutions(
 
 
 @app.command()
+def importance(
+    identifier: CampaignArgument,
+    scenario: Annotated[str | None, typer.Option(metavar="NAME", help="For the score in this scenario.")] = None,
+    variant: VariantOption = None,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what matters: how much the objective depends on each parameter among the sets of the search."""
+    with connect(url) as client:
+        answer = client.importance(identifier, scenario=scenario, variant=variant)
+    print_answer(answer, as_json, print_importance)
+
+
+@app.command()
 def front(
     identifier: CampaignArgument,
     weights: Annotated[
         str | None,
-        typer.Option(
-            metavar="comfort=2,gap=1", help="Best first under these weights of the objectives; not named means weight 1."
-        ),
+        typer.Option(metavar="comfort=2,gap=1", help="Best first under these weights of the objectives; others have 1."),
     ] = None,
     limit: Annotated[
         int, typer.Option(min=1, help="How many to print: knee, best of each objective, the first others; --json lists all.")
@@ -105,15 +117,11 @@ def export(
     output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Where to; - is standard output.")] = "-",
     to: Annotated[
         Literal["mlflow"] | None,
-        typer.Option(
-            help="Write the campaign and its best 1,000 sets as runs of MLflow's file store, into the folder -o (mlruns)."
-        ),
+        typer.Option(help="Write the campaign and its best 1,000 sets into MLflow's file store, the folder -o (mlruns)."),
     ] = None,
     row: Annotated[
         int | None,
-        typer.Option(
-            min=1, max=1000, metavar="N", help="One set for calibration tools: that of rank N of the solutions or the front."
-        ),
+        typer.Option(min=1, max=1000, metavar="N", help="One set for calibration tools: rank N of the solutions or front."),
     ] = None,
     names: NamesOption = None,
     base: Annotated[
@@ -123,7 +131,7 @@ def export(
     where: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="CONDITION", help="Only such rows: COLUMN=VALUE, COLUMN>=NUMBER or COLUMN<=NUMBER; can be given again."
+            metavar="CONDITION", help="Only such rows: COLUMN=VALUE, COLUMN>=NUMBER or COLUMN<=NUMBER; may be repeated."
         ),
     ] = None,
     weights: Annotated[
@@ -259,9 +267,7 @@ TABLES: tuple[TableName, ...] = ("generations", "solutions", "optima", "influenc
 @app.command()
 def report(
     identifier: CampaignArgument,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="The folder to write to; created if it is missing.")
-    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="The folder; made if it is missing.")],
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -35,9 +35,7 @@ def serve(
     database_url: Annotated[
         str | None, typer.Option(help="SQLAlchemy URL; else DRIVECAL_DATABASE_URL, else SQLite in the home folder.")
     ] = None,
-    home: Annotated[
-        str | None, typer.Option(help="The folder of drivecal's files; else DRIVECAL_HOME, else .drivecal.")
-    ] = None,
+    home: Annotated[str | None, typer.Option(help="Folder of drivecal's files; else DRIVECAL_HOME, else .drivecal.")] = None,
     resources: Annotated[
         str | None,
         typer.Option(help="Licences and other scarce things, such as carmaker=4,vtd=2; else DRIVECAL_RESOURCES, else none."),

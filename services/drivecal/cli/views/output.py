@@ -30,7 +30,7 @@ from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ExpectedRuns
 from drivecal.contracts.comparison import ExpectedComparison
 from drivecal.contracts.evaluation import Evaluation
-from drivecal.contracts.results import CampaignResults
+from drivecal.contracts.results import CampaignResults, ImportanceAnswer
 from drivecal.contracts.setup import ShapeAnswer
 from drivecal.contracts.tables import Solution
 from drivecal.domain.campaigns import CampaignState
@@ -198,6 +198,19 @@ def print_ranked(
     print_blocks(blocks, coefficients_of(shapes))
     plain = {name: shape.model_copy(update={"good": None}) for name, shape in shapes.items()}
     print_curves(plain, {f"rank {rank}": each for rank, each in sets.items()})
+
+
+def print_importance(answer: ImportanceAnswer) -> None:
+    """Prints parameters by their importance, the largest first."""
+    if answer.r2 is not None:
+        of = f"the score in {answer.scenario}" if answer.scenario else "the objective"
+        typer.echo(f"{of}, {answer.sets:,} sets; R² of the prediction {answer.r2:.2f}, {answer.weak:g} or more is sound\n")
+        ranked = sorted(answer.items, key=lambda item: -item.importance)
+        rows = [[item.parameter, *(f"{each:.3f}" for each in (item.importance, item.lower, item.upper))] for item in ranked]
+        print_columns(["parameter", "importance", "95 % from", "to"], rows)
+        typer.echo(f"\nloss of R² when the parameter's values are shuffled; it matters from {answer.clear:g}")
+    for note in answer.notes:
+        say(f"note: {note}")
 
 
 def print_blocks(blocks: Iterable[Block], hidden: Collection[str] = ()) -> None:

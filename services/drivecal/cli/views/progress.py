@@ -92,9 +92,7 @@ def follow(client: Client, identifier: str, timeout: float | None = None, *, fro
 
     Raises WaitTimedOutError after `timeout` seconds. Ctrl-C ends the command, not the campaign.
     """
-    come_back = (
-        f"the campaign goes on; come back with `drivecal watch {identifier}`, end it with `drivecal cancel {identifier}`"
-    )
+    come_back = f"the campaign goes on; `drivecal watch {identifier}` comes back, `drivecal cancel {identifier}` ends it"
     with attached(come_back, timeout):
         deadline = None if timeout is None else time.monotonic() + timeout
         return show_until_ended(client, identifier, deadline, from_beginning=from_beginning)

@@ -59,9 +59,7 @@ def _translate(error: BaseException | None, database: str) -> DrivecalError | No
     if isinstance(error, psycopg.errors.LockNotAvailable):
         return UnavailableError(f"another transaction holds what is needed of the database {database}; try again")
     if isinstance(error, psycopg.errors.QueryCanceled):
-        return UnavailableError(
-            f"the database {database} took longer than it may for one statement; try again, or ask for less"
-        )
+        return UnavailableError(f"the database {database} took longer than a statement may; try again, or ask for less")
     if isinstance(error, _NOT_NOW):
         return UnavailableError(f"the database {database} ended the transaction: {error}")
     if isinstance(error, psycopg.OperationalError | psycopg.InterfaceError):

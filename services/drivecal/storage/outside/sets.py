@@ -86,9 +86,7 @@ def add(connection: Connection, campaign: StoredCampaign, proposed: Sequence[Out
         stored = known.get(each.key)
         asked = each.indices, each.scenarios, each.replicates
         if stored is not None and (stored.indices, stored.scenarios, stored.replicates) != asked:
-            raise ConflictError(
-                f"the key {each.key} belongs to set {stored.number}, which is another one; give a new set a new key"
-            )
+            raise ConflictError(f"the key {each.key} belongs to set {stored.number}, another one; give a new set a new key")
     last = connection.scalar(select(func.max(table.number)).where(table.campaign_sequence == campaign_sequence)) or 0
     new = [each for each in proposed if each.key not in known]
     numbers = {each.key: number for number, each in enumerate(new, last + 1)}

@@ -84,9 +84,7 @@ def channels_of(dynamics: Floats, offset: Floats) -> npt.NDArray[np.int32]:
     """
     rows = dynamics.shape[0]
     if not SHORTEST <= rows <= LONGEST or offset.shape[0] < 2:
-        raise ValueError(
-            f"the run lasts {rows / 100:g} s; the learned evaluator rates runs of {SHORTEST // 100} to {LONGEST // 100} s"
-        )
+        raise ValueError(f"the run lasts {rows / 100:g} s; the learned evaluator rates {SHORTEST // 100} to {LONGEST // 100} s")
     if not (np.isfinite(dynamics).all() and np.isfinite(offset).all()):
         raise ValueError("a value of the series is not finite; only finite series can be rated")
     channels = np.zeros((len(UNITS), LENGTH), dtype=np.int32)

@@ -45,9 +45,7 @@ def hold(writable: Sequence[str], scratch: Path) -> None:
         return
     if len(list(Path("/proc/self/task").iterdir())) > 1:
         os.close(rules)
-        raise StartError(
-            "simulator.environment: numpy has several threads; a simulator of kind highway takes 1 (OPENBLAS_NUM_THREADS)"
-        )
+        raise StartError("simulator.environment: numpy has several threads; kind highway takes 1 (OPENBLAS_NUM_THREADS)")
     confine(rules)
     os.close(rules)
     folder = scratch / "kernels"
