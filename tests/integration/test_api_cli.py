@@ -113,6 +113,7 @@ def test_a_ranked_set_goes_to_calibration_tools_and_back(run: Run, api: RunningA
         assert file.read_bytes() == first
         back = json.loads(run("parameters", str(file), "--names", str(names), "--json").stdout)
         assert back["baseline"] == best["parameters"]
+    assert json.loads(run(*shape, "--json").stdout)["parameters"] == best["parameters"]
     assert "ACC_tGap_C: {" in run("parameters", str(file)).stdout
     described = tmp_path / "ecu.a2l"
     described.write_text("""/begin PROJECT p "" /begin CHARACTERISTIC ACC_tGap_C "" VALUE 0 L 0 NO_COMPU_METHOD 0 9

@@ -7,12 +7,13 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO, Literal, TextIO, cast, get_args
 
 import typer
 
-from drivecal.calibration_data.files import CalibrationFormat, labels_of
+from drivecal.calibration_data.files import labels_of
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, say
 from drivecal.cli.commands.problem import NamesOption
 from drivecal.cli.views.output import print_answer, print_importance, print_json, print_ranked, print_solutions
@@ -23,7 +24,7 @@ from drivecal.client.transport import harmless_text
 from drivecal.configuration.documents import read_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.tables import TableName
-from drivecal.domain.errors import InvalidInputError, Problem, file_faults
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, file_faults
 
 Format = Literal["csv", "parquet", "json", "dcm", "cdfx"]
 ScoreOption = Annotated[
@@ -149,7 +150,7 @@ def export(
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
 ) -> None:
     """Write a whole table of a campaign to a file, or its best set as a calibration file (dcm, cdfx, or csv
-    with --row)."""
+    and json with --row)."""
     if to == "mlflow":
         _refuse_beside_mlflow(context)
         folder = Path("mlruns" if output == "-" else output)
@@ -211,18 +212,25 @@ def _format_of(output: str) -> Format:
 def _calibration_file(
     client: Client, identifier: str, table: TableName, form: Format, row: int, names: str | None, query: Mapping[str, Any]
 ) -> bytes:
-    """Returns the set of a rank as a calibration file."""
-    if form not in get_args(CalibrationFormat):
-        raise InvalidInputError(Problem("--format", f"{form} holds no single set", "give dcm, cdfx or csv"))
+    """Returns the set of a rank as a calibration file, or as JSON for `drivecal check`."""
+    if form == "parquet" or (form == "json" and (names is not None or "base" in query)):
+        field, remedy = (
+            ("--format", "give dcm, cdfx, csv or json") if form == "parquet" else ("--names, --base", "leave them out")
+        )
+        raise InvalidInputError(Problem(field, f"{form} holds no such set", remedy))
     if table not in {"solutions", "front"}:
         raise InvalidInputError(Problem("--table", f"{table} holds no ranked sets", "give --table solutions or front"))
     if "where" in query:
         raise InvalidInputError(Problem("--where", "a single set is chosen by its rank", "give --row, and --weights if wanted"))
+    if form == "json":
+        chosen = next(islice(client.rows(identifier, table, **query), row - 1, None), None)
+        if chosen is None:
+            raise NotFoundError("set", f"{identifier}#{row}", "fewer sets are ranked")
+        return json.dumps({"parameters": chosen["parameters"]}, ensure_ascii=False, indent=1).encode() + b"\n"
     labels = {} if names is None else labels_of(read_document(names))
     rank, front = (None, row) if table == "front" else (row, None)
-    kind = cast("CalibrationFormat", form)
     given = {name: value for name, value in query.items() if name in {"weights", "score", "variant", "base"}}
-    return client.calibration_file(identifier, kind, rank, front, labels=labels, **given)
+    return client.calibration_file(identifier, form, rank, front, labels=labels, **given)
 
 
 def _pieces(client: Client, identifier: str, table: TableName, form: Format, query: Mapping[str, Any]) -> Iterator[bytes]:
