@@ -24,6 +24,7 @@ from tests.support.runs import dispatcher, everything, finish, get, rows_of
 from tests.support.values import faults_of, present
 
 from drivecal.analysis.robustness import directions, vehicles
+from drivecal.api.results.document import results_of
 from drivecal.api.tables.front import front_table, summary
 from drivecal.api.tables.ranking import variants_of
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
@@ -121,12 +122,13 @@ def test_the_best_set_is_known_by_runs_and_reported_by_others(database: Database
     assert ended.best.standard_error is not None
     assert ended.best.lower < ended.best.objective < ended.best.upper
     assert not present(ended.baseline).close
+    assert {row.seed for row in rows if row.parameters.floats == {"x": 0.1}} >= {13, 14, 15}, "as the best set's report"
     assert not any("tolerance" in note for note in ended.notes), "predictions answer no cell"
     with database.read() as connection:
         assert list(check_counters(connection)) == []
         runs = evaluations.runs_by_purpose(connection, ended.sequence)
     assert sum(runs.values()) == len(counted)
-    assert runs == Counter(row.purpose for row in rows if row.runs) | {"start": 2, "report": 16}
+    assert runs == Counter(row.purpose for row in rows if row.runs) | {"start": 2, "report": 16 + 6}
     assert {row.seed > 12 for row in rows if row.purpose == "report"} == {True}
     assert runs.keys() == {"start", "search", "choice", "report"}
 
@@ -259,6 +261,10 @@ def test_the_values_of_a_front_have_intervals_and_sets_that_may_belong_to_it_are
         assert upper - lower > 2 * row.uncertainty[f"{name}_error"] > 0
     assert 1 <= known.close < known.evaluated - known.size, "some sets are surely beaten"
     assert len(front.unbeaten) == known.close + len(front.ranks)
+    single = carried_out(database, objectives=objectives, budget={"simulations": 20}, replicates={"most": 1})
+    for campaign, is_unknown in ((ended, False), (single, True)):
+        verdicts = results_of(StoredRanking(database, campaign, resolved_spec(campaign))).trust.verdicts
+        assert ("noise_unknown" in {each.code for each in verdicts}) == is_unknown
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from drivecal.analysis.front import Mask, non_dominated
-from drivecal.analysis.replicates import rate_bounds
+from drivecal.analysis.replicates import exceeding, rate_bounds
 from drivecal.analysis.scoring import LARGEST, rate
 from drivecal.bundles.expressions import Formula
 from drivecal.domain.constraints import ChangeFrom, ChangeLimit
@@ -196,13 +196,13 @@ class Bound(Goal):
         beyond, runs = self.beyond(cells)
         return rate_bounds(beyond, runs + seeds * len(self.shares), self.confidence)[1] <= (self.rate or 0.0)
 
-    def excess(self, share: float, least: float, most: float) -> float:
-        """Returns the violation of the rate by a share of runs with these bounds: 0 if it is surely kept. If runs do not tell, it is
-        UNDECIDED at most, and the less the nearer the set is to show it."""
+    def excess(self, beyond: int, runs: int, least: float, most: float) -> float:
+        """Returns the violation of the rate if the share of the runs `beyond` has these bounds: 0 if it is surely kept. If runs do not
+        tell, it is UNDECIDED at most, and the less the more probably the rate is kept."""
         rate = self.rate or 0.0
         if most <= rate:
             return 0.0
-        return UNDECIDED * (most - rate) / (1 - rate) if least <= rate else max(10 * UNDECIDED, share - rate)
+        return UNDECIDED * exceeding(beyond, runs, rate) if least <= rate else max(10 * UNDECIDED, beyond / runs - rate)
 
     def violations(self, amounts: Floats) -> Floats:
         """Returns by how much amounts break it, in spans, of their shape; 0 if it is kept, NaN without an amount. An amount that equals
@@ -337,9 +337,9 @@ class Goals:
                     violations.append(violation)
                     continue
                 beyond, count = bound.beyond(runs[place] if runs else [sets[place]])
-                known = beyond / count, *rate_bounds(beyond, count, bound.confidence)
-                bounded += known
-                violations.append(bound.excess(*known))
+                ends = rate_bounds(beyond, count, bound.confidence)
+                bounded += beyond / count, *ends
+                violations.append(bound.excess(beyond, count, *ends))
                 undecided += 0 < violations[-1] <= UNDECIDED
             is_open = undecided > 0 and undecided == sum(violation > 0 for violation in violations)
             yield Judged(row[:first], sum(violations, 0.0), tuple(bounded), is_open)

@@ -398,3 +398,11 @@ def rate_bounds(bad: int, runs: int, confidence: float = 0.975) -> tuple[float, 
 
     least = 0.0 if bad == 0 else float(betaincinv(bad, runs - bad + 1, 1 - confidence))
     return least, 1.0 if bad == runs else float(betaincinv(bad + 1, runs - bad, confidence))
+
+
+def exceeding(bad: int, runs: int, rate: float) -> float:
+    """Returns how probably the true share is above a rate, if `bad` of `runs` count: at the rate that `rate_bounds` gives at most, it is
+    1 less the confidence."""
+    from scipy.special import betainc
+
+    return 1.0 if bad == runs else 1.0 - float(betainc(bad + 1, runs - bad, rate))

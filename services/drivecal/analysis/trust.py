@@ -136,6 +136,8 @@ class Evidence:
     front: Compromises | None = None
     chosen: Chosen | None = None
     bounded: Sequence[str] = ()
+    has_unknown_noise: bool = False
+    """The simulator is random, and too few sets ran under several seeds."""
 
 
 def sign_of(campaign: Campaign) -> int:
@@ -180,6 +182,8 @@ def _end(campaign: Campaign) -> Iterator[ResultVerdict]:
 def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     """Yields the verdicts on the chosen set, else on the front of several objectives, else on the best set."""
     search, front, chosen = known.search, known.front, known.chosen
+    if known.has_unknown_noise and campaign.best is not None and CampaignState(campaign.state).ended:
+        yield verdict("noise_unknown", "amber")
     if chosen is not None:
         if not chosen.is_judged and not CampaignState(campaign.state).ended:
             return  # its cells may still be answered
@@ -218,7 +222,7 @@ def _chosen(chosen: Chosen, search: SearchCourse | None, *, with_origin: bool) -
             if copied
             else verdict("scores_simulated", "green", subject="the chosen set")
         )
-    if chosen.violation < chosen.baseline_violation:
+    if chosen.violation < chosen.baseline_violation and not chosen.undecided:
         yield verdict("baseline_breaks_more", "green", subject="the chosen set")
     elif chosen.compared:
         counted = [each.gain for each in chosen.compared if not each.is_alike]
@@ -258,7 +262,7 @@ def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:
         yield verdict("scores_simulated", "green", subject="the sets of the front")
     if (
         campaign.baseline is not None
-        and not campaign.baseline.undecided
+        and not (campaign.baseline.undecided or campaign.best.undecided)
         and campaign.best.violation < campaign.baseline.violation
     ):
         yield verdict("baseline_breaks_more", "green", subject="the sets of the front")
@@ -319,16 +323,16 @@ def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
             yield verdict("baseline_without_result", "amber")
         return
     gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
-    end = campaign.best.lower if sign_of(campaign) > 0 else campaign.best.upper
-    if campaign.best.violation < campaign.baseline.violation and not campaign.baseline.undecided:
+    undecided = campaign.baseline.undecided or campaign.best.undecided
+    if campaign.best.violation < campaign.baseline.violation and not undecided:
         yield verdict("baseline_breaks_more", "green", subject="the best set")
+    elif campaign.baseline.close:
+        yield verdict("baseline_in_interval", "neutral", gain=gain)
     elif gain <= grain(campaign.best.objective, campaign.baseline.objective):
         yield verdict("not_better", "amber")
     elif campaign.objective is None and gain <= campaign.scale.tolerance:
         tolerance = campaign.scale.amount(campaign.scale.tolerance)
         yield verdict("alike_baseline", "neutral", gain=gain, tolerance=tolerance)
-    elif campaign.baseline.close or (end is not None and (end - campaign.baseline.objective) * sign_of(campaign) <= 0):
-        yield verdict("baseline_in_interval", "neutral", gain=gain)
     else:
         yield verdict("better_than_baseline", "green", gain=gain)
 

@@ -53,6 +53,8 @@ SCORES = CONFIRMED | {
     "predictions_validated": "{share:.1 %} of the simulated predictions in {scenario} are wrong (validation {study:id}); up to "
     "{allowed:.1 %} of the {released:,} released ones may be: {limit:.1 %} of the {inspected:,} in lots.",
     "noise": "{unrepeatable:,} simulations gave another result than an earlier run of the same cell: scores have noise.",
+    "noise_unknown": "The simulator is random, and too few sets ran under several seeds: other seeds may give other scores and another "
+    "order of sets. A larger budget leaves runs to tell.",
     "without_result": "{count:,} of {requested:,} requested cells have no result ({share:.1 %}).",
     "without_score": "{count:,} of {requested:,} requested cells have no score, because the formula has no value ({share:.1 %}).",
     "cut": "{count:n score} ({share:.1 %} of the cells) are worse than {failed:g} and count as it{best:in best}: "
@@ -68,7 +70,8 @@ BASELINE = {
     "beside_baseline": "The chosen set beside the baseline: {objectives:compared}.",
     "better_than_baseline": "The best set is better than the baseline, by {gain:.4g}.",
     "alike_baseline": "The best set is better than the baseline, by {gain:.4g}, within the tolerance of {tolerance}.",
-    "baseline_in_interval": "The best set is better than the baseline, by {gain:.4g}; their runs do not tell them apart.",
+    "baseline_in_interval": "Runs do not tell the best set from the baseline: a gain of {gain:.4g} in the mean; `drivecal check` compares "
+    "them under more seeds.",
     "not_better": "No set is better than the baseline.",
     "baseline_without_result": "Nothing tells whether the best set is better than the baseline, which has no objective.",
     "front_beats_baseline": "{dominating:,} of {size:,} sets of the front are better than the baseline in an objective and worse in none.",

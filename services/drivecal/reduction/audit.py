@@ -14,9 +14,9 @@ def is_audited(scenario: str, parameters: ParameterSet, share: float, seed: int)
     return _drawn(f"{seed}:{scenario}:".encode() + parameters.key, share)
 
 
-def is_checked(scenario: str, parameters: ParameterSet, share: float, campaign: int) -> bool:
-    """Returns whether a cell runs twice, as a test that its simulator is deterministic: a hash of campaign, scenario and set decides."""
-    return _drawn(f"twice:{campaign}:{scenario}:".encode() + parameters.key, share)
+def is_checked(scenario: str, seed: int, parameters: ParameterSet, share: float, campaign: int) -> bool:
+    """Returns whether a cell runs twice, as a test that it repeats: a hash of campaign, scenario, seed and set decides."""
+    return _drawn(f"twice:{campaign}:{scenario}:{seed}:".encode() + parameters.key, share)
 
 
 def _drawn(content: bytes, share: float) -> bool:

@@ -349,6 +349,12 @@ def confirmed(connection: Connection, campaign_sequence: int) -> dict[str, dict[
     return counted
 
 
+def are_seeded(connection: Connection, campaign_sequence: int) -> bool:
+    """Returns whether a campaign's simulator is random: its cells are stored with seeds."""
+    query = select(HAS_SEED).where(evaluations.c.campaign_sequence == campaign_sequence).order_by(evaluations.c.id).limit(1)
+    return bool(connection.execute(query).scalar())
+
+
 def runs_by_purpose(connection: Connection, campaign_sequence: int) -> dict[str, int]:
     """Returns the starts of the simulator by what they were for, frequent ones first. All but the first one of each cell are `further`:
     they check that equal runs are equal, or follow a breakdown or a lost worker. The sum is that of `CellCounts.runs` over all stages."""

@@ -15,12 +15,12 @@ from tests.support.values import COST, by_score, present
 
 from drivecal.analysis import replicates
 from drivecal.analysis.goals import UNDECIDED, Aggregate, Bound, CellValue, Goals, Objective
-from drivecal.analysis.replicates import SetStatistics, allocate, assess, choosing, interval, rate_bounds, to_tell
+from drivecal.analysis.replicates import SetStatistics, allocate, assess, choosing, exceeding, interval, rate_bounds, to_tell
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.stages.replication import next_runs
 from drivecal.contracts.specification import Quantile, ReplicatesSpecification
 from drivecal.domain.evaluations import CellScore
-from drivecal.domain.scales import Direction, Scale
+from drivecal.domain.scales import COMFORT, Direction, Scale
 
 SETS, CONFIDENCE, MOST = 12, 0.95, 300
 PRICE, GAP, ALONE = CellValue(measure="cost"), CellValue(measure="gap"), {"S1": 1.0}
@@ -377,6 +377,17 @@ def test_an_extreme_over_seeds_is_refused(quantile: float) -> None:
         ReplicatesSpecification(aggregate=Quantile(quantile=quantile))
 
 
+@pytest.mark.parametrize(("gap", "reported", "close"), [(2.0, True, False), (0.01, True, True), (2.0, False, True)])
+def test_the_seeds_that_report_both_tell_a_set_from_the_best(gap: float, reported: bool, close: bool) -> None:
+    ranking = by_score({"S1": 1}, COMFORT, ReplicatesSpecification(most=20))
+    noise = np.random.Generator(np.random.PCG64(1)).normal(size=(3, 21))  # the last row is common to both
+    for place, seeds in ((0, (1, 2, 3, 4, 13, 14, 15)), (1, (1, 13, 14, 15) if reported else (1,))):
+        scores = {seed: float(5 - gap * place + 0.2 * noise[place, seed] + noise[2, seed]) for seed in seeds}
+        ranking.add(CellScore(place, "S1", each, each, True, 0, place, seed=seed) for seed, each in scores.items())
+    assert ranking.is_close(1, random=True) == close
+    assert not ranking.is_close(0, random=True)
+
+
 RATE = Bound("gap", CellValue(measure="gap", failed=-1.0), {"S1": 1.0}, Aggregate("min"), 1, 0.0, 1.0, rate=0.1, confidence=0.9)
 """At most a tenth of the runs has a gap below 0: 22 runs without one show it."""
 
@@ -403,7 +414,7 @@ def rated(most: int, fails: dict[int, int], sets: int = 3, budget: int = 1000, s
 
 
 @pytest.mark.parametrize(
-    ("beyond", "runs", "least", "most"), [(0, 22, 0.0, 0.0), (0, 21, 1e-9, 1e-5), (2, 10, 1e-4, UNDECIDED), (9, 10, 0.79, 0.81)]
+    ("beyond", "runs", "least", "most"), [(0, 22, 0.0, 0.0), (0, 21, 1e-4, 2e-4), (2, 10, 1e-4, UNDECIDED), (9, 10, 0.79, 0.81)]
 )
 def test_a_rate_is_kept_broken_or_undecided(beyond: int, runs: int, least: float, most: float) -> None:
     cells = [
@@ -415,6 +426,8 @@ def test_a_rate_is_kept_broken_or_undecided(beyond: int, runs: int, least: float
     assert judged.undecided == (0 < most <= UNDECIDED)
     assert judged.bounded == (beyond / runs, *rate_bounds(beyond, runs, 0.9))
     assert RATE.fewest_runs == 22
+    assert exceeding(beyond, runs, rate_bounds(beyond, runs, 0.9)[1]) == pytest.approx(0.1)
+    assert exceeding(0, 8, 0.08) < exceeding(5, 54, 0.08), "more runs with too many beyond are no nearer to it"
 
 
 def test_bounds_of_a_rate_have_names_of_their_own() -> None:

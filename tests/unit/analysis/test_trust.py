@@ -159,6 +159,7 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
     }
     assert lights(campaign(cells={"failed": 1}))["without_result"] == "neutral"
     assert lights(campaign(cells={"cut": 2}))["cut"] == "amber"
+    assert lights(campaign(), has_unknown_noise=True)["noise_unknown"] == "amber"
     worst = BEST.model_copy(update={"scores": {"S1": COST.failed, "S2": 3.0}})
     assert verdicts(campaign(cells={"cut": 1}, best=worst, scale=COST))["cut"].numbers["best"] == ["S1"]
 
@@ -169,7 +170,7 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
         (4.0, {}, "better_than_baseline"),
         (6.0, {}, "not_better"),
         (6.0, {"baseline": before(6.0).model_copy(update={"objective": None})}, "baseline_without_result"),
-        (4.0, {"best": BEST.model_copy(update={"lower": 3.9, "upper": 8.1})}, "baseline_in_interval"),
+        (8.0, {"baseline": before(8.0, close=True)}, "baseline_in_interval"),
         (4.0, {"baseline": before(4.0, close=True)}, "baseline_in_interval"),
         (5.5, {}, "alike_baseline"),
         (4.0, {"scale": COST}, "not_better"),
@@ -190,6 +191,8 @@ def test_constraints_come_first() -> None:
     assert "constraints_kept" not in lights(campaign(best=broken), bounded=["max of y <= 2: 1"])
     assert lights(campaign(), bounded=["max of y <= 2: 1"])["constraints_kept"] == "green"
     assert "baseline_breaks_more" in lights(campaign(baseline=before(7.0, violation=0.1)))
+    unsure = BEST.model_copy(update={"violation": 0.0001, "undecided": True})
+    assert "baseline_breaks_more" not in lights(campaign(best=unsure, baseline=before(4.0, violation=0.1)))
     undecided = before(4.0, violation=0.0009, undecided=True)
     assert "better_than_baseline" in (result := lights(campaign(baseline=undecided)))
     assert "baseline_breaks_more" not in result

@@ -138,7 +138,8 @@ def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin |
 def _trust(stored: StoredRanking, made: list[StudyResult], front: CampaignFront | None, chosen: Chosen | None) -> ResultTrust:
     campaign = stored.campaign
     with stored.database.read() as connection:
-        search = _search(connection, stored)
+        search, is_random = _search(connection, stored), evaluations.are_seeded(connection, campaign.sequence)
+    noise = stored.sets.by_objective()[1] if is_random else []
     if search is not None and search.course and campaign.best is not None and campaign.best.alternatives > 1:
         known_best = alternatives(stored.database, stored.sets.best_first(), stored.resolved.space)
         search = replace(search, regions=len(set(known_best.regions.tolist())))
@@ -146,7 +147,9 @@ def _trust(stored: StoredRanking, made: list[StudyResult], front: CampaignFront 
     goals = stored.resolved.goals if amounts else None
     seeds = 1 if campaign.best is None else campaign.best.replicates
     bounded = [] if goals is None else bounded_texts(goals, (amounts[name] for name in goals.bound_names), seeds)
-    known = Evidence(studies=made, search=search, front=_compromises(stored, front), chosen=chosen, bounded=bounded)
+    unknown = is_random and not (noise and all(each.is_known for each in noise))
+    compromises = _compromises(stored, front)
+    known = Evidence(made, search, compromises, chosen, bounded, has_unknown_noise=unknown)
     return trust(campaign_answer(campaign, now(), silent=None), known)
 
 

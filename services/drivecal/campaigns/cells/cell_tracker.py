@@ -255,8 +255,8 @@ class CellTracker:
         ]
 
     def _cell(self, pending: StoredEvaluation) -> Cell:
-        share = self._view.bench.repeated_share
-        twice = is_checked(pending.scenario, pending.parameters, share, self._view.campaign)
+        share, seed = self._view.bench.repeated_share, self._requests[pending.setup_id].seed
+        twice = is_checked(pending.scenario, seed, pending.parameters, share, self._view.campaign)
         twice = twice and self.budget.take(beyond=self.budget.kept)
         return Cell(pending.id, pending.parameters.floats, check=twice, trace=self._view.traced)
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from drivecal.analysis.goals import Goals
-from drivecal.analysis.replicates import choosing, fewest, kept_back, rate_bounds
+from drivecal.analysis.replicates import FEWEST_REPORTING, choosing, fewest, kept_back, rate_bounds
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.goals import check_reuse, find_goals, normalise_weights, note_lost
@@ -124,6 +124,15 @@ class CalibrationProblem:
         return sum(len(goals.objectives[0].shares) for goals in self.variants.values())
 
     @property
+    def baseline_seeds(self) -> range:
+        """The seeds of the best set's report that the baseline of a random simulator runs under as well, or nothing tells which is better;
+        none if that would take more than a tenth of the budget."""
+        most, budget = self.specification.replicates.most, None if self.optimization is None else self.optimization.budget
+        seeds = range(choosing(most) + 1, most + 1)[:FEWEST_REPORTING]
+        affordable = budget is None or budget.simulations is None or 10 * len(seeds) * len(self.scenarios) <= budget.simulations
+        return seeds if self.baseline is not None and self.bench.is_random and affordable else seeds[:0]
+
+    @property
     def search(self) -> Optimization:
         """The chosen optimizer. Raises ValueError without one."""
         if self.optimization is None:
@@ -137,8 +146,8 @@ class CalibrationProblem:
             return None if budget is None else budget.simulations
         by_cell, most = not self.optimization.has_populations, self.specification.replicates.most
         shown, of_variants = self.goals.fewest_seeds, self.scenarios_of_variants
-        kept = kept_back(budget.simulations, len(self.scenarios), most, shown, of_variants, by_cell=by_cell)
-        return budget.simulations - kept
+        left = budget.simulations - len(self.baseline_seeds) * len(self.scenarios)
+        return left - kept_back(left, len(self.scenarios), most, shown, of_variants, by_cell=by_cell)
 
     @property
     def start_indices(self) -> Indices:

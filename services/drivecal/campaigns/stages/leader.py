@@ -73,7 +73,7 @@ class Leader:
             scores=dict.fromkeys(self._problem.scenarios) if solution is None else dict(solution.scores),
             violation=0.0 if solution is None else solution.violation,
             undecided=solution is not None and solution.is_undecided,
-            close=solution is not None and solution.is_close,
+            close=self._ranking.is_close(number, random=self._problem.bench.is_random),
         )
 
     def notes(self) -> list[str]:

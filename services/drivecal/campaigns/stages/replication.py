@@ -60,13 +60,21 @@ class Replication:
         most = self._problem.specification.replicates.most
         choosing = replicates.choosing(most)
         rankings = (self._answers.ranking, *self._answers.variants.values())
-        reports = [0, *(_missing_reports(each, most) * len(each.scenarios) for each in rankings[1:])]
+        compared = self._runs_of_baseline(connection)
+        reports = [
+            0,
+            *(_missing_reports(each, most) * len(each.scenarios) for each in rankings[1:]),
+            len(compared) * len(rankings[0].scenarios),
+        ]
         for place, ranking in enumerate(rankings):
             scenarios = [name for name in self._problem.scenarios if name in ranking.scenarios]
             affordable = max(0, left - sum(reports[place + 1 :])) // len(scenarios)
             chosen = next_runs(ranking, self._problem.specification.replicates, room, affordable)
             if chosen:
                 break
+        else:
+            scenarios = list(self._problem.scenarios)
+            chosen = compared[: left // len(scenarios)]
         sets = parameter_sets.load(connection, list({number for number, _ in chosen}))
         numbers = list(dict.fromkeys(number for number, _ in chosen))
         purposes = Purpose.CHOICE, Purpose.REPORT
@@ -77,6 +85,17 @@ class Replication:
         ]
         return Round(last + 1, self._benches.with_cells(cells), exact_policy(self._problem)) if cells else None
 
+    def _runs_of_baseline(self, connection: Connection) -> list[tuple[int, int]]:
+        """Returns the baseline, by its id, with each seed that it is still to run under, to be compared with the best set."""
+        ranking, baseline = self._answers.ranking, self._problem.baseline
+        best, kept = ranking.best(), ranking.statistics()
+        if baseline is None or best is None or kept is None or (kept[1].is_known and not kept[1].is_random):
+            return []
+        number = parameter_sets.ids(connection, [baseline.key]).get(baseline.key)
+        if number is None or number == best[0].parameter_set or ranking.get(number) is None:
+            return []
+        return [(number, seed) for seed in self._problem.baseline_seeds if seed not in ranking.seeds(number)]
+
     def _left(self, tracker: CellTracker, after: int) -> int:
         """Returns how many simulations the budget has left, or are adequate for what the search has asked without one. Answers from the
         table count as in the search, so that the same campaign again asks for the same cells."""
@@ -84,7 +103,8 @@ class Replication:
         if chosen is None or chosen.budget is None or chosen.budget.simulations is None:
             most, shown = self._problem.specification.replicates.most, self._problem.goals.fewest_seeds
             fewest = replicates.fewest(len(self._problem.scenarios), most, shown, self._problem.scenarios_of_variants)
-            return max(fewest, int((requested - after) * replicates.KEPT / (1 - replicates.KEPT))) - after
+            kept = max(fewest, int((requested - after) * replicates.KEPT / (1 - replicates.KEPT)))
+            return kept + len(self._problem.baseline_seeds) * len(self._problem.scenarios) - after
         left = int(tracker.budget.left)
         return left if chosen.has_populations else min(left, chosen.budget.simulations - requested)
 
@@ -136,9 +156,8 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
         places = replicates.allocate(known, min(room, affordable - report), choosing, wanted.confidence)
     # a seed without a result is not tried again
     chosen = [(numbers[place], untried[place].pop(0)) for place in places if untried[place]]
-    if chosen or (known.is_known and not known.is_random):
+    if chosen or (known.is_known and not known.is_random) or (best := ranking.best()) is None:
         return chosen
-    numbers, known = kept
-    best = numbers[known.best(wanted.confidence)]
-    left = [seed for seed in fresh if seed not in ranking.seeds(best)]
-    return [(best, seed) for seed in left[:affordable]]
+    number = best[0].parameter_set
+    left = [seed for seed in fresh if seed not in ranking.seeds(number)]
+    return [(number, seed) for seed in left[:affordable]]

@@ -170,7 +170,9 @@ def _uncertainty_texts(best: Best, aggregate: str | Mapping[str, float]) -> Iter
         lower, upper = best.failure_interval
         yield f"{best.failures} failed runs; {percent(lower, 1)} to {percent(upper, 1)} of its runs fail"
     if best.noise:
-        yield "noise of a run: " + "  ".join(f"{name} {score_text(noise)}" for name, noise in best.noise.items())
+        yield "noise of a run that does not fail: " + "  ".join(
+            f"{name} {score_text(noise)}" for name, noise in best.noise.items()
+        )
 
 
 def _search_text(campaign: Campaign) -> str:
