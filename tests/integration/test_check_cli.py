@@ -210,6 +210,8 @@ def test_a_set_of_a_random_problem_is_checked_by_the_runs_that_report_it(checkin
         {"measure": "energy_kwh", "at_most": 2.1},
         {"measure": "energy_kwh", "at_least": 3},
         {"score": "cost", "worse_by_at_most": 0.5},
+        {"rate": 0.6},
+        {"rate": 0.01},
     ]
     options = "--seeds", "8", "--limits", checking.file("limits.json", {"limits": bounds})
     other = checking.file("other.json", best.parameters | {"gain": min(2.0, float(best.parameters["gain"]) + 0.01)})
@@ -220,7 +222,7 @@ def test_a_set_of_a_random_problem_is_checked_by_the_runs_that_report_it(checkin
     within = stats.t.interval(0.95, 7, np.mean(costs), stats.sem(costs))
     assert [checked["scenarios"][0][end] for end in ("lower", "upper")] == pytest.approx(within)
     verdicts = {each["limit"]: (each["broken"] is not None, each["unsure"]) for each in checked["findings"]}
-    assert list(verdicts.values()) == [(False, False), (False, False), (True, True), (True, False), (False, False)]
+    assert list(verdicts.values()) == [(False, False), (False, False), (True, True), (True, False), *2 * [(False, False)], (True, True)]
 
 
 def broken(checked: Result) -> list[dict[str, Any]]:

@@ -95,9 +95,10 @@ def event_text(kind: str, data: Mapping[str, Any]) -> str:
     name_of_kind = kind.replace("_", " ")
     text = _TEXTS.get(kind, name_of_kind)
     try:
-        return text.format_map(
-            _Words({name: _word(name, value) for name, value in data.items() if value is not None})
-        ).removesuffix(", mean -")
+        words = _Words({name: _word(name, value) for name, value in data.items() if value is not None})
+        if words.get("violation") and data.get("undecided"):
+            words["violation"] = ", not known to keep its rates"
+        return text.format_map(words).removesuffix(", mean -")
     except (AttributeError, TypeError, ValueError):
         return name_of_kind
 

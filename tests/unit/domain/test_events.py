@@ -54,5 +54,6 @@ def test_a_line_shows_scores_with_six_digits() -> None:
     best = {"objective": 1.0, "iteration": 0, "scores": {"town": 59.740123456789, "road": 6}, "violation": 0.0}
     text = event_text(EventKind.BEST, best)
     assert ("2.0 %" in text, "2.0 %" in event_text(EventKind.BEST, best | {"violation": 0.02})) == (False, True)
+    assert "%" not in event_text(EventKind.BEST, best | {"violation": 0.0002, "undecided": True})
     assert text.endswith("town 59.7401  road 6")
     assert event_text(EventKind.GENERATION, {"iteration": 0, "best": 1.0, "mean": None}).endswith(" 1.0000")

@@ -33,7 +33,7 @@ def wrapped(error: Exception) -> DBAPIError:
             "the file does not answer: server closed; check",
         ),
         (psycopg.errors.LockNotAvailable("no"), UnavailableError, "another transaction holds"),
-        (psycopg.errors.QueryCanceled("no"), UnavailableError, "took longer than it may"),
+        (psycopg.errors.QueryCanceled("no"), UnavailableError, "took longer than a statement may"),
         (psycopg.errors.AdminShutdown("bye"), UnavailableError, "does not answer: bye"),
         (psycopg.errors.DeadlockDetected("deadlock"), UnavailableError, "does not answer: deadlock"),
         (psycopg.errors.ReadOnlySqlTransaction("read-only"), UnavailableError, "ended the transaction: read-only"),

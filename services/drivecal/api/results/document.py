@@ -179,6 +179,8 @@ def set_at(stored: StoredRanking, front: CampaignFront, place: tuple[int, int], 
     judged = next((each for each in front.ranked if each.parameter_set == cell.parameter_set_id), None)
     if judged is None:
         return Chosen(parameters, is_judged=False, is_best=is_best)
+    judged = front.reports.get(judged.parameter_set, judged)
+    baseline = baseline and front.reports.get(baseline.parameter_set, baseline)
     compared: list[BesideBaseline] = []
     if baseline:
         amounts = zip(front.goals.objectives, judged.judgement.amounts, baseline.judgement.amounts, strict=True)

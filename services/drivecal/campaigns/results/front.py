@@ -72,6 +72,8 @@ class CampaignFront:
     """Standard error and interval of each objective by the id of a set; empty without randomness, and before the noise is known."""
     close: int = 0
     """Further sets that cannot be told from sets that no other set dominates."""
+    reports: Mapping[int, EvaluatedSet] = field(default_factory=dict)
+    """Sets by the seeds that report them, by their ids, if others chose them and there is one objective."""
     unbeaten: frozenset[int] = frozenset()
     """Ids of the sets of a random simulator that no member is known to beat in every objective."""
 
@@ -140,7 +142,9 @@ class CampaignFront:
 def front_of(stored: StoredRanking) -> CampaignFront:
     """Returns the front of a campaign's search."""
     goals, ranking, confidence = stored.resolved.goals, stored.sets, stored.resolved.replicates.confidence
-    front = CampaignFront(goals, [each.choice for each in ranking.best_first()], ranking.front())
+    ranked = ranking.best_first()
+    reports = {each.parameter_set: each for each in ranked if each.chosen_by is not None and len(goals.objectives) == 1}
+    front = CampaignFront(goals, [each.choice for each in ranked], ranking.front(), reports=reports)
     numbers, known = ranking.by_objective()
     if not known or not front.members or not all(each.is_known for each in known):
         return front

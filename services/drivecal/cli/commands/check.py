@@ -50,15 +50,26 @@ class GivenSet:
 
 
 class SetLimit(GoalSpecification):
-    """A limit of a score or measure in each of its scenarios."""
+    """A limit of a score or measure in each of its scenarios, or of the share of failed runs in all of them."""
 
     at_least: Number | None = None
     at_most: Number | None = None
     worse_by_at_most: Annotated[float, Field(ge=0)] | None = None
     """Largest loss of a score against the baseline."""
+    rate: Annotated[float, Field(ge=1e-9, lt=1)] | None = None
+    """Largest share of failed runs, shown at 95 %."""
+
+    @property
+    def counts_failures(self) -> bool:
+        """True if it is a limit of failed runs, and so names no value."""
+        return self.rate is not None
 
     @model_validator(mode="after")
     def _has_a_limit(self) -> Self:
+        if self.rate is not None:
+            if self.model_fields_set - {"rate", "scenarios", "name"}:
+                raise ValueError("a rate is the share of failed runs: it stands alone, or with `scenarios`")
+            return self
         if sum(bound is not None for bound in (self.at_least, self.at_most, self.worse_by_at_most)) != 1:
             raise ValueError("it needs one of at_least, at_most and worse_by_at_most")
         if self.worse_by_at_most is not None and self.score is None:
@@ -70,6 +81,8 @@ class SetLimit(GoalSpecification):
     @property
     def text(self) -> str:
         """The limit in words."""
+        if self.rate is not None:
+            return f"at most {100 * self.rate:g} % of the runs fail"
         if self.at_least is not None:
             return f"{self.label} at least {self.at_least:g}"
         if self.at_most is not None:
@@ -128,14 +141,26 @@ class CheckedSet:
             why = None if cell.score is not None else cell.detail or cell.failure or "no result"
             yield Finding(cell.scenario, "has a result", why)
         for limit in limits:
-            for name in [cell.scenario for cell in self.first.items] if limit.scenarios == "all" else limit.scenarios:
-                yield self._finding(limit, name)
+            names = [cell.scenario for cell in self.first.items] if limit.scenarios == "all" else limit.scenarios
+            yield from [self._failures(limit, names)] if limit.rate else (self._finding(limit, name) for name in names)
         differing = sum(each.unrepeatable for _, each in self._each())
         if differing and self.problem.simulator.get("deterministic") is not False:
             counted = (
                 f"{differing:,} runs gave another result; what they read besides the problem's files belongs into `inputs`"
             )
             yield Finding("all", "new runs give the stored results", counted)
+
+    def _failures(self, limit: SetLimit, names: Collection[str]) -> Finding:
+        from drivecal.analysis.replicates import rate_bounds  # takes a part of a second
+
+        cells, rate = [cell for cell in self.first.items if cell.scenario in names], limit.rate or 0.0
+        failed = sum(cell.failures if cell.scores else cell.failure is not None for cell in cells)
+        runs = sum(max(1, len(cell.scores)) for cell in cells)
+        least, most = rate_bounds(failed, runs, 0.95)
+        if most <= rate:
+            return Finding("all", limit.text, None)
+        unsure, shown = least <= rate, f"{failed} of {runs} runs fail, which is {100 * least:.2g} to {100 * most:.2g} % of many"
+        return Finding("all", limit.text, f"unsure: {shown}; more --seeds may tell" if unsure else shown, unsure)
 
     def _finding(self, limit: SetLimit, scenario: str) -> Finding:
         cell, before = _cell(self.evaluations, limit, scenario), _cell(self.baseline, limit, scenario)
@@ -246,7 +271,7 @@ def check(
         columns = [name for name in COLUMNS if name not in INTERVAL or any(cell.scores for cell in checked.first.items)]
         print_columns(columns, [[row[name] for name in columns] for row in _rows(checked, findings)])
         if within := within_text(checked.first.lower, checked.first.upper):
-            typer.echo(f"mean score {score_text(checked.first.objective)}{within}")
+            typer.echo(f"mean score of the scenarios, without weights: {score_text(checked.first.objective)}{within}")
         for note in checked.notes:
             say(f"note: {note}")
         for finding in broken:
@@ -306,11 +331,12 @@ def _of_campaign(spec: Mapping[str, Any], problem: ProblemAnswer, listed: Collec
     listed if only the server knows them), and the names of the others."""
     limits, others, weights = list[SetLimit](), list[str](), spec.get("weights") or {}
     for each in map(ConstraintSpecification.model_validate, spec.get("constraints") or ()):
-        bounds = each.model_dump(include={"score", "measure", "name", "failed", "at_least", "at_most"})
+        names_of = ("name", "rate") if each.counts_failures else ("score", "measure", "name", "failed", "at_least", "at_most")
+        bounds = {name: value for name in names_of if (value := getattr(each, name)) is not None}
         chosen = listed if each.scenarios == "all" else each.scenarios
         names = [name for name in chosen if not listed or (name in listed and weights.get(name, 1) > 0)]
-        is_known = each.score in problem.scores or each.measure in problem.measures
-        if each.aggregate is not None or each.rate is not None or not is_known:
+        is_known = each.counts_failures or each.score in problem.scores or each.measure in problem.measures
+        if each.aggregate is not None or (each.rate is not None and not each.counts_failures) or not is_known:
             others.append(each.label)
         elif names or not listed:
             limits.append(SetLimit(**bounds, scenarios=names or "all"))
