@@ -146,9 +146,7 @@ def _write_document(path: Path) -> None:
             check=False,
         )
     if made.returncode:
-        raise PageError(
-            "the API's description cannot be made: " + (made.stderr.decode().strip().splitlines() or ["no reason"])[-1]
-        )
+        raise PageError("the API's description failed: " + (made.stderr.decode().strip().splitlines() or ["no reason"])[-1])
     path.write_bytes(made.stdout)
 
 

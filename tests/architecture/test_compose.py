@@ -39,9 +39,7 @@ def services() -> list[tuple[str, dict[str, Any]]]:
     return here + [(f"{name} elsewhere", one) for name, one in document(WORKERS)["services"].items()]
 
 
-every_service = pytest.mark.parametrize(
-    ("name", "service"), services(), ids=lambda value: value if isinstance(value, str) else ""
-)
+every_service = pytest.mark.parametrize(("name", "service"), services(), ids=lambda each: each if isinstance(each, str) else "")
 
 
 @every_service

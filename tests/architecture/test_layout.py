@@ -97,9 +97,7 @@ def classes() -> list[ast.ClassDef]:
 @cache
 def documented_methods() -> Counter[str]:
     """How many classes of the three roots document a method of each name."""
-    functions = (
-        child for node in classes() for child in node.body if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef))
-    )
+    functions = (each for node in classes() for each in node.body if isinstance(each, (ast.FunctionDef, ast.AsyncFunctionDef)))
     return Counter(child.name for child in functions if ast.get_docstring(child))
 
 

@@ -282,9 +282,7 @@ def main() -> int:
     TARGET.parent.mkdir(parents=True, exist_ok=True)
     TARGET.write_text(json.dumps(figures, indent=2) + "\n")
     print(f"{simulated:,} cells in {wall:.1f} s on {cores} cores: {simulated / wall:.0f} cells/s")
-    print(
-        f"one cell: {1000 * cost:.2f} ms in one process alone, {figures['worker_milliseconds_per_cell']:.2f} ms of CPU in a worker"
-    )
+    print(f"one cell: {1000 * cost:.2f} ms in one process alone, {figures['worker_milliseconds_per_cell']:.2f} ms in a worker")
     print(f"efficiency {efficiency:.3f} (target {AT_LEAST})")
     print(f"simulations took {share:.3f} of all processor time")
     bare = cost / beside_others

@@ -274,13 +274,9 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--iterations", type=int, default=PAPER[1])
     parser.add_argument("--only", action="append", choices=list(KINDS), help="besides off")
     parser.add_argument("--file", type=Path, default=TARGET, help="of finished campaigns, a line each")
-    parser.add_argument(
-        "--commit", action="append", default=[], help="whose campaigns count as well as those of the current code"
-    )
+    parser.add_argument("--commit", action="append", default=[], help="whose campaigns count besides those of the current code")
     parser.add_argument("--of", choices=list(PROBLEMS), default="motorway", help="with --pairs")
-    parser.add_argument(
-        "--pairs", action="store_true", help="printed and true net savings alone; campaigns are made and not kept"
-    )
+    parser.add_argument("--pairs", action="store_true", help="printed and true net savings alone; no campaign is kept")
     parser.add_argument("--counts", action="store_true", help="runs and optima alone; campaigns of any machine count")
     given = parser.parse_args(arguments)
     os.environ["DRIVECAL_HOME"] = str(HOME)  # whose secret pushes problems

@@ -52,9 +52,7 @@ def test_a_campaign_survives_what_is_done_to_the_cluster(cluster: Cluster, embed
     cluster.run("docker", "exec", victim, "python", "-c", KILL)
     campaign.gets_on()
     cluster.run("docker", "kill", other)
-    took = cluster.until(
-        lambda: other[:12] not in {worker["node"] for worker in cluster.workers()}, "a lost node to be noticed"
-    )
+    took = cluster.until(lambda: other[:12] not in {worker["node"] for worker in cluster.workers()}, "a lost node's notice")
     print(f"a lost node was noticed within {took:.1f} s", flush=True)
     assert took < NOTICED_SECONDS
     campaign.gets_on()
@@ -74,9 +72,7 @@ def test_a_campaign_survives_what_is_done_to_the_cluster(cluster: Cluster, embed
 
     cells = cluster.get(campaign.path)["cells"]["requested"]
     grown = database_bytes(cluster) - size
-    print(
-        f"the database grew by {grown / 1e6:.0f} MB with {cells:,} cells: {grown / cells / 1e3:.2f} GB per million", flush=True
-    )
+    print(f"the database grew {grown / 1e6:.0f} MB with {cells:,} cells: {grown / cells / 1e3:.2f} GB per million", flush=True)
 
     file = tmp_path / "drivecal.db"
     campaign.assert_found(embedded, file)

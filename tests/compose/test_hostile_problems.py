@@ -142,9 +142,7 @@ def test_an_attack_on_a_node_costs_its_cell_and_nothing_of_a_campaign_beside_it(
         assert {worker.id for worker in client.workers().items} == workers
 
         cluster.compose("restart", "--timeout", "10", "dispatcher")  # new workers: all sessions of simulators end
-        cluster.until(
-            lambda: not any(remains(cluster, node) for node in nodes), "that sessions leave nothing on the nodes", 120
-        )
+        cluster.until(lambda: not any(remains(cluster, node) for node in nodes), "that sessions leave nothing there", 120)
         after = {node: look(cluster, node) for node in nodes}
         for node in nodes:
             print(node[:12], before[node]["used_mb"], after[node]["used_mb"], flush=True)

@@ -31,8 +31,6 @@ def test_a_cluster_finds_the_same(cluster: Cluster, name: str, tmp_path: Path, m
 
 
 def test_a_token_that_writes_does_not_push(cluster: Cluster) -> None:
-    (writer,) = (
-        line.split()[2] for line in (cluster.secrets / "tokens").read_text().splitlines() if line.split()[1] == "write"
-    )
+    (writer,) = (row.split()[2] for row in (cluster.secrets / "tokens").read_text().splitlines() if row.split()[1] == "write")
     headers = {"Authorization": f"Bearer {writer}", "Content-Type": "application/zip"}
     assert cluster.http.post("/api/v1/problems", content=b"", headers=headers).status_code == httpx.codes.FORBIDDEN

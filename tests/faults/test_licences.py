@@ -86,9 +86,7 @@ def feed(url: str, campaign: str, answered: dict[str, list[float]]) -> None:
         proposed = after = 0
         while len(answered) < CELLS:
             if len(answered) == proposed:
-                sets = [
-                    {"key": f"k{place}", "parameters": {"x": place / CELLS}} for place in range(proposed, proposed + CELLS // 2)
-                ]
+                sets = [{"key": f"k{n}", "parameters": {"x": n / CELLS}} for n in range(proposed, proposed + CELLS // 2)]
                 client.propose(campaign, sets)
                 proposed += len(sets)
             page = client.answers(campaign, after=after, wait=5)

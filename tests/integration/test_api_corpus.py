@@ -121,11 +121,7 @@ def test_nothing_hostile_is_accepted_and_nothing_of_it_is_kept(api: ApiProcess) 
     with api.http.stream("POST", "/api/v1/campaigns", content=chunks(500), headers=declared) as response:
         assert response.status_code == 413
     with ThreadPoolExecutor(16) as pool:
-        list(
-            pool.map(
-                lambda content: refused(api.http.post("/api/v1/campaigns", content=content, headers=JSON)), BODIES.values()
-            )
-        )
+        list(pool.map(lambda body: refused(api.http.post("/api/v1/campaigns", content=body, headers=JSON)), BODIES.values()))
     grown = api.megabytes - before
     print(f"the process grew by {grown:.1f} MB, from {before:.1f} MB")
     assert grown < MOST_MEGABYTES, f"the process grew by {grown:.1f} MB"

@@ -101,9 +101,7 @@ def test_scores_without_a_value_are_noted_and_told_once(database: Database) -> N
     ended = run(database, campaign, Simulated(undefined=0.5))
     assert any(f"{ended.cells.unscored}" in note and "no value" in note for note in ended.notes)
     with database.read() as connection:
-        told = [
-            event for event in events.since(connection, campaign.sequence, 0, 1_000) if "division by zero" in str(event.data)
-        ]
+        told = [each for each in events.since(connection, campaign.sequence, 0, 1_000) if "division by zero" in str(each.data)]
     assert len(told) == 1
     again = run(database, submit(database), Simulated())
     assert (again.cells.unscored, again.cells.simulated) == (ended.cells.unscored, 0)

@@ -206,9 +206,7 @@ def test_another_reader_has_the_lanes_where_they_are_driven(fetched: Path, tmp_p
     lanes = [np.array(points) for kind, points in json.loads((tmp_path / "lanes.json").read_text()) if kind in DRIVEN]
     nodes = np.vstack(lanes)
     ours = measured(road, file.read_bytes())
-    assert {round(float(limit), 3) for limit in ours.limits[~np.isnan(ours.limits)]} == {
-        round(limit, 3) for limit in road.limits
-    }
+    assert {round(float(each), 3) for each in ours.limits[~np.isnan(ours.limits)]} == {round(each, 3) for each in road.limits}
     for number in range(len(ours.tracks)):
         for row in np.flatnonzero(~np.isnan(ours.centres[:, number]))[::10]:
             x, y, _ = to_cartesian(ours.line, ours.line[row, 0], ours.centres[row, number])

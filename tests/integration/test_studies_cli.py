@@ -118,9 +118,7 @@ def test_the_optima_are_the_best_sets_with_regions(api: RunningApi, ended: str, 
     assert sorted({optimum["region"] for optimum in optima}) == list(range(1 + max(optimum["region"] for optimum in optima)))
     assert all(optimum["to_worse"] > 0 for optimum in optima)
     rows = list(csv.DictReader(io.StringIO(api.http.get(f"{url}/optima?format=csv").text)))
-    assert [(int(row["rank"]), int(row["region"])) for row in rows] == [
-        (optimum["rank"], optimum["region"]) for optimum in optima
-    ]
+    assert [(int(row["rank"]), int(row["region"])) for row in rows] == [(each["rank"], each["region"]) for each in optima]
     monkeypatch.setattr("drivecal.campaigns.results.optima.MOST_BEST", 1)
     (first,) = api.http.get(f"{url}/optima").json()["items"]
     assert first["to_worse"] == optima[0]["to_worse"], "sets that are not looked at are not worse"

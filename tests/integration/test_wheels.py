@@ -104,9 +104,7 @@ def layer(wheel: Path, constraints: Path, tmp_path_factory: pytest.TempPathFacto
         subprocess.run([*pip, "--constraint", str(constraints), f"{wheel}[{extra}]" if extra else str(wheel)], check=True)
         made = Installed(folder / "env" / "bin" / "python", megabytes(folder / "env") - empty)
         name = f"drivecal[{extra}]" if extra else "drivecal"
-        print(
-            f"\n{name}: {made.megabytes:.0f} MB installed in {time.monotonic() - began:.0f} s, among them {largest(made.python)}"
-        )
+        print(f"\n{name}: {made.megabytes:.0f} MB installed in {time.monotonic() - began:.0f} s, with {largest(made.python)}")
         return made
 
     return installed

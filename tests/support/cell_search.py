@@ -54,9 +54,7 @@ class CellSearch:
                 (sum(each.values()) for each in self._known.values() if len(each) == self._task.aim.scenarios), default=-np.inf
             )
             here = self._known[answer.cell.indices]
-            hoped = sum(
-                here.get(scenario, float(self._task.aim.best[scenario, 0])) for scenario in range(self._task.aim.scenarios)
-            )
+            hoped = sum(here.get(place, float(self._task.aim.best[place, 0])) for place in range(self._task.aim.scenarios))
             if hoped < best:
                 left = [cell for cell in self._open if cell.indices != answer.cell.indices]
                 self.discarded += len(self._open) - len(left)

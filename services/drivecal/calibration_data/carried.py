@@ -34,7 +34,7 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
         known = {each.name: each for each in joined([files.read(held, file).characteristics])}
         return files.write(form, [each for each in replaced(known, chosen, file).values() if each.given is not None], None)
     if b"\0" in held[:64]:
-        raise InvalidInputError(Problem(shown(file, 200), "its encoding is not one of single bytes", "save it as UTF-8"))
+        raise InvalidInputError(Problem(shown(file, 200), "its encoding is not one of single bytes", "save as UTF-8"))
     mark = _BYTE_ORDER_MARK if held.startswith(_BYTE_ORDER_MARK) else b""
     body = held.removeprefix(mark)
     content = dcm.read_text(body.decode("latin-1"), file) if ending == "dcm" else cdfx.read(body, file)  # places count bytes
@@ -42,9 +42,7 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
     pieces, end = [mark], 0
     for begin, last, text in sorted(_edits(known, replaced(known, chosen, file), ending)):
         if ending == "dcm" and not text.isascii() and decoded(held, file).encode() != body:
-            raise InvalidInputError(
-                Problem(shown(file, 200), f"it is not UTF-8, as {shown(text)} would be", "save it as UTF-8")
-            )
+            raise InvalidInputError(Problem(shown(file, 200), f"it is not UTF-8, as {shown(text)} would be", "save as UTF-8"))
         pieces += [body[end:begin], text.encode("ascii", "xmlcharrefreplace") if ending == "cdfx" else text.encode()]
         end = last
     edited, origin = b"".join([*pieces, body[end:]]), _ORIGIN[ending].search(written)

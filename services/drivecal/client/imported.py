@@ -43,9 +43,7 @@ def read_results(path: Path, problem: ProblemAnswer) -> tuple[list[dict[str, Any
             elif value not in (None, ""):
                 row[kind][name] = str(value) if problem.parameters.get(name, {}).get("choices") else finite_number(value)
                 if row[kind][name] is None:
-                    fault = Problem(
-                        f"{path}, row {number}, {name}", f"{value!r} is not a number", "give a number with a decimal point"
-                    )
+                    fault = Problem(f"{path}, row {number}, {name}", f"{value!r} is no number", "give one with a decimal point")
                     raise InvalidInputError(fault)
             if unit is not None:
                 units[name] = unit

@@ -208,7 +208,5 @@ def is_this_machine(name: str) -> bool:
 def check_exposure(address: str, settings: Settings) -> None:
     """Raises InvalidInputError if other machines could use a server without tokens."""
     if settings.tokens_file is None and not is_loopback(address):
-        remedy = (
-            f"make a tokens file ({MAKE_TOKENS}) and name it by --tokens-file or DRIVECAL_TOKENS_FILE, or listen on 127.0.0.1"
-        )
+        remedy = f"make a tokens file ({MAKE_TOKENS}) and give --tokens-file or DRIVECAL_TOKENS_FILE, or listen on 127.0.0.1"
         raise InvalidInputError(Problem("--host", f"everyone who reaches {address} could use this server", remedy))

@@ -165,9 +165,7 @@ def manifest_text(files: Mapping[str, BundleFile]) -> bytes:
     if MANIFEST in files:
         return files[MANIFEST].content
     inner = [name for name in files if name.endswith("/" + MANIFEST)]
-    remedy = (
-        f"{inner[0]} must be at the top, without a folder around it" if inner else "add it: drivecal problem init shows one"
-    )
+    remedy = f"{inner[0]} must be at the top, without a folder" if inner else "add it: drivecal problem init shows one"
     raise _refused(MANIFEST, "the file is missing", remedy)
 
 

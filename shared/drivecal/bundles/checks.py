@@ -317,9 +317,7 @@ def _ranges(scores: Mapping[str, ScoreEntry]) -> Iterator[Problem]:
     for name, score in scores.items():
         field, (lower, upper) = f"scores.{name}", score.range
         if upper <= lower:
-            yield Problem(
-                f"{field}.range", f"the end {upper:g} is not above the start {lower:g}", "give the smaller number first"
-            )
+            yield Problem(f"{field}.range", f"the end {upper:g} is not above the start {lower:g}", "give the smaller one first")
         elif score.failed is not None and not (
             score.failed <= lower if score.direction == "maximise" else score.failed >= upper
         ):
@@ -425,9 +423,7 @@ def _command(field: str, words: list[str], files: Files | None) -> Iterator[Prob
         return
     path = program.removeprefix("./")
     if "/" not in program and program in files:
-        yield Problem(
-            f"{field}[0]", f"{program} without ./ is looked up on PATH", f"give ./{program} for the file of the bundle"
-        )
+        yield Problem(f"{field}[0]", f"{program} without ./ is sought on PATH", f"give ./{program} for the file of the bundle")
     elif "/" in program and path in files and not files[path].executable:
         yield Problem(f"{field}[0]", f"the file {shown(path)} is not executable", f"type: chmod +x {shown(path)}")
 

@@ -130,9 +130,7 @@ def task_problems(controller: AnyController, scenarios: Mapping[str, Any]) -> It
     for name, data in scenarios.items():
         if planned != ("task" in data):
             message = "the planner drives scenarios with a task" if planned else "a task is for the planner alone"
-            yield Problem(
-                f"scenarios.{name}.task", message, "add it, or give another controller" if planned else "leave it out"
-            )
+            yield Problem(f"scenarios.{name}.task", message, "add it, or another controller" if planned else "leave it out")
 
 
 def scenarios_problems(step: float, scenarios: Mapping[str, Any]) -> Iterator[Problem]:

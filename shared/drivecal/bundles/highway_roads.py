@@ -232,9 +232,7 @@ def _problems(roads: _Roads, field: str, scenario: HighwayScenario) -> Iterator[
         start = _start(road, scenario)
         needed = SHORTEST_DRIVE * scenario.ego.speed * scenario.duration
         if road.length - start < needed:
-            message = (
-                f"the route ends {road.length - start:.0f} m after the start, which is too short for {scenario.duration:g} s"
-            )
+            message = f"the route ends {road.length - start:.0f} m after the start, too short for {scenario.duration:g} s"
             yield Problem(f"{field}.route", message, "give a longer route, or a shorter duration")
     except InvalidInputError as error:
         yield from _prefixed(error, f"{field}.ego")
@@ -275,9 +273,7 @@ def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str
         yield Problem(f"{field}.lane", message, f"give 0 to {len(edge.lanes) - 1}")
     if edge is not None and vehicle.lane < len(edge.lanes) and vehicle.s > edge.lanes[vehicle.lane].length:
         length = edge.lanes[vehicle.lane].length
-        message = (
-            f"the lane {shown(f'{edge.id}_{vehicle.lane}', 90)} is {length:.2f} m long, and has no position {vehicle.s:g} m"
-        )
+        message = f"the lane {shown(f'{edge.id}_{vehicle.lane}', 90)}, {length:.2f} m long, has no position {vehicle.s:g} m"
         yield Problem(f"{field}.s", message, f"give 0 to {length:.2f}")
     if edge is not None and vehicle.route is not None and edge.id not in vehicle.route:
         yield Problem(f"{field}.edge", f"{shown(edge.id, 80)} is not on its own route", "give an edge of `route`")

@@ -52,9 +52,7 @@ def read(name: str, folder: Path) -> InstalledProblem:
     document = yaml.safe_load(files[MANIFEST].content)
     manifest = checked(document, files, taken=())
     if manifest.problem != name:
-        raise InvalidInputError(
-            Problem("problem", f"{manifest.problem} is registered as {name}", "register it by its own name")
-        )
+        raise InvalidInputError(Problem("problem", f"{manifest.problem} is registered as {name}", "register it by its name"))
     return InstalledProblem(content_digest(archive), files_digest(archive), manifest, folder=folder)
 
 

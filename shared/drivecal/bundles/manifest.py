@@ -112,9 +112,7 @@ class FmuSimulator(SimulatorEntry):
     @model_validator(mode="after")
     def _has_a_seed(self) -> Self:
         if self.random != (self.seed is not None):
-            raise ValueError(
-                "a random FMU has `random: true` and `seed: NAME`, the variable that takes the seed; give both or neither"
-            )
+            raise ValueError("a random FMU has `random: true` and `seed: NAME`, the variable of the seed; give both or neither")
         return self
 
 

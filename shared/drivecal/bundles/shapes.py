@@ -124,9 +124,7 @@ class ShapeEntry(Model):
         if self.convex and self.concave:
             raise ValueError("a curve that is convex and concave is a line; give one of them")
         if self.step is not None and self.coefficients is not None and (self.convex or self.concave or self.slope is not None):
-            raise ValueError(
-                "rounding between coefficients breaks convex, concave and slope; leave out `step` or `coefficients`"
-            )
+            raise ValueError("rounding breaks convex, concave and slope between coefficients; omit `step` or `coefficients`")
         sizes = [len(axis) for axis in self.axes]
         if self.coefficients is not None and self.coefficients < len(sizes) and self.map is not None:
             raise ValueError(f"{self.coefficients} coefficients are too few for a map; give at least 2")
@@ -405,9 +403,7 @@ def with_coefficients(
                 raise InvalidInputError(Problem(where, f"{name} is no curve or map", "give one value"))
             own = shapes[name].settings(value, where, ranges)
             if twice := sorted(own.keys() & given.keys()):
-                raise InvalidInputError(
-                    Problem(where, f"{', '.join(twice)} is given as well", "give the list or its coefficients")
-                )
+                raise InvalidInputError(Problem(where, f"{', '.join(twice)} is given too", "give the list or its coefficients"))
             settings |= own
             shape = shapes[name]
             off = float(np.abs(np.asarray(value) - shape.values(own)).max())

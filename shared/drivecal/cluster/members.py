@@ -27,9 +27,7 @@ def check_token(environment: Mapping[str, str]) -> None:
     if environment.get("RAY_AUTH_MODE") == "disabled" or (not path and environment.get("RAY_AUTH_TOKEN")):
         return
     if not path:
-        raise InvalidInputError(
-            Problem("RAY_AUTH_TOKEN_PATH", "the cluster's token is missing", f"name its file; {TOKEN_REMEDY}")
-        )
+        raise InvalidInputError(Problem("RAY_AUTH_TOKEN_PATH", "its token is missing", f"name its file; {TOKEN_REMEDY}"))
     try:
         token = Path(path).read_text(encoding="ascii").strip()
     except (OSError, UnicodeDecodeError) as error:

@@ -442,9 +442,7 @@ def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
     """Returns a row whose mappings are columns of their own."""
     columns: dict[str, Any] = {}
     for name, value in row.items():
-        columns.update(
-            {f"{name}.{key}": inner for key, inner in value.items()} if isinstance(value, Mapping) else {name: value}
-        )
+        columns.update({f"{name}.{key}": each for key, each in value.items()} if isinstance(value, Mapping) else {name: value})
     return columns
 
 

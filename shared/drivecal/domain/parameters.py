@@ -368,7 +368,7 @@ class ParameterSpace:
         for name, fixed in self.fixed.items():
             if name in values and values[name] != fixed:
                 problems.append(
-                    Problem(f"{field_name}.{name}", f"{values[name]} differs from the fixed value", f"give {shown(fixed)}")
+                    Problem(f"{field_name}.{name}", f"{values[name]} is not the fixed value", f"give {shown(fixed)}")
                 )
         if problems:
             raise InvalidInputError(*problems)

@@ -50,6 +50,4 @@ def carriageway(network: bytes, route: tuple[str, ...], name: str) -> Road:
 
 
 def _refused(name: str, message: str) -> InvalidInputError:
-    return InvalidInputError(
-        Problem("route", f"{name}: the route {message}", "give a carriageway, or a problem of kind highway")
-    )
+    return InvalidInputError(Problem("route", f"{name}: the route {message}", "give a carriageway, or the kind highway"))

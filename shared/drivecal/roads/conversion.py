@@ -340,9 +340,7 @@ def _run(content: bytes, file: RoadFile) -> tuple[bytes, list[str]]:
             message = f"netconvert did not finish in {TIMEOUT:g} s"
             raise InvalidInputError(Problem(file.name, message, "cut the part out that is driven")) from error
         said = [line.strip() for line in (process.stdout + process.stderr).splitlines()]
-        errors, warnings = (
-            [line.partition(": ")[2] for line in said if line.startswith(kind)] for kind in ("Error", "Warning")
-        )
+        errors, warnings = ([row.partition(": ")[2] for row in said if row.startswith(kind)] for kind in ("Error", "Warning"))
         result = path / "road.net.xml"
         if process.returncode != 0 or not result.is_file():
             raise InvalidInputError(_cause(file, process.returncode, errors))

@@ -319,9 +319,7 @@ class _Reader:
         others = self.connections.setdefault(begin, [])
         others.append(connection)
         if len(others) > MOST_CONNECTIONS:
-            raise attributes.fault(
-                f"{shown(begin, 60)} has more than {MOST_CONNECTIONS:,} connections", "build the network again"
-            )
+            raise attributes.fault(f"{shown(begin, 60)} has more than {MOST_CONNECTIONS:,} connections", "build it again")
 
     def on_junction(self, attributes: Attributes) -> None:
         self.junction, self.foes = attributes, []
@@ -331,9 +329,7 @@ class _Reader:
             raise attributes.fault("the request stands outside of a junction", "move it into its junction")
         index, bits = attributes.integer("index", 0, 10_000), attributes.text("foes")
         if index != len(self.foes) or len(bits) > 10_000 or not set(bits) <= {"0", "1"}:
-            raise attributes.fault(
-                "the requests are not numbered 0, 1, ..., or their foes are not bits", "build the network again"
-            )
+            raise attributes.fault("the requests are not numbered 0, 1, ..., or their foes are not bits", "build it again")
         self.foes.append(bits)
 
     def _close_junction(self, attributes: Attributes) -> None:

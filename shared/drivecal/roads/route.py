@@ -155,9 +155,7 @@ def _edge(network: Network, name: str, index: int) -> Edge:
         raise refusal(index, network, message, remedy)
     where = f"line {edge.line}, the edge {shown(name, 80)}"
     if edge.function != "":
-        raise refusal(
-            index, network, f"{where} lies inside of a junction ({edge.function})", "give the edges before and after it"
-        )
+        raise refusal(index, network, f"{where} lies inside of a junction ({edge.function})", "give those before and after it")
     if not any(lane.for_cars for lane in edge.lanes):
         raise refusal(index, network, f"{where} has no lane for passenger cars", "give an edge with one")
     if name in network.roundabouts:
@@ -171,9 +169,7 @@ def _ways(network: Network, before: Edge, after: Edge, index: int) -> tuple[Way,
     names = f"{shown(before.id, 80)} and {shown(after.id, 80)}"
     for link in links:
         if link.from_lane >= len(before.lanes) or link.to_lane >= len(after.lanes):
-            raise refusal(
-                index, network, f"line {link.line}: a connection of {names} names a lane that is not there", "correct it"
-            )
+            raise refusal(index, network, f"line {link.line}: a connection of {names} names a missing lane", "correct it")
     ways = tuple(
         Way(before.lanes[link.from_lane], _inside(network, link, index), after.lanes[link.to_lane])
         for link in links
@@ -224,9 +220,7 @@ def _guide(network: Network, edges: Sequence[Edge], ways: Sequence[Sequence[Way]
                 total = cost + changes + 1e-3 * int(min(way.jump, 50.0)) + 1e-6 * way.end.index
                 best[way.end.index] = min(best.get(way.end.index, (np.inf, 0, 0)), (total, begin, way.begin.index))
         if not best:
-            message = (
-                f"the lanes that reach {shown(edge.id, 80)} do not lead on: changing lanes needs {SHORTEST_CHANGE:g} m for each"
-            )
+            message = f"the lanes that reach {shown(edge.id, 80)} do not lead on: a lane change needs {SHORTEST_CHANGE:g} m"
             raise refusal(len(steps), network, message, "give another route")
         steps.append({end: (begin, leave) for end, (_, begin, leave) in best.items()})
         costs = {end: total for end, (total, _, _) in best.items()}

@@ -200,9 +200,7 @@ def test_keys_under_a_deleted_map_are_unused_and_go_in_slices(database: Database
             ],
         )
         sets = sample_set_ids(connection, 5)
-        runs_of.insert_results(
-            connection, [new_run(setup, one, evaluation=cell) for one, cell in zip(sets, number, strict=True)]
-        )
+        runs_of.insert_results(connection, [new_run(setup, one, evaluation=n) for one, n in zip(sets, number, strict=True)])
     for under in (made.sequence, made.sequence + 1):
         reference_keys.sync(
             database, under, setup, EVALUATOR, 10**9, lambda _, values: [n.to_bytes(16, "big") for n in range(len(values))]

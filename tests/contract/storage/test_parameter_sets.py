@@ -43,9 +43,7 @@ def test_setups_are_stored_once_with_all_that_decides_their_runs(database: Datab
         assert setups.ensure(connection, [other]) == [ids[1]]
         counts = setups.counts(connection)
     assert ids[0] == ids[2] != ids[1]
-    assert {count.fingerprint: count.document for count in counts} == {
-        item.fingerprint: item.document for item in (SETUP, other)
-    }
+    assert {each.fingerprint: each.document for each in counts} == {item.fingerprint: item.document for item in (SETUP, other)}
     assert [entry.runs for entry in counts] == [0, 0]
 
 

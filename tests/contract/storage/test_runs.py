@@ -160,9 +160,7 @@ def test_every_bit_comes_back(tmp_path_factory: pytest.TempPathFactory) -> None:
             [stored] = metrics.pack(connection, [given])
             read = metrics.reader(connection)(stored)
         assert list(read) == list(given)
-        assert [repr(value) for value in read.values()] == [
-            repr(value) if isfinite(value) else "None" for value in given.values()
-        ]
+        assert [repr(each) for each in read.values()] == [repr(each) if isfinite(each) else "None" for each in given.values()]
 
     comes_back()
 

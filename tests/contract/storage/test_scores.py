@@ -22,9 +22,7 @@ def test_scores_of_runs_and_of_their_keys(database: Database) -> None:
         new = [new_run(setup, one, score=score, rating=score) for one, score in zip(sets, SCORES, strict=True)]
         stored = runs.insert_results(connection, new)
         assert runs.insert_results(connection, new) == stored
-        ratings.insert(
-            connection, "other 1", [(run.id, Rating(score, score)) for run, score in zip(stored, SCORES, strict=True)]
-        )
+        ratings.insert(connection, "other 1", [(run.id, Rating(each, each)) for run, each in zip(stored, SCORES, strict=True)])
     keys = [number.to_bytes(16) for number in range(len(SCORES))]
     watermark = stored[-1].id
     reference_keys.sync(database, 1, setup, EVALUATOR, watermark, lambda _, values: keys[: len(values)])

@@ -134,9 +134,7 @@ def assert_sound(coordinator: Served, accepted: Accepted) -> None:
                 wrong.append(f"key {key} made evaluations {answers}")
             single = client.evaluation(answers[0])
             if single.state != CampaignState.SUCCEEDED or single.score is None:
-                wrong.append(
-                    f"the accepted evaluation {answers[0]} is {single.state} with score {single.score}: {single.error}"
-                )
+                wrong.append(f"the evaluation {answers[0]} is {single.state} with score {single.score}: {single.error}")
         kept = connection.execute(select(func.count()).select_from(campaigns_table)).scalar_one()
         known = len(accepted.campaigns) + len({answers[0] for answers in accepted.evaluations.values()})
         if kept < known:

@@ -112,9 +112,7 @@ def test_courses_populations_and_conditions_do_not_depend_on_the_unit(values: li
     assert kept[0] == kept[1]
     scales = [Scale("s", Direction.MAXIMISE, offset, unit + offset, 0.1 * unit, offset) for unit, offset in ((1.0, 0.0), size)]
     assert [scales[0].is_wrong(each - usual[0]) for each in usual] == [scales[1].is_wrong(each - other[0]) for each in other]
-    beaten = [
-        Standing(each[:, np.newaxis], 0.0 * each).beats(each[:, np.newaxis], 0.0 * each).tolist() for each in (usual, other)
-    ]
+    beaten = [Standing(row[:, np.newaxis], 0.0 * row).beats(row[:, np.newaxis], 0.0 * row).tolist() for row in (usual, other)]
     assert beaten[0] == beaten[1]
 
 

@@ -54,9 +54,7 @@ def test_a_continuous_parameter_is_validated_without_a_table_and_within_constrai
     space = ParameterSpace(tuple(Parameter.from_step(name, Decimal(-1000000), Decimal(1000000), None) for name in "ab"))
     lower = Influence(influential=True, lower=Decimal(500_000))
     influence_map = InfluenceMap({"S1": {"a": lower, "b": Influence(influential=False)}})
-    made = design(
-        reducible_space(influence_map, "S1", space), 20, 3, 1, 400, feasible=lambda points: points[:, 0] <= points[:, 1]
-    )
+    made = design(reducible_space(influence_map, "S1", space), 20, 3, 1, 400, feasible=lambda x: x[:, 0] <= x[:, 1])
     assert made is not None
     assert (made.bases[:, 0] <= made.bases[:, 1]).all()
     moved = made.variants[..., 0] != made.bases[:, None, 0]

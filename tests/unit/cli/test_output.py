@@ -54,9 +54,7 @@ def test_results_from_elsewhere_show_curves(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_what_matters_is_printed_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    items = [
-        {"parameter": name, "importance": n, "deviation": 0, "lower": n, "upper": n} for name, n in (("a", 0.1), ("b", 0.8))
-    ]
+    items = [{"parameter": key, "importance": n, "deviation": 0, "lower": n, "upper": n} for key, n in (("a", 0.1), ("b", 0.8))]
     answer = ImportanceAnswer.model_validate({"scenario": "S1", "method": "", "sets": 50, "r2": 0.9, "items": items})
     client = SimpleNamespace(importance=lambda *_, scenario, variant: answer if (scenario, variant) == ("S1", "v") else None)
     monkeypatch.setattr(results, "connect", lambda _: nullcontext(client))

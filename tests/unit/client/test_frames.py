@@ -57,9 +57,7 @@ def test_a_missing_package_is_named(downloaded: tuple[DownloadedTable, str], mon
 def test_the_python_of_the_readme_runs(monkeypatch: pytest.MonkeyPatch, downloaded: tuple[DownloadedTable, str]) -> None:
     text = (Path(__file__).parents[3] / "README.md").read_text()
     (source,) = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-    middle = dict(
-        zip([f"P{number}" for number in range(1, 12)], [-0.5, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100], strict=True)
-    )
+    middle = dict(zip([f"P{n}" for n in range(1, 12)], [-0.5, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100], strict=True))
     best = SimpleNamespace(items=[SimpleNamespace(parameters=middle)])
     monkeypatch.chdir(Path(__file__).parents[3])
     monkeypatch.setattr(Client, "solutions", lambda *_, **__: best)

@@ -47,9 +47,7 @@ def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool, repl
         raise _error("the answer has no object `measures`")
     measures = {name: _number(name, value) for name, value in reported.items()}
     if undeclared := sorted(measures.keys() - set(declared.measures)):
-        raise _error(
-            f"measures that problem.yaml does not declare: {_joined(undeclared)}; declared: {_joined(declared.measures)}"
-        )
+        raise _error(f"measures that are not declared: {_joined(undeclared)}; declared: {_joined(declared.measures)}")
     if failure is None and (missing := [name for name in declared.measures if name not in measures]):
         raise _error(f"the answer lacks measures: {_joined(missing)}; give all that problem.yaml declares, or a `failure`")
     if not series:

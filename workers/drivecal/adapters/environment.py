@@ -66,7 +66,7 @@ class Scratch:
         spoilt."""
         if self.is_spoilt:
             raise PermissionError(
-                errno.EPERM, "a process that cannot be ended may change the folder of a simulator", str(self.folder)
+                errno.EPERM, "a process that cannot be ended may change the simulator's folder", str(self.folder)
             )
         discard(self.work)
         self.work.mkdir()
@@ -126,9 +126,7 @@ class Scratch:
         for folder in (self.work, self.home, self.folder, self.bundle):
             text = text.replace(f"{folder}/", "").replace(str(folder), ".")
         if any(refusal in text for refusal in _REFUSALS):
-            text += (
-                f"; it may change files below its working directory and $TMPDIR, and in the folders of {GRANTED} on the worker"
-            )
+            text += f"; it may change its working directory and $TMPDIR, and the folders of {GRANTED} on the worker"
         return text
 
     def remove(self) -> None:

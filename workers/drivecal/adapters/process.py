@@ -138,9 +138,7 @@ class ProcessSession:
         try:
             answer = answers.document(pipes.ask(request.encode(), self._timeout, RUN_LIMIT + self._advice), "the answer")
             if answer.get("id") != self._number or answer["id"] is True:
-                raise NoMeasuresError(
-                    Breakdown.ERROR, f"the answer's id is {answer.get('id')!r:.100}, the request's {self._number}"
-                )
+                raise NoMeasuresError(Breakdown.ERROR, f"the answer's id is {answer.get('id')!r:.100}, not {self._number}")
             if pipes.has_more:
                 raise NoMeasuresError(Breakdown.ERROR, "it wrote more than one line in answer to one request")
         except NoMeasuresError:

@@ -147,9 +147,7 @@ def refuse_push(request: Request) -> str | None:
         if "authorization" not in request.headers:
             raise HTTPException(403, "a session pushes no problem; send Authorization: Bearer TOKEN")
         if not token.may_push:
-            detail = (
-                f"the token of {token.name} may not push problems; that needs one of an author (NAME author TOKEN) or an admin"
-            )
+            detail = f"the token of {token.name} may not push problems; give one of an author (NAME author TOKEN) or admin"
             raise HTTPException(403, detail, {"WWW-Authenticate": CHALLENGE + ', error="insufficient_scope"'})
         return None
     given = request.headers.getlist(HEADER)

@@ -114,9 +114,7 @@ def _differences(basis: Mapping[str, Any], problem: CalibrationProblem) -> list[
     bench = problem.bench
     reasons: list[str] = []
     fingerprints = {scenario: setup.fingerprint for scenario, setup in bench.setups.items()}
-    other = [
-        scenario for scenario, fingerprint in fingerprints.items() if basis["setups"].get(scenario, fingerprint) != fingerprint
-    ]
+    other = [scenario for scenario, own in fingerprints.items() if basis["setups"].get(scenario, own) != own]
     if other and bench.to_probe is None:  # else it is known only when the campaign starts
         reasons.append(f"it was made with another setup (version, vehicle or simulator) of {', '.join(other)}")
     if basis["evaluator"] != bench.evaluator_id:

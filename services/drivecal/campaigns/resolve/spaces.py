@@ -141,9 +141,7 @@ def search_space(specification: CampaignSpecification, function: Function, diagn
         single = len(missing) == 1
         needed = f"{function.name} needs {'a value' if single else 'values'} of {', '.join(missing)}"
         it = "it" if single else "them"
-        diagnostics.add(
-            f"fixed.{missing[0]}" if single else "fixed", needed, f"list {it} in `parameters` or hold {it} in `fixed`"
-        )
+        diagnostics.add(f"fixed.{missing[0]}" if single else "fixed", needed, f"list {it} in `parameters` or in `fixed`")
     if by_name and set(by_name) <= set(fixed):
         diagnostics.add("fixed", "every parameter is held, so there is nothing to search", "leave at least one parameter free")
     if diagnostics.problems:

@@ -145,9 +145,7 @@ class CheckedSet:
             yield from [self._failures(limit, names)] if limit.rate else (self._finding(limit, name) for name in names)
         differing = sum(each.unrepeatable for _, each in self._each())
         if differing and self.problem.simulator.get("deterministic") is not False:
-            counted = (
-                f"{differing:,} runs gave another result; what they read besides the problem's files belongs into `inputs`"
-            )
+            counted = f"{differing:,} runs gave another result; what they read but the problem's files belongs into `inputs`"
             yield Finding("all", "new runs give the stored results", counted)
 
     def _failures(self, limit: SetLimit, names: Collection[str]) -> Finding:
@@ -483,8 +481,6 @@ def _markdown(chosen: str, checked: CheckedSet, findings: Sequence[Finding]) -> 
         f"|{'---|' * len(COLUMNS)}",
     ]
     for row in _rows(checked, findings):
-        shown = [
-            "" if each is None else score_text(each) if isinstance(each, float | int) else str(each) for each in row.values()
-        ]
+        shown = ["" if one is None else score_text(one) if isinstance(one, float | int) else str(one) for one in row.values()]
         lines.append(f"| {' | '.join(text.replace('|', chr(92) + '|') for text in shown)} |")
     return "\n".join([*lines, "", ""])

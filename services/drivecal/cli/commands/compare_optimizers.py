@@ -42,9 +42,7 @@ def compare_optimizers(
                     print_answer(client.expected_comparison(specification), as_json, _print_expected)
                     return
                 comparison = client.compare(specification)
-            say(
-                f"{len(comparison.runs)} campaigns are queued; compare them: `drivecal compare-optimizers --tag {comparison.tag}`"
-            )
+            say(f"{len(comparison.runs)} campaigns are queued; see `drivecal compare-optimizers --tag {comparison.tag}`")
         if wait:
             comparison = _wait_for(client, comparison, timeout)
     print_answer(comparison, as_json, _print_comparison)

@@ -146,9 +146,7 @@ def _print_verified(report: dict[str, Any], as_json: bool) -> None:
     if as_json:
         print_json(report)
     else:
-        rows = [
-            [check["name"], "broken" if check["problems"] else "well", f"{check['seconds']:.1f}"] for check in report["checks"]
-        ]
+        rows = [[each["name"], "broken" if each["problems"] else "well", f"{each['seconds']:.1f}"] for each in report["checks"]]
         print_columns(["check", "result", "wall s"], rows)
         typer.echo(f"{report['database']} is current and {'whole' if report['whole'] else 'broken'}")
     if not report["whole"]:

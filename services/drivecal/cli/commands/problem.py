@@ -151,9 +151,7 @@ def list_problems(
     """List the problems on the server, last pushed first."""
     with connect(url) as client:
         page = client.problems(name=name, limit=limit)
-    rows = [
-        [item.name, when(item.created_at), _size(item.size), "yes" if item.latest else "", item.digest] for item in page.items
-    ]
+    rows = [[one.name, when(one.created_at), _size(one.size), "yes" if one.latest else "", one.digest] for one in page.items]
     print_page(page, as_json, ["name", "created", "size", "latest", "digest"], rows, limit)
 
 

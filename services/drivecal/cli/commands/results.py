@@ -131,15 +131,11 @@ def export(
     ] = None,
     where: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="CONDITION", help="Only such rows: COLUMN=VALUE, COLUMN>=NUMBER or COLUMN<=NUMBER; may be repeated."
-        ),
+        typer.Option(metavar="CONDITION", help="Only such rows: COLUMN=VALUE, >=NUMBER or <=NUMBER; may be repeated."),
     ] = None,
     weights: Annotated[
         str | None,
-        typer.Option(
-            metavar="S1=2,S2=1", help="Of the tables solutions (scenarios) and front (objectives): ranked by these weights."
-        ),
+        typer.Option(metavar="S1=2,S2=1", help="Of solutions (scenarios) and front (objectives): ranked by these weights."),
     ] = None,
     score: ScoreOption = None,
     variant: VariantOption = None,

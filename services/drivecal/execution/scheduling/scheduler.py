@@ -228,9 +228,7 @@ class Scheduler:
             self._reservation.answered(sent.line, self._costs.seconds_per_cell(setup))
         completed = []
         for leader in sent.leaders:
-            answer = answers.get(leader.cell.id) or _broken(
-                leader, Breakdown.ERROR, "the worker returned no result for this cell"
-            )
+            answer = answers.get(leader.cell.id) or _broken(leader, Breakdown.ERROR, "the worker returned no result for it")
             self._affinity.came_back(setup, failed=answer.breakdown is not None)
             if answer.breakdown is None:
                 completed += self._complete(leader, answer, result.worker, leader.simulation.breakdowns + 1)

@@ -360,8 +360,6 @@ def _make_anew(connection: Connection, name: str, revision: str) -> None:
 
 def _compare(connection: Connection, rows: dict[str, int], name: str) -> None:
     counts = count_rows(connection, tables_of(connection))
-    different = [
-        f"{counts.get(table)} and not {count} in {table}" for table, count in rows.items() if counts.get(table) != count
-    ]
+    different = [f"{counts.get(table)} and not {n} in {table}" for table, n in rows.items() if counts.get(table) != n]
     if different:
         raise DatabaseError(f"{name}: row counts differ after copying ({'; '.join(different)}); check the disk and try again")

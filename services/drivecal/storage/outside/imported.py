@@ -49,9 +49,7 @@ def add(connection: Connection, problem: str, given: Sequence[ImportedValues]) -
             )
     count = connection.scalar(select(func.count()).where(table.problem == problem)) or 0
     if count + len(places) > MOST:
-        raise ConflictError(
-            f"{problem} would have {count + len(places):,} imported cells, at most {MOST:,}; delete a source first"
-        )
+        raise ConflictError(f"{problem} would have {count + len(places):,} imported cells, at most {MOST:,}; delete a source")
     as_it_is = ("source", "date", "owner", "scenario", "scores", "measures", "form")
     rows = [
         {name: getattr(each, name) for name in as_it_is} | {"problem": problem, "parameter_set_id": number, "created_at": now()}

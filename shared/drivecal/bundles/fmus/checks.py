@@ -133,9 +133,7 @@ def _constants(
         if name not in variables:
             settable = [variable.name for variable in variables.values() if variable.causality in SETTABLE]
             similar = get_close_matches(name, settable[:MOST_COMPARED], 3) or sorted(settable)[:5]
-            remedy = (
-                f"give inputs or parameters of the FMU, e.g. {', '.join(map(shown, similar))}" if similar else "leave it out"
-            )
+            remedy = f"give inputs or parameters, e.g. {', '.join(map(shown, similar))}" if similar else "leave it out"
             yield Problem(at, f"the FMU has no variable {shown(name)}", remedy)
         elif name in signals or name in parameters:
             other = f"the signal {signals[name]}" if name in signals else "the parameter of this name"

@@ -249,7 +249,7 @@ class Checked:
         for name, value in zip(self.output, commands, strict=True):
             if not _is_finite(value):
                 raise ControllerError(
-                    f"the controller gave {value!r:.100} for {name} at {signals[0]:g} s; it must be a finite number"
+                    f"the controller gave {value!r:.100} for {name} at {signals[0]:g} s; give a finite number"
                 )
         return commands
 

@@ -257,7 +257,5 @@ def _whole(duration: float, part: float, field: str) -> int:
     """Returns how many times a part fits into a duration. Raises InvalidInputError if it is not a whole number."""
     count = round(duration / part)
     if count < 1 or abs(count * part - duration) > 1e-9:
-        raise InvalidInputError(
-            Problem(field, f"{duration:g} s is no multiple of {part:g} s", f"give a multiple of {part:g} s")
-        )
+        raise InvalidInputError(Problem(field, f"{duration:g} s is no multiple of {part:g} s", f"give a multiple of {part:g}"))
     return count
