@@ -27,7 +27,7 @@ from drivecal.contracts.tables import Generation
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import Diagnostics, InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import digest
-from drivecal.optimizers.external import EXTERNAL
+from drivecal.optimizers.built_in import EXTERNAL
 from drivecal.plugins import registry
 from drivecal.storage import campaigns, generations
 from drivecal.storage.campaigns import StoredCampaign

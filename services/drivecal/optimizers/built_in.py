@@ -124,6 +124,27 @@ class BuiltIn(Generic[Chosen]):
         return settings
 
 
+class ExternalSettings(BaseModel):
+    """Evaluates the sets that another program proposes, until the budget is used up or that program finishes the campaign."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    kind: Literal["external"] = "external"
+    seed: Annotated[int, Field(ge=0, lt=2**63, description="Seed of the checks of reused answers.")] = 1
+    infeasible: Annotated[
+        Literal["refuse", "repair"],
+        Field(description="Refuses sets outside of the bounds or constraints, or takes a near set that keeps them."),
+    ] = "refuse"
+
+
+class External:
+    """An optimizer without a search: its rounds are the sets that another program proposes."""
+
+    name = "external"
+    settings: type[BaseModel] = ExternalSettings
+    supports: frozenset[Ability] = frozenset(get_args(Ability))
+
+
 GENETIC: OptimizerPlugin = BuiltIn(
     "genetic",
     GeneticSettings,
@@ -150,3 +171,4 @@ SWARM: OptimizerPlugin = BuiltIn(
         first, n_values, c1=chosen.c1, c2=chosen.c2, inertia=chosen.inertia, generator=generator
     ),
 )
+EXTERNAL = External()

@@ -337,7 +337,7 @@ def test_intervals_are_those_of_a_ranking_that_takes_all_answers_at_once() -> No
     assert grown.best_first()[0].parameter_set == 2
     grown.add(later)
     whole.add(first + later)
-    assert [(one.lower, one.upper) for one in grown.best_first()] == [(one.lower, one.upper) for one in whole.best_first()]
+    assert [(row.lower, row.upper) for row in grown.best_first()] == [(row.lower, row.upper) for row in whole.best_first()]
 
 
 def test_a_set_that_lost_its_value_to_a_failed_run_tells_nothing_of_others() -> None:

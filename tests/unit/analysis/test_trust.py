@@ -325,7 +325,7 @@ def test_convergence_is_told_by_both_criteria_of_the_paper() -> None:
         ("not_converged", "number of alternative optima", 11),
     ]
     rested = [*rising, *[point(6.0, 6.0, 4)] * 6]
-    result = [one for one in trust(campaign(), Evidence(search=SearchCourse(rested, {}))).verdicts if one.code == "converged"]
+    result = [row for row in trust(campaign(), Evidence(search=SearchCourse(rested, {}))).verdicts if row.code == "converged"]
     assert [(each.light, each.numbers["iteration"]) for each in result] == [("neutral", 11), ("green", 2)]
 
 

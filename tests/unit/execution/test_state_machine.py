@@ -349,7 +349,7 @@ class Turmoil(RuleBasedStateMachine):
             for cell in sent.batch.cells
             if self.rows[cell.id].value in POISON
         }
-        results = tuple(broken_result(one, broken[one.id][0]) if one.id in broken else answer(one) for one in sent.batch.cells)
+        results = tuple(broken_result(row, broken[row.id][0]) if row.id in broken else answer(row) for row in sent.batch.cells)
         completed = self.scheduler.finished(sent.batch_id, BatchResult(place.name, results, seconds))
         self._settle(sent, completed, broken, place.name)
         return True

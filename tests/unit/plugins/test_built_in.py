@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.optimizers.external import External
+from drivecal.optimizers.built_in import External
 from drivecal.plugins import ports, registry, simulators
 from drivecal.plugins.search import SearchPlugin
 

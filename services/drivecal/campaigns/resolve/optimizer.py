@@ -19,7 +19,7 @@ from drivecal.contracts.specification import (
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import Diagnostics
 from drivecal.domain.parameters import Indices
-from drivecal.optimizers.external import External
+from drivecal.optimizers.built_in import External
 from drivecal.optimizers.repair import RepairingOptimizer
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Ability, Optimizer, OptimizerPlugin

@@ -11,7 +11,7 @@ from drivecal.contracts.outside.sets import ProposedSet
 from drivecal.domain.errors import Diagnostics
 from drivecal.domain.parameters import Indices, ParameterSpace
 from drivecal.domain.values import Setting, Value, decimal
-from drivecal.optimizers.external import ExternalSettings
+from drivecal.optimizers.built_in import ExternalSettings
 
 
 def indices_of(problem: CalibrationProblem, proposed: Sequence[ProposedSet], diagnostics: Diagnostics) -> Indices:

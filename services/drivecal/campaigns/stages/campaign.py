@@ -23,7 +23,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NoResultError
 from drivecal.domain.evaluations import Purpose, RequestedCell
 from drivecal.execution.scheduling.in_flight import Completed, Work
-from drivecal.optimizers.external import External
+from drivecal.optimizers.built_in import External
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database

@@ -481,6 +481,6 @@ def _markdown(chosen: str, checked: CheckedSet, findings: Sequence[Finding]) -> 
         f"|{'---|' * len(COLUMNS)}",
     ]
     for row in _rows(checked, findings):
-        shown = ["" if one is None else score_text(one) if isinstance(one, float | int) else str(one) for one in row.values()]
+        shown = ["" if raw is None else score_text(raw) if isinstance(raw, float | int) else str(raw) for raw in row.values()]
         lines.append(f"| {' | '.join(text.replace('|', chr(92) + '|') for text in shown)} |")
     return "\n".join([*lines, "", ""])

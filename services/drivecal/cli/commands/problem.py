@@ -151,7 +151,7 @@ def list_problems(
     """List the problems on the server, last pushed first."""
     with connect(url) as client:
         page = client.problems(name=name, limit=limit)
-    rows = [[one.name, when(one.created_at), _size(one.size), "yes" if one.latest else "", one.digest] for one in page.items]
+    rows = [[row.name, when(row.created_at), _size(row.size), "yes" if row.latest else "", row.digest] for row in page.items]
     print_page(page, as_json, ["name", "created", "size", "latest", "digest"], rows, limit)
 
 
