@@ -66,7 +66,7 @@ SCORES = CONFIRMED | {
     "ranges).",
 }
 BASELINE = {
-    "baseline_breaks_more": "The baseline breaks the constraints, and {subject} does not, or by less.",
+    "baseline_breaks_more": "The baseline breaks the constraints more than {subject}.",
     "beside_baseline": "The chosen set beside the baseline: {objectives:compared}.",
     "better_than_baseline": "The best set is better than the baseline, by {gain:.4g}.",
     "alike_baseline": "The best set is better than the baseline, by {gain:.4g}, within the tolerance of {tolerance}.",

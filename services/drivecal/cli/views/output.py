@@ -95,7 +95,7 @@ def print_campaign(campaign: Campaign) -> None:
     hidden = {name for curve in campaign.curves.values() for name in curve["names"]}
     if campaign.baseline:
         ended = CampaignState(campaign.state).ended
-        missing = "no objective: a scenario has no result, or a failed run lacks a measure" if ended else "no result yet"
+        missing = "no objective: a scenario did not run, has no result, or lacks a measure" if ended else "no result yet"
         parameters = parameters_text(campaign.baseline.parameters, None, hidden)
         lines.append(("baseline", f"{judged_text(campaign.baseline, missing)}  {parameters}"))
     if campaign.best:
