@@ -18,6 +18,7 @@ EGO = "ego"
 
 class Condition(Model):
     """A condition of an action: a `quantity` is `above` or `below` a value, or other actions, by id, have `begun` or are `done`.
+    The value itself counts as above and below it, except for a `strict` condition.
 
     `time` is in s. `speed` (m/s), `s` (m, along the scenario's route) and `travelled` (m, since the start) belong to `vehicle`, by default
     the acting vehicle. `gap` (m, along the road), `headway` (s) and `ttc` (s) lead from it to the vehicle `to`, by default ego: between
@@ -35,6 +36,7 @@ class Condition(Model):
     d: Annotated[float, Field(ge=-1000, le=1000)] = 0.0
     above: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
     below: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
+    strict: bool = False
     begun: VehicleId | None = None
     done: VehicleId | None = None
     rising: bool = False

@@ -3,9 +3,10 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
+from math import inf
 from typing import Any
 
-from drivecal.bundles.traffic.elements import Element, Notes
+from drivecal.bundles.traffic.elements import Element, Notes, parameter_holds
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError
 
@@ -139,9 +140,11 @@ class Triggers:
         return [] if held else [common | entry for entry in entries]  # the time is above 0 as soon as the scenario runs
 
     def _of_value(self, kind: Element, delay: float) -> Conditions:
-        condition = kind.only("SimulationTimeCondition", "StoryboardElementStateCondition")
+        condition = kind.only("SimulationTimeCondition", "ParameterCondition", "StoryboardElementStateCondition")
         if condition.element == "SimulationTimeCondition":
             return [{"quantity": "time"} | _limit(condition)]
+        if condition.element == "ParameterCondition":
+            return [{"quantity": "time", "above": 0.0 if parameter_holds(condition) else LARGEST} | STAYS]
         state = condition.word("state", ENDED + BEGUN)
         part = self._parts.referred(condition)
         if state in ENDED:
@@ -209,5 +212,20 @@ class Triggers:
 
 
 def _limit(condition: Element) -> dict[str, float]:
+    """Returns the limit of a condition. The time is above a value as soon as it is there: it goes on."""
     rule = condition.word("rule", ABOVE + BELOW)
-    return {"above" if rule in ABOVE else "below": condition.number("value", -LARGEST, LARGEST)}
+    strict = rule == "lessThan" or (rule == "greaterThan" and condition.element != "SimulationTimeCondition")
+    return {"above" if rule in ABOVE else "below": condition.number("value", -LARGEST, LARGEST), "strict": strict}
+
+
+def stop_time(group: Element) -> float | None:
+    """Returns the time (s) at which a group of a StopTrigger is fulfilled, None if not only the time decides that."""
+    times = []
+    for condition in group.every("Condition"):
+        condition.text("conditionEdge", "none")  # a time that has come once stays so
+        value = condition.optional("ByValueCondition")
+        time = value.optional("SimulationTimeCondition") if value is not None else None
+        if time is None or time.word("rule", (*ABOVE, "lessThan", "lessOrEqual", "equalTo", "notEqualTo")) not in ABOVE:
+            return None
+        times.append(time.number("value", 0.0, inf) + condition.number("delay", 0.0, inf, 0.0))
+    return max(times, default=None)

@@ -13,7 +13,7 @@ import numpy as np
 
 from drivecal.bundles.highway import OpenScenario
 from drivecal.bundles.highway_actions import EGO
-from drivecal.bundles.traffic.conditions import ABOVE, LARGEST
+from drivecal.bundles.traffic.conditions import LARGEST, stop_time
 from drivecal.bundles.traffic.elements import Element, Notes, declare, read_tree, substituted
 from drivecal.bundles.traffic.entities import Catalogs, Entity, Files, bundle_path, entities_of
 from drivecal.bundles.traffic.places import FilePlace, Map, along
@@ -318,7 +318,8 @@ class ScenarioFile:
             return s, d + place.offset
 
         centres = {ids[name]: entity.centre for name, entity in present.items()}
-        actions = Storyboard(storyboard, ids, centres, Ways(ways, roads, paths, reader), reached, self._notes).actions
+        every = Ways(ways, roads, paths, reader)
+        actions = Storyboard(storyboard, ids, centres, every, reached, duration, self._notes).actions
         document = {"route": route, "duration": duration, "ego": _placed(starts[ego.name], ego)}
         entries = [
             Entry(self._vehicle(entity, starts[name], ids[name], ways.get(ids[name], []), route, actions), entity.element)
@@ -347,12 +348,12 @@ class ScenarioFile:
                 self._notes.add(trigger, "ignored: the scenario has its own duration")
             return self._scenario.duration
         groups = trigger.every("ConditionGroup") if trigger else []
-        times = [time for group in groups if (time := _stop_time(group)) is not None]
+        times = [time for group in groups if (time := stop_time(group)) is not None]
         if min(times, default=inf) > 3_600.0:
             message = "the file has no time up to 3600 s at which it stops"
             raise (trigger or storyboard).fault(message, "give `duration` in the scenario")
         for group in groups:
-            if _stop_time(group) is None:
+            if stop_time(group) is None:
                 group.skip()
                 self._notes.add(group, "ignored: the run lasts until the time of the StopTrigger")
         return round(max(1, ceil(min(times) / step - 1e-9)) * step, 9)
@@ -436,16 +437,3 @@ def _is_ahead(place: FilePlace, other: FilePlace, roads: Map, element: Element) 
                 return is_ahead
     message = "the vehicle's place is neither ahead of the other's nor behind it"
     raise element.fault(message, 'give displacement="leadingReferencedEntity" or "trailingReferencedEntity"')
-
-
-def _stop_time(group: Element) -> float | None:
-    """Returns the time (s) at which a group of the StopTrigger is fulfilled, None if not only the time decides that."""
-    times = []
-    for condition in group.every("Condition"):
-        condition.text("conditionEdge", "none")  # a time that has come once stays so
-        value = condition.optional("ByValueCondition")
-        time = value.optional("SimulationTimeCondition") if value is not None else None
-        if time is None or time.word("rule", (*ABOVE, "lessThan", "lessOrEqual", "equalTo", "notEqualTo")) not in ABOVE:
-            return None
-        times.append(time.number("value", 0.0, inf) + condition.number("delay", 0.0, inf, 0.0))
-    return max(times, default=None)

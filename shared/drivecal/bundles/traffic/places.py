@@ -318,7 +318,7 @@ class Map:
 
     def lane_numbers(self, edges: Sequence[str]) -> list[str]:
         """Returns the numbers of the lanes in the file that became these edges."""
-        lanes = (lane for edge in edges for lane in self.network.edges[edge].lanes)
+        lanes = (lane for edge in edges if self._source is not None for lane in self.network.edges[edge].lanes)
         return sorted({origin.rpartition("_")[2] for lane in lanes for origin in (lane.origin or "").split()}, key=int)
 
     def moved(self, place: FilePlace, metres: float, element: Element) -> FilePlace:

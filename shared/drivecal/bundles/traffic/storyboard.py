@@ -5,7 +5,7 @@ from math import inf
 from typing import Any, NamedTuple
 
 from drivecal.bundles.highway_actions import EGO
-from drivecal.bundles.traffic.conditions import LARGEST, Part, Parts, Reached, Triggers
+from drivecal.bundles.traffic.conditions import LARGEST, Part, Parts, Reached, Triggers, stop_time
 from drivecal.bundles.traffic.elements import Element, Notes, declare, parameter_holds
 from drivecal.bundles.traffic.places import MOST_ASIDE, Map
 from drivecal.bundles.traffic.ways import Polyline, WayReader
@@ -46,10 +46,18 @@ class Storyboard:
     """The actions of a storyboard, by vehicle."""
 
     def __init__(
-        self, root: Element, ids: Mapping[str, str], centres: Mapping[str, float], ways: Ways, reached: Reached, notes: Notes
+        self,
+        root: Element,
+        ids: Mapping[str, str],
+        centres: Mapping[str, float],
+        ways: Ways,
+        reached: Reached,
+        duration: float,
+        notes: Notes,
     ) -> None:
         """Reads a storyboard. `ids` and `centres` have the form that `Triggers` expects. Raises InvalidInputError."""
         self._ids, self._ways, self._notes, self._centres, self._reached = ids, ways, notes, centres, reached
+        self._duration = duration
         self._parts = Parts()
         self._count = 0
         planned = list(self._planned(root))
@@ -108,6 +116,17 @@ class Storyboard:
                     continue
                 for group in (self._parts.new("maneuverGroup", group, act) for group in act.element.every("ManeuverGroup")):
                     yield from self._group(group)
+                self._check_stop(act)
+
+    def _check_stop(self, act: Part) -> None:
+        """Raises InvalidInputError if an act with actions of the traffic may stop before the end."""
+        stops = act.element.every("StopTrigger")
+        for group in (group for trigger in stops for group in trigger.every("ConditionGroup")):
+            if act.actions and ((time := stop_time(group)) is None or time < self._duration):
+                message = "an act that may stop before the end is not supported"
+                raise group.fault(message, "leave the StopTrigger out, and end actions by an event of priority override")
+            group.skip()
+            self._notes.add(group, "ignored: the act stops no action of the traffic before the end")
 
     def _group(self, group: Part) -> Iterator[_Planned]:
         """Yields the actions of a group of maneuvers, for each of its actors."""
@@ -186,7 +205,8 @@ class Storyboard:
             yield from speed_action(kind.only("SpeedAction"), self._ids, self._notes)
         elif kind.element == "LateralAction":
             lateral = kind.only("LaneChangeAction", "LaneOffsetAction")
-            yield self._lane_change(lateral, entry.vehicle) if lateral.element == "LaneChangeAction" else self._offset(lateral)
+            change = self._lane_change if lateral.element == "LaneChangeAction" else self._offset
+            yield change(lateral, entry.vehicle)
         else:
             ignore_controller(kind, self._notes)
 
@@ -263,12 +283,17 @@ class Storyboard:
             raise target.fault(message, f"give one of {known}" if known else "give a RelativeTargetLane")
         return {"lane": indices.pop()}
 
-    def _offset(self, action: Element) -> dict[str, Any]:
+    def _offset(self, action: Element, vehicle: str) -> dict[str, Any]:
         if action.decides("continuous", "false"):
             raise action.fault("an offset that is kept continuously is not supported", 'give continuous="false"')
         dynamics = action.only("LaneOffsetActionDynamics")
         target = action.only("LaneOffsetTarget").only("AbsoluteTargetLaneOffset")
-        drift = {"do": "drift", "offset": target.number("value", -MOST_ASIDE, MOST_ASIDE)}
+        offset = target.number("value", -MOST_ASIDE, MOST_ASIDE)
+        sides = {number.startswith("-") for number in self._ways.roads.lane_numbers(self._ways.edges.get(vehicle, ()))}
+        if offset and len(sides) > 1:
+            message = "the vehicle's way has right and left lanes of its roads, whose offsets count to different sides"
+            raise target.fault(message, "give a shorter way, or a value of 0")
+        drift = {"do": "drift", "offset": -offset if False in sides else offset}
         acceleration = dynamics.number("maxLateralAcc", 1e-3, inf, inf)
         shape = dynamics.word("dynamicsShape", SHAPES, "sinusoidal")
         if shape == "step":
@@ -283,7 +308,7 @@ class Storyboard:
 
 
 def _never_begins(act: Element) -> bool:
-    """Returns whether an act waits for a condition on a parameter that does not hold; others on parameters are fulfilled, and taken out."""
+    """Returns whether an act waits for a condition on a parameter that does not hold."""
     groups = [group for trigger in act.every("StartTrigger") for group in trigger.every("ConditionGroup")]
     results = []
     for group in groups:
@@ -293,9 +318,7 @@ def _never_begins(act: Element) -> bool:
             parameter = value.optional("ParameterCondition") if value is not None else None
             if parameter is None:
                 continue
-            condition.skip()
             held.append(parameter_holds(parameter))
-            group.children.remove(condition)
         results.append(all(held))
     return bool(results) and not any(results)
 

@@ -187,6 +187,21 @@ def test_conditions_on_several_vehicles_hold_at_once() -> None:
     assert [(entry.vehicle, entry.rising) for entry in present(change.when)] == [("Other", False), ("ego", False)]
 
 
+@pytest.mark.parametrize(
+    ("rule", "strict"),
+    [
+        ("greaterThan", (True, False)),
+        ("lessThan", (True, True)),
+        ("greaterOrEqual", (False, False)),
+        ("lessOrEqual", (False, False)),
+    ],
+)
+def test_the_value_itself_counts_by_its_rule(rule: str, strict: tuple[bool, bool]) -> None:
+    conditions = when("Other", f'<SpeedCondition value="3" rule="{rule}"/>'), when_time(3, rule)
+    (change,) = actions(with_events(event("in", IN, *conditions)))
+    assert tuple(condition.strict for condition in present(change.when)) == strict
+
+
 def test_what_waits_for_several_actions_waits_for_the_last_of_them() -> None:
     """Edges of each alone would have to rise in the same step."""
     both = speed("slow", 20, when_time(1)).replace("</Event>", "").replace("</Action>", "</Action>" + ACTION)
@@ -214,6 +229,12 @@ def test_repeated_and_skipped_events_are_noted() -> None:
     assert sum("<Event>" in note for note in notes) == sum("<Event>" in note for note in of_file(content).notes) + 2
 
 
+OFFSET = (
+    '<LateralAction><LaneOffsetAction continuous="false"><LaneOffsetActionDynamics {}/>'
+    '<LaneOffsetTarget><AbsoluteTargetLaneOffset value="0.9"/></LaneOffsetTarget></LaneOffsetAction></LateralAction>'
+)
+
+
 @pytest.mark.parametrize(
     ("dynamics", "acceleration", "seconds", "noted"),
     [
@@ -226,15 +247,20 @@ def test_repeated_and_skipped_events_are_noted() -> None:
     ],
 )
 def test_offsets_are_drifts(dynamics: str, acceleration: float | None, seconds: float | None, noted: bool) -> None:
-    offset = (
-        f'<LateralAction><LaneOffsetAction continuous="false"><LaneOffsetActionDynamics {dynamics}/>'
-        '<LaneOffsetTarget><AbsoluteTargetLaneOffset value="0.9"/></LaneOffsetTarget></LaneOffsetAction></LateralAction>'
-    )
-    content = with_events(event("drift", offset, when_time(2)))
+    content = with_events(event("drift", OFFSET.format(dynamics), when_time(2)))
     (drift,) = actions(content)
     assert isinstance(drift, Drift)
     assert (drift.offset, drift.lateral_acceleration, drift.seconds) == (0.9, acceleration, seconds)
     assert any("<LaneOffsetActionDynamics>" in note and "driven" in note for note in of_file(content).notes) is noted
+
+
+def test_offsets_on_left_lanes_count_to_the_left_of_the_road(monkeypatch: pytest.MonkeyPatch) -> None:
+    content = with_events(event("drift", OFFSET.format(""), when_time(2)), other=start("Other", lane(2, 900), absolute(25)))
+    (drift,) = actions(content)
+    assert isinstance(drift, Drift)
+    assert drift.offset == -0.9
+    monkeypatch.setattr(Map, "lane_numbers", lambda *_: ["-1", "1"])
+    assert "<AbsoluteTargetLaneOffset>" in refused(content)
 
 
 def test_the_act_s_trigger_comes_before_the_event_s() -> None:

@@ -15,6 +15,7 @@ from tests.support.scenario_files import (
     OTHER,
     WORLD,
     absolute,
+    act,
     change_of_lane,
     cut_in,
     event,
@@ -240,12 +241,24 @@ def test_an_end_that_no_time_up_to_an_hour_decides_needs_a_duration(group: tuple
     assert of_file(content, duration=8.0).scenario.duration == 8.0
 
 
+LATE = ((when_time(10, delay=5),), (when_time(20),))
+
+
+@pytest.mark.parametrize(("actor", "groups", "noted"), [("Other", (), False), ("Other", LATE, True), ("Ego", ((SLOW,),), True)])
+def test_an_act_may_stop_late_or_without_actions(actor: str, groups: tuple[tuple[str, ...], ...], noted: bool) -> None:
+    story = act(actor, event("in", IN)).replace("</Act>", f"{stop(*groups)}</Act>")
+    notes = of_file(scenario(CARS, EGO + OTHER, story)).notes
+    assert any("<ConditionGroup>" in note for note in notes) is noted
+    assert not any("<StopTrigger>" in note for note in notes)
+
+
 ACTIVE = '<ControllerAction><ActivateControllerAction lateral="true" longitudinal="true"/></ControllerAction>'
 ROUTING = b"<PrivateAction><RoutingAction/></PrivateAction>"
 GROUPS = b"<StartTrigger><ConditionGroup/><ConditionGroup/></StartTrigger>"
 LATERAL = NEAR.replace("$gap", "3").replace("longitudinal", "lateral")
 SIDEWAYS = '<SpeedCondition value="1" rule="greaterThan" direction="lateral"/>'
 KEPT = '<RelativeTargetSpeed entityRef="Ego" value="2" speedTargetValueType="delta" continuous="true"/>'
+STOPS = [f"{stop((condition,))}</Act>".encode() for condition in (when_time(9.9), SLOW)]
 CASES = {
     "version": (cut_in().replace(b'revMajor="1"', b'revMajor="2"'), "line 3, <FileHeader>"),
     "no road": (cut_in().replace(b'"../maps/motorway.xodr"', b'"../../motorway.xodr"'), "leaves the folder"),
@@ -270,6 +283,8 @@ CASES = {
     ),
     "other lane": (with_events(event("in", change_of_lane('<RelativeTargetLane entityRef="Ego" value="5"/>'))), "lanes"),
     "several that rise": (with_events(event("in", IN, when_all("rising"))), "rising"),
+    "act that stops": (with_events(event("in", IN)).replace(b"</Act>", STOPS[0]), "<ConditionGroup>"),
+    "act that may stop": (with_events(event("in", IN)).replace(b"</Act>", STOPS[1]), "<ConditionGroup>"),
     "many conditions": (with_events(event("in", IN, *[when_time(1)] * 21)), "more than 20"),
     "synchronised": (with_events(event("in", "<SynchronizeAction/>")), "SynchronizeAction"),
     "controller": (with_events(event("in", ACTIVE)), "controller"),

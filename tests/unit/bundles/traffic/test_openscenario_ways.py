@@ -200,10 +200,12 @@ def test_a_maneuver_of_a_catalog_is_driven_with_its_parameters() -> None:
     assert [note for note in description.notes if note.startswith("scenarios/catalogs/moves.xosc: line 1, <GlobalAction>")]
 
 
-@pytest.mark.parametrize(("value", "is_driven"), [("true", True), ("false", False)])
-def test_an_act_waits_for_a_parameter(value: str, is_driven: bool) -> None:  # cases of a table
+@pytest.mark.parametrize(
+    ("value", "delay", "begin"), [("true", 0, [[]]), ("true", 5, [[(0.0, 5.0, False)]]), ("false", 0, []), ("false", 5, [])]
+)
+def test_an_act_waits_for_a_parameter(value: str, delay: float, begin: list[list[tuple[float, float, bool]]]) -> None:
     trigger = (
-        '<StartTrigger><ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByValueCondition><ParameterCondition '
+        f'<StartTrigger><ConditionGroup><Condition name="c" delay="{delay}" conditionEdge="rising"><ByValueCondition><ParameterCondition '
         f'parameterRef="limit" rule="equalTo" value="{value}"/></ByValueCondition></Condition></ConditionGroup></StartTrigger>'
     )
     brake = f"<LongitudinalAction>{change_of_speed(absolute(5))}</LongitudinalAction>"
@@ -212,8 +214,9 @@ def test_an_act_waits_for_a_parameter(value: str, is_driven: bool) -> None:  # c
         CARS, EGO + OTHER, acting("Other", f'<Maneuver name="m">{event}</Maneuver>', trigger), parameters={"limit": "true"}
     )
     description = of_file(content)
-    assert len(other_of(description).actions) == is_driven
-    assert bool([note for note in description.notes if "never begins" in note]) != is_driven
+    actions = other_of(description).actions
+    assert [[(each.above, each.delay, each.rising) for each in action.after] for action in actions] == begin
+    assert any("never begins" in note for note in description.notes) is not bool(begin)
 
 
 def test_a_group_without_actors_is_noted() -> None:

@@ -43,6 +43,8 @@ PASSING = moments((100, 80), (110, 95), (120, 120), (130, 145), (140, 170), (150
     [
         ({"quantity": "time", "above": 1.0}, [2, 3, 4, 5]),
         ({"quantity": "speed", "below": 30}, [0, 1, 2, 3, 4, 5]),
+        ({"quantity": "speed", "below": 30 + 1e-10, "strict": True}, []),
+        ({"quantity": "speed", "above": 30 - 1e-10, "strict": True}, []),
         ({"quantity": "s", "above": 170}, [4, 5]),
         ({"quantity": "gap", "below": 12}, [1, 2, 3]),
         ({"quantity": "gap", "below": 15, "centres": True}, [1, 2, 3]),

@@ -113,9 +113,10 @@ class _Watched:
         value = self._value(moment, events)
         if value is None:
             return False
+        margin = ROUNDING if condition.strict else -ROUNDING
         if condition.above is not None:
-            return value >= condition.above - ROUNDING
-        return condition.below is not None and value <= condition.below + ROUNDING
+            return value >= condition.above + margin
+        return condition.below is not None and value <= condition.below - margin
 
     def _value(self, moment: Moment, events: Events) -> float | None:
         """Returns the quantity, None if it is not defined now."""
