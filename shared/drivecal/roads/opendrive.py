@@ -180,10 +180,11 @@ class FileLane:
 
 @dataclass(slots=True)
 class LaneSection:
-    """A lane section, from s = `begin` of its road on."""
+    """A lane section, from s = `begin` of its road on. `single`: its element, if it has the lanes of one side only."""
 
     begin: float
     lanes: dict[int, FileLane] = field(default_factory=dict)
+    single: Attributes | None = None
 
 
 @dataclass(slots=True)
@@ -418,7 +419,7 @@ class _Reader:
         begin = attributes.number("s", 0.0, LONGEST)
         if road.sections and begin < road.sections[-1].begin:
             raise attributes.fault(f"road {shown(road.id, 60)}: the lane sections are not in order of s", "order them")
-        road.sections.append(LaneSection(begin))
+        road.sections.append(LaneSection(begin, single=attributes if attributes.truth("singleSide") else None))
 
     def _on_lane(self, attributes: Attributes) -> None:
         road, index = self._open_road(attributes), attributes.integer("id", -64, 64)
@@ -519,7 +520,11 @@ class _Reader:
             message = "has no lane sections"
         elif any(first.begin > second.begin for first, second in pairwise(road.geometries)):
             message = "has geometries that are not in order of s"
+        sides = {index > 0 for section in road.sections for index in section.lanes if index}
         for section in road.sections:
+            if section.single is not None and {index > 0 for index in section.lanes if index} != sides:
+                message = f'road {shown(road.id, 60)}: singleSide="true" is not supported, for the road has lanes on both sides'
+                raise section.single.fault(message, "give each section the lanes of both sides")
             for side in (1, -1):
                 numbers = sorted(abs(index) for index in section.lanes if index * side > 0)
                 if numbers != list(range(1, len(numbers) + 1)):

@@ -78,6 +78,13 @@ def test_netconvert_has_limits_of_memory_and_processor_time(tmp_path: Path, monk
     assert resource.getrlimit(resource.RLIMIT_CPU)[0] != 60  # the caller's own stay
 
 
+def test_a_section_of_one_side_is_refused_unless_the_road_has_only_that() -> None:
+    content = document(road()).replace(b"<laneSection", b'<laneSection singleSide="true"')
+    assert converted(content, NAME).network
+    other = f'</laneSection><laneSection s="50"><left>{lane(1)}</left></laneSection>'
+    assert "<laneSection>" in refused(content.replace(b"</laneSection>", other.encode())).message
+
+
 @pytest.mark.parametrize(("code", "said"), [(-24, ""), (1, "Error: std::bad_alloc\nQuitting (on error)."), (-9, "")])
 def test_a_file_beyond_the_limits_is_refused_with_them(code: int, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
     answer = subprocess.CompletedProcess(["netconvert"], code, "", said)

@@ -85,7 +85,7 @@ def entities_of(root: Element, files: Files, notes: Notes) -> dict[str, Entity]:
             referring.setdefault(described.text("catalogName"), []).append((name, described, element))
         else:
             entities[name] = _entity(name, described, element, notes)
-        if (controller := element.optional("ObjectController")) is not None:
+        for controller in element.every("ObjectController"):
             controller.skip()
             notes.add(controller, "ignored: controllers of the file do not drive")
     for catalog, uses in referring.items():

@@ -13,7 +13,7 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.roads import Floats
 from drivecal.roads.lines import lengths
 from drivecal.roads.network import Connection, Lane, Network
-from drivecal.roads.opendrive import FileRoad, RoadFile
+from drivecal.roads.opendrive import DRIVEN, FileRoad, RoadFile
 
 LONGEST = 2_000
 """Edges of a way."""
@@ -301,7 +301,11 @@ class Map:
         other = kind.text("entityRef")
         if other not in places:
             raise kind.fault(f"the place of {shown(other)} is not known", "give it one by a road, a lane or coordinates")
-        there, ds = places[other], kind.number("ds", -LARGEST, LARGEST)
+        key = "dsLane" if kind.element == "RelativeLanePosition" and "dsLane" in kind.values else "ds"
+        there, ds = places[other], kind.number(key, -LARGEST, LARGEST)
+        if key == "dsLane":
+            own = self.network.edges[there.edge].lanes[there.index]
+            there, ds = replace(there, road=None), ds * own.length / float(lengths(own.shape)[-1])
         if kind.element == "RelativeRoadPosition":
             if there.road is None:
                 raise kind.fault(f"{shown(other)} is not placed by a road of the file", "give a LanePosition")
@@ -368,16 +372,14 @@ class Map:
         if lane == 0 or lane not in lanes:
             known = ", ".join(str(index) for index in sorted(lanes) if index != 0)
             raise element.fault(f"road {shown(road.id)} has no lane {lane} at s = {s:g} m", f"give one of {known}")
-        points, _ = road.centre(section, lane, np.array([s]))
+        (centre_x, centre_y), *_ = road.centre(section, lane, np.array([s]))[0].tolist()
         x, y, heading = (float(column[0]) for column in road.reference(np.array([s])))
-        t = (float(points[0, 1]) - y) * cos(heading) - (float(points[0, 0]) - x) * sin(heading)
-        candidates = self._by_origin.get(f"{road.id}_{lane}")
-        if candidates is None:
-            kind = lanes[lane].kind
-            raise element.fault(
-                f"lane {lane} of road {shown(road.id)}, of type {shown(kind)}, is not driven on", "give another"
-            )
-        there = nearest(candidates, float(points[0, 0]), float(points[0, 1]), element)
+        t = (centre_y - y) * cos(heading) - (centre_x - x) * sin(heading)
+        near = list(_candidates(self._by_origin.get(f"{road.id}_{lane}", ()), centre_x, centre_y, None, element))
+        if not near and (kind := lanes[lane].kind) not in DRIVEN:
+            message = f"lane {lane} of road {shown(road.id)} is of type {shown(kind)} at s = {s:g} m, and not driven on"
+            raise element.fault(message, "give another lane")
+        there = _closest(near, centre_x, centre_y, None, element)
         left = 1.0 if lane < 0 else -1.0
         return replace(there, offset=round(offset * left, DECIMALS), road=road.id, lane=lane, s=s, t=t + offset)
 

@@ -292,7 +292,7 @@ class Storyboard:
         sides = {number.startswith("-") for number in self._ways.roads.lane_numbers(self._ways.edges.get(vehicle, ()))}
         if offset and len(sides) > 1:
             message = "the vehicle's way has right and left lanes of its roads, whose offsets count to different sides"
-            raise target.fault(message, "give a shorter way, or a value of 0")
+            raise target.fault(message, "give a route over lanes of one side, or a value of 0")
         drift = {"do": "drift", "offset": -offset if False in sides else offset}
         acceleration = dynamics.number("maxLateralAcc", 1e-3, inf, inf)
         shape = dynamics.word("dynamicsShape", SHAPES, "sinusoidal")
@@ -312,14 +312,8 @@ def _never_begins(act: Element) -> bool:
     groups = [group for trigger in act.every("StartTrigger") for group in trigger.every("ConditionGroup")]
     results = []
     for group in groups:
-        held = []
-        for condition in group.every("Condition"):
-            value = condition.optional("ByValueCondition")
-            parameter = value.optional("ParameterCondition") if value is not None else None
-            if parameter is None:
-                continue
-            held.append(parameter_holds(parameter))
-        results.append(all(held))
+        values = [value for condition in group.every("Condition") for value in condition.every("ByValueCondition")]
+        results.append(all(parameter_holds(each) for value in values for each in value.every("ParameterCondition")))
     return bool(results) and not any(results)
 
 

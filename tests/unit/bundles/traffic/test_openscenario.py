@@ -4,8 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.opendrive_files import PAVED, Road, document, line
 from tests.support.scenario_files import (
     BESIDE,
+    BRAKE,
     CARS,
     EGO,
     HEADWAY,
@@ -43,7 +45,9 @@ from drivecal.bundles.highway_actions import Action, Brake, CutIn, Drift
 from drivecal.bundles.highway_checks import declared_scenario
 from drivecal.bundles.highway_roads import files_read
 from drivecal.bundles.traffic.description import Description, described
+from drivecal.bundles.traffic.elements import read_tree
 from drivecal.bundles.traffic.places import Map
+from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.conversion import converted
 from drivecal.roads.network import read_network
 from drivecal.roads.opendrive import read_opendrive
@@ -85,6 +89,10 @@ def test_positions_mean_a_point_behind_the_centre() -> None:
     [
         ('<Position><RelativeLanePosition entityRef="Ego" dLane="1" ds="50" offset="0.3"/></Position>', lane(-2, 200, 0.3)),
         ('<Position><RelativeLanePosition entityRef="Ego" dLane="0" ds="-40"/></Position>', lane(-3, 110)),
+        (
+            '<Position><RelativeLanePosition entityRef="Ego" dLane="0" dsLane="1250"/></Position>',
+            lane(-3, 600 + 800 / 1.004375),
+        ),
         ('<Position><RelativeRoadPosition entityRef="Ego" ds="50" dt="3.5"/></Position>', lane(-2, 200)),
         ('<Position><RoadPosition roadId="7" s="200" t="-5.25"/></Position>', lane(-2, 200)),
         (
@@ -168,14 +176,6 @@ def test_speeds_change_in_a_time_a_distance_or_at_a_rate() -> None:
     assert (last.like, last.factor, last.speed, last.continuous) == ("ego", 1.2, 0.0, True)
 
 
-def when_done(kind: str, name: str, edge: str = "rising", delay: object = 0) -> str:
-    """A condition on the end of an element of the storyboard."""
-    return (
-        f'<Condition name="d" delay="{delay}" conditionEdge="{edge}"><ByValueCondition><StoryboardElementStateCondition '
-        f'storyboardElementType="{kind}" storyboardElementRef="{name}" state="completeState"/></ByValueCondition></Condition>'
-    )
-
-
 def speed(name: str, value: float, *conditions: str, rate: float = 2) -> str:
     """An event that changes the speed."""
     content = f"<LongitudinalAction>{change_of_speed(absolute(value), 'linear', 'rate', rate)}</LongitudinalAction>"
@@ -205,16 +205,16 @@ def test_the_value_itself_counts_by_its_rule(rule: str, strict: tuple[bool, bool
 def test_what_waits_for_several_actions_waits_for_the_last_of_them() -> None:
     """Edges of each alone would have to rise in the same step."""
     both = speed("slow", 20, when_time(1)).replace("</Event>", "").replace("</Action>", "</Action>" + ACTION)
-    result = actions(with_events(both + "</Event>", speed("then", 30, when_done("event", "slow"))))
+    result = actions(with_events(both + "</Event>", speed("then", 30, when_state("event", "slow", edge="rising"))))
     assert [(entry.done, entry.rising) for entry in present(result[-1].when)] == [(result[0].id, False), (result[1].id, False)]
 
 
 def test_what_waits_for_an_action_without_effect_remembers_that_it_is_done() -> None:
     """The conditions of the ineffective action may hold only once, before the conditions of the waiting action."""
     idle = speed("idle", 10, when("Ego", NEAR.replace("$gap", "12")), rate=0)
-    second = speed("second", 10, when_done("event", "idle"), rate=0)
+    second = speed("second", 10, when_state("event", "idle", edge="rising"), rate=0)
     unwanted = speed("unwanted", 10, when_time(1), rate=0)
-    awaiting = speed("then", 20, when_done("action", "secondAction", delay=2))
+    awaiting = speed("then", 20, when_state("action", "secondAction", delay=2))
     brake, last, first = actions(with_events(idle, second, unwanted, awaiting))
     assert [action.do for action in (brake, last, first)] == ["brake", "wait", "wait"]
     conditions = [condition for action in (brake, last, first) for condition in action.when or ()]
@@ -301,19 +301,28 @@ def test_a_place_that_moves_with_an_entity_is_not_reached(kind: str) -> None:
     assert "moves with" in refused(with_events(event("in", IN, when("Other", reach, "none"))))
 
 
+def test_a_lane_that_is_driven_elsewhere_is_refused_by_its_type_there() -> None:
+    sections = [
+        (0.0, {-1: ("driving", PAVED), -2: ("driving", PAVED)}),
+        (500.0, {-1: ("driving", PAVED), -2: ("border", PAVED)}),
+    ]
+    road = document([Road("7", [line(1_000.0)], sections)])
+    roads = Map(read_network(converted(road, ROAD).network, ROAD), lambda: read_opendrive(road, ROAD))
+    place, other = (read_tree(lane(-2, s).encode(), "a.xosc", "Position") for s in (600, 400))
+    assert roads.place(other, {}, []).index == 0
+    with pytest.raises(InvalidInputError, match="border"):
+        roads.place(place, {}, [])
+
+
 def test_a_place_beside_the_route_is_not_reached() -> None:
     reach = f'<ReachPositionCondition tolerance="2">{lane(2, 300)}</ReachPositionCondition>'
     assert "route" in refused(with_events(event("in", IN, when("Other", reach, "none"))))
 
 
 def test_what_drives_the_ego_vehicle_in_the_file_is_noted() -> None:
-    notes = of_file(
-        scenario(
-            CARS,
-            EGO + OTHER,
-            act("Ego", event("brake", f"<LongitudinalAction>{change_of_speed(absolute(1))}</LongitudinalAction>")),
-        )
-    ).notes
+    driven = {"Ego": vehicle() + "<ObjectController/><ObjectController/>", "Other": vehicle()}
+    notes = of_file(scenario(driven, EGO + OTHER, act("Ego", event("brake", BRAKE)))).notes
+    assert any("<ObjectController>" in note for note in notes)
     assert any("<Event>" in note and "controller" in note for note in notes)
 
 
@@ -363,14 +372,13 @@ def test_a_road_without_limits_needs_the_scenario_s_default_limit() -> None:
     assert found(default_limit=30).scenario.default_limit == 30.0
 
 
-BRAKE = f"<LongitudinalAction>{change_of_speed(absolute(15), 'linear', 'rate', 4)}</LongitudinalAction>"
 IDLE = f"<LongitudinalAction>{change_of_speed(absolute(15), 'linear', 'rate', 0)}</LongitudinalAction>"
 
 
-def when_state(kind: str, reference: str, state: str = "completeState") -> str:
+def when_state(kind: str, reference: str, state: str = "completeState", edge: str = "none", delay: object = 0) -> str:
     """A condition on the state of a part of the storyboard."""
     return (
-        '<Condition name="d" delay="0" conditionEdge="none"><ByValueCondition><StoryboardElementStateCondition '
+        f'<Condition name="d" delay="{delay}" conditionEdge="{edge}"><ByValueCondition><StoryboardElementStateCondition '
         f'storyboardElementType="{kind}" storyboardElementRef="{reference}" state="{state}"/></ByValueCondition></Condition>'
     )
 

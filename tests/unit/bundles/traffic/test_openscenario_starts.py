@@ -42,29 +42,22 @@ from drivecal.configuration.problems import read_archived, read_bundle_with_note
 from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.network import read_network
 
+DISTANCE = '<LongitudinalDistanceAction continuous="false" entityRef="Ego" {}/>'
+KEEP = f"<PrivateAction><LongitudinalAction>{DISTANCE}</LongitudinalAction></PrivateAction>"
+
 
 def test_a_distance_in_init_places_a_leader_by_its_time_gap() -> None:
-    keep = (
-        '<PrivateAction><LongitudinalAction><LongitudinalDistanceAction continuous="false" displacement="leadingReferencedEntity" '
-        'timeGap="2" entityRef="Ego" freespace="true"/></LongitudinalAction></PrivateAction></Private>'
-    )
-    other = start("Other", lane(-3, 200), absolute(25)).replace("</Private>", keep)
+    keep = KEEP.format('displacement="leadingReferencedEntity" timeGap="2" freespace="true"')
+    other = start("Other", lane(-3, 200), absolute(25)).replace("</Private>", f"{keep}</Private>")
     result = of_file(scenario(CARS, EGO + other)).scenario
     assert result.traffic[0].s - result.ego.s == pytest.approx(2 * 30 + 4.6, abs=1e-3)
 
 
 @pytest.mark.parametrize("is_last", [False, True])
 def test_a_follower_s_time_gap_is_that_at_its_start_speed_whichever_comes_first(is_last: bool) -> None:
-    keep = (
-        '<PrivateAction><LongitudinalAction><LongitudinalDistanceAction continuous="false" displacement="trailingReferencedEntity" '
-        'timeGap="2" entityRef="Ego" freespace="true"/></LongitudinalAction></PrivateAction>'
-    )
-    other = start("Other", lane(-3, 200), absolute(25))
-    other = (
-        other.replace("</Private>", f"{keep}</Private>")
-        if is_last
-        else other.replace("<PrivateAction>", f"{keep}<PrivateAction>", 1)
-    )
+    keep = KEEP.format('displacement="trailingReferencedEntity" timeGap="2" freespace="true"')
+    end = "</Private>" if is_last else "<PrivateAction>"
+    other = start("Other", lane(-3, 200), absolute(25)).replace(end, keep + end, 1)
     result = of_file(scenario(CARS, EGO + other)).scenario
     assert result.ego.s - result.traffic[0].s == pytest.approx(2 * 25 + 4.6, abs=1e-3)
 
@@ -81,22 +74,16 @@ def test_a_follower_s_time_gap_is_that_at_its_start_speed_whichever_comes_first(
     ],
 )
 def test_a_distance_in_init_without_a_side_keeps_the_places(minor: str, displacement: str, s: float, is_ahead: bool) -> None:
-    keep = (
-        f'<PrivateAction><LongitudinalAction><LongitudinalDistanceAction continuous="false" {displacement} distance="30" '
-        'entityRef="Ego" freespace="false"/></LongitudinalAction></PrivateAction></Private>'
-    )
-    other = start("Other", lane(-2, s), absolute(25)).replace("</Private>", keep)
+    keep = KEEP.format(f'{displacement} distance="30" freespace="false"')
+    other = start("Other", lane(-2, s), absolute(25)).replace("</Private>", f"{keep}</Private>")
     content = scenario(CARS, EGO + other).replace(b'revMinor="1"', f'revMinor="{minor}"'.encode())
     result = of_file(content).scenario
     assert result.traffic[0].s - result.ego.s == pytest.approx(30 if is_ahead else -30, abs=1e-3)
 
 
 def test_an_entity_beside_one_at_a_distance_is_beside_the_place_that_this_has() -> None:
-    keep = (
-        '<PrivateAction><LongitudinalAction><LongitudinalDistanceAction continuous="false" displacement="leadingReferencedEntity" '
-        'distance="80" entityRef="Ego" freespace="false"/></LongitudinalAction></PrivateAction></Private>'
-    )
-    other = start("Other", lane(-2, 160), absolute(25)).replace("</Private>", keep)
+    keep = KEEP.format('displacement="leadingReferencedEntity" distance="80" freespace="false"')
+    other = start("Other", lane(-2, 160), absolute(25)).replace("</Private>", f"{keep}</Private>")
     beside = '<Position><RelativeLanePosition entityRef="Other" dLane="-1" ds="20"/></Position>'
     cars = CARS | {"Other": vehicle(9.0, 3.0), "Third": vehicle(4.6, 1.4)}
     placed = of_file(scenario(cars, EGO + other + start("Third", beside, absolute(20)))).scenario
@@ -106,11 +93,8 @@ def test_an_entity_beside_one_at_a_distance_is_beside_the_place_that_this_has() 
 
 
 def test_a_place_of_the_other_direction_has_no_side() -> None:
-    keep = (
-        '<PrivateAction><LongitudinalAction><LongitudinalDistanceAction continuous="false" displacement="any" distance="30" '
-        'entityRef="Ego" freespace="false"/></LongitudinalAction></PrivateAction></Private>'
-    )
-    other = start("Other", lane(2, 200), absolute(25)).replace("</Private>", keep)
+    keep = KEEP.format('displacement="any" distance="30" freespace="false"')
+    other = start("Other", lane(2, 200), absolute(25)).replace("</Private>", f"{keep}</Private>")
     assert "neither ahead" in refused(scenario(CARS, EGO + other))
 
 
@@ -285,6 +269,7 @@ CASES = {
     "several that rise": (with_events(event("in", IN, when_all("rising"))), "rising"),
     "act that stops": (with_events(event("in", IN)).replace(b"</Act>", STOPS[0]), "<ConditionGroup>"),
     "act that may stop": (with_events(event("in", IN)).replace(b"</Act>", STOPS[1]), "<ConditionGroup>"),
+    "values": (b'<OpenSCENARIO><FileHeader revMajor="1"/><ParameterValueDistribution/></OpenSCENARIO>', "1, <ParameterValueD"),
     "many conditions": (with_events(event("in", IN, *[when_time(1)] * 21)), "more than 20"),
     "synchronised": (with_events(event("in", "<SynchronizeAction/>")), "SynchronizeAction"),
     "controller": (with_events(event("in", ACTIVE)), "controller"),
@@ -311,10 +296,7 @@ def test_a_catalog_takes_values_for_parameters_with_and_without_a_dollar_sign() 
         )
         assigned = f"<ParameterAssignments>{given}</ParameterAssignments>"
         reference = f'<CatalogReference catalogName="cars" entryName="car">{assigned}</CatalogReference>'
-        content = scenario(CARS | {"Other": reference}, EGO + OTHER).replace(
-            b"<RoadNetwork>",
-            b'<CatalogLocations><VehicleCatalog><Directory path="./catalogs"/></VehicleCatalog></CatalogLocations><RoadNetwork>',
-        )
+        content = scenario(CARS | {"Other": reference}, EGO + OTHER).replace(b"<RoadNetwork>", LOCATIONS + b"<RoadNetwork>")
         description = of_file(content, {"scenarios/catalogs/c.xosc": catalog.encode()})
         assert description.scenario.traffic[0].length == 7.0
         assert [note for note in description.notes if "without its trailer" in note]

@@ -5,18 +5,24 @@ from math import cos, hypot, pi, sin
 import pytest
 from tests.support.scenario_files import (
     BOX,
+    BRAKE,
     CARS,
     EGO,
     OTHER,
     STEP,
     absolute,
+    act,
     change_of_speed,
+    event,
     lane,
     of_file,
     refused,
     scenario,
     start,
+    trigger,
     vehicle,
+    when,
+    when_time,
 )
 
 from drivecal.bundles.highway import TrafficEntry
@@ -178,12 +184,7 @@ def test_a_rider_follows_a_route_beside_the_lane_s_centre() -> None:
 def test_a_maneuver_of_a_catalog_is_driven_with_its_parameters() -> None:
     brake = f"<LongitudinalAction>{change_of_speed(absolute('$to'), 'linear', 'rate', 3)}</LongitudinalAction>"
     variable = '<GlobalAction><VariableAction variableRef="v"><SetAction value="true"/></VariableAction></GlobalAction>'
-    collision = (
-        '<StartTrigger><ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByEntityCondition><TriggeringEntities '
-        'triggeringEntitiesRule="any"><EntityRef entityRef="Ego"/></TriggeringEntities><EntityCondition><CollisionCondition>'
-        '<EntityRef entityRef="Other"/></CollisionCondition></EntityCondition></ByEntityCondition></Condition></ConditionGroup>'
-        "</StartTrigger>"
-    )
+    collision = trigger(when("Ego", '<CollisionCondition><EntityRef entityRef="Other"/></CollisionCondition>'))
     events = (
         f'<Event name="e" priority="parallel"><Action name="a"><PrivateAction>{brake}</PrivateAction></Action></Event>'
         f'<Event name="f" priority="parallel"><Action name="b">{variable}</Action>{collision}</Event>'
@@ -204,15 +205,13 @@ def test_a_maneuver_of_a_catalog_is_driven_with_its_parameters() -> None:
     ("value", "delay", "begin"), [("true", 0, [[]]), ("true", 5, [[(0.0, 5.0, False)]]), ("false", 0, []), ("false", 5, [])]
 )
 def test_an_act_waits_for_a_parameter(value: str, delay: float, begin: list[list[tuple[float, float, bool]]]) -> None:
-    trigger = (
-        f'<StartTrigger><ConditionGroup><Condition name="c" delay="{delay}" conditionEdge="rising"><ByValueCondition><ParameterCondition '
-        f'parameterRef="limit" rule="equalTo" value="{value}"/></ByValueCondition></Condition></ConditionGroup></StartTrigger>'
+    waits = (
+        when_time(value, "equalTo", "rising", delay)
+        .replace("SimulationTime", "Parameter")
+        .replace("value", 'parameterRef="limit" value')
     )
-    brake = f"<LongitudinalAction>{change_of_speed(absolute(5))}</LongitudinalAction>"
-    event = f'<Event name="e" priority="parallel"><Action name="a"><PrivateAction>{brake}</PrivateAction></Action></Event>'
-    content = scenario(
-        CARS, EGO + OTHER, acting("Other", f'<Maneuver name="m">{event}</Maneuver>', trigger), parameters={"limit": "true"}
-    )
+    story = act("Other", event("e", BRAKE), conditions=(waits,))
+    content = scenario(CARS, EGO + OTHER, story, parameters={"limit": "true"})
     description = of_file(content)
     actions = other_of(description).actions
     assert [[(each.above, each.delay, each.rising) for each in action.after] for action in actions] == begin
