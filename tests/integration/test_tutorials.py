@@ -59,9 +59,7 @@ def test_a_tutorial_works_as_it_is_written(page: Path, server: Server) -> None:
             Path(block.title).write_text(block.text)
         elif block.language == "sh":
             for line in block.text.splitlines():
-                if line.startswith(PUSH) and any(
-                    earlier.startswith(PUSH) for earlier in lines
-                ):  # the reader has edited the scores
+                if line.startswith(PUSH) and any(earlier.startswith(PUSH) for earlier in lines):  # its scores are edited
                     manifest = Path(line.split()[3]) / "problem.yaml"
                     before, after = edits.pop(0)
                     text = manifest.read_text()

@@ -111,9 +111,7 @@ def _requested(scenarios: Iterable[ScenarioAccount]) -> int:
 
 def _by_the_wall(costs: Iterable[OutcomeCosts]) -> list[OutcomeCosts]:
     """Returns costs whose seconds are those for which workers were occupied."""
-    return [
-        replace(cost, seconds=max(cost.seconds, cost.occupied_seconds), run_seconds=cost.occupied_run_seconds) for cost in costs
-    ]
+    return [replace(row, seconds=max(row.seconds, row.occupied_seconds), run_seconds=row.occupied_run_seconds) for row in costs]
 
 
 def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:

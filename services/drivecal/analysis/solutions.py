@@ -452,9 +452,7 @@ class Ranking:
 
     def dismissed(self) -> dict[int, Mapping[str, CellScore]]:
         """The answers of the sets with a predicted score, the best believed set first, by their ids."""
-        return {
-            each.parameter_set: self._answers[each.parameter_set] for each in sorted(self._predicted.values(), key=self.order)
-        }
+        return {row.parameter_set: self._answers[row.parameter_set] for row in sorted(self._predicted.values(), key=self.order)}
 
     def predicted(self, parameter_set: int) -> EvaluatedSet | None:
         """A set with a predicted score; None for others."""

@@ -260,9 +260,7 @@ class Constraints:
         broken += [limit.text for limit in self.limits if limit.change.of(parameters) > limit.at_most + 1e-12]
         if broken:
             values = ", ".join(f"{name} = {value}" for name, value in parameters.floats.items())
-            raise InvalidInputError(
-                *(Problem(field_name, f"{text} does not hold for {values}", "change it") for text in broken)
-            )
+            raise InvalidInputError(*(Problem(field_name, f"{text} fails for {values}", "change it") for text in broken))
 
     def _nothing_left(self, never: Sequence[str]) -> InvalidInputError:
         together = "no set keeps" if never or len(self.listed) == 1 else "no set keeps all of"

@@ -198,9 +198,7 @@ class _Places:
         s, d = project(self.guide.line, points, begin + share * (end - begin))
         where = f"line {lane.line}, the lane {shown(f'{lane.edge}_{lane.index}', 90)}"
         if np.isnan(s).any() or np.max(np.maximum.accumulate(s) - s) > LARGEST_BACKWARDS:
-            raise refusal(
-                index, self._network, f"{where} does not run along the route: it turns too much", "give another route"
-            )
+            raise refusal(index, self._network, f"{where} does not run along the route: it is too tight", "give another route")
         return np.column_stack([share * lane.length, np.maximum.accumulate(s), d])
 
 

@@ -65,9 +65,7 @@ rows = st.lists(
 def content(form: Literal["csv", "parquet"], pieces: Sequence[list[dict[str, Any]]]) -> bytes:
     async def collect() -> bytes:
         response = download("table", form, COLUMNS, pieces)
-        return b"".join(
-            [bytes(piece, "utf-8") if isinstance(piece, str) else bytes(piece) async for piece in response.body_iterator]
-        )
+        return b"".join([bytes(row, "utf-8") if isinstance(row, str) else bytes(row) async for row in response.body_iterator])
 
     return asyncio.run(collect())
 

@@ -65,9 +65,7 @@ class Scratch:
         """Empties the working directory. The manifest is not there: results do not depend on its text. Raises OSError if the folder is
         spoilt."""
         if self.is_spoilt:
-            raise PermissionError(
-                errno.EPERM, "a process that cannot be ended may change the simulator's folder", str(self.folder)
-            )
+            raise PermissionError(errno.EPERM, "a process that cannot be ended may change the folder", str(self.folder))
         discard(self.work)
         self.work.mkdir()
         for path in self.bundle.iterdir():

@@ -308,10 +308,8 @@ def _check_rates(problem: CalibrationProblem, diagnostics: Diagnostics) -> None:
             diagnostics.add(field, f"{takes}, and {seeds} of {most} seeds choose a set", f"give {remedy}")
         elif budget is not None and budget.simulations is not None and budget.simulations < kept:
             message = f"{takes}, {needed:,} seeds, and half of the budget at most is kept for them and for the report"
-            fewer = (less for less in range(most - 1, 1, -1) if choosing(less) >= needed)
-            enough = next(
-                (less for less in fewer if 2 * fewest(len(problem.scenarios), less, needed) <= budget.simulations), None
-            )
+            fewer = (n for n in range(most - 1, 1, -1) if choosing(n) >= needed)
+            enough = next((n for n in fewer if 2 * fewest(len(problem.scenarios), n, needed) <= budget.simulations), None)
             remedy = "or a higher rate" if enough is None else f"or replicates.most of at most {enough}"
             diagnostics.add(field, message, f"give budget.simulations of at least {kept:,}, {remedy}")
 

@@ -23,9 +23,7 @@ MOST_WORSE = 20_000
 def unit_cube(space: ParameterSpace, sets: Sequence[ParameterSet]) -> Floats:
     """Positions in the search space, shape (n, n_searched), each axis from 0 to 1; a choice is its position in the list."""
     rows = [dict(zip(parameter_set.names, parameter_set.billionths, strict=True)) for parameter_set in sets]
-    values = np.array(
-        [[parameter.number(row[parameter.name]) for parameter in space.searched] for row in rows], dtype=np.float64
-    )
+    values = np.array([[each.number(row[each.name]) for each in space.searched] for row in rows], dtype=np.float64)
     lower = np.array([parameter.billionths(0) for parameter in space.searched], dtype=np.float64)
     upper = np.array([parameter.billionths(parameter.n_values - 1) for parameter in space.searched], dtype=np.float64)
     return (values.reshape(len(rows), len(lower)) - lower) / (upper - lower)

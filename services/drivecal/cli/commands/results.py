@@ -210,9 +210,7 @@ def _calibration_file(
 ) -> bytes:
     """Returns the set of a rank as a calibration file, or as JSON for `drivecal check`."""
     if form == "parquet" or (form == "json" and (names is not None or "base" in query)):
-        field, remedy = (
-            ("--format", "give dcm, cdfx, csv or json") if form == "parquet" else ("--names, --base", "leave them out")
-        )
+        field, remedy = ("--format", "give another format") if form == "parquet" else ("--names, --base", "leave them out")
         raise InvalidInputError(Problem(field, f"{form} holds no such set", remedy))
     if table not in {"solutions", "front"}:
         raise InvalidInputError(Problem("--table", f"{table} holds no ranked sets", "give --table solutions or front"))

@@ -259,9 +259,7 @@ class ScenarioFile:
             raise header.fault(message, "export the file as OpenSCENARIO 1.0 to 1.3")
         if (values := self._root.optional("ParameterValueDistribution")) is not None:
             message = "the file has values for the parameters of a scenario, and is none"
-            raise values.fault(
-                message, "give the file of its <ScenarioFile> as `openscenario`, with the values in `parameters`"
-            )
+            raise values.fault(message, "give the file of its <ScenarioFile> as `openscenario`, with values in `parameters`")
         declare(self._root, scenario.parameters)
         self.notes: tuple[str, ...] = ()
 

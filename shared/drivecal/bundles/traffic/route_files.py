@@ -309,9 +309,7 @@ class _Reader:
                     usual = CLASSES.get(element.values.get("vClass", ""), CLASSES["passenger"])[2]
                     spread = 3 * (usual if (own := finite(element.values.get("speedDev", ""))) is None else own)
                     if spread > 0 and not 0.2 - spread <= numbers[0] <= 2.0 + spread:
-                        raise element.fault(
-                            f"{key} {numbers[0]:g} is not drawn from 0.2 to 2", "give one between, or speedDev 0"
-                        )
+                        raise element.fault(f"{key} {numbers[0]:g} is beyond 0.2 to 2", "give one between, or speedDev 0")
             elif key in {"from", "route", "type"} and not element.values[key].strip():
                 raise element.fault(f"{key} is empty", "fill it in, or leave it out")
         self._check_places(element)

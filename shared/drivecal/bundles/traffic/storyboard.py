@@ -253,9 +253,7 @@ class Storyboard:
             self._notes.add(dynamics, f"driven in {IMMEDIATE:g} s")
             return {"seconds": IMMEDIATE}
         if shape != "sinusoidal":
-            self._notes.add(
-                dynamics, "driven with least jerk, in the same time or distance, or at most at the same lateral speed"
-            )
+            self._notes.add(dynamics, "driven with least jerk, in the same time or distance, or at most the same lateral speed")
         if dimension == "rate":
             return {"lateral_speed": abs(value)}
         return {"seconds" if dimension == "time" else "metres": value}

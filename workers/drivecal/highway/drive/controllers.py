@@ -248,9 +248,7 @@ class Checked:
             raise ControllerError(f"the controller gave {len(commands)} values at {signals[0]:g} s, not {names}")
         for name, value in zip(self.output, commands, strict=True):
             if not _is_finite(value):
-                raise ControllerError(
-                    f"the controller gave {value!r:.100} for {name} at {signals[0]:g} s; give a finite number"
-                )
+                raise ControllerError(f"the controller gave {value!r:.100} for {name} at {signals[0]:g} s; it must be finite")
         return commands
 
 
