@@ -130,7 +130,8 @@ class CalibrationProblem:
         most, budget = self.specification.replicates.most, None if self.optimization is None else self.optimization.budget
         seeds = range(choosing(most) + 1, most + 1)[:FEWEST_REPORTING]
         affordable = budget is None or budget.simulations is None or 10 * len(seeds) * len(self.scenarios) <= budget.simulations
-        return seeds if self.baseline is not None and self.bench.is_random and affordable else seeds[:0]
+        is_compared = self.baseline is not None and self.bench.is_random and len(self.goals.objectives) == 1
+        return seeds if is_compared and affordable else seeds[:0]
 
     @property
     def search(self) -> Optimization:

@@ -163,6 +163,9 @@ class CheckedSet:
     def _finding(self, limit: SetLimit, scenario: str) -> Finding:
         cell, before = _cell(self.evaluations, limit, scenario), _cell(self.baseline, limit, scenario)
         value, *within = _known(cell, limit)
+        if cell is not None and value is None and cell.failures and cell.scores:  # their worth is not in the mean
+            why = f"unsure: {cell.failures} of {len(cell.scores)} runs failed, and have no value of {limit.label}"
+            return Finding(scenario, limit.text, why, unsure=True)
         value = limit.failed if value is None else value
         if cell is None or value is None:
             return Finding(scenario, limit.text, f"no value of {limit.label}")
