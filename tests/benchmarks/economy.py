@@ -291,9 +291,7 @@ def table(rows: Sequence[Mapping[str, Any]], arms: Sequence[str], names: Sequenc
         yield f"\nafter {budget} cells{'':6}" + "".join(f"{arm:>16}" for arm in arms)
         for name in names:
             own = {(row["arm"], row["seed"]): row["best"].get(budget) for row in rows if row["problem"] == name}
-            seeds = [
-                seed for seed in sorted({seed for _, seed in own}) if all(own.get((arm, seed)) is not None for arm in arms)
-            ]
+            seeds = [n for n in sorted({n for _, n in own}) if all(own.get((arm, n)) is not None for arm in arms)]
             if not seeds:
                 continue
             figures = np.array([[own[arm, seed] for arm in arms] for seed in seeds], dtype=np.float64)

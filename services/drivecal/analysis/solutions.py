@@ -528,21 +528,23 @@ class Ranking:
         self._assess()
         return self._solutions.get(parameter_set)
 
-    def is_close(self, parameter_set: int, *, random: bool) -> bool:
-        """Returns whether runs do not tell that the best set is better than another one, by its id: by the seeds that report both, as the
-        others chose one of them (Student's test of the differences, with the noise of all sets). `random`: the simulator says so."""
+    def gain_over(self, parameter_set: int, *, random: bool) -> tuple[float | None, bool]:
+        """Returns how much better the best set is than another one, by its id, under the seeds that report both, None without two of them,
+        and whether runs do not tell that it is (Student's test of the differences). `random`: the simulator says so."""
         from scipy.special import stdtrit
 
         best, known, solution = self.best(), self.statistics(), self.get(parameter_set)
         if best is None or known is None or solution is None or best[0].parameter_set == parameter_set:
-            return False
+            return None, False
         one, other = (self._samples.get(number, {}) for number in (best[0].parameter_set, parameter_set))
         gains = [solution.sign * (one[seed] - other[seed]) for seed in one.keys() & other.keys() if seed > self._choosing]
         if len(gains) < 2 or self._level is not None:
-            return solution.is_close or (random and self._level is None)
-        noise, freedom = (0.0, 0.0) if known[1].noise is None else (2 * known[1].noise ** 2, float(known[1].freedom.max()))
+            is_single = random and len(other) < 2 and (known[1].is_random or not known[1].is_known)
+            return None, solution.is_close or is_single
+        noise = 0.0 if known[1].noise is None else 2 * known[1].noise ** 2
+        freedom = 0.0 if known[1].noise is None else min(replicates.SHRINKAGE, float(known[1].freedom.max()))
         error = (replicates.variance(gains, noise, freedom) / len(gains)) ** 0.5
-        return bool(fmean(gains) <= stdtrit(freedom + len(gains) - 1, self._wanted.confidence) * error)
+        return fmean(gains), bool(fmean(gains) <= stdtrit(freedom + len(gains) - 1, self._wanted.confidence) * error)
 
     def beside_best(self, parameter_set: int) -> tuple[EvaluatedSet, EvaluatedSet] | None:
         """Returns the best set and another one, by its id, under the seeds that both were run under: what a seed does to all sets is no

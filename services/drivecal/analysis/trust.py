@@ -322,7 +322,9 @@ def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
         if CampaignState(campaign.state).ended:
             yield verdict("baseline_without_result", "amber")
         return
-    gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
+    gain = campaign.baseline.gain
+    if gain is None:
+        gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
     undecided = campaign.baseline.undecided or campaign.best.undecided
     if campaign.best.violation < campaign.baseline.violation and not undecided:
         yield verdict("baseline_breaks_more", "green", subject="the best set")

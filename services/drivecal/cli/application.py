@@ -162,7 +162,7 @@ UrlOption = Annotated[
     str | None, typer.Option("--url", help="The server; else DRIVECAL_URL, else the config file, else http://127.0.0.1:8000.")
 ]
 
-CampaignArgument = Annotated[str, typer.Argument(metavar="ID", help="The campaign's id, or its first four characters.")]
+CampaignArgument = Annotated[str, typer.Argument(metavar="ID", help="The id, or at least its first four characters.")]
 
 
 class WaitTimedOutError(DrivecalError):

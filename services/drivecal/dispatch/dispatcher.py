@@ -212,9 +212,7 @@ class Dispatcher:
                 by_tag[completion.tag].unwritten.append(completion)
 
     def _report(self) -> None:
-        waits = {
-            sequence: self._pool.waits(each.tag) or each.awaited for sequence, each in self._active.items()
-        } | self._places()
+        waits = {number: self._pool.waits(each.tag) or each.awaited for number, each in self._active.items()} | self._places()
         said = {sequence: reason for sequence, reason in waits.items() if reason is not None}
         self._take_report(self._pool.workers(), self._pool.trouble(), Waits(said, self._pool.resources()))
 

@@ -225,9 +225,7 @@ class Manifest(Model):
         scenarios = document.get("scenarios") if isinstance(document, Mapping) else None
         if not isinstance(scenarios, Mapping):
             return document
-        known = {
-            name: data["resources"] for name, data in scenarios.items() if isinstance(data, Mapping) and "resources" in data
-        }
+        known = {name: row["resources"] for name, row in scenarios.items() if isinstance(row, Mapping) and "resources" in row}
         valid = {name: counts for name, counts in known.items() if are_resources(counts)}
         written = document.get("scenario_resources") or {}
         if not valid or not isinstance(written, Mapping):

@@ -177,7 +177,8 @@ class Best(Answer):
 
 class Baseline(Answer):
     """The user's parameter set for comparison. Null scores are still missing. `violation` is the sum of the violations, as shares;
-    `undecided` as in `Best`. `close`: its runs, of a random simulator, do not tell whether the best set is better."""
+    `undecided` as in `Best`. `close`: its runs, of a random simulator, do not tell whether the best set is better. `gain`: the best
+    set's improvement on it under the seeds that report both; null without two of them."""
 
     objective: float | None
     parameters: dict[str, float | str]
@@ -185,6 +186,7 @@ class Baseline(Answer):
     violation: float = 0.0
     undecided: bool = False
     close: bool = False
+    gain: float | None = None
 
 
 class Confirmation(Answer):

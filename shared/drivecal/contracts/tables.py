@@ -462,7 +462,5 @@ class ValidationRow(Answer):
 
 SolutionPage = Page[Solution]
 
-_OTHER_COLUMNS = frozenset(
-    name for model in (EvaluationRow, OptimumRow, FrontRow, RobustnessRow) for name in model.model_fields
-)
+_OTHER_COLUMNS = frozenset(name for kind in (EvaluationRow, OptimumRow, FrontRow, RobustnessRow) for name in kind.model_fields)
 _PREFIXES = ("score_", "objective_", "constraint_", "value_", "answer_", "measure_")

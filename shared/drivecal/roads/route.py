@@ -198,9 +198,7 @@ def _inside(network: Network, link: Connection, index: int) -> tuple[Lane, ...]:
             raise refusal(index, network, message, "build the network again")
         lanes.append(lane)
         connections = network.connections.get(lane.edge, ())
-        onward = (
-            connection.via for connection in connections if connection.from_lane == lane.index and connection.end == link.end
-        )
+        onward = (each.via for each in connections if each.from_lane == lane.index and each.end == link.end)
         via = next(onward, None)
     return tuple(lanes)
 

@@ -147,9 +147,7 @@ def test_a_rating_that_is_younger_than_its_run_is_seen_from_its_own_number_on(da
             ]
             result = reference_keys.look_up(connection, 1, setup, [key], "learned 1", watermark)
             assert [donor.run for donor in result.values()] == [one for _, one in sorted(seen)[:1]]
-            exact = runs.look_up_exact(
-                connection, setup, [member.parameter_set_id for member in stored], "learned 1", watermark
-            )
+            exact = runs.look_up_exact(connection, setup, [each.parameter_set_id for each in stored], "learned 1", watermark)
             assert sorted(donor.run for donor in exact.values()) == sorted(run for _, run in seen)
 
 

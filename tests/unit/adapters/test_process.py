@@ -140,11 +140,11 @@ def test_a_wrong_answer_costs_its_run_and_no_restart(tmp_path: Path) -> None:
         ("measures=dict(y='1')", "y is not a number"),
         ("measures=dict(y=True)", "y is not a number"),
         ("measures=dict()", "lacks measures: y"),
-        ("measures=dict(y=1, z=2)", "does not declare: z"),
+        ("measures=dict(y=1, z=2)", "not declared: z"),
         ("measures=[1]", "no object `measures`"),
         ("failure=3", "`failure` is not the name"),
         ("failure='hang'", "hang means that a run has no result"),
-        ("failure='crashed', measures=dict(z=1)", "does not declare: z"),
+        ("failure='crashed', measures=dict(z=1)", "not declared: z"),
         ("error='licence server away'", "licence server away"),
     ]
     answers = "".join(

@@ -382,8 +382,9 @@ def test_the_seeds_that_report_both_tell_a_set_from_the_best(gap: float, reporte
     for place, seeds in ((0, (1, 2, 3, 4, 13, 14, 15)), (1, (1, 13, 14, 15) if reported else (1,))):
         scores = {seed: float(5 - gap * place + 0.2 * noise[place, seed] + noise[2, seed]) for seed in seeds}
         ranking.add(CellScore(place, "S1", each, each, True, 0, place, seed=seed) for seed, each in scores.items())
-    assert ranking.is_close(1, random=True) == close
-    assert not ranking.is_close(0, random=True)
+    gain, is_close = ranking.gain_over(1, random=True)
+    assert (gain is not None, is_close) == (reported, close)
+    assert ranking.gain_over(0, random=True) == (None, False)
 
 
 RATE = Bound("gap", CellValue(measure="gap", failed=-1.0), {"S1": 1.0}, Aggregate("min"), 1, 0.0, 1.0, rate=0.1, confidence=0.9)

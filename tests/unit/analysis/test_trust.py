@@ -172,6 +172,7 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
         (6.0, {"baseline": before(6.0).model_copy(update={"objective": None})}, "baseline_without_result"),
         (8.0, {"baseline": before(8.0, close=True)}, "baseline_in_interval"),
         (4.0, {"baseline": before(4.0, close=True)}, "baseline_in_interval"),
+        (8.0, {"baseline": before(8.0).model_copy(update={"gain": 3.0})}, "better_than_baseline"),
         (5.5, {}, "alike_baseline"),
         (4.0, {"scale": COST}, "not_better"),
         (7.0, {"scale": COST}, "alike_baseline"),

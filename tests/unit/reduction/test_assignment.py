@@ -9,7 +9,7 @@ from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.evaluations import Donor, Outcome, Purpose, RequestedCell
 from drivecal.domain.parameters import ParameterSet
 from drivecal.reduction.assignment import assign
-from drivecal.reduction.audit import is_audited
+from drivecal.reduction.audit import is_audited, is_checked
 
 INFLUENCE = ReductionSpecification(mode="influence", audit=0.0)
 DONOR = Donor(evaluation=7, run=3, score=5, rating=5.2, failure=None)
@@ -68,6 +68,7 @@ def test_the_audited_share_is_close_to_what_was_asked(seed: int) -> None:
     cells = [_cell(i, f"set {i}") for i in range(2_000)]
     audited = sum(is_audited(cell.scenario, cell.parameters, share=0.2, seed=seed) for cell in cells)
     assert 280 < audited < 520
+    assert {is_checked("S1", number, _set("a"), 0.5, seed) for number in range(60)} == {False, True}, "seeds are drawn apart"
 
 
 _keys = st.sampled_from("abcdef")

@@ -181,8 +181,6 @@ def environment(home: Path, named: Collection[str]) -> dict[str, str]:
     An allow list, because no pattern knows all secrets. This prevents accidents, not theft: a child of the same
     user can read the worker's memory and files.
     """
-    kept = {
-        name: value for name, value in os.environ.items() if name in named or name in _THREADS or _INHERITED.fullmatch(name)
-    }
+    kept = {key: value for key, value in os.environ.items() if key in named or key in _THREADS or _INHERITED.fullmatch(key)}
     places = dict.fromkeys(("HOME", "TMPDIR", "TMP", "TEMP"), str(home))
     return _THREADS | kept | places

@@ -179,8 +179,9 @@ def set_at(stored: StoredRanking, front: CampaignFront, place: tuple[int, int], 
     judged = next((each for each in front.ranked if each.parameter_set == cell.parameter_set_id), None)
     if judged is None:
         return Chosen(parameters, is_judged=False, is_best=is_best)
+    if baseline is not None and judged.parameter_set in front.reports:
+        baseline = front.reports.get(baseline.parameter_set, baseline)
     judged = front.reports.get(judged.parameter_set, judged)
-    baseline = baseline and front.reports.get(baseline.parameter_set, baseline)
     compared: list[BesideBaseline] = []
     if baseline:
         amounts = zip(front.goals.objectives, judged.judgement.amounts, baseline.judgement.amounts, strict=True)

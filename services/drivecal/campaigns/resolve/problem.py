@@ -126,12 +126,12 @@ class CalibrationProblem:
     @property
     def baseline_seeds(self) -> range:
         """The seeds of the best set's report that the baseline of a random simulator runs under as well, or nothing tells which is better;
-        none if that would take more than a tenth of the budget."""
-        most, budget = self.specification.replicates.most, None if self.optimization is None else self.optimization.budget
-        seeds = range(choosing(most) + 1, most + 1)[:FEWEST_REPORTING]
+        none if that would take more than a tenth of the budget, and for fronts and quantiles."""
+        wanted, budget = self.specification.replicates, None if self.optimization is None else self.optimization.budget
+        seeds = range(choosing(wanted.most) + 1, wanted.most + 1)[:FEWEST_REPORTING]
         affordable = budget is None or budget.simulations is None or 10 * len(seeds) * len(self.scenarios) <= budget.simulations
-        is_compared = self.baseline is not None and self.bench.is_random and len(self.goals.objectives) == 1
-        return seeds if is_compared and affordable else seeds[:0]
+        is_compared = self.baseline is not None and len(self.goals.objectives) == 1 and wanted.level is None
+        return seeds if is_compared and self.bench.is_random and affordable else seeds[:0]
 
     @property
     def search(self) -> Optimization:
@@ -147,8 +147,8 @@ class CalibrationProblem:
             return None if budget is None else budget.simulations
         by_cell, most = not self.optimization.has_populations, self.specification.replicates.most
         shown, of_variants = self.goals.fewest_seeds, self.scenarios_of_variants
-        left = budget.simulations - len(self.baseline_seeds) * len(self.scenarios)
-        return left - kept_back(left, len(self.scenarios), most, shown, of_variants, by_cell=by_cell)
+        kept = kept_back(budget.simulations, len(self.scenarios), most, shown, of_variants, by_cell=by_cell)
+        return budget.simulations - kept - len(self.baseline_seeds) * len(self.scenarios)
 
     @property
     def start_indices(self) -> Indices:
@@ -311,7 +311,7 @@ def _check_rates(problem: CalibrationProblem, diagnostics: Diagnostics) -> None:
             message = f"{takes}, {needed:,} seeds, and half of the budget at most is kept for them and for the report"
             fewer = (n for n in range(most - 1, 1, -1) if choosing(n) >= needed)
             enough = next((n for n in fewer if 2 * fewest(len(problem.scenarios), n, needed) <= budget.simulations), None)
-            remedy = "or a higher rate" if enough is None else f"or replicates.most of at most {enough}"
+            remedy = "or a higher rate" if enough is None else f"or replicates.most: {enough}"
             diagnostics.add(field, message, f"give budget.simulations of at least {kept:,}, {remedy}")
 
 

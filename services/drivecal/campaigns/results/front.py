@@ -153,9 +153,7 @@ def front_of(stored: StoredRanking) -> CampaignFront:
         middles, halves = goal.sign * each.means, each.half_widths(confidence)
         ends = {"error": each.standard_errors, "lower": middles - halves, "upper": middles + halves}
         columns |= {f"{goal.name}_{end}": values for end, values in ends.items()}
-    uncertainty = {
-        number: {name: float(values[place]) for name, values in columns.items()} for place, number in enumerate(numbers)
-    }
+    uncertainty = {number: {name: float(values[n]) for name, values in columns.items()} for n, number in enumerate(numbers)}
     places = [place for place, number in enumerate(numbers) if number in front.ranks]
     least = front.members[0].solution.violation
     rivals = {each.parameter_set for each in front.ranked if each.violation <= least or each.is_undecided} - front.ranks.keys()

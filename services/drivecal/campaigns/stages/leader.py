@@ -67,13 +67,15 @@ class Leader:
             return
         (number,) = parameter_sets.ensure(connection, [baseline])
         solution = self._ranking.get(number)
+        gain, is_close = self._ranking.gain_over(number, random=self._problem.bench.is_random)
         self.baseline = Baseline(
             objective=None if solution is None else solution.objective,
             parameters=baseline.floats,
             scores=dict.fromkeys(self._problem.scenarios) if solution is None else dict(solution.scores),
             violation=0.0 if solution is None else solution.violation,
             undecided=solution is not None and solution.is_undecided,
-            close=self._ranking.is_close(number, random=self._problem.bench.is_random),
+            close=is_close,
+            gain=gain,
         )
 
     def notes(self) -> list[str]:

@@ -41,7 +41,7 @@ WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress unti
 TimeoutOption = Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; exit status 6 when they are over.")]
 
 TagOption = Annotated[str | None, typer.Option(metavar="TAG", help="All campaigns with this tag, in the place of an ID.")]
-MaybeCampaign = Annotated[str | None, typer.Argument(metavar="ID", help="The campaign's id, or its first four characters.")]
+MaybeCampaign = Annotated[str | None, typer.Argument(metavar="ID", help="The id, or at least its first four characters.")]
 PAGE = 1_000
 """Campaigns that one answer of the server lists."""
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the file and count the runs, submit nothing.")]

@@ -27,6 +27,7 @@ from drivecal.contracts.setup import ShapeAnswer
 from drivecal.contracts.specification import DECIDING, DEFAULT_PROBLEM, ConstraintSpecification, Given, GoalSpecification, Model
 from drivecal.contracts.strict_json import Number
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, file_faults
+from drivecal.domain.rounding import grain
 from drivecal.domain.scales import score_text
 from drivecal.domain.setups import base_of
 
@@ -57,7 +58,8 @@ class SetLimit(GoalSpecification):
     worse_by_at_most: Annotated[float, Field(ge=0)] | None = None
     """Largest loss of a score against the baseline."""
     rate: Annotated[float, Field(ge=1e-9, lt=1)] | None = None
-    """Largest share of failed runs, shown at 95 %."""
+    """Largest share of failed runs, shown at this `confidence`."""
+    confidence: Annotated[float, Field(ge=0.5, lt=1)] = 0.95
 
     @property
     def counts_failures(self) -> bool:
@@ -67,7 +69,7 @@ class SetLimit(GoalSpecification):
     @model_validator(mode="after")
     def _has_a_limit(self) -> Self:
         if self.rate is not None:
-            if self.model_fields_set - {"rate", "scenarios", "name"}:
+            if self.model_fields_set - {"rate", "confidence", "scenarios", "name"}:
                 raise ValueError("a rate is the share of failed runs: it stands alone, or with `scenarios`")
             return self
         if sum(bound is not None for bound in (self.at_least, self.at_most, self.worse_by_at_most)) != 1:
@@ -82,7 +84,7 @@ class SetLimit(GoalSpecification):
     def text(self) -> str:
         """The limit in words."""
         if self.rate is not None:
-            return f"at most {100 * self.rate:g} % of the runs fail"
+            return f"at most {100 * self.rate:g} % of the runs fail{'' if self.scenarios == 'all' else ' in ' + ', '.join(self.scenarios)}"
         if self.at_least is not None:
             return f"{self.label} at least {self.at_least:g}"
         if self.at_most is not None:
@@ -145,7 +147,7 @@ class CheckedSet:
             yield from [self._failures(limit, names)] if limit.rate else (self._finding(limit, name) for name in names)
         differing = sum(each.unrepeatable for _, each in self._each())
         if differing and self.problem.simulator.get("deterministic") is not False:
-            counted = f"{differing:,} runs gave another result; what they read but the problem's files belongs into `inputs`"
+            counted = f"{differing:,} runs gave another result; what else they read belongs into `inputs`"
             yield Finding("all", "new runs give the stored results", counted)
 
     def _failures(self, limit: SetLimit, names: Collection[str]) -> Finding:
@@ -154,7 +156,7 @@ class CheckedSet:
         cells, rate = [cell for cell in self.first.items if cell.scenario in names], limit.rate or 0.0
         failed = sum(cell.failures if cell.scores else cell.failure is not None for cell in cells)
         runs = sum(max(1, len(cell.scores)) for cell in cells)
-        least, most = rate_bounds(failed, runs, 0.95)
+        least, most = rate_bounds(failed, runs, limit.confidence)
         if most <= rate:
             return Finding("all", limit.text, None)
         unsure, shown = least <= rate, f"{failed} of {runs} runs fail, which is {100 * least:.2g} to {100 * most:.2g} % of many"
@@ -182,7 +184,7 @@ class CheckedSet:
             excess, half = sign * (before.score - value) - (limit.worse_by_at_most or 0.0), _half_width(cell, before)
             least, most = excess - half, excess + half
             shown += f", and {score_text(before.score)} in the baseline"
-        if most <= 0:
+        if most <= grain(value):
             return Finding(scenario, limit.text, None)
         unsure = least <= 0
         return Finding(scenario, limit.text, f"unsure: {shown}; more --seeds may tell" if unsure else shown, unsure)
@@ -244,7 +246,7 @@ def check(
         settings["seeds"] = list(range(first, first + seeds)) if seeds else list(reported) or 1
         listed = settings.get("catalogue") or known.scenarios
         _refuse_another_form(given, known)
-        own_limits, unchecked = _of_campaign(spec, known, () if isinstance(listed, str) else listed)
+        own_limits, unchecked = _of_campaign(spec, known, () if isinstance(listed, str) else listed, rates=seeds is not None)
         _refuse_unknown(wanted, known, () if isinstance(listed, str) else listed, has_baseline=baseline is not None)
         wanted = [*own_limits, *wanted]
         evaluators = _evaluators(known, spec.get("evaluator"), wanted)
@@ -327,20 +329,24 @@ def _of_variant(spec: Mapping[str, Any], name: str, scenarios: Sequence[str]) ->
     return {**spec, "catalogue": listed, "vehicle": _vehicle(spec, own.get("parameters") or {})}
 
 
-def _of_campaign(spec: Mapping[str, Any], problem: ProblemAnswer, listed: Collection[str]) -> tuple[list[SetLimit], list[str]]:
-    """Returns the constraints of a campaign that limit each scenario by itself, in the `listed` scenarios that have a weight (none are
-    listed if only the server knows them), and the names of the others."""
+def _of_campaign(
+    spec: Mapping[str, Any], problem: ProblemAnswer, listed: Collection[str], *, rates: bool
+) -> tuple[list[SetLimit], list[str]]:
+    """Returns the constraints of a campaign that limit each scenario by itself, and with `rates` the share of failed runs, in the `listed`
+    scenarios that have a weight (none are listed if only the server knows them), and the names of the others."""
     limits, others, weights = list[SetLimit](), list[str](), spec.get("weights") or {}
+    confidence = (spec.get("replicates") or {}).get("confidence", 0.95)
     for each in map(ConstraintSpecification.model_validate, spec.get("constraints") or ()):
         names_of = ("name", "rate") if each.counts_failures else ("score", "measure", "name", "failed", "at_least", "at_most")
         bounds = {name: value for name in names_of if (value := getattr(each, name)) is not None}
         chosen = listed if each.scenarios == "all" else each.scenarios
         names = [name for name in chosen if not listed or (name in listed and weights.get(name, 1) > 0)]
-        is_known = each.counts_failures or each.score in problem.scores or each.measure in problem.measures
+        is_known = rates if each.counts_failures else each.score in problem.scores or each.measure in problem.measures
         if each.aggregate is not None or (each.rate is not None and not each.counts_failures) or not is_known:
             others.append(each.label)
         elif names or not listed:
-            limits.append(SetLimit(**bounds, scenarios=names or "all"))
+            scenarios = "all" if len(names) == len(listed) else names
+            limits.append(SetLimit.model_validate({**bounds, "scenarios": scenarios, "confidence": confidence}))
     return limits, others
 
 
@@ -486,4 +492,5 @@ def _markdown(chosen: str, checked: CheckedSet, findings: Sequence[Finding]) -> 
     for row in _rows(checked, findings):
         shown = ["" if raw is None else score_text(raw) if isinstance(raw, float | int) else str(raw) for raw in row.values()]
         lines.append(f"| {' | '.join(text.replace('|', chr(92) + '|') for text in shown)} |")
+    lines += [f"\n{finding.limit}: {finding.broken}" for finding in findings if finding.broken and finding.scenario == "all"]
     return "\n".join([*lines, "", ""])

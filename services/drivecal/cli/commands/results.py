@@ -209,9 +209,10 @@ def _calibration_file(
     client: Client, identifier: str, table: TableName, form: Format, row: int, names: str | None, query: Mapping[str, Any]
 ) -> bytes:
     """Returns the set of a rank as a calibration file, or as JSON for `drivecal check`."""
-    if form == "parquet" or (form == "json" and (names is not None or "base" in query)):
-        field, remedy = ("--format", "give another format") if form == "parquet" else ("--names, --base", "leave them out")
-        raise InvalidInputError(Problem(field, f"{form} holds no such set", remedy))
+    if form == "parquet":
+        raise InvalidInputError(Problem("--format", "parquet holds no single set", "give dcm, cdfx, csv or json"))
+    if form == "json" and (names is not None or "base" in query):
+        raise InvalidInputError(Problem("--names, --base", "a set as JSON has its parameters alone", "leave them out"))
     if table not in {"solutions", "front"}:
         raise InvalidInputError(Problem("--table", f"{table} holds no ranked sets", "give --table solutions or front"))
     if "where" in query:

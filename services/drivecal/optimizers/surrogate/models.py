@@ -209,9 +209,7 @@ class ScenarioModel:
     def to_json(self) -> list[dict[str, Any]]:
         """Returns as plain data what answers alone do not tell."""
         tuned = (output.tuned for output in (*self._outputs, self._failure))
-        return [
-            {"lengths": each.lengths.tolist(), "noise": each.noise, "luck": each.luck, "count": each.count} for each in tuned
-        ]
+        return [{"lengths": row.lengths.tolist(), "noise": row.noise, "luck": row.luck, "count": row.count} for row in tuned]
 
     def restore(self, documents: Sequence[Mapping[str, Any]]) -> None:
         """Inverts `to_json`."""

@@ -253,9 +253,7 @@ class SurrogateSearch:
     def _promising(self) -> list[tuple[BegunSet, Floats, int]]:
         """Gives sets up that win for no aim; returns the remaining open sets, the most promising first, with draws of their values and the
         place of an aim: first the aim of its turn, then the most promising aim."""
-        sets = [
-            begun for begun in self._answers.sets if not begun.beaten and not begun.whole and len(self._answers.missing(begun))
-        ]
+        sets = [each for each in self._answers.sets if not each.beaten and not each.whole and len(self._answers.missing(each))]
         if sets:
             best = self._task.with_given(self._rows(sets), np.stack([self._answers.best] * len(sets)))
             lost = [

@@ -258,7 +258,7 @@ class ScenarioFile:
             message = f"OpenSCENARIO of version {shown(header.text('revMajor'), 10)} cannot be read, only 1.x"
             raise header.fault(message, "export the file as OpenSCENARIO 1.0 to 1.3")
         if (values := self._root.optional("ParameterValueDistribution")) is not None:
-            message = "the file has values for the parameters of a scenario, and is none"
+            message = "the file has values for a scenario's parameters, and no scenario"
             raise values.fault(message, "give the file of its <ScenarioFile> as `openscenario`, with values in `parameters`")
         declare(self._root, scenario.parameters)
         self.notes: tuple[str, ...] = ()

@@ -72,8 +72,6 @@ def shipped(path: Path = FILE) -> dict[Manoeuvre, Regression]:
     """Returns the regressions in a file, by default the shipped ones. Raises DamagedArraysError if it is missing or damaged."""
     arrays = read_arrays(path, [f"{manoeuvre.value}_{name}" for manoeuvre in Manoeuvre for name in _NAMES])
     try:
-        return {
-            manoeuvre: Regression(**{name: arrays[f"{manoeuvre.value}_{name}"] for name in _NAMES}) for manoeuvre in Manoeuvre
-        }
+        return {each: Regression(**{name: arrays[f"{each.value}_{name}"] for name in _NAMES}) for each in Manoeuvre}
     except ValueError as error:
         raise DamagedArraysError(path.name, str(error)) from error

@@ -38,7 +38,7 @@ class Residual:
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.hidden) == len(self.output) <= MOST_UNITS:
-            raise ValueError(f"{len(self.hidden)} hidden and {len(self.output)} output rows; give as many, 1 to {MOST_UNITS}")
+            raise ValueError(f"{len(self.hidden)} hidden and {len(self.output)} output rows; give 1 to {MOST_UNITS} of both")
         shapes = [
             self.hidden.shape[1:],
             self.output.shape[1:],
