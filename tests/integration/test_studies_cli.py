@@ -136,10 +136,12 @@ def test_a_campaign_without_a_search_has_no_optima_and_a_report(run: Run, api: R
 
 def test_a_study_in_another_vehicle_is_told_apart(run: Run, api: RunningApi, ended: str) -> None:
     run("robustness", ended, "--steps", "2", "--samples", "2", "--delta", "0.01", "--solutions", "1")
-    study = newest(api)
-    heavy = study["spec"] | {"vehicle": {"model": "single_track", "parameters": {"mass": 2600}}}
+    spec = newest(api)["spec"]
+    heavy = spec | {"vehicle": {"model": "single_track", "parameters": {"mass": 2600}}}
     with Client(api.url) as client:
-        client.wait(client.submit(heavy).id, progress=False)
+        sets = [client.solutions(ended, limit=1000).items[-1].parameters]
+        made = client.wait(client.submit(heavy | {"robustness": spec["robustness"] | {"sets": sets}}).id, progress=False)
+        assert 0.0 not in {row.to_worse for row in client.robustness(made.id)}, "no set is worse than itself"
         assert [each.in_own_vehicle for each in client.studies(ended).items[:2]] == [False, True]
 
 

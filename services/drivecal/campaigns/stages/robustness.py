@@ -111,7 +111,8 @@ class RobustnessStage(StudyStage):
         listed = named + [parameter_set for parameter_set in best_sets if parameter_set not in named]
         space = self._problem.space
         places = unit_cube(space, listed)
-        beside = Alternatives(places, unit_cube(space, [sets[solution.parameter_set] for solution in worse]), regions(places))
+        others = [each for solution in worse if (each := sets[solution.parameter_set]) not in named]
+        beside = Alternatives(places, unit_cube(space, others), regions(places))
         known = beside.shown(0, len(beside))
         chosen = one_per_region_first(beside.regions[len(named) :], self._wanted.solutions)
         return [
