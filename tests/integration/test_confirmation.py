@@ -66,9 +66,7 @@ def confirmed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Databa
         for database, confirm in zip(opened, (50, 0), strict=True)
     )
     with opened[0].read() as with_it, opened[1].read() as without:
-        figures = [
-            generations.page(connection, campaign.sequence)[0] for connection, campaign in ((with_it, one), (without, plain))
-        ]
+        figures = [generations.page(reading, campaign.sequence)[0] for reading, campaign in ((with_it, one), (without, plain))]
     assert figures[0] == figures[1], "the search itself is the same"
     yield opened[0], one, plain
     for database in opened:

@@ -84,9 +84,7 @@ def _condition(field: str, condition: Condition) -> Iterator[Problem]:
     elif condition.quantity == "distance" and (condition.s is None or condition.below is None):
         yield Problem(field, "a distance needs a place and a limit", "give `s` and `below`")
     elif condition.quantity != "distance" and (condition.s is not None or condition.d != 0.0):
-        yield Problem(
-            f"{field}.{'d' if condition.s is None else 's'}", f"{given[0]} is not measured to a place", "leave it out"
-        )
+        yield Problem(f"{field}.{'d' if condition.s is None else 's'}", f"{given[0]} is measured to no place", "leave it out")
 
 
 def _content(field: str, vehicle: TrafficEntry, action: Action) -> Iterator[Problem]:

@@ -215,13 +215,18 @@ class Shape:
         """Weights of the coefficients at the support points of each axis, shape (n_points, n_coefficients); rows sum up to 1."""
         return tuple(_weights(axis, count) for axis, count in zip(self.axes, self.counts, strict=True))
 
+    @property
+    def grid(self) -> float | None:
+        """Step of the values that coefficients give; single points are taken as they are."""
+        return None if self.counts == tuple(map(len, self.axes)) else self.step
+
     def values(self, settings: Mapping[str, Setting]) -> Points:
         """Returns the values at the support points: a list, of a map a list for each point of x.
 
         Args:
             settings: the values of a set by name.
         """
-        return points_at(self.weights, [settings[name] for name in self.names], self.lower, self.upper, self.step)
+        return points_at(self.weights, [settings[name] for name in self.names], self.lower, self.upper, self.grid)
 
     def settings(self, points: Points, field: str, ranges: Ranges | None = None) -> dict[str, float]:
         """Returns the coefficients of the nearest curve or map (least squares) of the form, or the values as single points.

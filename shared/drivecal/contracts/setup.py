@@ -48,7 +48,7 @@ class GoodSets(Answer):
 class ShapeAnswer(Answer):
     """A curve or a map: which parameters are its coefficients, and how they give the values at its support points.
 
-    A value is the sum of the coefficients, each times its weights along all axes, rounded to `lower` plus a multiple of `step`.
+    A value is the sum of the coefficients, each times its weights along all axes, rounded to `lower` plus a multiple of `step`, if any.
     """
 
     names: list[str]

@@ -370,9 +370,7 @@ class _Reader:
         elif tag == "lane":
             self.lane = None
         elif tag == "geometry" and self.geometry is not None:
-            raise self.geometry.fault(
-                "the geometry is empty, or of an unknown kind", f"give one of {', '.join(sorted(GEOMETRIES))}"
-            )
+            raise self.geometry.fault("its kind is missing or unknown", f"give one of {', '.join(sorted(GEOMETRIES))}")
 
     def finished(self) -> RoadFile:
         """Returns the file's content."""

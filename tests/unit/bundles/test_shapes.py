@@ -102,7 +102,8 @@ def test_values_become_the_coefficients_that_give_them(step: float | None) -> No
 def test_single_points_keep_their_values_and_their_stored_runs_when_the_axis_changes() -> None:
     manifest = checked(document({}))
     moved = checked(document({"curve": {"axis": [0, 6, 10, 20, 40, 45]}}))
-    assert manifest.shapes["gain"].settings([3, 2.123, 2, 1, 1, 1], "gain")["gain_2"] == 2.123
+    gain, values = checked(document({"step": 0.05})).shapes["gain"], [3, 2.123, 2, 1, 1, 1]
+    assert gain.values(gain.settings(values, "gain")) == values, "as a worker passes them on"
     assert setup_document(manifest, "city", "f") == setup_document(moved, "city", "f")
     few, other = (checked(document({"coefficients": 3, "curve": {"axis": axis}})) for axis in (AXIS, [0, 6, 10, 20, 40, 45]))
     assert setup_document(few, "city", "f") != setup_document(other, "city", "f")

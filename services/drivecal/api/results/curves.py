@@ -26,7 +26,7 @@ def shapes_of(manifest: Manifest) -> dict[str, ShapeAnswer]:
         if isinstance(entry, ShapeEntry):
             shape = manifest.shapes[name]
             about = {"axes": list(map(list, shape.axes)), "axis_units": list(entry.axis_units), "names": list(shape.names)}
-            answers[name] = ShapeAnswer.of(entry, weights=[each.tolist() for each in shape.weights], **about)
+            answers[name] = ShapeAnswer.of(entry, weights=[each.tolist() for each in shape.weights], step=shape.grid, **about)
     return answers
 
 
